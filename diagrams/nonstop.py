@@ -11,6 +11,7 @@ load_feedback ──> wrench_controller ──> force_distribution ──> carri
 """
 
 from collections.abc import Collection, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from pydrake.systems.framework import Diagram, System
@@ -44,26 +45,14 @@ from drake_nonstop.loop.assembly import (
 from drake_nonstop.loop.box import Box, Kind, Place
 from drake_nonstop.loop.equilibrium import set_equilibrium
 from drake_nonstop.loop.plant_states import PlantStates
-from drake_nonstop.mechanics import signal_layouts
-from drake_nonstop.mechanics.signal_layouts import Layout
-from drake_nonstop.optimization.diagnostics import LAYER_LAYOUTS
 from drake_nonstop.systems import wiring
 from drake_nonstop.validation import require_flags, warn_user
-
-
-def _layouts(*signals: str) -> dict[str, Layout | None]:
-    """Of the signals of a box; those of a layer's reports stand beside what they count."""
-    known = signal_layouts.SIGNALS | dict(LAYER_LAYOUTS)
-    return {signal: known[signal] for signal in signals}
-
 
 # The boxes of the figure, in its order.
 BOXES: dict[str, Box] = {
     "load_trajectory": Box(
         variants=load_trajectory.VARIANTS,
-        signals=_layouts(
-            "reference", "reference_higher_rates", "reference_preview", "reference_delay"
-        ),
+        makes=("reference", "reference_higher_rates", "reference_preview", "reference_delay"),
         optional={"reference_higher_rates": "", "reference_preview": "", "reference_delay": ""},
         recorded_where_read=("reference_higher_rates",),
         place=Place(0, 1, 1, Kind.TRAJECTORY),
@@ -71,20 +60,18 @@ BOXES: dict[str, Box] = {
     ),
     "load_feedback": Box(
         variants=load_feedback.VARIANTS,
-        signals=_layouts("measured_load_state"),
+        makes=("measured_load_state",),
         place=Place(0, 2, 1, Kind.ADDITION),
     ),
     "wrench_controller": Box(
         variants=wrench_controller.VARIANTS,
-        signals=_layouts("wrench", "wrench_rate", "tracking_error"),
+        makes=("wrench", "wrench_rate", "tracking_error"),
         optional={"tracking_error": ""},
         place=Place(2, 2, 1, Kind.WRENCH),
     ),
     "optimization_layer": Box(
         variants=optimization_layer.VARIANTS,
-        signals=_layouts(
-            "parameters", "diagnostics", "plan", "solve_time", "speed_bound", "missed_limits"
-        ),
+        makes=("parameters", "diagnostics", "plan", "solve_time", "speed_bound", "missed_limits"),
         optional={"plan": "RecedingHorizonOptimizer"}
         | dict.fromkeys(("diagnostics", "solve_time", "speed_bound", "missed_limits"), ""),
         place=Place(3, 0, 1, Kind.OPTIMIZATION),
@@ -92,7 +79,7 @@ BOXES: dict[str, Box] = {
     ),
     "phase": Box(
         variants=phase.VARIANTS,
-        signals=_layouts("phase", "planned"),
+        makes=("phase", "planned"),
         optional={"planned": "ShapedPhase"},
         expected_inputs={
             "plan": "it does not read the plan of optimization_layer, and departs from the phase "
@@ -105,7 +92,7 @@ BOXES: dict[str, Box] = {
     ),
     "internal_force": Box(
         variants=internal_force.VARIANTS,
-        signals=_layouts("internal_force", "internal_force_higher_rates"),
+        makes=("internal_force", "internal_force_higher_rates"),
         optional={"internal_force_higher_rates": "InternalForceTrajectory"},
         alternatives={"planned": "InternalForceTrajectory"},
         recorded_where_read=("internal_force_higher_rates",),
@@ -113,14 +100,12 @@ BOXES: dict[str, Box] = {
     ),
     "force_distribution": Box(
         variants=force_distribution.VARIANTS,
-        signals=_layouts("desired_cable_forces", "desired_cable_force_rates"),
+        makes=("desired_cable_forces", "desired_cable_force_rates"),
         place=Place(3, 2, 1, Kind.INNER_LOOP),
     ),
     "carrier_trajectory": Box(
         variants=carrier_trajectory.VARIANTS,
-        signals=_layouts(
-            "carrier_reference", "carrier_reference_acceleration", "carrier_reference_jerk"
-        ),
+        makes=("carrier_reference", "carrier_reference_acceleration", "carrier_reference_jerk"),
         optional=dict.fromkeys(
             ("carrier_reference_acceleration", "carrier_reference_jerk"), "CarrierTrajectory"
         ),
@@ -129,7 +114,7 @@ BOXES: dict[str, Box] = {
     ),
     "carrier_controller": Box(
         variants=carrier_controller.VARIANTS,
-        signals=_layouts("carrier_forces", "aircraft_command", "command_saturation"),
+        makes=("carrier_forces", "aircraft_command", "command_saturation"),
         optional={"carrier_forces": "CarrierPid"}
         | dict.fromkeys(("aircraft_command", "command_saturation"), "FixedWingController"),
         alternatives=dict.fromkeys(
@@ -139,7 +124,7 @@ BOXES: dict[str, Box] = {
     ),
     "carrier_dynamics": Box(
         variants=carrier_dynamics.VARIANTS,
-        signals=_layouts("carrier_state", "aircraft_state", "carrier_acceleration"),
+        makes=("carrier_state", "aircraft_state", "carrier_acceleration"),
         optional=dict.fromkeys(("aircraft_state", "carrier_acceleration"), "FixedWingDynamics"),
         alternatives={"carrier_forces": "FixedWingDynamics", "aircraft_command": "CarrierDynamics"},
         place=Place(3, 3, -1, Kind.PLANT),
@@ -147,23 +132,23 @@ BOXES: dict[str, Box] = {
     ),
     "cables": Box(
         variants=cables.VARIANTS,
-        signals=_layouts("cable_forces", "tensions"),
+        makes=("cable_forces", "tensions"),
         place=Place(2, 3, -1, Kind.PLANT),
         is_simulated=True,
     ),
     "load_disturbance": Box(
         variants=load_disturbance.VARIANTS,
-        signals=_layouts("disturbance_wrench"),
+        makes=("disturbance_wrench",),
         place=Place(0, 4, 1, Kind.ADDITION),
     ),
     "wind": Box(
         variants=wind.VARIANTS,
-        signals=_layouts("wind", "load_wind", "wind_estimate"),
+        makes=("wind", "load_wind", "wind_estimate"),
         place=Place(1, 4, 1, Kind.ADDITION),
     ),
     "load_plant": Box(
         variants=load_plant.VARIANTS,
-        signals=_layouts("load_state"),
+        makes=("load_state",),
         expected_inputs={
             "load_wind": "no wind acts on the load, since this block does not read it; give it an "
             "input port load_wind (3), the air's velocity in m/s, in W, or have still air by "
@@ -173,6 +158,27 @@ BOXES: dict[str, Box] = {
         is_simulated=True,
     ),
 }
+
+
+@dataclass(kw_only=True)
+class BoxFields:
+    """The boxes as type checkers see them: of any type, since a config may be the user's own."""
+
+    load_trajectory: Any = None
+    load_feedback: Any = None
+    wrench_controller: Any = None
+    optimization_layer: Any = None
+    phase: Any = None
+    internal_force: Any = None
+    force_distribution: Any = None
+    carrier_trajectory: Any = None
+    carrier_controller: Any = None
+    carrier_dynamics: Any = None
+    cables: Any = None
+    load_disturbance: Any = None
+    wind: Any = None
+    load_plant: Any = None
+
 
 # The layouts of all signals of the figure, by their names; None: one is no vector.
 SIGNALS = {name: layout for box in BOXES.values() for name, layout in box.signals.items()}

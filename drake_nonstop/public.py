@@ -122,175 +122,21 @@ from drake_nonstop.validation import (
     ScenarioWarning as ScenarioWarning,
 )
 
-# `load_trajectory`
-from drake_nonstop.blocks.load_trajectory import (
-    RestToRest as RestToRest,
-    RestToRestConfig as RestToRestConfig,
-    ConstantVelocityMove as ConstantVelocityMove,
-    ConstantVelocityMoveConfig as ConstantVelocityMoveConfig,
-    Waypoints as Waypoints,
-    WaypointsConfig as WaypointsConfig,
-    Circle as Circle,
-    CircleConfig as CircleConfig,
-    SampledTrajectory as SampledTrajectory,
-    SampledTrajectoryConfig as SampledTrajectoryConfig,
-    SteadyTurn as SteadyTurn,
-    SteadyTurnConfig as SteadyTurnConfig,
-    PlannedTurn as PlannedTurn,
-    PlannedTurnConfig as PlannedTurnConfig,
-)
-
-# `load_feedback`
-from drake_nonstop.blocks.load_feedback import (
-    IdealFeedback as IdealFeedback,
-    IdealFeedbackConfig as IdealFeedbackConfig,
-    DesiredStateFeedback as DesiredStateFeedback,
-    DesiredStateFeedbackConfig as DesiredStateFeedbackConfig,
-    DesiredAttitudeFeedback as DesiredAttitudeFeedback,
-    DesiredAttitudeFeedbackConfig as DesiredAttitudeFeedbackConfig,
-    NoisyFeedback as NoisyFeedback,
-    NoisyFeedbackConfig as NoisyFeedbackConfig,
-    EstimatedFeedback as EstimatedFeedback,
-    EstimatedFeedbackConfig as EstimatedFeedbackConfig,
-)
-
-# `wrench_controller`
-from drake_nonstop.blocks.wrench_controller import (
-    WrenchController as WrenchController,
-    WrenchControllerConfig as WrenchControllerConfig,
-    PaperWrenchController as PaperWrenchController,
-    PaperWrenchControllerConfig as PaperWrenchControllerConfig,
-    GeometricPd as GeometricPd,
-    GeometricPdConfig as GeometricPdConfig,
-    TunedWrenchController as TunedWrenchController,
-    TunedWrenchControllerConfig as TunedWrenchControllerConfig,
-)
-
-# `optimization_layer`
-from drake_nonstop.blocks.receding_horizon import (
-    RecedingHorizonOptimizer as RecedingHorizonOptimizer,
-    RecedingHorizonOptimizerConfig as RecedingHorizonOptimizerConfig,
-)
-from drake_nonstop.blocks.optimization_layer import (
-    NonstopOptimizer as NonstopOptimizer,
-    NonstopOptimizerConfig as NonstopOptimizerConfig,
-)
-from drake_nonstop.blocks.turn_rate_optimizer import (
-    TurnRateOptimizer as TurnRateOptimizer,
-    TurnRateOptimizerConfig as TurnRateOptimizerConfig,
-)
-from drake_nonstop.blocks.optimization_layer import (
-    ConstantParameters as ConstantParameters,
-    ConstantParametersConfig as ConstantParametersConfig,
-)
-
-# `phase`
-from drake_nonstop.blocks.phase import (
-    ShapedPhase as ShapedPhase,
-    ShapedPhaseConfig as ShapedPhaseConfig,
-    AccumulatedPhase as AccumulatedPhase,
-    AccumulatedPhaseConfig as AccumulatedPhaseConfig,
-    PaperPhase as PaperPhase,
-    PaperPhaseConfig as PaperPhaseConfig,
-)
-
-# `internal_force`
-from drake_nonstop.blocks.internal_force import (
-    PlannedInternalForce as PlannedInternalForce,
-    PlannedInternalForceConfig as PlannedInternalForceConfig,
-    InternalForceTrajectory as InternalForceTrajectory,
-    InternalForceTrajectoryConfig as InternalForceTrajectoryConfig,
-)
-
-# `force_distribution`
-from drake_nonstop.blocks.force_distribution import (
-    CableForceDistribution as CableForceDistribution,
-    CableForceDistributionConfig as CableForceDistributionConfig,
-    BoundedTensionDistribution as BoundedTensionDistribution,
-    BoundedTensionDistributionConfig as BoundedTensionDistributionConfig,
-)
-
-# `carrier_trajectory`
-from drake_nonstop.blocks.carrier_trajectory import (
-    CarrierTrajectory as CarrierTrajectory,
-    CarrierTrajectoryConfig as CarrierTrajectoryConfig,
-    InextensibleCarrierTrajectory as InextensibleCarrierTrajectory,
-    InextensibleCarrierTrajectoryConfig as InextensibleCarrierTrajectoryConfig,
-    MeasuredCarrierTrajectory as MeasuredCarrierTrajectory,
-    MeasuredCarrierTrajectoryConfig as MeasuredCarrierTrajectoryConfig,
-)
-
-# `carrier_controller`
-from drake_nonstop.blocks.carrier_controller import (
-    FeedforwardCarrierPid as FeedforwardCarrierPid,
-    FeedforwardCarrierPidConfig as FeedforwardCarrierPidConfig,
-    CarrierPid as CarrierPid,
-    CarrierPidConfig as CarrierPidConfig,
-    TunedCarrierPid as TunedCarrierPid,
-    TunedCarrierPidConfig as TunedCarrierPidConfig,
-    TunedFeedforwardCarrierPid as TunedFeedforwardCarrierPid,
-    TunedFeedforwardCarrierPidConfig as TunedFeedforwardCarrierPidConfig,
-    LoadedCarrierPid as LoadedCarrierPid,
-    LoadedCarrierPidConfig as LoadedCarrierPidConfig,
-)
-from drake_nonstop.blocks.fixed_wing_controller import (
-    FixedWingController as FixedWingController,
-    FixedWingControllerConfig as FixedWingControllerConfig,
-)
-
-# `carrier_dynamics`
-from drake_nonstop.blocks.carrier_dynamics import (
-    CarrierDynamics as CarrierDynamics,
-    CarrierDynamicsConfig as CarrierDynamicsConfig,
-    LoadedCarrierDynamics as LoadedCarrierDynamics,
-    LoadedCarrierDynamicsConfig as LoadedCarrierDynamicsConfig,
-    FixedWingDynamics as FixedWingDynamics,
-    FixedWingDynamicsConfig as FixedWingDynamicsConfig,
-)
-from drake_nonstop.blocks.jsbsim_carriers import (
-    JsbsimCarriers as JsbsimCarriers,
-    JsbsimCarriersConfig as JsbsimCarriersConfig,
-)
-from drake_nonstop.blocks.carrier_dynamics import (
-    IdealCarriers as IdealCarriers,
-    IdealCarriersConfig as IdealCarriersConfig,
-)
-
-# `cables`
-from drake_nonstop.blocks.cables import (
-    Cables as Cables,
-    CablesConfig as CablesConfig,
-    IndividualCables as IndividualCables,
-    IndividualCablesConfig as IndividualCablesConfig,
-)
-
-# `load_disturbance`
-from drake_nonstop.blocks.load_disturbance import (
-    NoDisturbance as NoDisturbance,
-    NoDisturbanceConfig as NoDisturbanceConfig,
-    DisturbanceForce as DisturbanceForce,
-    DisturbanceForceConfig as DisturbanceForceConfig,
-)
-
-# `wind`
-from drake_nonstop.blocks.wind import (
-    StillAir as StillAir,
-    StillAirConfig as StillAirConfig,
-    SteadyWind as SteadyWind,
-    SteadyWindConfig as SteadyWindConfig,
-    WindProfile as WindProfile,
-    WindProfileConfig as WindProfileConfig,
-    GustyWind as GustyWind,
-    GustyWindConfig as GustyWindConfig,
-)
-
-# `load_plant`
-from drake_nonstop.blocks.load_plant import (
-    LoadPlant as LoadPlant,
-    LoadPlantConfig as LoadPlantConfig,
-    MultibodyLoadPlant as MultibodyLoadPlant,
-    MultibodyLoadPlantConfig as MultibodyLoadPlantConfig,
-)
+# What each box can be: the names of its module's `__all__`.
+from drake_nonstop.blocks.load_trajectory import *
+from drake_nonstop.blocks.load_feedback import *
+from drake_nonstop.blocks.wrench_controller import *
+from drake_nonstop.blocks.optimization_layer import *
+from drake_nonstop.blocks.phase import *
+from drake_nonstop.blocks.internal_force import *
+from drake_nonstop.blocks.force_distribution import *
+from drake_nonstop.blocks.carrier_trajectory import *
+from drake_nonstop.blocks.carrier_controller import *
+from drake_nonstop.blocks.carrier_dynamics import *
+from drake_nonstop.blocks.cables import *
+from drake_nonstop.blocks.load_disturbance import *
+from drake_nonstop.blocks.wind import *
+from drake_nonstop.blocks.load_plant import *
 
 # How notebooks show them: figures are drawn in a room above that of runs.
 from drake_nonstop.systems.energy import LoopDiagram as _LoopDiagram

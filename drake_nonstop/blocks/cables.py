@@ -135,3 +135,10 @@ def _each(model: Model, name: str, given: list[float], default: float) -> NDArra
 
 # The blocks that the box can be, the default first.
 VARIANTS = (Cables, IndividualCables)
+
+__all__ = [
+    "Cables",
+    "CablesConfig",
+    "IndividualCables",
+    "IndividualCablesConfig",
+]

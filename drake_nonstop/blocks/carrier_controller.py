@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from drake_nonstop.blocks.fixed_wing_controller import (
     FixedWingController,
+    FixedWingControllerConfig,
 )
 from drake_nonstop.mechanics.carrier import loaded_pid_forces, pid_forces
 from drake_nonstop.mechanics.tuning import pid_gains
@@ -228,3 +229,18 @@ VARIANTS = (
     LoadedCarrierPid,
     FixedWingController,
 )
+
+__all__ = [
+    "FeedforwardCarrierPid",
+    "FeedforwardCarrierPidConfig",
+    "CarrierPid",
+    "CarrierPidConfig",
+    "TunedCarrierPid",
+    "TunedCarrierPidConfig",
+    "TunedFeedforwardCarrierPid",
+    "TunedFeedforwardCarrierPidConfig",
+    "LoadedCarrierPid",
+    "LoadedCarrierPidConfig",
+    "FixedWingController",
+    "FixedWingControllerConfig",
+]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydrake.systems.framework import Context, System
 from pydrake.systems.primitives import Selector
 
-from drake_nonstop.blocks.jsbsim_carriers import JsbsimCarriers
+from drake_nonstop.blocks.jsbsim_carriers import JsbsimCarriers, JsbsimCarriersConfig
 from drake_nonstop.mechanics.aircraft import (
     Aircraft,
     FlightStates,
@@ -288,3 +288,16 @@ VARIANTS = (
     JsbsimCarriers,
     IdealCarriers,
 )
+
+__all__ = [
+    "CarrierDynamics",
+    "CarrierDynamicsConfig",
+    "LoadedCarrierDynamics",
+    "LoadedCarrierDynamicsConfig",
+    "FixedWingDynamics",
+    "FixedWingDynamicsConfig",
+    "JsbsimCarriers",
+    "JsbsimCarriersConfig",
+    "IdealCarriers",
+    "IdealCarriersConfig",
+]

@@ -234,3 +234,12 @@ class MeasuredCarrierTrajectory(Block):
 
 # The blocks that the box can be, the default first.
 VARIANTS = (CarrierTrajectory, InextensibleCarrierTrajectory, MeasuredCarrierTrajectory)
+
+__all__ = [
+    "CarrierTrajectory",
+    "CarrierTrajectoryConfig",
+    "InextensibleCarrierTrajectory",
+    "InextensibleCarrierTrajectoryConfig",
+    "MeasuredCarrierTrajectory",
+    "MeasuredCarrierTrajectoryConfig",
+]

@@ -208,3 +208,10 @@ class BoundedTensionDistribution(CableForceDistribution):
 
 # The blocks that the box can be, the default first.
 VARIANTS = (CableForceDistribution, BoundedTensionDistribution)
+
+__all__ = [
+    "CableForceDistribution",
+    "CableForceDistributionConfig",
+    "BoundedTensionDistribution",
+    "BoundedTensionDistributionConfig",
+]

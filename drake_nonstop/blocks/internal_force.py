@@ -67,3 +67,10 @@ class PlannedInternalForce(Block):
 
 # The blocks that the box can be, the default first.
 VARIANTS = (PlannedInternalForce, InternalForceTrajectory)
+
+__all__ = [
+    "PlannedInternalForce",
+    "PlannedInternalForceConfig",
+    "InternalForceTrajectory",
+    "InternalForceTrajectoryConfig",
+]

@@ -112,3 +112,10 @@ class DisturbanceForce(LeafBlock):
 
 # The blocks that the box can be, the default first.
 VARIANTS = (NoDisturbance, DisturbanceForce)
+
+__all__ = [
+    "NoDisturbance",
+    "NoDisturbanceConfig",
+    "DisturbanceForce",
+    "DisturbanceForceConfig",
+]

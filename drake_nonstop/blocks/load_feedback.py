@@ -420,3 +420,16 @@ VARIANTS = (
     NoisyFeedback,
     EstimatedFeedback,
 )
+
+__all__ = [
+    "IdealFeedback",
+    "IdealFeedbackConfig",
+    "DesiredStateFeedback",
+    "DesiredStateFeedbackConfig",
+    "DesiredAttitudeFeedback",
+    "DesiredAttitudeFeedbackConfig",
+    "NoisyFeedback",
+    "NoisyFeedbackConfig",
+    "EstimatedFeedback",
+    "EstimatedFeedbackConfig",
+]

@@ -172,3 +172,10 @@ class _LoadForces(InnerBlock):
 
 # The blocks that the box can be, the default first.
 VARIANTS = (LoadPlant, MultibodyLoadPlant)
+
+__all__ = [
+    "LoadPlant",
+    "LoadPlantConfig",
+    "MultibodyLoadPlant",
+    "MultibodyLoadPlantConfig",
+]

@@ -695,3 +695,20 @@ VARIANTS = (
     SteadyTurn,
     PlannedTurn,
 )
+
+__all__ = [
+    "RestToRest",
+    "RestToRestConfig",
+    "ConstantVelocityMove",
+    "ConstantVelocityMoveConfig",
+    "Waypoints",
+    "WaypointsConfig",
+    "Circle",
+    "CircleConfig",
+    "SampledTrajectory",
+    "SampledTrajectoryConfig",
+    "SteadyTurn",
+    "SteadyTurnConfig",
+    "PlannedTurn",
+    "PlannedTurnConfig",
+]

@@ -17,14 +17,17 @@ from pydrake.systems.framework import (
     DiscreteValues,
 )
 
-from drake_nonstop.blocks.receding_horizon import RecedingHorizonOptimizer
+from drake_nonstop.blocks.receding_horizon import (
+    RecedingHorizonOptimizer,
+    RecedingHorizonOptimizerConfig,
+)
 from drake_nonstop.blocks.speed_bound_layer import (
     BOX,
     COMMAND,
     SpeedBoundLayer,
     require_no_command,
 )
-from drake_nonstop.blocks.turn_rate_optimizer import TurnRateOptimizer
+from drake_nonstop.blocks.turn_rate_optimizer import TurnRateOptimizer, TurnRateOptimizerConfig
 from drake_nonstop.mechanics.signals import (
     LOAD_REFERENCE_SIZE,
     LOAD_STATE_SIZE,
@@ -461,3 +464,14 @@ VARIANTS = (
     TurnRateOptimizer,
     ConstantParameters,
 )
+
+__all__ = [
+    "RecedingHorizonOptimizer",
+    "RecedingHorizonOptimizerConfig",
+    "NonstopOptimizer",
+    "NonstopOptimizerConfig",
+    "TurnRateOptimizer",
+    "TurnRateOptimizerConfig",
+    "ConstantParameters",
+    "ConstantParametersConfig",
+]

@@ -245,3 +245,12 @@ class ShapedPhase(LeafBlock):
 
 # The blocks that the box can be, the default first.
 VARIANTS = (ShapedPhase, AccumulatedPhase, PaperPhase)
+
+__all__ = [
+    "ShapedPhase",
+    "ShapedPhaseConfig",
+    "AccumulatedPhase",
+    "AccumulatedPhaseConfig",
+    "PaperPhase",
+    "PaperPhaseConfig",
+]

@@ -322,3 +322,14 @@ class GustyWind(_Profile):
 
 # The blocks that the box can be, the default first.
 VARIANTS = (StillAir, SteadyWind, WindProfile, GustyWind)
+
+__all__ = [
+    "StillAir",
+    "StillAirConfig",
+    "SteadyWind",
+    "SteadyWindConfig",
+    "WindProfile",
+    "WindProfileConfig",
+    "GustyWind",
+    "GustyWindConfig",
+]

@@ -268,3 +268,14 @@ class TunedWrenchController(_WrenchPid):
 
 # The blocks that the box can be, the default first.
 VARIANTS = (WrenchController, PaperWrenchController, GeometricPd, TunedWrenchController)
+
+__all__ = [
+    "WrenchController",
+    "WrenchControllerConfig",
+    "PaperWrenchController",
+    "PaperWrenchControllerConfig",
+    "GeometricPd",
+    "GeometricPdConfig",
+    "TunedWrenchController",
+    "TunedWrenchControllerConfig",
+]

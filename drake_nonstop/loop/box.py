@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from pydrake.systems.framework import System
 
-from drake_nonstop.mechanics.signal_layouts import Layout, SomeOf
+from drake_nonstop.mechanics.signal_layouts import SIGNALS, Layout, SomeOf
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.documentation import config_class
 from drake_nonstop.validation import require
@@ -43,7 +43,9 @@ class Box:
     Attributes:
         variants: the blocks that it can be, the default first. Block X is in the same module as
             the dataclass of its parameters, XConfig, and is made by `X(model, config)`.
-        signals: what its block makes, with their layouts; None: the signal is no vector.
+        makes: the names of the signals that its block makes.
+        signals: these with their layouts, of `mechanics.signal_layouts` or of a variant's own
+            `signal_layouts`; None: the signal is no vector.
         optional: the signals among them that a block may leave out, and a variant that makes each;
             "": there is none to name.
         alternatives: signals that some variants read, and one that does without.
@@ -63,7 +65,7 @@ class Box:
     """
 
     variants: tuple[type[System], ...]
-    signals: Mapping[str, Layout | None]
+    makes: tuple[str, ...]
     place: Place
     optional: Mapping[str, str] = field(default_factory=dict)
     alternatives: Mapping[str, str] = field(default_factory=dict)
@@ -73,9 +75,14 @@ class Box:
     is_linearized: bool = True
     swap_keeps_defaults: bool = True
     config_fields: dict[str, str] = field(default_factory=dict)
+    signals: Mapping[str, Layout | None] = field(init=False)
     configs: tuple[type, ...] = field(init=False)
 
     def __post_init__(self) -> None:
+        known = dict(SIGNALS)
+        for variant in self.variants:
+            known |= getattr(variant, "signal_layouts", {})
+        object.__setattr__(self, "signals", {name: known[name] for name in self.makes})
         object.__setattr__(self, "configs", tuple(map(config_class, self.variants)))
 
     def sizes(self, n: int, m: int) -> dict[str, int | None]:

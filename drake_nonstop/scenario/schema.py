@@ -14,7 +14,7 @@ from pydrake.common import RandomGenerator
 from pydrake.systems.analysis import SimulatorConfig
 
 from drake_nonstop.blocks.reference_governor import ReferenceGovernorConfig
-from drake_nonstop.diagrams.nonstop import BOXES
+from drake_nonstop.diagrams.nonstop import BOXES, BoxFields
 from drake_nonstop.loop.box import block_class, import_path
 from drake_nonstop.model.pattern import (
     CarouselConfig,
@@ -118,23 +118,8 @@ class _Common(StrictFields):
 if typing.TYPE_CHECKING:
 
     @dataclass(kw_only=True)
-    class _Boxes(_Common):
-        """The boxes, for type checkers: of any type, since a config may be the user's own."""
-
-        load_trajectory: Any = None
-        load_feedback: Any = None
-        wrench_controller: Any = None
-        optimization_layer: Any = None
-        phase: Any = None
-        internal_force: Any = None
-        force_distribution: Any = None
-        carrier_trajectory: Any = None
-        carrier_controller: Any = None
-        carrier_dynamics: Any = None
-        cables: Any = None
-        load_disturbance: Any = None
-        wind: Any = None
-        load_plant: Any = None
+    class _Boxes(BoxFields, _Common):
+        """The boxes, for type checkers."""
 
 else:  # a field for each box of the figure, of the configs of the blocks that it can be
     _Boxes = dataclasses.make_dataclass(
