@@ -3,18 +3,21 @@
 import functools
 import numbers
 import pickle
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict
 from operator import attrgetter
 from typing import Any, ClassVar
 
+import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.signal_layouts import SIGNALS
 from drake_nonstop.model.block_parameters import AUTO, BlockParameters, Rules
-from drake_nonstop.model.system import Model
+from drake_nonstop.model.system import AIRCRAFT, OFFSET, Model
 from drake_nonstop.systems.documentation import own_config_class
 from drake_nonstop.systems.traced_block import BetweenSamples, Start, TracedBlock, TracedDynamics
+from drake_nonstop.systems.tracing import NotFiniteError
+from drake_nonstop.validation import ScenarioError, one_line, require
 
 
 class Block(TracedBlock):
@@ -57,7 +60,8 @@ class Block(TracedBlock):
         model, config: what it was made of.
 
     Raises:
-        ScenarioError: `check` refuses the config.
+        ScenarioError: `check` refuses the config, or a declaration, or what `equations` returns,
+            cannot be used.
     """
 
     optional_inputs: tuple[str, ...] = ()
@@ -68,20 +72,22 @@ class Block(TracedBlock):
     is_joint: ClassVar[bool] = False
     is_held: ClassVar[bool] = False
     updates_first = False
-    equations: ClassVar[Callable[..., Any]]
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
-        if cls.state is not Block.state:
+        own = vars(cls)
+        if "state" in own and "DoCalcTimeDerivatives" not in own:
             cls.has_rates = True
             cls.DoCalcTimeDerivatives = (  # type: ignore[method-assign]
                 TracedDynamics.DoCalcTimeDerivatives
             )
-        if not isinstance(vars(cls).get("equations", staticmethod(len)), staticmethod):
-            raise TypeError(
-                f"{cls.__name__}.equations = a method: make it a @staticmethod, which takes all "
-                "that it needs as arguments"
-            )
+        for name in ("reads", "makes", "system", "of_model"):
+            remedy = f'give a tuple of names, such as {name} = ("load_mass",)'
+            is_tuple = isinstance(own.get(name, ()), tuple)
+            require(is_tuple, f"{cls.__name__}.{name}", own.get(name), remedy)
+        is_static = isinstance(own.get("equations", staticmethod(len)), staticmethod)
+        remedy = "make it a @staticmethod, which takes all that it needs as arguments"
+        require(is_static, f"{cls.__name__}.equations", "a method", remedy)
 
     def __init__(self, model: Model, config: Any = None):
         """Makes the block; it takes a `model` and a `config` (None: the default values)."""
@@ -90,18 +96,25 @@ class Block(TracedBlock):
         constants = self.constants(model, config)
         state, reads, period = self.state(model), self.inputs(model), model.control_period
         has_state = state is not None and self.has_state(model, config)
-        function: Callable = functools.partial(self.equations, **constants)
+        equations: Any = getattr(type(self), "equations", None)
+        remedy = "write a @staticmethod of arrays, see drake_nonstop.Block"
+        require(equations is not None, f"{type(self).__name__}.equations", "none", remedy)
+        outputs = self._sizes(model, self.makes)
+        made = {name: size for name, size in outputs.items() if name != self.state_port}
+        if state is not None:
+            made = {"the state's rate": len(state)} | made
+        function = self._explained(functools.partial(equations, **constants), made)
         if state is not None and not has_state:
             function = _without_state(function, state)
         kept = ((k, v if callable(v) else pickle.dumps(v)) for k, v in constants.items())
         super().__init__(
             function,
             inputs=self._sizes(model, reads),
-            outputs=self._sizes(model, self.makes),
+            outputs=outputs,
             optional=[name for name in self.optional_inputs if name in reads],
             reads_time=self.reads_time,
             parameters=self.block_parameters(model, config),
-            key=(self.equations, has_state, *kept),
+            key=(equations, has_state, *kept),
             is_joint=self.is_joint,
             between=self.between_samples(model, config) if period > 0 else None,
             state=state if has_state else None,
@@ -123,7 +136,12 @@ class Block(TracedBlock):
 
     def constants(self, model: Model, config: Any) -> dict[str, Any]:
         """What `equations` takes by name besides parameters: numbers, arrays or functions."""
-        return {name.rpartition(".")[2]: attrgetter(name)(model) for name in self.of_model}
+        try:
+            return {name.rpartition(".")[2]: attrgetter(name)(model) for name in self.of_model}
+        except AttributeError as error:
+            remedy = 'give attributes of a Model, such as "attachments" or "pattern.basis"'
+            field = f"{type(self).__name__}.of_model"
+            raise ScenarioError(f"{field} = {one_line(error)}: {remedy}") from error
 
     def inputs(self, model: Model) -> tuple[str, ...]:
         """The signals that it reads."""
@@ -164,9 +182,14 @@ class Block(TracedBlock):
 
         The others are as of `Rules`.
         """
+        system = self.system if system is None else system
+        for name in system:
+            is_known = name == OFFSET or name.startswith(AIRCRAFT) or hasattr(model.system, name)
+            remedy = "give fields of the scenario's system, such as load_mass"
+            require(is_known, f"{type(self).__name__}.system", name, remedy)
         return BlockParameters(
             model,
-            self.system if system is None else system,
+            system,
             config=config,
             own=own,
             rules=Rules(**{"check": self.check, "structure": self.has_state} | rules),
@@ -176,14 +199,40 @@ class Block(TracedBlock):
         layouts = SIGNALS | getattr(self, "signal_layouts", {})
         sizes = {}
         for name in names:
-            layout = layouts.get(name)
-            if layout is None:
-                raise TypeError(
-                    f"{type(self).__name__}: {name} is no vector among the figure's signals; give "
-                    f'its layout, such as signal_layouts = {{"{name}": Layout(Part("", "3", "m"))}}'
-                )
+            layout: Any = layouts.get(name)
+            remedy = (
+                "it is no vector among the figure's signals; correct the name, or give its layout, "
+                f'such as signal_layouts = {{"{name}": Layout(Part("", "3", "m"))}}'
+            )
+            require(layout is not None, f"{type(self).__name__} reads or makes", name, remedy)
             sizes[name] = layout.count(model.n, model.m)
         return sizes
+
+    def _explained(self, function: Callable, sizes: Mapping[str, int]) -> Callable:
+        """The equations, which return arrays of these sizes; what is wrong is said in a sentence.
+
+        They run when they are traced, and on AutoDiffXd and Expression.
+        """
+        field = f"{type(self).__name__}.equations"
+        remedy = "return an array for each of " + ", ".join(f"{k} ({v})" for k, v in sizes.items())
+
+        def explained(*inputs: NDArray, **values: NDArray) -> tuple[NDArray, ...]:
+            try:
+                made = function(*inputs, **values)
+                made = made if isinstance(made, tuple) else (made,)
+                arrays = tuple(np.asarray(each) for each in made)
+            except (ScenarioError, NotFiniteError):
+                raise
+            except Exception as error:  # whatever a user's own code may raise
+                plain = (
+                    "take what is declared, and compute by arithmetic of arrays, without branches"
+                )
+                raise ScenarioError(f"{field} = {one_line(error)}: {plain}") from error
+            found = [array.size for array in arrays]
+            require(found == [*sizes.values()], field, f"arrays of {found} numbers", remedy)
+            return arrays
+
+        return explained
 
 
 def _without_state(function: Callable, state: NDArray) -> Callable:

@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 
 from drake_nonstop.mechanics.signal_layouts import SIGNALS
 from drake_nonstop.systems.field_comments import meanings
+from drake_nonstop.validation import ScenarioError
 
 _Kind = TypeVar("_Kind", bound=type)
 
@@ -24,7 +25,8 @@ def own_config_class(block: type) -> type:
         found = getattr(sys.modules.get(kind.__module__), f"{kind.__name__}Config", None)
         if found is not None:
             return found
-    raise TypeError(f"{block.__name__}: give {block.__module__} its config {block.__name__}Config")
+    name, where = f"{block.__name__}Config", block.__module__
+    raise ScenarioError(f"{block.__name__} = without a config: give {where} a dataclass {name}")
 
 
 def documented(block: _Kind) -> _Kind:

@@ -1,0 +1,189 @@
+"""A block of one's own by its declarations: what follows from them, and what is refused."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from helpers import fix, model, output
+from pydrake.autodiffutils import AutoDiffXd
+
+from drake_nonstop import Block, Layout, Part, load_scenario, make_nonstop, set_parameter, simulate
+from drake_nonstop.systems.block import number
+from drake_nonstop.validation import ScenarioError
+
+POSITION = slice(4, 7)
+SETTINGS = ["optimization_layer=ConstantParameters", "simulation_duration=0.2"]
+
+
+@dataclass(kw_only=True)
+class DraggedConfig:
+    gain: float = 2.0  # N/m
+    name: str = "no parameter of the context"
+
+
+class Dragged(Block):
+    """A force towards a point that follows the load with a lag."""
+
+    reads = ("load_state",)
+    makes = ("disturbance_wrench",)
+    system = ("load_mass",)
+    of_model = ("n", "pattern.basis")
+
+    @staticmethod
+    def equations(point, load_state, *, gain, load_mass, n, basis):
+        assert basis.shape[0] == 3 * n
+        off = load_state[POSITION] - point
+        return off / load_mass, np.concatenate([np.zeros(3), -gain * off])
+
+    def state(self, model):
+        return np.array([0.5, 0.0, 0.0])
+
+
+class Faster(Dragged):
+    """With a rate of its own; the config is that of the class above."""
+
+    @staticmethod
+    def equations(*inputs, **values):
+        rate, wrench = Dragged.equations(*inputs, **values)
+        return 3 * rate, wrench
+
+
+@pytest.mark.parametrize("n", [3, 5])
+@pytest.mark.parametrize(("kind", "factor"), [(Dragged, 1.0), (Faster, 3.0)])
+def test_what_is_declared_is_what_there_is(n, kind, factor):
+    made = kind(model(n))
+    assert made.GetInputPort("load_state").size() == 13
+    assert [*made.parameters.defaults] == ["load_mass", "gain"]
+    assert "- `gain`: N/m" in Dragged.__doc__
+    load = np.eye(13)[0] + np.eye(13)[4]
+    for block in (made, made.Clone(), made.ToAutoDiffXd(), made.ToSymbolic()):
+        context = block.CreateDefaultContext()
+        given = load if block.scalar is float else np.array([block.scalar(v) for v in load])
+        fix(block, context, load_state=given)
+        wrench = [number(value) for value in output(block, context, "disturbance_wrench")]
+        assert wrench == [0, 0, 0, -1, 0, 0]
+        rates = block.EvalTimeDerivatives(context).CopyToVector()
+        assert number(rates[0]) == pytest.approx(factor * 0.5 / model(n).load.mass, rel=1e-14)
+
+
+def test_it_flies_in_both_engines_with_parameters_of_the_context():
+    scenario = load_scenario("quintic", SETTINGS)
+    runs = [
+        simulate(scenario, engine=engine, load_disturbance=Dragged)
+        for engine in ("compiled", "diagram")
+    ]
+    states = [run.signals["load_plant.load_state"] for run in runs]
+    np.testing.assert_allclose(*states, rtol=0, atol=1e-11)
+    diagram = make_nonstop(scenario, load_disturbance=Dragged)
+    context = diagram.CreateDefaultContext()
+    before = diagram.GetOutputPort("disturbance_wrench").Eval(context).copy()
+    set_parameter(diagram, context, "load_disturbance.gain", 6.0)
+    after = diagram.GetOutputPort("disturbance_wrench").Eval(context)
+    np.testing.assert_allclose(after, 3 * before, rtol=1e-14)
+    assert before[3] != 0
+
+
+def test_gradients_pass_through_it():
+    block = Dragged(model()).ToAutoDiffXd()
+    context = block.CreateDefaultContext()
+    load = np.array([AutoDiffXd(value, np.eye(13)[k]) for k, value in enumerate(np.eye(13)[0])])
+    fix(block, context, load_state=load)
+    (wrench,) = (output(block, context, "disturbance_wrench")[3:4],)
+    np.testing.assert_array_equal(wrench[0].derivatives(), -2.0 * np.eye(13)[4])
+
+
+@dataclass(kw_only=True)
+class GaugeConfig:
+    """No parameters."""
+
+
+class Gauge(Block):
+    """A signal that the figure does not know."""
+
+    reads = ("tensions",)
+    makes = ("fuel",)
+    signal_layouts = {"fuel": Layout(Part("", "n", "kg"))}  # noqa: RUF012
+    is_sampled = True
+
+    @staticmethod
+    def equations(tensions):
+        return 0.1 * tensions
+
+
+def test_signals_of_its_own_have_layouts_of_its_own():
+    diagram = make_nonstop(load_scenario("three_carriers"), extra={"gauge": Gauge})
+    assert diagram.GetOutputPort("fuel").size() == 3
+    assert "- `fuel` (n): kg" in Gauge.__doc__
+
+
+def own(**members):
+    """A class of these members, beside its config."""
+    return type("Own", (Block,), {"__module__": __name__, **members})
+
+
+@dataclass(kw_only=True)
+class OwnConfig:
+    gain: float = 1.0
+
+
+NOTHING = {"reads": ("load_state",), "makes": ("disturbance_wrench",)}
+ZEROS = staticmethod(lambda load, *, gain: np.zeros(6))
+REFUSED = {
+    "Own.equations = a method: make it a @staticmethod": {
+        "equations": lambda self, load, *, gain: np.zeros(6)
+    },
+    "Own.equations = none: write a @staticmethod": {},
+    "Own.makes = disturbance_wrench: give a tuple of names": {
+        "makes": "disturbance_wrench",
+        "equations": ZEROS,
+    },
+    "Own reads or makes = load_stat: it is no vector": {
+        "reads": ("load_stat",),
+        "equations": ZEROS,
+    },
+    r"Own.equations = arrays of \[3\] numbers: return .* each of disturbance_wrench \(6\)": {
+        "equations": staticmethod(lambda load, *, gain: np.zeros(3))
+    },
+    r"Own.equations = arrays of \[6\] numbers: return .* the state's rate \(2\), dist": {
+        "equations": staticmethod(lambda state, load, *, gain: np.zeros(6)),
+        "state": lambda self, model: np.zeros(2),
+    },
+    "unexpected keyword argument 'gain': take what is declared": {
+        "equations": staticmethod(lambda load: np.zeros(6))
+    },
+    "arithmetic of arrays, without branches": {
+        "equations": staticmethod(lambda load, *, gain: np.ones(6) if load[4] > 0 else np.zeros(6))
+    },
+    "Own.system = mass: give fields of the scenario's system": {
+        "system": ("mass",),
+        "equations": ZEROS,
+    },
+    "Own.of_model = .*: give attributes of a Model": {
+        "of_model": ("attachment",),
+        "equations": ZEROS,
+    },
+}
+
+
+@pytest.mark.parametrize(("said", "members"), REFUSED.items(), ids=lambda each: str(each)[:30])
+def test_what_cannot_be_a_block_is_refused_in_a_sentence(said, members):
+    with pytest.raises(ScenarioError, match=said):
+        own(**NOTHING | members)(model())
+
+
+def test_a_class_without_a_config_is_refused_in_a_sentence():
+    lonely = type("Lonely", (Block,), {"__module__": __name__, **NOTHING, "equations": ZEROS})
+    with pytest.raises(ScenarioError, match=f"give {__name__} a dataclass LonelyConfig"):
+        lonely(model())
+
+
+def test_classes_of_one_name_do_not_share_a_trace():
+    """As where a cell of a notebook is run again."""
+    values = []
+    for factor in (1.0, 2.0):
+        equations = staticmethod(lambda load, *, gain, factor=factor: factor * gain * np.ones(6))
+        block = own(**NOTHING, equations=equations)(model())
+        context = block.CreateDefaultContext()
+        fix(block, context, load_state=np.zeros(13))
+        values.append(output(block, context, "disturbance_wrench")[0])
+    assert values == [1.0, 2.0]
