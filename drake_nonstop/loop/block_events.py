@@ -41,13 +41,6 @@ def sample_times(numbers: Any, period: float) -> Any:
     return (period + (numbers - 1) * period) * (numbers > 0)
 
 
-def times_after(numbers: Any, offset: float, period: float) -> Any:
-    """The times an offset (s) after samples by their numbers; after a period those of the next."""
-    if offset == period:
-        return sample_times(numbers + 1, period)
-    return sample_times(numbers, period) + offset
-
-
 def timing_complaint(block: System, period: float, *, at_each: bool = False) -> str:
     """What keeps a block's discrete updates from being at samples, to the bit; empty: nothing.
 

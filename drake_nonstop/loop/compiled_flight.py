@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, PortDataType, System
 
-from drake_nonstop.loop.block_events import SteppedBlock, sample_times, times_after
+from drake_nonstop.loop.block_events import SteppedBlock, sample_times
 from drake_nonstop.loop.functions import Evaluation, LoopFunctions, Reading
 from drake_nonstop.loop.layout import LoopLayout, discrete_state_of
 from drake_nonstop.systems.diagram_trace import (
@@ -65,7 +65,10 @@ class LoopFlight:
         return sample_times(self.samples, self._period)
 
     def _time_after(self, offset: float) -> float:
-        return times_after(self.samples, offset, self._period)
+        """An offset (s) after the last sample; after a period that of the next."""
+        if offset == self._period:
+            return sample_times(self.samples + 1, self._period)
+        return self.time + offset
 
     def _evaluated(self, function: Evaluation, *inputs: NDArray) -> list[NDArray]:
         *results, norm = function(inputs)
@@ -345,14 +348,16 @@ class CompiledFlight(LoopFlight):
             start = end
 
     def _call(self, function: Evaluation) -> list[NDArray]:
-        outside = map(self._value, function.readings)
-        own = self._state, self._parameters, np.array([self.time])
+        now, ahead = self.time, self._time_after(self._period)
+        outside = [self._value(reading, now, ahead) for reading in function.readings]
+        own = self._state, self._parameters, np.array([now])
         return self._evaluated(function, *own, *outside)
 
-    def _value(self, reading: Reading) -> NDArray:
+    def _value(self, reading: Reading, now: float, ahead: float) -> NDArray:
         number, output, offset = reading
         if number in self._sources:
-            return self._sources[number].value(output, self._time_after(offset))
+            at = ahead if offset == self._period else now + offset
+            return self._sources[number].value(output, at)
         block = self._systems[number]
         return block.get_output_port(output).Eval(self._stepped[block].context)
 
@@ -466,11 +471,14 @@ class _Outside:
 
     def _made(self) -> NDArray:
         """Each source is evaluated once at each time."""
-        samples = np.arange(self._first, self._end)
+        after = sample_times(np.arange(self._first + 1, self._end + 1), self._period)
         columns: list[Any] = [None] * len(self._readings)
         for number in dict.fromkeys(reading.system for reading in self._readings):
             own = [k for k, reading in enumerate(self._readings) if reading.system == number]
-            at = [times_after(samples, self._readings[k].offset, self._period) for k in own]
+            at = [
+                after if offset == self._period else self._times + offset
+                for offset in (self._readings[k].offset for k in own)
+            ]
             times, places = np.unique(np.array(at), return_inverse=True)
             places = places.reshape(len(own), -1)
             outputs = [*dict.fromkeys(self._readings[k].output for k in own)]

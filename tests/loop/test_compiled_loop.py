@@ -606,7 +606,7 @@ def test_what_a_command_may_be_is_that_of_each_loop(layer):
 
 def outside(flight):
     """What the signals at the start read."""
-    return [flight._value(reading) for reading in flight._shown.readings]
+    return [flight._value(reading, 0.0, 0.01) for reading in flight._shown.readings]
 
 
 def test_what_loops_share_keeps_no_diagram():
