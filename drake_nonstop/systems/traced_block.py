@@ -119,6 +119,8 @@ class TracedBlock(LeafBlock):
             raise TypeError("state: give it to TracedDynamics, which has rates")
         if size == 0 and (state_port or start):
             raise ValueError("state = none: give one, or neither state_port nor start")
+        if state_port and (outputs or {}).get(state_port) != size:
+            raise ValueError(f"state_port = {state_port}: put it among the outputs, of size {size}")
         self._is_held = is_held and self.period > 0
         self._held: list[str] = []  # the outputs of the discrete groups behind the state
         self.updates_at_start = start is not None or self._is_held

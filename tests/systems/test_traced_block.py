@@ -42,6 +42,14 @@ def test_ports_are_named_and_sized():
     assert not spring().HasOutputPort("motion")
 
 
+@pytest.mark.parametrize("outputs", [{"y": 1}, {"y": 1, "x": 3}])
+def test_a_port_of_the_state_is_among_the_outputs_and_of_its_size(outputs):
+    with pytest.raises(ValueError, match="state_port = x: put it among the outputs, of size 2"):
+        TracedDynamics(
+            lambda x: (x, x[:1]), inputs={}, outputs=outputs, state=np.zeros(2), state_port="x"
+        )
+
+
 def test_outputs_and_rates_are_the_functions():
     block = spring(state_port="motion")
     context = block.CreateDefaultContext()
