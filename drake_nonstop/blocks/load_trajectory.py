@@ -25,8 +25,9 @@ from drake_nonstop.mechanics.signals import (
     PlannedParameters,
     ReferenceHigherRates,
 )
-from drake_nonstop.model.pose_samples import read_samples, sample_array, split_samples
+from drake_nonstop.model.pose_samples import read_samples, sample_array
 from drake_nonstop.model.system import Model
+from drake_nonstop.systems.block import LeafBlock
 from drake_nonstop.systems.traced_block import TracedBlock
 from drake_nonstop.systems.tracing import TracedFunction
 from drake_nonstop.validation import (
@@ -40,16 +41,14 @@ from drake_nonstop.validation import (
 
 _BOX = "load_trajectory"
 _RATES = 4  # derivatives of the coordinates
-_PORTS = "reference", "reference_higher_rates"
+_SIZES = {"reference": LOAD_REFERENCE_SIZE, "reference_higher_rates": REFERENCE_HIGHER_RATES_SIZE}
 
 
 class _Coordinates:
     """Coordinates along a trajectory with their derivatives; they rest beyond its ends."""
 
     def __init__(self, trajectory: PiecewisePolynomial):
-        self._derivatives = [trajectory]
-        for _ in range(_RATES + 1):
-            self._derivatives.append(self._derivatives[-1].MakeDerivative())
+        self._derivatives = [trajectory.MakeDerivative(k) for k in range(_RATES + 2)]
         self._limits = trajectory.start_time(), trajectory.end_time()
         self._values = [each.value for each in self._derivatives[: _RATES + 1]]
         self.size = (_RATES + 1) * trajectory.rows()
@@ -77,7 +76,7 @@ class _AlongTrajectory(TracedBlock):
     """A reference that is a function of coordinates along a trajectory.
 
     Args:
-        coordinates: along the trajectory.
+        trajectory: of the coordinates.
         reference: takes the inputs, the coordinates, and the time, and returns `reference` and
             `reference_higher_rates`.
         others: as of `TracedBlock`.
@@ -85,18 +84,13 @@ class _AlongTrajectory(TracedBlock):
 
     def __init__(
         self,
-        coordinates: _Coordinates,
+        trajectory: PiecewisePolynomial,
         reference: Callable[..., tuple[NDArray, NDArray]],
         **others: Any,
     ):
-        self._coordinates = coordinates
-        sizes = LOAD_REFERENCE_SIZE, REFERENCE_HIGHER_RATES_SIZE
-        super().__init__(
-            reference,
-            known={"coordinates": coordinates.size},
-            outputs=dict(zip(_PORTS, sizes, strict=True)),
-            **others,
-        )
+        self._coordinates = _Coordinates(trajectory)
+        known = {"coordinates": self._coordinates.size}
+        super().__init__(reference, known=known, outputs=_SIZES, **others)
 
     def quantities_over(self, names: Sequence[str], times: NDArray) -> list[NDArray]:
         """The coordinates and their derivatives at times (k,), s."""
@@ -137,75 +131,69 @@ class LoadTrajectory(_AlongTrajectory):
         *,
         yaw_rate: float = 0.0,
     ):
-        def reference(values: NDArray, *times: NDArray) -> tuple[NDArray, NDArray]:
+        def reference(values: NDArray, time: NDArray) -> tuple[NDArray, NDArray]:
             coordinates = pose(values.reshape(_RATES + 1, -1)) if pose else values
-            for time in times:
-                coordinates = coordinates.reshape(-1) + _steady_turn(yaw_rate, time)
-            return _reference(coordinates)
+            turn = np.concatenate([yaw_rate * time, [yaw_rate, 0.0, 0.0, 0.0]])
+            return _reference(coordinates, turn)
 
-        coordinates, reads_time = _Coordinates(trajectory), yaw_rate != 0
-        super().__init__(
-            coordinates,
-            reference,
-            inputs={},
-            reads_time=reads_time,
-            key=(_reference.__qualname__, yaw_rate) if pose is None else None,
+        key = (_reference.__qualname__, yaw_rate) if pose is None else None
+        super().__init__(trajectory, reference, inputs={}, reads_time=True, key=key)
+        self._rows = rows = _rows_of(self._coordinates, reference)
+        preview = ReferencePreview(
+            lambda time: rows(np.array([time]))["reference"][0],
+            references=lambda times: rows(times)["reference"],
+            higher_rates=lambda time: rows(np.array([time]))["reference_higher_rates"][0],
         )
-        self._rows = _rows_of(coordinates, reference, reads_time)
-        made = AbstractValue.Make(_preview(self._rows))
-        self.DeclareAbstractOutputPort(
-            "reference_preview", lambda: made.Clone(), _as_allocated, {self.nothing_ticket()}
-        )
+        declare_preview(self, preview)
 
     def known_over(self, ports: Sequence[str], times: NDArray) -> list[NDArray]:
         """What vector-valued ports show at times (k,) in s, (k, size) of each."""
-        rows = dict(zip(_PORTS, self._rows(times), strict=True))
+        rows = self._rows(times)
         return [rows[port] for port in ports]
+
+
+def declare_preview(block: LeafBlock, preview: ReferencePreview) -> None:
+    """Gives a block the output `reference_preview`, which is always the same object."""
+    made = AbstractValue.Make(preview)
+    block.DeclareAbstractOutputPort(
+        "reference_preview", lambda: made.Clone(), _as_allocated, {block.nothing_ticket()}
+    )
 
 
 def _as_allocated(context: Context, value: AbstractValue) -> None:
     """A constant: the value is there already."""
 
 
-# Makes the rows of the signals `_PORTS` at times (k,) in s.
-_Rows = Callable[[NDArray], tuple[NDArray, NDArray]]
-
-
 def _rows_of(
-    coordinates: _Coordinates, reference: Callable[..., tuple[NDArray, NDArray]], reads_time: bool
-) -> _Rows:
-    """What makes the references of a trajectory, by the function that the block traces."""
-    sizes = [coordinates.size, *([1] if reads_time else [])]
+    coordinates: _Coordinates, reference: Callable[..., tuple[NDArray, NDArray]]
+) -> Callable[[NDArray], dict[str, NDArray]]:
+    """What makes the rows of `reference` and its higher rates at times (k,) in s.
+
+    It does so by the function that the block traces.
+    """
 
     @functools.cache  # most runs do not ask for any
     def traced() -> TracedFunction:
+        sizes = coordinates.size, 1
         return TracedFunction(lambda *v: np.concatenate(reference(*v)), sizes, name=lambda: _BOX)
 
-    def rows(times: NDArray) -> tuple[NDArray, NDArray]:
-        vectors = coordinates.rows(times)
-        if reads_time:
-            vectors = np.column_stack([vectors, times])
-        found = traced().of_rows(vectors)
-        return found[:, :LOAD_REFERENCE_SIZE], found[:, LOAD_REFERENCE_SIZE:]
+    def rows(times: NDArray) -> dict[str, NDArray]:
+        vectors = np.concatenate([coordinates.rows(times), times[:, None]], axis=1)
+        found, size = traced().of_rows(vectors), LOAD_REFERENCE_SIZE
+        return {"reference": found[:, :size], "reference_higher_rates": found[:, size:]}
 
     return rows
 
 
-def _preview(rows: _Rows) -> ReferencePreview:
-    return ReferencePreview(
-        lambda time: rows(np.array([time]))[0][0],
-        references=lambda times: rows(times)[0],
-        higher_rates=lambda time: rows(np.array([time]))[1][0],
-    )
+def _reference(pose: NDArray, turn: NDArray) -> tuple[NDArray, NDArray]:
+    """`reference` (22,) and its higher rates (6,).
 
-
-def _reference(values: NDArray) -> tuple[NDArray, NDArray]:
-    """`reference` (22,) and its higher rates (6,), of a pose and its derivatives (30,).
-
-    The pose is [roll, pitch, yaw, x, y, z].
+    Args:
+        pose: [roll, pitch, yaw, x, y, z] and its derivatives, (5, 6) or flat.
+        turn: what the yaw is larger by, and its derivatives (5,).
     """
-    derivatives = values.reshape(_RATES + 1, 2, 3)
-    roll_pitch_yaw, positions = derivatives[:, 0], derivatives[:, 1]
+    angles, positions = np.split(pose.reshape(_RATES + 1, 6), 2, axis=1)
+    roll_pitch_yaw = np.column_stack([angles[:, :2], angles[:, 2] + turn])
     angular_velocity, angular_acceleration, angular_jerk = angular_motion(*roll_pitch_yaw[:4])
     reference = np.concatenate(
         LoadReference(
@@ -222,13 +210,6 @@ def _reference(values: NDArray) -> tuple[NDArray, NDArray]:
     return reference, np.concatenate(higher_rates)
 
 
-def _steady_turn(yaw_rate: float, time: NDArray) -> NDArray:
-    """What it adds to [roll, pitch, yaw, x, y, z] and its derivatives (30,) at a time (1,)."""
-    return np.concatenate(
-        [np.zeros(2), yaw_rate * time, np.zeros(5), np.array([yaw_rate]), np.zeros(21)]
-    )
-
-
 # Polynomials from 0 to 1 on [0, 1] of which, and of a number of derivatives, the ends are at rest.
 _SMOOTH_STEPS = {
     "c3": np.array([0.0, 0.0, 0.0, 10.0, -15.0, 6.0]),
@@ -236,37 +217,25 @@ _SMOOTH_STEPS = {
 }
 
 
-def _segment(coefficients: NDArray, scale: NDArray, duration: float, start: NDArray) -> NDArray:
-    """A column of polynomials start_i + scale_i p(t / duration); p has the given coefficients."""
-    powers = duration ** np.arange(len(coefficients))
-    return np.array([[Polynomial(s * coefficients / powers)] for s in scale]) + np.array(
-        [[Polynomial(c)] for c in start]
-    )
-
-
-def _rest_to_rest(
-    starts: Iterable[NDArray],
-    changes: Iterable[NDArray],
-    rest_times: Iterable[float],
-    move_times: Iterable[float],
-    smooth_step: NDArray,
+def _along_legs(
+    start: NDArray, time: float, legs: Iterable[tuple[float, NDArray, NDArray]]
 ) -> PiecewisePolynomial:
-    """Legs in which each coordinate rests, and then follows a smooth step from rest to rest."""
-    segments: list[NDArray] = []
-    breaks: list[float] = []
-    for start, change, rest, move in zip(starts, changes, rest_times, move_times, strict=True):
-        if not breaks:  # the load rests before the trajectory begins
-            breaks = [rest]
-        elif rest > 0:
-            segments.append(_segment(np.zeros(1), change, rest, start))
-            breaks.append(breaks[-1] + rest)
-        segments.append(_segment(smooth_step, change, move, start))
-        breaks.append(breaks[-1] + move)
-    return _joined(segments, breaks)
+    """Coordinates (k,) that leave a start at a time in s, and go from leg to leg.
 
-
-def _joined(segments: list[NDArray], breaks: list[float]) -> PiecewisePolynomial:
-    """The segments one after the other, between the times at which they meet."""
+    On a leg of a duration T in s, with the coefficients of a polynomial p that is 0 at 0, and a
+    scale (k,), they change by scale p(t / T). One without duration is left out.
+    """
+    segments, breaks = [], [time]
+    for duration, coefficients, scale in legs:
+        if duration == 0:
+            continue
+        rows = np.outer(scale, coefficients) / duration ** np.arange(len(coefficients))
+        polynomials = [
+            [Polynomial(c) + Polynomial(row)] for c, row in zip(start, rows, strict=True)
+        ]
+        segments.append(np.array(polynomials))
+        breaks.append(breaks[-1] + duration)
+        start = start + scale * coefficients.sum()
     require(
         np.all(np.diff(breaks) >= np.finfo(float).eps),  # Drake would abort the process
         f"{_BOX} (instants in s)",
@@ -287,19 +256,36 @@ class _Move(StrictFields):
 
     def start_pose(self) -> NDArray:
         """[roll, pitch, yaw, x, y, z] (6,), checked."""
-        angles, position = self.start_roll_pitch_yaw, self.start_position
-        return np.concatenate(
-            [
-                require_array(f"{_BOX}.start_roll_pitch_yaw", angles, [3], "angles in rad"),
-                require_array(f"{_BOX}.start_position", position, [3], "metres"),
-            ]
-        )
+        return _pose(self, "start_position", "start_roll_pitch_yaw")
 
     def smooth_step(self) -> NDArray:
         """The coefficients of the polynomial, from 0 to 1 on [0, 1], that `blend` names."""
         remedy = f"give {' or '.join(_SMOOTH_STEPS)}"
         require(self.blend in _SMOOTH_STEPS, f"{_BOX}.blend", self.blend, remedy)
         return _SMOOTH_STEPS[self.blend]
+
+
+def _array(config: _Move, name: str, meaning: str, *shape: int | None) -> NDArray:
+    """A field of the config, checked."""
+    return require_array(f"{_BOX}.{name}", getattr(config, name), shape, meaning)
+
+
+def _pose(config: _Move, position: str, angles: str = "", meaning: str = "metres") -> NDArray:
+    """[roll, pitch, yaw, x, y, z] (6,) of the fields of these names; without angles these are 0."""
+    roll_pitch_yaw = _array(config, angles, "angles in rad", 3) if angles else np.zeros(3)
+    return np.concatenate([roll_pitch_yaw, _array(config, position, meaning, 3)])
+
+
+def _rest_to_rest(
+    config: "RestToRestConfig | CircleConfig | SteadyTurnConfig | PlannedTurnConfig",
+    start: NDArray,
+    change: NDArray,
+) -> PiecewisePolynomial:
+    """Coordinates that change from rest to rest, from `start_time` on, in `move_time`."""
+    require_non_negative(_BOX, start_time=config.start_time)
+    require_positive(_BOX, move_time=config.move_time)
+    leg = config.move_time, config.smooth_step(), change
+    return _along_legs(start, config.start_time, [leg])
 
 
 @dataclass(kw_only=True)
@@ -324,19 +310,8 @@ class RestToRest(LoadTrajectory):
 
     def __init__(self, model: Model, config: RestToRestConfig | None = None):
         config = config or RestToRestConfig()
-        require_non_negative(_BOX, start_time=config.start_time)
-        require_positive(_BOX, move_time=config.move_time)
-        start = config.start_pose()
-        change = np.concatenate(
-            [
-                require_array(
-                    f"{_BOX}.roll_pitch_yaw", config.roll_pitch_yaw, [3], "angles in rad"
-                ),
-                require_array(f"{_BOX}.displacement", config.displacement, [3], "metres"),
-            ]
-        )
-        times = [config.start_time], [config.move_time]
-        super().__init__(_rest_to_rest([start], [change], *times, config.smooth_step()))
+        change = _pose(config, "displacement", "roll_pitch_yaw")
+        super().__init__(_rest_to_rest(config, config.start_pose(), change))
 
 
 @dataclass(kw_only=True)
@@ -366,38 +341,26 @@ class ConstantVelocityMove(LoadTrajectory):
         config = config or ConstantVelocityMoveConfig()
         require_non_negative(_BOX, start_time=config.start_time, blend_time=config.blend_time)
         require_positive(_BOX, move_time=config.move_time)
-        half = config.blend_time / 2
+        blend_time = config.blend_time
         require(
-            half <= config.start_time and config.blend_time <= config.move_time,
+            blend_time / 2 <= config.start_time and blend_time <= config.move_time,
             f"{_BOX}.blend_time",
-            config.blend_time,
+            blend_time,
             "give at most twice start_time and at most move_time, since a blend is centred "
             "on the step in velocity that it replaces",
         )
-        start = config.start_pose()
-        velocity = np.concatenate(
-            [
-                np.zeros(3),
-                require_array(f"{_BOX}.velocity", config.velocity, [3], "m/s"),
-            ]
-        )
+        velocity = _pose(config, "velocity", meaning="m/s")
         # The integral of the velocity's smooth step: from rest to one unit of velocity.
         step = config.smooth_step()
         blend = np.concatenate([[0.0], step / np.arange(1, len(step) + 1)])
-        cruise = config.move_time - config.blend_time
-        pieces = [
-            (half * 2, blend, half * 2),
-            (cruise, np.array([0.0, 1.0]), cruise),
-            (half * 2, np.array([0.0, 1.0, *-blend[2:]]), half * 2),
+        cruise = config.move_time - blend_time
+        legs = [
+            (blend_time, blend, blend_time * velocity),
+            (cruise, np.array([0.0, 1.0]), cruise * velocity),
+            (blend_time, np.array([0.0, 1.0, *-blend[2:]]), blend_time * velocity),
         ]
-        breaks, segments, position = [config.start_time - half], [], start
-        for duration, coefficients, distance in pieces:
-            if duration == 0:
-                continue
-            segments.append(_segment(coefficients, distance * velocity, duration, position))
-            breaks.append(breaks[-1] + duration)
-            position = position + distance * velocity * coefficients.sum()
-        super().__init__(_joined(segments, breaks))
+        start_time = config.start_time - blend_time / 2
+        super().__init__(_along_legs(config.start_pose(), start_time, legs))
 
 
 @dataclass(kw_only=True)
@@ -429,46 +392,26 @@ class Waypoints(LoadTrajectory):
 
     def __init__(self, model: Model, config: WaypointsConfig | None = None):
         config = config or WaypointsConfig()
-        start = config.start_pose()
-        positions = require_array(
-            f"{_BOX}.positions", config.positions, [None, 3], "metres, a row per waypoint"
-        )
+        start, step = config.start_pose(), config.smooth_step()
+        positions = _array(config, "positions", "metres, a row per waypoint", None, 3)
         count = len(positions)
-        start_angles, _ = np.split(start, 2)
-        angles, rests = np.tile(start_angles, (count, 1)), np.zeros(count)
+        angles, rests = np.tile(start[:3], (count, 1)), np.zeros(count)
         if len(config.roll_pitch_yaw) > 0:
-            angles = require_array(
-                f"{_BOX}.roll_pitch_yaw",
-                config.roll_pitch_yaw,
-                [count, 3],
-                "angles in rad, a row per waypoint, or none at all",
-            )
-        moves = require_array(
-            f"{_BOX}.move_times", config.move_times, [count], "seconds, one per waypoint"
-        )
+            meaning = "angles in rad, a row per waypoint, or none at all"
+            angles = _array(config, "roll_pitch_yaw", meaning, count, 3)
+        moves = _array(config, "move_times", "seconds, one per waypoint", count)
         if len(config.rest_times) > 0:
-            rests = require_array(
-                f"{_BOX}.rest_times",
-                config.rest_times,
-                [count],
-                "seconds, one per waypoint, or none at all",
-            )
-        require(
-            np.all(moves > 0),
-            f"{_BOX}.move_times",
-            config.move_times,
-            "give times greater than zero",
-        )
-        require(
-            np.all(rests >= 0),
-            f"{_BOX}.rest_times",
-            config.rest_times,
-            "give times that are not negative",
-        )
-        poses = np.vstack([start, np.hstack([angles, positions])])
-        super().__init__(
-            _rest_to_rest(poses[:-1], np.diff(poses, axis=0), rests, moves, config.smooth_step())
-        )
+            meaning = "seconds, one per waypoint, or none at all"
+            rests = _array(config, "rest_times", meaning, count)
+        remedy = "give times greater than zero"
+        require(np.all(moves > 0), f"{_BOX}.move_times", config.move_times, remedy)
+        remedy = "give times that are not negative"
+        require(np.all(rests >= 0), f"{_BOX}.rest_times", config.rest_times, remedy)
+        changes = np.diff(np.vstack([start, np.hstack([angles, positions])]), axis=0)
+        legs = []
+        for rest, move, change in zip(rests, moves, changes, strict=True):
+            legs += [(rest, np.zeros(1), change), (move, step, change)]
+        super().__init__(_along_legs(start, rests[0], legs[1:]))  # it rests before its first leg
 
 
 @dataclass(kw_only=True)
@@ -497,31 +440,21 @@ class Circle(LoadTrajectory):
 
     def __init__(self, model: Model, config: CircleConfig | None = None):
         config = config or CircleConfig()
-        require_positive(_BOX, radius=config.radius, move_time=config.move_time)
-        require_non_negative(_BOX, start_time=config.start_time)
-        direction, turns = config.centre_direction, config.turns
-        for name, value in (("centre_direction", direction), ("turns", turns)):
+        require_positive(_BOX, radius=config.radius)
+        radius, direction = config.radius, config.centre_direction
+        for name, value in (("centre_direction", direction), ("turns", config.turns)):
             require(is_number(value), f"{_BOX}.{name}", value, "give a finite number")
-        *roll_pitch_yaw, x, y, z = config.start_pose()
-        radius = config.radius
-        centre = np.array([x, y]) + radius * np.array([np.cos(direction), np.sin(direction)])
-        offset = np.vstack([centre, np.zeros((_RATES, 2))])
 
         def pose(values: NDArray) -> NDArray:
-            """[roll, pitch, yaw, x, y, z] of [roll, pitch, yaw, θ, z], each with derivatives."""
-            roll_pitch_yaw, angle, height = np.split(values, [3, 4], axis=1)
-            around = offset + circular_motion(angle[:, 0], radius)
-            return np.concatenate([roll_pitch_yaw, around, height], axis=1)
+            """[roll, pitch, yaw, x, y, z] of that on the centre, and θ, each with derivatives."""
+            on_circle = values[:, 3:5] + circular_motion(values[:, 6], radius)
+            return np.column_stack([values[:, :3], on_circle, values[:, 5]])
 
-        begin = np.array([*roll_pitch_yaw, direction + np.pi, z])
-        turn = 2 * np.pi * turns
-        change = np.array([0.0, 0.0, turn if config.turns_with_path else 0.0, turn, 0.0])
-        super().__init__(
-            _rest_to_rest(
-                [begin], [change], [config.start_time], [config.move_time], config.smooth_step()
-            ),
-            pose,
-        )
+        to_centre = radius * np.array([np.cos(direction), np.sin(direction)])
+        start = np.append(config.start_pose() + np.pad(to_centre, (3, 1)), direction + np.pi)
+        turn = 2 * np.pi * config.turns
+        change = np.array([0.0, 0.0, turn if config.turns_with_path else 0.0, *np.zeros(3), turn])
+        super().__init__(_rest_to_rest(config, start, change), pose)
 
 
 @dataclass(kw_only=True)
@@ -556,20 +489,8 @@ class SteadyTurn(LoadTrajectory):
             "give 1e-6 to 100 rad/s, or the negative of such a number; RestToRest is for loads "
             "that do not turn",
         )
-        require_non_negative(_BOX, start_time=config.start_time)
-        require_positive(_BOX, move_time=config.move_time)
-        displacement = require_array(f"{_BOX}.displacement", config.displacement, [3], "metres")
-        change = np.concatenate([np.zeros(3), displacement])
-        super().__init__(
-            _rest_to_rest(
-                [config.start_pose()],
-                [change],
-                [config.start_time],
-                [config.move_time],
-                config.smooth_step(),
-            ),
-            yaw_rate=rate,
-        )
+        trajectory = _rest_to_rest(config, config.start_pose(), _pose(config, "displacement"))
+        super().__init__(trajectory, yaw_rate=rate)
 
 
 @dataclass(kw_only=True)
@@ -598,30 +519,14 @@ class PlannedTurn(_AlongTrajectory):
 
     def __init__(self, model: Model, config: PlannedTurnConfig | None = None):
         config = config or PlannedTurnConfig()
-        require_non_negative(_BOX, start_time=config.start_time)
-        require_positive(_BOX, move_time=config.move_time)
-        displacement = require_array(f"{_BOX}.displacement", config.displacement, [3], "metres")
-        trajectory = _rest_to_rest(
-            [config.start_pose()],
-            [np.concatenate([np.zeros(3), displacement])],
-            [config.start_time],
-            [config.move_time],
-            config.smooth_step(),
-        )
 
         def reference(planned: NDArray, values: NDArray) -> tuple[NDArray, NDArray]:
             plan = PlannedParameters.view(planned)
-            rates = (
-                plan.angle,
-                plan.frequency,
-                plan.frequency_rate,
-                plan.frequency_second_rate,
-                np.zeros(1),
-            )
-            turn = [np.concatenate([np.zeros(2), rate, np.zeros(3)]) for rate in rates]
-            return _reference(values + np.concatenate(turn))
+            rates = plan.frequency, plan.frequency_rate, plan.frequency_second_rate
+            return _reference(values, np.concatenate([plan.angle, *rates, np.zeros(1)]))
 
-        super().__init__(_Coordinates(trajectory), reference, inputs={"planned": PLANNED_SIZE})
+        trajectory = _rest_to_rest(config, config.start_pose(), _pose(config, "displacement"))
+        super().__init__(trajectory, reference, inputs={"planned": PLANNED_SIZE})
 
 
 @dataclass(kw_only=True)
@@ -651,14 +556,12 @@ class SampledTrajectoryConfig(StrictFields):
     @property
     def start_position(self) -> list[float]:
         """The first sample's position in m."""
-        _, positions, _ = split_samples(self.sample_array())
-        return positions[0].tolist()
+        return self.sample_array()[0, 1:4].tolist()
 
     @property
     def start_roll_pitch_yaw(self) -> list[float]:
         """The first sample's angles in rad."""
-        *_, roll_pitch_yaw = split_samples(self.sample_array())
-        return roll_pitch_yaw[0].tolist()
+        return self.sample_array()[0, 4:].tolist()
 
 
 class SampledTrajectory(LoadTrajectory):
@@ -676,11 +579,10 @@ class SampledTrajectory(LoadTrajectory):
 
     def __init__(self, model: Model, config: SampledTrajectoryConfig | None = None):
         samples = (config or SampledTrajectoryConfig()).sample_array()
-        times, positions, roll_pitch_yaw = split_samples(samples)
-        rest = np.zeros((6, 1))
+        rest, poses = np.zeros((6, 1)), samples[:, [4, 5, 6, 1, 2, 3]].T
         super().__init__(
             PiecewisePolynomial.CubicWithContinuousSecondDerivatives(
-                times, np.hstack([roll_pitch_yaw, positions]).T, rest, rest
+                samples[:, 0], poses, rest, rest
             )
         )
 

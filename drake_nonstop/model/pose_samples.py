@@ -103,11 +103,3 @@ def sample_array(rows: list[list[float]], field: str, value: Any) -> NDArray:
             f"row {number} has {after:.9g} after {before:.9g}",
         )
     return array
-
-
-def split_samples(samples: NDArray) -> tuple[NDArray, NDArray, NDArray]:
-    """Times (n,) in s, positions (n, 3) in m and roll-pitch-yaw angles (n, 3) in rad, as views.
-
-    Of samples (n, 7) as `sample_array` returns them.
-    """
-    return samples[:, 0], samples[:, 1:4], samples[:, 4:]
