@@ -2,6 +2,7 @@
 
 import itertools
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -96,25 +97,16 @@ class JsbsimCarriers(DiagramBlock):
         self._aircraft, self._stops_at_stall = hangar.aircraft, config.stops_at_stall
         self.parameters = BlockParameters(model, rules=Rules(fixed=AIRCRAFT_NUMBERS))
         n, builder = model.n, DiagramBuilder()
-        size, nothing = 12 * n, np.zeros((12 * n, 0))
         # Drake's, since a LeafSystem in Python cannot have its default state set.
-        start = AffineSystem(
-            A=np.eye(size),
-            B=nothing,
-            f0=np.zeros(size),
-            C=np.eye(size),
-            D=nothing,
-            y0=np.zeros(size),
-            time_period=config.step,
-        )
-        zeros = np.zeros(size - 6 * n)
-        start.configure_default_state(np.concatenate([model.initial_carrier_state, zeros]))
+        stays = np.eye(12 * n)
+        start = AffineSystem(A=stays, C=stays, time_period=config.step)
+        start.configure_default_state(np.append(model.initial_carrier_state, np.zeros(6 * n)))
         self._start = builder.AddNamedSystem("start", start)
         self._flights = builder.AddNamedSystem("flights", _Flights(hangar))
         builder.Connect(start.get_output_port(), self._flights.GetInputPort("start"))
-        for name in ("aircraft_command", "cable_forces", "wind"):
+        for name in self.reads:
             builder.ExportInput(self._flights.GetInputPort(name), name)
-        for name in ("carrier_state", "aircraft_state", "carrier_acceleration"):
+        for name in self.makes:
             builder.ExportOutput(self._flights.GetOutputPort(name), name)
         builder.BuildInto(self)
 
@@ -202,31 +194,20 @@ class _Hangar:
         require_jsbsim(_BOX)
         least, most = _STEPS
         self.n, self.step = model.n, config.step
-        require(
-            is_number(self.step) and least <= self.step <= most,
-            f"{_BOX}.step",
-            self.step,
-            f"give {least:g} to {most:g} s, which the autopilot is made for",
-        )
+        remedy = f"give {least:g} to {most:g} s, which the autopilot is made for"
+        is_step = is_number(self.step) and least <= self.step <= most
+        require(is_step, f"{_BOX}.step", self.step, remedy)
         meaning = "m forward, right and up of the centre of gravity"
-        self._hook = require_array(f"{_BOX}.hook", config.hook, [3], meaning)
+        hook = require_array(f"{_BOX}.hook", config.hook, [3], meaning)
         parameters = model.system.aircraft
         name = None if parameters is None else parameters.model
         is_given = any(name.startswith(AIRCRAFT) for name in model.overridden)
-        self._field = model.field if is_given else "system"
-        self._file = aircraft_file(config.aircraft_file, name, _BOX, self._field)
-        self.made()
-
-    def made(self) -> JsbsimAircraft:
-        """A new aircraft."""
-        return JsbsimAircraft(
-            self._file,
-            self.aircraft,
-            step=self.step,
-            hook=self._hook,
-            owner=_BOX,
-            field=self._field,
+        told = model.field if is_given else "system"
+        file, own = aircraft_file(config.aircraft_file, name, _BOX, told), self.aircraft
+        self.made = partial(  # a new aircraft
+            JsbsimAircraft, file, own, step=self.step, hook=hook, owner=_BOX, field=told
         )
+        self.made()
 
 
 class _Flight:
@@ -282,12 +263,10 @@ class _Flights(InnerBlock):
         self._flight: _Flight | None = None
         n = hangar.n
         self._start = self.DeclareVectorInputPort("start", 12 * n)
-        self._command = self.DeclareVectorInputPort("aircraft_command", 3 * n)
-        self._pull = self.DeclareVectorInputPort("cable_forces", 3 * n)
-        self._wind = self.DeclareVectorInputPort("wind", 3 * n)
+        self._inputs = [self.DeclareVectorInputPort(name, 3 * n) for name in JsbsimCarriers.reads]
         self.DeclareDiscreteState(3 + 26 * n)
-        start = self.input_port_ticket(self._start.get_index())
-        wind = self.input_port_ticket(self._wind.get_index())
+        ports = self._start, *self._inputs
+        start, *_, wind = (self.input_port_ticket(port.get_index()) for port in ports)
         known = {self.time_ticket(), self.xd_ticket(), start}
         self.DeclareVectorOutputPort("carrier_state", 6 * n, self._calc_carriers, known)
         self.DeclareVectorOutputPort("aircraft_state", 4 * n, self._calc_aircraft, {*known, wind})
@@ -310,8 +289,7 @@ class _Flights(InnerBlock):
         state, time = context.get_discrete_state_vector().CopyToVector(), context.get_time()
         number, steps, began = state[:3]
         step = self._hangar.step
-        names = (self._command, self._pull, self._wind)
-        command, pull, wind = (port.Eval(context) for port in names)
+        command, pull, wind = (port.Eval(context) for port in self._inputs)
         shown = state[(3 + len(state)) // 2 :]
         flight = self._flight
         if number == 0:
@@ -368,7 +346,7 @@ class _Flights(InnerBlock):
             return
         start = _Start.view(self._start.Eval(context))
         velocities = CarrierStates.view(start.carriers).velocities
-        winds = self._wind.Eval(context).reshape(-1, 3)
+        winds = self._inputs[-1].Eval(context).reshape(-1, 3)
         airspeed = air_frame(velocities - winds).airspeed[..., 0]
         shown = AircraftState(start.lift, start.bank, start.thrust, airspeed)
         output.set_value(np.concatenate(shown))

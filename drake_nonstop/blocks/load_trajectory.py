@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.common.value import AbstractValue
 from pydrake.polynomial import Polynomial
-from pydrake.systems.framework import Context
 from pydrake.trajectories import PiecewisePolynomial
 
 from drake_nonstop.mechanics.circle import circular_motion
@@ -154,14 +153,10 @@ class LoadTrajectory(_AlongTrajectory):
 
 def declare_preview(block: LeafBlock, preview: ReferencePreview) -> None:
     """Gives a block the output `reference_preview`, which is always the same object."""
-    made = AbstractValue.Make(preview)
+    made, tickets = AbstractValue.Make(preview), {block.nothing_ticket()}
     block.DeclareAbstractOutputPort(
-        "reference_preview", lambda: made.Clone(), _as_allocated, {block.nothing_ticket()}
+        "reference_preview", lambda: made.Clone(), lambda context, value: None, tickets
     )
-
-
-def _as_allocated(context: Context, value: AbstractValue) -> None:
-    """A constant: the value is there already."""
 
 
 def _rows_of(

@@ -1,5 +1,6 @@
 """What slows the load's trajectory down where no ξ and A keep the limits with it."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -7,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.autodiffutils import AutoDiffXd
-from pydrake.common.value import AbstractValue, Value
 from pydrake.systems.framework import BasicVector, Context, System
 
+from drake_nonstop.blocks.load_trajectory import declare_preview
 from drake_nonstop.mechanics.reference_preview import ReferencePreview
 from drake_nonstop.mechanics.signals import (
     LOAD_REFERENCE_SIZE,
@@ -26,8 +27,8 @@ from drake_nonstop.optimization.problem_config import (
     with_stated_bound,
 )
 from drake_nonstop.optimization.stretched_time import PathDelay, Winds, still_air, stretching
-from drake_nonstop.systems.block import LeafBlock, number
-from drake_nonstop.systems.wiring import input_names
+from drake_nonstop.systems.block import LeafBlock, number, weakly
+from drake_nonstop.systems.wiring import input_names, output_names
 from drake_nonstop.validation import (
     ScenarioError,
     StrictFields,
@@ -38,8 +39,7 @@ from drake_nonstop.validation import (
 )
 
 _FIELD = "reference_governor"
-_PREVIEW, _HIGHER_RATES = "reference_preview", "reference_higher_rates"
-_WIND, _LOAD_STATE = "wind_estimate", "load_state"
+_PREVIEW, _WIND, _LOAD_STATE = "reference_preview", "wind_estimate", "load_state"
 
 
 @dataclass(kw_only=True)
@@ -84,37 +84,27 @@ class ReferenceGovernor(LeafBlock):
 
     def __init__(self, preview: ReferencePreview, delay: PathDelay):
         super().__init__()
-        self._delay = delay
         known = preview.higher_rates is not None
         higher_rates = partial(delay.stretched_higher_rates, preview) if known else None
-        self._stretched = ReferencePreview(
+        stretched = ReferencePreview(
             lambda time: delay.stretched(preview, np.array([time]))[0],
-            references=lambda times: delay.stretched(preview, times),
+            references=partial(delay.stretched, preview),
             higher_rates=higher_rates,
         )
-        time = {self.time_ticket()}
-        self.DeclareVectorOutputPort("reference", LOAD_REFERENCE_SIZE, self._calc, time)
+        self._declare("reference", LOAD_REFERENCE_SIZE, stretched)
         if higher_rates is not None:
-            size = REFERENCE_HIGHER_RATES_SIZE
-            self.DeclareVectorOutputPort(_HIGHER_RATES, size, self._calc_higher_rates, time)
-        stretched = self._stretched
-        self.DeclareAbstractOutputPort(
-            _PREVIEW, lambda: Value(stretched), self._calc_preview, {self.nothing_ticket()}
-        )
-        self.DeclareVectorOutputPort("reference_delay", 1, self._calc_delay, time)
+            self._declare("reference_higher_rates", REFERENCE_HIGHER_RATES_SIZE, higher_rates)
+        declare_preview(self, stretched)
+        self._declare("reference_delay", 1, lambda time: delay.at(np.array([time]))[:, 0])
 
-    def _calc(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._stretched(self._time(context)))
+    def _declare(self, name: str, size: int, function: Callable[[float], NDArray]) -> None:
+        """Declares an output that is a function of the time in s."""
+        time = weakly(self._time)
 
-    def _calc_higher_rates(self, context: Context, output: BasicVector) -> None:
-        assert self._stretched.higher_rates is not None
-        output.SetFromVector(self._stretched.higher_rates(self._time(context)))
+        def calc(context: Context, output: BasicVector) -> None:
+            output.SetFromVector(function(time(context)))
 
-    def _calc_preview(self, context: Context, output: AbstractValue) -> None:
-        output.set_value(self._stretched)
-
-    def _calc_delay(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._delay.at(np.array([self._time(context)]))[:, 0])
+        self.DeclareVectorOutputPort(name, size, calc, {self.time_ticket()})
 
     def _time(self, context: Context) -> float:
         time = context.get_time()
@@ -149,18 +139,14 @@ def governed(
             the wind is not known beforehand.
     """
     _check(model, config)
-    name = type(trajectory).__name__
-    ports = [trajectory.get_output_port(i).get_name() for i in range(trajectory.num_output_ports())]
-    require(
-        _PREVIEW in ports and trajectory.num_input_ports() == 0,
-        _FIELD,
-        f"with load_trajectory = {name}",
-        f"give this block, without inputs, an output {_PREVIEW} of a ReferencePreview",
-    )
+    said = f"with load_trajectory = {type(trajectory).__name__}"
+    is_known = _PREVIEW in output_names(trajectory) and trajectory.num_input_ports() == 0
+    remedy = f"give this block, without inputs, an output {_PREVIEW} of a ReferencePreview"
+    require(is_known, _FIELD, said, remedy)
     preview = trajectory.GetOutputPort(_PREVIEW).Eval(trajectory.CreateDefaultContext())
     is_known = isinstance(preview, ReferencePreview) and preview.end_time == np.inf
     remedy = f"give a {_PREVIEW} that is known for ever, of end_time inf"
-    require(is_known, _FIELD, f"with load_trajectory = {name}", remedy)
+    require(is_known, _FIELD, said, remedy)
     limits, can_plan = _limits(model, layer)
     counts_wind = model.aircraft is not None and getattr(layer, "wind", True) is not False
     found = stretching(
@@ -195,11 +181,10 @@ def governed(
 
 
 def _check(model: Model, config: ReferenceGovernorConfig) -> None:
-    least, largest = config.least_rate, config.largest_rate
-    is_rate = is_number(least) and 0.01 <= least <= 1
-    require(is_rate, f"{_FIELD}.least_rate", least, "give 0.01 to 1")
-    is_rate = is_number(largest) and 1 <= largest <= 2
-    require(is_rate, f"{_FIELD}.largest_rate", largest, "give 1 to 2")
+    for name, least, most in (("least_rate", 0.01, 1), ("largest_rate", 1, 2)):
+        rate = getattr(config, name)
+        is_rate = is_number(rate) and least <= rate <= most
+        require(is_rate, f"{_FIELD}.{name}", rate, f"give {least:g} to {most:g}")
     require_positive(_FIELD, change_time=config.change_time)
     is_long = config.change_time >= 0.1
     require(is_long, f"{_FIELD}.change_time", config.change_time, "give at least 0.1 s")
