@@ -43,10 +43,9 @@ from drake_nonstop.loop.assembly import (
     naming_the_block,
 )
 from drake_nonstop.loop.box import Box, Kind, Place
-from drake_nonstop.loop.equilibrium import set_equilibrium
-from drake_nonstop.loop.plant_states import PlantStates
+from drake_nonstop.loop.equilibrium import set_default_equilibrium
 from drake_nonstop.systems import wiring
-from drake_nonstop.validation import require_flags, warn_user
+from drake_nonstop.validation import require_flags
 
 # The boxes of the figure, in its order.
 BOXES: dict[str, Box] = {
@@ -281,11 +280,8 @@ def make_nonstop(
     diagram = connected(BOXES, parts, inputs)
     is_whole = set(wiring.input_names(diagram)) <= wiring.optional_inputs(diagram)
     if at_equilibrium and is_whole:
-        context = diagram.CreateDefaultContext()
         with naming_the_block():
-            set_equilibrium(diagram, context)
-        for message in PlantStates(diagram).declare_defaults(context):
-            warn_user(message)
+            set_default_equilibrium(diagram)
     return diagram
 
 

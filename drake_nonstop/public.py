@@ -55,7 +55,10 @@ from drake_nonstop.loop.derivatives import (
     DerivativeFlight as DerivativeFlight,
     Sensitivities as Sensitivities,
 )
-from drake_nonstop.loop.equilibrium import set_equilibrium as set_equilibrium
+from drake_nonstop.loop.equilibrium import (
+    set_equilibrium as set_equilibrium,
+    set_default_equilibrium as set_default_equilibrium,
+)
 from drake_nonstop.loop.parameters import (
     set_parameter as set_parameter,
     get_parameter as get_parameter,

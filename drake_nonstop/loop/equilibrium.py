@@ -24,11 +24,11 @@ from drake_nonstop.systems.port_state import copied_context
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
 from drake_nonstop.systems.wiring import (
     innermost,
+    require_makers,
     require_own_context,
-    require_signals,
     unconnected,
 )
-from drake_nonstop.validation import ScenarioError
+from drake_nonstop.validation import ScenarioError, require, warn_user
 
 # What the loop has to export, with sizes; None: 6 for each carrier. No block alone makes all.
 LOOP_SIGNALS = {
@@ -58,21 +58,40 @@ def set_equilibrium(nonstop: Diagram, context: Context) -> None:
     that a block trims: what a block of one's own may offer is in `loop/plant_states.py`.
 
     The blocks with these states are those that make the signals `load_state` and `carrier_state`,
-    whatever their names. The loop may be one inside of `nonstop`, which exports its signals. A load
-    that is at its equilibrium already stays where it is.
+    found by the names of their output ports, whatever the blocks are called, however deep in
+    `nonstop` they are, and whether it exports the ports or not; where several blocks have a port of
+    that name, the one that it exports counts. A load that is at its equilibrium already stays where
+    it is.
 
     Raises:
         ScenarioError: the cables cannot hold the load, a block does not show the state that is
-            set, or makes a value that is not finite, or is far too large; a signal is not
-            exported, or an input not connected; the context is that of another system.
+            set, or makes a value that is not finite, or is far too large; no block makes a signal,
+            or two do, or an input is not connected; the context is that of another system.
     """
     require_own_context("set_equilibrium", nonstop, context)
-    require_signals(nonstop, LOOP_SIGNALS, "set_equilibrium")
+    require_makers(nonstop, LOOP_SIGNALS, "set_equilibrium")
     nonstop, context = innermost(nonstop, context, LOOP_SIGNALS)
     trial = copied_context(nonstop, context)
     with block_named(nonstop, trial):
         _settle(nonstop, trial)
     PlantStates(nonstop).take_over(context, trial)
+
+
+def set_default_equilibrium(nonstop: Diagram) -> None:
+    """Makes the equilibrium that `set_equilibrium` finds the start of a diagram's new contexts.
+
+    For a loop that was wired by hand, once it is built; `make_nonstop` does it by itself. A
+    ScenarioWarning names a block whose default state cannot be set, see `loop/plant_states.py`.
+
+    Raises:
+        ScenarioError: as of `set_equilibrium`.
+    """
+    require(isinstance(nonstop, Diagram), "diagram", nonstop, "give a built Diagram of floats")
+    context = nonstop.CreateDefaultContext()
+    set_equilibrium(nonstop, context)
+    loop, own = innermost(nonstop, context, LOOP_SIGNALS)
+    for message in PlantStates(loop).declare_defaults(own):
+        warn_user(message)
 
 
 @contextlib.contextmanager
@@ -99,7 +118,7 @@ def _settle(nonstop: Diagram, trial: Context) -> None:
     plant = PlantStates(nonstop)
     start = trial.Clone()
     simulator = Simulator(nonstop, trial)
-    reference = nonstop.GetOutputPort("reference").Eval(trial).copy()
+    reference = plant.required(trial, "reference")
     desired = LoadReference.view(reference)
     desired_rate = np.concatenate([desired.angular_acceleration, desired.acceleration])
     settled: dict[str, NDArray] = {}
@@ -110,7 +129,7 @@ def _settle(nonstop: Diagram, trial: Context) -> None:
         settled["load_state"] = load_state
         plant.set_states(trial, **settled)
         simulator.Initialize()  # whatever samples or holds takes its first value
-        settled["carrier_state"] = nonstop.GetOutputPort("carrier_reference").Eval(trial).copy()
+        settled["carrier_state"] = plant.required(trial, "carrier_reference")
         plant.set_states(trial, **settled)
         plant.trim(trial, **settled)
         return plant.load_acceleration(trial) - desired_rate
@@ -130,7 +149,7 @@ def _settle(nonstop: Diagram, trial: Context) -> None:
             return
         if is_far:  # from the other starts, too
             break
-    cause = _cause_of_motion(nonstop, trial, plant.load_acceleration(trial))
+    cause = _cause_of_motion(plant, trial, plant.load_acceleration(trial))
     cause += plant.acceleration_source(trial)
     raise ScenarioError(
         f"start = an acceleration of {np.max(np.abs(residual)):.2g} m/s^2 beside that of the "
@@ -138,29 +157,26 @@ def _settle(nonstop: Diagram, trial: Context) -> None:
     )
 
 
-def _cause_of_motion(nonstop: Diagram, context: Context, acceleration: NDArray) -> str:
+def _cause_of_motion(plant: PlantStates, context: Context, acceleration: NDArray) -> str:
     """Why no cables can hold the load at its reference, and what to change."""
-
-    def signal(name: str) -> NDArray:
-        return nonstop.GetOutputPort(name).Eval(context)
-
-    if not nonstop.HasOutputPort("tensions") or np.any(signal("tensions") > 0):
+    tensions = plant.signal(context, "tensions")
+    if tensions is None or np.any(tensions > 0):
         return (
             "give system and simulated loads of about the same mass, their cables about the same "
             "length, stiff enough for the weight, and an amplitude that keeps them taut"
         )
-    fall = -LoadReference.view(signal("reference")).acceleration[2]
+    fall = -LoadReference.view(plant.required(context, "reference")).acceleration[2]
     if acceleration[5] < -fall:
         return (
             "all of them are slack, so that it falls; give simulated.cable_length close to "
             "system.cable_length"
         )
     causes = []
-    if nonstop.HasOutputPort("disturbance_wrench"):
-        lift = Wrench.view(signal("disturbance_wrench")).force[2]
+    if (wrench := plant.signal(context, "disturbance_wrench")) is not None:
+        lift = Wrench.view(wrench).force[2]
         causes += [f"load_disturbance lifts it with {lift:.3g} N"] if lift > 0 else []
-    if nonstop.HasOutputPort("load_wind"):
-        updraught = signal("load_wind")[2]
+    if (wind := plant.signal(context, "load_wind")) is not None:
+        updraught = wind[2]
         causes += [f"wind blows upwards with {updraught:.3g} m/s"] if updraught > 0 else []
     causes += [f"load_trajectory accelerates downwards by {fall:.3g} m/s^2"] if fall > 0 else []
     return (

@@ -26,14 +26,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.systems.framework import Context, Diagram
+from pydrake.systems.framework import Context, Diagram, OutputPort
 from pydrake.systems.primitives import AffineSystem, Integrator
 
 from drake_nonstop.mechanics.signals import LoadState
 from drake_nonstop.systems.block import declare_default_state, title
 from drake_nonstop.systems.port_state import PortState, set_state_values, state_values
 from drake_nonstop.systems.tracing import NotFiniteError
-from drake_nonstop.systems.wiring import maker_of
+from drake_nonstop.systems.wiring import ports_of, source_of
 from drake_nonstop.validation import ScenarioError, require
 
 LOAD, CARRIERS = "load_state", "carrier_state"  # the signals that show the plant's states
@@ -41,22 +41,41 @@ _SETTERS = {LOAD: "SetLoadState", CARRIERS: "SetCarrierState"}
 _DEFAULT_SETTERS = {LOAD: "SetDefaultLoadState", CARRIERS: "SetDefaultCarrierState"}
 _TRIMS = {CARRIERS: "TrimCarriers", LOAD: "TrimLoad"}  # in the order of their calls
 _TRIM_TO = "TrimCarriersTo"
+_METHODS = {
+    LOAD: (_SETTERS[LOAD], _DEFAULT_SETTERS[LOAD], _TRIMS[LOAD], "CalcLoadAcceleration"),
+    CARRIERS: (_SETTERS[CARRIERS], _DEFAULT_SETTERS[CARRIERS], _TRIMS[CARRIERS], _TRIM_TO),
+}
 _TOLERANCE = 1e-6  # of what a port shows, in SI units or relative to larger values
 
 
 class PlantStates:
-    """Access to the plant's states in a loop, which exports its signals."""
+    """Access to the plant's states in a loop, in which each signal is made once."""
 
     def __init__(self, nonstop: Diagram):
         self._nonstop = nonstop
-        self._owners = {signal: maker_of(nonstop, signal) for signal in _SETTERS}
+        self._ports = {signal: _port_with_state(nonstop, signal) for signal in _SETTERS}
+        self._owners = {signal: port.get_system() for signal, port in self._ports.items()}
         self._shown = {
-            signal: PortState(block, block.GetOutputPort(signal))
-            for signal, block in self._owners.items()
+            signal: PortState(self._owners[signal], port) for signal, port in self._ports.items()
         }
 
     def _context(self, signal: str, context: Context) -> Context:
         return self._nonstop.GetMutableSubsystemContext(self._owners[signal], context)
+
+    def signal(self, context: Context, name: str) -> NDArray | None:
+        """What the loop's one port of that name shows; None: there is none, or several."""
+        ports = ports_of(self._nonstop, name)
+        if len(ports) != 1:
+            return None
+        own = self._nonstop.GetSubsystemContext(ports[0].get_system(), context)
+        value: NDArray = ports[0].Eval(own).copy()
+        return value
+
+    def required(self, context: Context, name: str) -> NDArray:
+        """As `signal`, of one that the loop has."""
+        value = self.signal(context, name)
+        assert value is not None, name
+        return value
 
     def set_states(self, context: Context, **states: NDArray) -> None:
         """Sets the states that the ports of these names show; further ones stay.
@@ -80,7 +99,7 @@ class PlantStates:
         """Looks for the state that the port shows; a quaternion's sign may be the port's own."""
         before = state_values(context)
         self._shown[signal].show(context, value)
-        port = self._owners[signal].GetOutputPort(signal)
+        port = self._ports[signal]
         if signal != LOAD or np.all(_agree(signal, port.Eval(context), value)):
             return
         closest = state_values(context)
@@ -103,7 +122,7 @@ class PlantStates:
         `trim` names the methods that have been called since then.
         """
         block = self._owners[signal]
-        shown = block.GetOutputPort(signal).Eval(context)
+        shown = self._ports[signal].Eval(context)
         wrong = ~_agree(signal, shown, value)
         if not np.any(wrong):
             return
@@ -148,9 +167,9 @@ class PlantStates:
             return []
         source = type(block).__name__
         remedy = f"give a carrier_trajectory that makes it: {source} starts with it"
-        require(self._nonstop.HasOutputPort(name), name, "not among the signals", remedy)
-        acceleration = self._nonstop.GetOutputPort(name).Eval(context)
-        getattr(block, _TRIM_TO)(self._context(CARRIERS, context), acceleration.copy())
+        require(self.signal(context, name) is not None, name, "not among the signals", remedy)
+        acceleration = self.required(context, name)
+        getattr(block, _TRIM_TO)(self._context(CARRIERS, context), acceleration)
         return [f"{source}.{_TRIM_TO}(context, acceleration)"]
 
     def take_over(self, context: Context, settled: Context) -> None:
@@ -211,7 +230,7 @@ class PlantStates:
     def states(self, context: Context) -> dict[str, NDArray]:
         """What the ports show, by their names, of the blocks that have a state."""
         return {
-            signal: self._owners[signal].GetOutputPort(signal).Eval(own).copy()
+            signal: self._ports[signal].Eval(own).copy()
             for signal in self._owners
             if not (own := self._context(signal, context)).is_stateless()
         }
@@ -226,6 +245,7 @@ class PlantStates:
             else:
                 _declare_defaults(block, self._nonstop.GetSubsystemContext(block, context))
         default, others = self._nonstop.CreateDefaultContext(), []
+        self._nonstop.FixInputPortsFrom(self._nonstop, context, default)
         for signal, value in self.states(default).items():
             block = self._owners[signal]
             is_declared = np.all(_agree(signal, value, states[signal]))
@@ -241,6 +261,16 @@ class PlantStates:
                     f"{_DEFAULT_SETTERS[signal]}(value)"
                 )
         return others
+
+
+def _port_with_state(nonstop: Diagram, signal: str) -> OutputPort:
+    """The port that shows the state: of the block in a diagram that has one of the methods."""
+    outermost = port = ports_of(nonstop, signal)[0]
+    while not any(hasattr(port.get_system(), name) for name in _METHODS[signal]):
+        if not isinstance(port.get_system(), Diagram):
+            return outermost
+        port = source_of(port)
+    return port
 
 
 def _agree(signal: str, shown: NDArray, value: NDArray) -> NDArray:

@@ -22,6 +22,7 @@ Pydrake bound by nanobind does without the first two.
 import copy
 import functools
 import pickle
+import re
 import types
 import weakref
 from collections.abc import Mapping
@@ -168,12 +169,7 @@ class LeafBlock(LeafSystem, metaclass=BlockType):  # type: ignore[metaclass]
 
         In a diagram without a loop of that name it is those of all systems in between.
         """
-        names = [_shown(name) for name in self.GetSystemPathname().split("::")[1:]]
-        if LOOP in names[:-1]:
-            return names[names.index(LOOP) + 1]
-        below = names[1:] if self.is_for_users else names[1:-1]
-        is_alone = self.is_for_users or names[0] == "_"
-        return ".".join(below) or (title(self) if is_alone else names[0])
+        return box_of(self)
 
     def DeclareVectorOutputPort(self, *arguments: Any, **named: Any) -> OutputPort:  # noqa: N802
         """As LeafSystem's.
@@ -219,9 +215,26 @@ def title(system: System) -> str:
     return name if name and "@" not in name else type(system).__name__
 
 
+def box_of(system: System) -> str:
+    """As `LeafBlock.box`, of any system; diagrams without a name are left out."""
+    names = system.GetSystemPathname().split("::")[1:]
+    if LOOP in names[:-1]:
+        return _shown(names[names.index(LOOP) + 1])
+    is_for_users = getattr(system, "is_for_users", True)
+    below = [_shown(name) for name in (names[1:] if is_for_users else names[1:-1])]
+    is_alone = is_for_users or names[0] == "_"
+    return ".".join(filter(None, below)) or (title(system) if is_alone else names[0])
+
+
 def _shown(name: str) -> str:
-    """A name in a path; of one that is Drake's, "module.Class@address", the class."""
-    return name.partition("@")[0].rpartition(".")[2] if "@" in name else name
+    """A name in a path; of one that is Drake's, "module.Class@address", the class.
+
+    Empty: it is a Diagram, whose class says nothing.
+    """
+    if "@" not in name:
+        return name
+    shown = re.split(r"[./]", name.partition("@")[0])[-1]
+    return "" if shown == Diagram.__name__ else shown
 
 
 def is_converted(system: System) -> bool:

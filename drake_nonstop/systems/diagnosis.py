@@ -2,12 +2,21 @@
 
 import traceback
 from collections import deque
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from pydrake.systems.framework import Context, Diagram, LeafSystem, PortDataType, System
+from pydrake.systems.framework import (
+    Context,
+    Diagram,
+    LeafSystem,
+    OutputPortIndex,
+    PortDataType,
+    System,
+)
 
-from drake_nonstop.systems.block import LeafBlock, title
+from drake_nonstop.systems.block import box_of, is_converted
+from drake_nonstop.systems.diagram_trace import Wires
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
 
 
@@ -17,8 +26,7 @@ def raising_block(error: BaseException) -> str:
     for frame, line in traceback.walk_tb(error.__traceback__):
         block = frame.f_locals.get("self")
         if isinstance(block, LeafSystem):
-            name = block.box() if isinstance(block, LeafBlock) else title(block)
-            blamed = f"{name} ({Path(frame.f_code.co_filename).name}:{line}): "
+            blamed = f"{box_of(block)} ({Path(frame.f_code.co_filename).name}:{line}): "
     return blamed
 
 
@@ -33,26 +41,32 @@ def source_of_fault(error: NotFiniteError, nonstop: Diagram, context: Context) -
         nonstop: the diagram.
         context: its context at the instant of the error.
     """
-    shown = {system.get_name(): title(system) for system in nonstop.GetSystems()}
-    start = next((name for name in shown if shown[name] == error.block), None)
-    if not error.was_given or start is None:
-        return error.block
-    wires: dict[str, list[tuple[System, int]]] = {}
-    for (reader, _), (source, port) in nonstop.connection_map().items():
-        wires.setdefault(reader.get_name(), []).append((source, port))
-    waiting, seen = deque([start]), {start}
-    while waiting:
+    shown = {block: box_of(block) for block in _blocks(nonstop)}
+    starts = [block for block in shown if shown[block] == error.block]
+    wires, waiting, seen = Wires(nonstop), deque(starts), {*starts}
+    while waiting and error.was_given:
         block = waiting.popleft()
-        unsound = [
-            source.get_name()
-            for source, index in wires.get(block, [])
-            if _is_unsound(source, index, nonstop, context)
-        ]
-        if not unsound and block != start:
+        unsound = []
+        for index in range(block.num_input_ports()):
+            source, port = wires.source(block, index) or (None, 0)
+            while source is not None and source not in shown:
+                source, port = source.get_output_port_locator(OutputPortIndex(port))
+            if source is not None and _is_unsound(source, port, nonstop, context):
+                unsound.append(source)
+        if not unsound and block not in starts:
             return shown[block]
-        waiting += [name for name in unsound if name not in seen]
+        waiting += [source for source in unsound if source not in seen]
         seen.update(unsound)
     return error.block
+
+
+def _blocks(diagram: Diagram) -> Iterator[System]:
+    """The blocks of a diagram, also those in plain Diagrams inside of it."""
+    for part in diagram.GetSystems():
+        if type(part) is Diagram and not is_converted(part):
+            yield from _blocks(part)
+        else:
+            yield part
 
 
 def _is_unsound(source: System, index: int, nonstop: Diagram, context: Context) -> bool:

@@ -1,6 +1,6 @@
 """Builds a Diagram from named blocks: wires follow from the names of the ports."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from itertools import pairwise
 
 from pydrake.systems.framework import (
@@ -14,7 +14,7 @@ from pydrake.systems.framework import (
     System,
 )
 
-from drake_nonstop.systems.block import title
+from drake_nonstop.systems.block import box_of, title
 from drake_nonstop.validation import ScenarioError, listed, require
 
 OUTSIDE = "outside"  # what wires call the diagram's own input ports
@@ -272,7 +272,60 @@ def require_open(builder: DiagramBuilder, function: str) -> None:
 
 def maker_of(diagram: Diagram, signal: str) -> System:
     """The subsystem with the output port that a diagram exports by that name."""
-    return diagram.get_output_port_locator(diagram.GetOutputPort(signal).get_index())[0]
+    return source_of(diagram.GetOutputPort(signal)).get_system()
+
+
+def source_of(exported: OutputPort) -> OutputPort:
+    """The port of a diagram's own subsystem that it exports."""
+    maker, index = exported.get_system().get_output_port_locator(exported.get_index())
+    return maker.get_output_port(index)
+
+
+def ports_of(diagram: Diagram, signal: str) -> list[OutputPort]:
+    """The ports that show a signal: that which the diagram exports by this name, or else all.
+
+    Those of its subsystems, and in diagrams without such a port those of theirs.
+    """
+    if diagram.HasOutputPort(signal):
+        return [source_of(diagram.GetOutputPort(signal))]
+    found = []
+    for part in diagram.GetSystems():
+        if part.HasOutputPort(signal):
+            found.append(part.GetOutputPort(signal))
+        elif isinstance(part, Diagram):
+            found += ports_of(part, signal)
+    return found
+
+
+def require_makers(diagram: Diagram, sizes: Sizes, field: str) -> None:
+    """Checks that each of these signals is made once in a diagram, whether it is exported or not.
+
+    Args:
+        diagram: what should have a block with an output port of each name, however deep.
+        sizes: of the ports; None: any.
+        field: what the error calls the diagram.
+
+    Raises:
+        WiringError: it lacks some, they have other sizes, or two blocks make the same.
+    """
+    found = {signal: ports_of(diagram, signal) for signal in sizes}
+    wrong = [
+        name
+        for name, size in sizes.items()
+        if not found[name] or size not in (None, found[name][0].size())
+    ]
+    if wrong:
+        raise WiringError(
+            f"{field} = {type(diagram).__name__} without output ports {', '.join(wrong)}: give it "
+            f"blocks that make {_needed(sizes)}, by ports of these names"
+        )
+    for name, ports in found.items():
+        if len(ports) > 1:
+            makers = " and ".join(box_of(port.get_system()) for port in ports)
+            raise WiringError(
+                f"{field} = {type(diagram).__name__} where {makers} make {name}: export the loop's "
+                "by this name, rename the port of the other, or give the diagram with one of them"
+            )
 
 
 def require_signals(diagram: Diagram, sizes: Sizes, field: str) -> None:
@@ -291,11 +344,15 @@ def require_signals(diagram: Diagram, sizes: Sizes, field: str) -> None:
         name for name, size in sizes.items() if name not in made or size not in (None, made[name])
     ]
     if wrong:
-        needed = [name if size is None else f"{name} ({size})" for name, size in sizes.items()]
         raise WiringError(
             f"{field} = {type(diagram).__name__} without output ports {', '.join(wrong)}: export "
-            f"{', '.join(needed)} by these names, as connect_by_name does"
+            f"{_needed(sizes)} by these names, as connect_by_name does"
         )
+
+
+def _needed(sizes: Sizes) -> str:
+    """The signals as "force (3), pose"."""
+    return ", ".join(name if size is None else f"{name} ({size})" for name, size in sizes.items())
 
 
 def require_own_context(field: str, diagram: Diagram, context: Context) -> None:
@@ -330,16 +387,38 @@ def require_context(field: str, system: System, context: Context) -> None:
 
 
 def nested(diagram: Diagram, signals: Collection[str]) -> list[Diagram]:
-    """A diagram that exports signals, and those inside of it that make all of them.
+    """A diagram that makes signals, and those inside of it that make all of them.
 
-    The outermost is the first, and the last is that whose own subsystems make them.
+    The outermost is the first, and no subsystem of the last makes all of them.
     """
     found = [diagram]
     while True:
-        maker = maker_of(found[-1], next(iter(signals)))
-        if not isinstance(maker, Diagram) or not all(map(maker.HasOutputPort, signals)):
+        inner = [
+            part
+            for part in found[-1].GetSystems()
+            if isinstance(part, Diagram) and _makes(part, found[-1], signals)
+        ]
+        if not inner:
             return found
-        found.append(maker)
+        found.append(inner[0])
+
+
+def _makes(part: Diagram, diagram: Diagram, signals: Collection[str]) -> bool:
+    """Whether all signals of a diagram come from ports of a part of it, or inside of that."""
+    inside = {part, *_systems(part)}
+    return all(
+        port.get_system() in inside and ports_of(part, signal)
+        for signal in signals
+        for port in ports_of(diagram, signal)
+    )
+
+
+def _systems(diagram: Diagram) -> Iterator[System]:
+    """All systems inside of a diagram."""
+    for part in diagram.GetSystems():
+        yield part
+        if isinstance(part, Diagram):
+            yield from _systems(part)
 
 
 def innermost(
@@ -356,8 +435,8 @@ def unconnected(diagram: Diagram, context: Context) -> str:
     """A sentence that names the first input without a value of a diagram's blocks, if any."""
     for i in range(diagram.num_input_ports()):
         port = diagram.get_input_port(i)
-        if not port.HasValue(context):
-            name = port.get_name()
+        name = port.get_name()
+        if not port.HasValue(context) and name not in optional_inputs(diagram):
             return f"{name} = no value: connect the diagram's input port, or fix its value"
     connected = {(reader.get_name(), int(index)) for reader, index in diagram.connection_map()}
     for i in range(diagram.num_input_ports()):
@@ -368,6 +447,11 @@ def unconnected(diagram: Diagram, context: Context) -> str:
             is_optional = port in optional_inputs(block)
             if not is_optional and (block.get_name(), index) not in connected:
                 return f"{title(block)}.{port} = not connected: {_connection_of(port)}"
+    for block in diagram.GetSystems():
+        if type(block) is Diagram:
+            found = unconnected(block, diagram.GetSubsystemContext(block, context))
+            if found:
+                return found
     return ""
 
 

@@ -209,10 +209,6 @@ class _Poses(InnerBlock):
             {port.ticket() for port in inputs},
         )
 
-    def box(self) -> str:
-        """The name of the NonstopGeometry."""
-        return self.GetSystemPathname().split("::")[-2]
-
     def _calc_poses(self, context: Context, output: AbstractValue) -> None:
         self.require_floats("look at the scene in a context of the diagram that was converted")
         load = Pose.view(self._load_state.Eval(context))

@@ -339,8 +339,8 @@ def test_the_equilibrium_says_which_signals_it_needs():
         set_equilibrium(diagram, diagram.CreateDefaultContext())
     assert str(error.value) == (
         "set_equilibrium = Diagram without output ports load_state, reference, carrier_state, "
-        "carrier_reference: export load_state (13), reference (22), carrier_state, "
-        "carrier_reference by these names, as connect_by_name does"
+        "carrier_reference: give it blocks that make load_state (13), reference (22), "
+        "carrier_state, carrier_reference, by ports of these names"
     )
 
 
