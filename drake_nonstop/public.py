@@ -47,7 +47,11 @@ from drake_nonstop.mechanics.signal_layouts import Layout as Layout, Part as Par
 
 # Put together, simulated, judged.
 from drake_nonstop.diagrams.nonstop import make_nonstop as make_nonstop, make_blocks as make_blocks
-from drake_nonstop.systems.wiring import connect_by_name as connect_by_name
+from drake_nonstop.systems.wiring import (
+    connect_by_name as connect_by_name,
+    connect_remaining as connect_remaining,
+)
+from drake_nonstop.loop.sample_and_hold import add_sample_and_hold as add_sample_and_hold
 from drake_nonstop.loop.compiled_loop import CompiledLoop as CompiledLoop
 from drake_nonstop.loop.compiled_flight import CompiledFlight as CompiledFlight
 from drake_nonstop.loop.compiled_system import CompiledSystem as CompiledSystem

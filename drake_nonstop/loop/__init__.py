@@ -1,1 +1,1 @@
-"""What makes blocks a loop: boxes, equilibrium, parameters, the trace and the compiled engine."""
+"""What makes blocks a loop: boxes, hold, equilibrium, parameters, trace and compiled engine."""

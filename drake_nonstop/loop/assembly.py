@@ -8,17 +8,16 @@ from dataclasses import is_dataclass, replace
 from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from pydrake.systems.analysis import SimulatorConfig
 from pydrake.systems.framework import Diagram, DiagramBuilder, System
 
 from drake_nonstop.blocks.reference_governor import ReferenceGovernorConfig, governed
-from drake_nonstop.blocks.sample_and_hold import SampleAndHold
 from drake_nonstop.loop.box import Box, block_class, block_of, import_path, kept_parameters
 from drake_nonstop.loop.margin_of_loop import computed_margin
+from drake_nonstop.loop.sample_and_hold import SAMPLE_AND_HOLD, hold_of
 from drake_nonstop.mechanics.reference_preview import ReferencePreview
 from drake_nonstop.mechanics.signal_layouts import Layout
-from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, LoadReference
+from drake_nonstop.mechanics.signals import LoadReference
 from drake_nonstop.model.system import (
     Model,
     PatternConfig,
@@ -37,7 +36,6 @@ from drake_nonstop.systems.requirements import LoopBlocks
 from drake_nonstop.systems.tracing import NotFiniteError
 from drake_nonstop.validation import ScenarioError, called, one_line, require, warn_user
 
-SAMPLE_AND_HOLD = "sample_and_hold"  # no scenario chooses it: in front of sampled controllers
 LAYER = "optimization_layer"
 EXTRA = "extra"  # the argument for blocks beyond the figure's, among replacements
 
@@ -141,7 +139,7 @@ def make_parts(
         )
         blocks = blocks | {"load_trajectory": slowed}
         loop = replace(loop, blocks=blocks)
-    held = _sample_and_hold(loop) if scenario.control_period > 0 else {}
+    held = {SAMPLE_AND_HOLD: hold_of(loop)} if scenario.control_period > 0 else {}
     return Parts(loop, blocks | held, watched, margin)
 
 
@@ -181,18 +179,6 @@ def _models(scenario: LoopConfig) -> tuple[Model, Model]:
         overridden=given_fields(scenario.simulated),
     )
     return believed, simulated
-
-
-def _sample_and_hold(loop: LoopBlocks) -> dict[str, System]:
-    """What holds the inputs of sampled controllers, before its first sample those at the start."""
-    # A constant estimate needs no hold, which would cost time at each sample.
-    holds_wind = not getattr(loop.get("wind"), "is_sampled", False)
-    held: dict[str, NDArray] = {}
-    if (reference := loop.at_start("reference")) is not None:
-        held = {"reference": reference, "measured_load_state": reference[:LOAD_STATE_SIZE]}
-        if (higher_rates := loop.at_start("reference_higher_rates")) is not None:
-            held["reference_higher_rates"] = higher_rates
-    return {SAMPLE_AND_HOLD: SampleAndHold(loop.believed, held, holds_wind=holds_wind)}
 
 
 def _wants_margin(entry: Any) -> bool:

@@ -23,7 +23,8 @@ SAMPLE_TIME = "sample_time"  # of what is held
 
 _HOLD_REMEDY = (
     f"a SampleAndHold makes {SAMPLE_TIME} and the {HELD}... signals of sampled controllers; add "
-    "SampleAndHold(model) to the blocks of connect_by_name, or make them with a control period of 0"
+    "SampleAndHold(model) to the blocks of connect_by_name, call add_sample_and_hold of a builder, "
+    "or make them with a control period of 0"
 )
 
 Sizes = Mapping[str, int | None]  # of ports or signals, by name; None: abstract-valued
@@ -158,23 +159,9 @@ def wires(blocks: Mapping[str, System], inputs: Collection[str] | Sizes = ()) ->
                     "that name already; rename one of the two, or leave one of the blocks out"
                 )
             sources[signal], sizes[signal] = block_name, size
-    held = {
-        port: f"{HELD}{port}"
-        for name, ports in read_by.items()
-        for port in ports
-        if f"{HELD}{port}" in made[name]
-    }
-    upstream = {sources.get(signal) for pair in held.items() for signal in pair}
     result = []
-    for block_name, block in blocks.items():
-        given = read_by[block_name]
-        optional = optional_inputs(block)
-        replaced = {} if block_name in upstream else held
-        read = {
-            port: replaced.get(port, port)
-            for port in given
-            if port in sources or port not in optional
-        }
+    for block_name, read in signals_read(blocks, sources).items():
+        block, given = blocks[block_name], read_by[block_name]
         wrong = {
             port: given[port]
             for port, signal in read.items()
@@ -189,6 +176,78 @@ def wires(blocks: Mapping[str, System], inputs: Collection[str] | Sizes = ()) ->
             f"{sources[signal]}.{signal} -> {block_name}.{port}" for port, signal in read.items()
         ]
     return result
+
+
+def signals_read(
+    blocks: Mapping[str, System], sources: Mapping[str, str]
+) -> dict[str, dict[str, str]]:
+    """The signal that each input port is named after, or what is held of it, by names of blocks.
+
+    Args:
+        blocks: by their names.
+        sources: the names of the signals' makers. An optional input of no signal is left out.
+    """
+    held = {
+        port: f"{HELD}{port}"
+        for block in blocks.values()
+        for port in input_names(block)
+        if block.HasOutputPort(f"{HELD}{port}")
+    }
+    upstream = {sources.get(signal) for pair in held.items() for signal in pair}
+    result = {}
+    for name, block in blocks.items():
+        replaced = {} if name in upstream else held
+        optional = optional_inputs(block)
+        result[name] = {
+            port: replaced.get(port, port)
+            for port in input_names(block)
+            if port in sources or port not in optional
+        }
+    return result
+
+
+def connect_remaining(builder: DiagramBuilder, *, of: System | None = None) -> None:
+    """Connects inputs that are open yet to the signals of their names, as `connect_by_name` does.
+
+    For a builder whose blocks are there, named or not, and some of them connected by hand. An
+    input stays open where no block of the builder makes its signal: it can be exported, or
+    connected, before or after.
+
+    Args:
+        builder: it is not built yet.
+        of: one of its systems, where only what leads to it or comes from it is to be connected.
+
+    Raises:
+        ScenarioError: the builder is built, two blocks make the signal of an open input, or its
+            size is another one.
+    """
+    require_open(builder, "connect_remaining")
+    blocks = {block.get_name(): block for block in builder.GetMutableSystems()}
+    makers: dict[str, list[str]] = {}
+    for name, block in blocks.items():
+        for signal in output_names(block):
+            makers.setdefault(signal, []).append(name)
+    sources = {signal: names[0] for signal, names in makers.items()}
+    for name, read in signals_read(blocks, sources).items():
+        for port, signal in read.items():
+            reader = blocks[name].GetInputPort(port)
+            made = [blocks[maker] for maker in makers.get(signal, [])]
+            is_asked = of is None or of is blocks[name] or of in made
+            if not made or not is_asked or builder.IsConnectedOrExported(reader):
+                continue
+            if len(made) > 1:
+                raise WiringError(
+                    f"{title(made[1])}.{signal} = output: {title(made[0])} has an output port of "
+                    f"that name already; rename one of the two, or connect {title(blocks[name])}."
+                    f"{port} before"
+                )
+            source = made[0].GetOutputPort(signal)
+            if _size(source) != _size(reader):
+                raise WiringError(
+                    f"{title(blocks[name])}.{port} = {_listed({port: _size(reader)})}: expected "
+                    f"{_listed({signal: _size(source)})}; rename or resize the port"
+                )
+            builder.Connect(source, reader)
 
 
 def sizes_of_inputs(
@@ -459,7 +518,7 @@ def _connection_of(port: str) -> str:
     """How to connect an input port of that name."""
     if port == SAMPLE_TIME or port.startswith(HELD):
         return _HOLD_REMEDY
-    return "connect it, or wire the blocks with connect_by_name"
+    return "connect it, or wire the blocks with connect_by_name or connect_remaining"
 
 
 def connections(diagram: Diagram) -> list[str]:

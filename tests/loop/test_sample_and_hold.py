@@ -1,0 +1,247 @@
+"""The hold that is added to a builder is that of the figure, with the figure's wires."""
+
+import numpy as np
+import pytest
+from helpers import Ports, model, output
+from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import ConstantVectorSource, Gain
+
+from drake_nonstop import (
+    Model,
+    SampleAndHold,
+    add_sample_and_hold,
+    connect_remaining,
+    load_scenario,
+    make_blocks,
+    make_nonstop,
+    set_default_equilibrium,
+)
+from drake_nonstop.systems.wiring import connections, input_names, output_names, wires
+from drake_nonstop.validation import ScenarioError
+
+PERIOD = 0.01  # s
+SCENARIOS = {
+    "still air": [],
+    "gusts": ["wind=GustyWind"],
+    "steady wind": ["wind=SteadyWind"],
+    "feedback of the reference": ["load_feedback=DesiredStateFeedback"],
+    "paper": ["wrench_controller=PaperWrenchController"],
+}
+
+
+def scenario(overrides=()):
+    layer = "optimization_layer=ConstantParameters"
+    return load_scenario("line", [f"control_period={PERIOD}", layer, *overrides])
+
+
+def of_controllers(made):
+    return Model(made.system, made.pattern, made.control_period)
+
+
+def unsampled(made):
+    """The blocks of a scenario but for the hold, and a builder that has them."""
+    blocks, builder = make_blocks(made), DiagramBuilder()
+    hold = blocks.pop("sample_and_hold")
+    return blocks, hold, builder
+
+
+@pytest.mark.parametrize("names", [False, True])
+@pytest.mark.parametrize("overrides", SCENARIOS.values(), ids=SCENARIOS)
+def test_wires_of_the_hold_and_of_what_remains_are_the_figures(overrides, names):
+    made = scenario(overrides)
+    blocks, of_figure, builder = unsampled(made)
+    expected = wires(blocks | {"sample_and_hold": of_figure})
+    for name, block in blocks.items():
+        builder.AddNamedSystem(name, block) if names else builder.AddSystem(block)
+    called = {block.get_name(): name for name, block in blocks.items()}
+    hold = add_sample_and_hold(builder, of_controllers(made))
+    assert hold.get_name() == "sample_and_hold"
+    assert input_names(hold) == input_names(of_figure)
+    first = {wire for wire in expected if "sample_and_hold" in wire}
+    assert found(builder, called) == first
+    connect_remaining(builder)
+    assert found(builder, called) == {*expected}
+    own, other = hold.CreateDefaultContext(), of_figure.CreateDefaultContext()
+    for name in output_names(hold):
+        np.testing.assert_array_equal(output(hold, own, name), output(of_figure, other, name))
+
+
+def found(builder, called):
+    """The wires of a builder, by the names of the figure."""
+    called = called | {"sample_and_hold": "sample_and_hold"}
+    return {
+        f"{called[source.get_name()]}.{source.get_output_port(k).get_name()} -> "
+        f"{called[reader.get_name()]}.{reader.get_input_port(i).get_name()}"
+        for (reader, i), (source, k) in builder.connection_map().items()
+    }
+
+
+def test_a_loop_wired_by_hand_flies_as_the_figure():
+    made = scenario(["wind=GustyWind"])
+    blocks, _, builder = unsampled(made)
+    for block in blocks.values():
+        builder.AddSystem(block)
+    add_sample_and_hold(builder, of_controllers(made))
+    connect_remaining(builder)
+    builder.ExportOutput(blocks["load_plant"].GetOutputPort("load_state"), "load_state")
+    values = []
+    diagram = builder.Build()
+    set_default_equilibrium(diagram)
+    for flown in (diagram, make_nonstop(made)):
+        simulator = Simulator(flown)
+        ApplySimulatorConfig(made.simulator_config, simulator)
+        simulator.AdvanceTo(0.053)
+        values.append(output(flown, simulator.get_context(), "load_state"))
+    np.testing.assert_array_equal(*values)
+
+
+def controllers():
+    """A trajectory, feedback and two controllers, of which one reads the time of the sample."""
+    return {
+        "trajectory": Ports({}, {"reference": 22}),
+        "feedback": Ports({"reference": 22}, {"measured_load_state": 13}),
+        "controller": Ports({"measured_load_state": 13, "reference": 22}, {"wrench": 6}),
+        "layer": Ports({"reference": 22, "sample_time": 1}, {"parameters": 2}),
+    }
+
+
+def added(blocks):
+    builder = DiagramBuilder()
+    for name, block in blocks.items():
+        builder.AddNamedSystem(name, block)
+    return builder
+
+
+def test_what_was_connected_or_exported_stays():
+    blocks = controllers()
+    builder = added(blocks)
+    by_hand = blocks["trajectory"].GetOutputPort("reference")
+    builder.Connect(by_hand, blocks["controller"].GetInputPort("reference"))
+    builder.ExportInput(blocks["layer"].GetInputPort("reference"), "reference")
+    add_sample_and_hold(builder, model(4, PERIOD))
+    assert set(connections(builder.Build())) == {
+        "trajectory.reference -> controller.reference",
+        "trajectory.reference -> sample_and_hold.reference",
+        "feedback.measured_load_state -> sample_and_hold.measured_load_state",
+        "sample_and_hold.held_measured_load_state -> controller.measured_load_state",
+        "sample_and_hold.sample_time -> layer.sample_time",
+    }
+
+
+def test_a_signal_that_no_block_makes_can_be_exported():
+    blocks = controllers()
+    del blocks["trajectory"]
+    builder = added(blocks)
+    hold = add_sample_and_hold(builder, model(4, PERIOD))
+    builder.ExportInput(hold.GetInputPort("reference"), "reference")
+    builder.ExportInput(blocks["feedback"].GetInputPort("reference"), "other")
+    wired = connections(builder.Build())
+    assert "sample_and_hold.held_reference -> layer.reference" in wired
+
+
+def test_an_optional_input_of_a_signal_that_no_block_makes_stays_open():
+    blocks = controllers()
+    planner = blocks["planner"] = Ports({"reference_higher_rates": 6, "reference": 22}, {})
+    planner.optional_inputs = ("reference_higher_rates",)
+    builder = added(blocks)
+    add_sample_and_hold(builder, model(4, PERIOD))
+    wired = {wire for wire in connections(builder.Build()) if wire.endswith("higher_rates")}
+    assert wired == set()
+
+
+def test_the_wind_is_held_where_it_may_change():
+    for ports, is_sampled, is_held in (
+        (None, False, False),
+        (({"wind_estimate": 3}, {}), False, True),
+        (({}, {"wind_estimate": 3}), False, True),
+        (({}, {"wind_estimate": 3}), True, False),
+    ):
+        blocks = controllers()
+        if ports:
+            blocks["other"] = Ports(*ports)
+            blocks["other"].is_sampled = is_sampled
+        hold = add_sample_and_hold(added(blocks), model(4, PERIOD))
+        assert hold.HasInputPort("wind_estimate") is is_held
+
+
+def test_what_is_held_before_the_first_sample_is_the_start_of_the_reference():
+    turned = ["load_trajectory.start_roll_pitch_yaw=[0.2,-0.1,2.5]"]
+    blocks, hold, builder = unsampled(scenario(turned))
+    for block in blocks.values():
+        builder.AddSystem(block)
+    trajectory = blocks["load_trajectory"]
+    start = trajectory.CreateDefaultContext()
+    reference = output(trajectory, start, "reference")
+    assert np.all(reference[1:4] != 0)
+    for each in (hold, add_sample_and_hold(builder, model(4, PERIOD))):
+        context = each.CreateDefaultContext()
+        np.testing.assert_array_equal(output(each, context, "held_reference"), reference)
+        load = output(each, context, "held_measured_load_state")
+        np.testing.assert_array_equal(load, reference[:13])
+        rates = output(trajectory, start, "reference_higher_rates")
+        held = output(each, context, "held_reference_higher_rates")
+        np.testing.assert_array_equal(held, rates)
+
+
+def test_other_systems_of_the_builder_do_not_matter():
+    builder = added(controllers())
+    for _ in range(2):  # ports of the same names
+        builder.AddSystem(ConstantVectorSource([1.0]))
+        builder.AddSystem(Gain(1.0, 1))
+    add_sample_and_hold(builder, model(4, PERIOD))
+    connect_remaining(builder)
+    wired = connections(builder.Build())
+    assert "trajectory.reference -> feedback.reference" in wired
+    assert not [wire for wire in wired if "Gain" in wire]
+
+
+def refused(said, blocks, function=add_sample_and_hold, given=None):
+    arguments = () if function is connect_remaining else (given or model(4, PERIOD),)
+    with pytest.raises(ScenarioError) as error:
+        function(added(blocks), *arguments)
+    assert str(error.value) == said
+
+
+def test_what_cannot_be_connected_is_said_in_a_sentence():
+    blocks = controllers() | {"camera": Ports({}, {"reference": 22})}
+    refused(
+        "camera.reference = output: trajectory has an output port of that name already; rename "
+        "one of the two, or connect feedback.reference before",
+        blocks,
+        connect_remaining,
+    )
+    blocks = controllers() | {"camera": Ports({}, {"reference": 22})}
+    refused(
+        "camera.reference = output: trajectory has an output port of that name already; rename "
+        "one of the two, or connect sample_and_hold.reference before",
+        blocks,
+    )
+    refused(
+        "small.sample_time = sample_time (2): expected sample_time (1); rename or resize the port",
+        controllers() | {"small": Ports({"sample_time": 2}, {})},
+    )
+    refused(
+        "sample_and_hold = no open input reads what it holds: add the controllers to the builder "
+        "before, and leave their inputs measured_load_state and reference open",
+        {"trajectory": Ports({}, {"reference": 22})},
+    )
+    refused(
+        "blocks = sample_and_hold: the builder has a system of that name; add the hold once",
+        controllers() | {"sample_and_hold": SampleAndHold(model(4, PERIOD))},
+    )
+    refused(
+        "control_period = 0.0: controllers read their inputs directly; leave the hold out, or give "
+        "a longer one",
+        controllers(),
+        given=model(4),
+    )
+    refused("model = 3: give the Model of the controllers", controllers(), given=3)
+    builder = added(controllers())
+    builder.Build()
+    for function, arguments in ((add_sample_and_hold, [model(4, PERIOD)]), (connect_remaining, [])):
+        said = rf"^builder = built: call {function.__name__} before builder\.Build\(\)$"
+        with pytest.raises(ScenarioError, match=said):
+            function(builder, *arguments)
+        with pytest.raises(ScenarioError, match=r"^builder = 3: give a DiagramBuilder$"):
+            function(3, *arguments)
