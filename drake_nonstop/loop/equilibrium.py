@@ -30,7 +30,7 @@ from drake_nonstop.systems.wiring import (
 )
 from drake_nonstop.validation import ScenarioError, require, warn_user
 
-# What the loop has to export, with sizes; None: 6 for each carrier. No block alone makes all.
+# What the loop has to make, with sizes; None: 6 for each carrier. No block alone makes all.
 LOOP_SIGNALS = {
     "load_state": LOAD_STATE_SIZE,
     "reference": LOAD_REFERENCE_SIZE,
@@ -193,11 +193,9 @@ def on_reference(nonstop: Diagram, context: Context) -> None:
     loop, own = innermost(nonstop, context, LOOP_SIGNALS)
     plant = PlantStates(loop)
     simulator = Simulator(nonstop, context)
-    reference = nonstop.GetOutputPort("reference").Eval(context)[:LOAD_STATE_SIZE]
-    plant.set_states(own, load_state=reference)
+    plant.set_states(own, load_state=plant.required(own, "reference")[:LOAD_STATE_SIZE])
     simulator.Initialize()
-    carriers = nonstop.GetOutputPort("carrier_reference").Eval(context)
-    plant.set_states(own, carrier_state=carriers)
+    plant.set_states(own, carrier_state=plant.required(own, "carrier_reference"))
 
 
 def _newton(function: Callable[[NDArray], NDArray], start: NDArray) -> tuple[NDArray, bool]:

@@ -21,10 +21,10 @@ from drake_nonstop.model.aircraft import AircraftParameters, values_of
 from drake_nonstop.model.block_parameters import AUTO, BlockParameters
 from drake_nonstop.model.pattern import InternalForcePattern
 from drake_nonstop.model.system import AIRCRAFT, OFFSET, Model, SystemParameters
-from drake_nonstop.systems.block import is_converted
+from drake_nonstop.systems.block import is_converted, title
 from drake_nonstop.systems.field_comments import meanings
 from drake_nonstop.systems.parameters import declared
-from drake_nonstop.systems.wiring import innermost, require_own_context
+from drake_nonstop.systems.wiring import innermost, ports_of, require_own_context
 from drake_nonstop.validation import require, require_array, require_known, require_type
 
 _SYSTEM, _SIMULATED, _PATTERN = "system", "simulated", "pattern"
@@ -42,7 +42,7 @@ class LoopParameter:
     """A parameter of a loop's context.
 
     Attributes:
-        path: its scenario path.
+        path: its scenario path; a block without a name goes by its class.
         value: a number, or an array in the shape of the scenario's list.
         meaning: its unit and what it is.
         blocks: the names of the blocks that go by it.
@@ -77,8 +77,8 @@ def parameters(loop: Diagram, context: Context) -> list[LoopParameter]:
     """The parameters of a loop, with their values in its context.
 
     Args:
-        loop: as of `make_nonstop`, or any diagram of its blocks, or one that exports its signals;
-            before a conversion.
+        loop: as of `make_nonstop`, or any diagram of its blocks, or one around it; before a
+            conversion.
         context: the loop's own, in a bigger diagram `loop.GetMyContextFromRoot(root)`; also that
             of the loop converted to AutoDiffXd.
 
@@ -173,7 +173,7 @@ class _Loop:
         remedy = "give a number, or a context of the loop converted to AutoDiffXd"
         require(is_converted_one or not _has_derivatives(value), path, value, remedy)
         scope, _, field = path.partition(".")
-        boxes = [block.get_name() for block in self._loop.GetSystems()]
+        boxes = [title(block) for block in self._loop.GetSystems()]
         boxes += [holder.box for holder in self._holders if holder.box not in boxes]
         require_known(scope, [_SYSTEM, _SIMULATED, _PATTERN, *boxes], "parameter", path)
         models = self._changed_models(scope, field, path, value)
@@ -409,7 +409,7 @@ def _innermost(loop: Diagram, context: Context) -> tuple[Diagram, Context]:
     """The diagram whose own blocks have the parameters, and its context.
 
     Raises:
-        ScenarioError: it is a converted one, or holds loops whose signals it does not export.
+        ScenarioError: it is a converted one, or holds several loops.
     """
     blocks = loop.GetSystems() if isinstance(loop, Diagram) else []
     require(
@@ -419,7 +419,7 @@ def _innermost(loop: Diagram, context: Context) -> tuple[Diagram, Context]:
         "give the loop that it was made of; its contexts are copied by "
         "SetTimeStateAndParametersFrom",
     )
-    inner = [block.get_name() for block in blocks if _is_loop(block)]
+    inner = [title(block) for block in blocks if _is_loop(block)]
     remedy = "give the loop inside of it, and loop.GetMyMutableContextFromRoot(root)"
     require(_is_loop(loop) or not inner, "loop", f"a diagram around {' and '.join(inner)}", remedy)
     if isinstance(context, Context_[AutoDiffXd]):
@@ -433,7 +433,7 @@ def _innermost(loop: Diagram, context: Context) -> tuple[Diagram, Context]:
 
 
 def _is_loop(system: System) -> bool:
-    return isinstance(system, Diagram) and all(map(system.HasOutputPort, LOOP_SIGNALS))
+    return isinstance(system, Diagram) and all(len(ports_of(system, s)) == 1 for s in LOOP_SIGNALS)
 
 
 def _holders(loop: Diagram) -> Iterator[_Holder]:
@@ -442,7 +442,7 @@ def _holders(loop: Diagram) -> Iterator[_Holder]:
         for _, found, group in declared(block, first):
             if isinstance(found, BlockParameters):
                 place = group if len(found) > 0 else None
-                yield _Holder(block.get_name(), block, found, place)
+                yield _Holder(title(block), block, found, place)
         first += block.num_numeric_parameter_groups()
 
 

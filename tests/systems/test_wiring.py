@@ -10,6 +10,7 @@ from drake_nonstop.systems.wiring import (
     connect_by_name,
     connections,
     input_names,
+    nested,
     optional_inputs,
     output_names,
     wires,
@@ -264,3 +265,15 @@ def test_blocks_in_an_algebraic_loop_do_not_build():
     blocks = {"a": Box(["two"], ["one"]), "b": Box(["one"], ["two"])}
     with pytest.raises(RuntimeError, match="algebraic loop"):
         connect(blocks)
+
+
+def test_a_diagram_whose_signals_are_made_elsewhere_too_is_not_the_one_that_counts():
+    for is_exported in (False, True):
+        builder = DiagramBuilder()
+        inner = builder.AddSystem(connect({"source": Box([], ["force", "pose"])}))
+        other = builder.AddSystem(Box([], ["pose"] * is_exported))
+        if is_exported:
+            builder.ExportOutput(other.GetOutputPort("pose"), "pose")
+        diagram = builder.Build()
+        expected = [diagram] if is_exported else [diagram, inner]
+        assert nested(diagram, ["force", "pose"]) == expected

@@ -1,0 +1,378 @@
+"""Loops from constructors and `Connect`: they start as `make_nonstop`'s, and say what is wrong."""
+
+import functools
+
+import numpy as np
+import pytest
+from helpers import Ports, model, output, with_ports
+from pydrake.autodiffutils import AutoDiffXd
+from pydrake.geometry import SceneGraph
+from pydrake.systems.framework import DiagramBuilder, LeafSystem
+
+from drake_nonstop import (
+    BoundedTensionDistribution,
+    FixedWingDynamics,
+    NoDisturbance,
+    NonstopGeometry,
+    connect_by_name,
+    connect_remaining,
+    get_parameter,
+    load_scenario,
+    make_blocks,
+    make_nonstop,
+    parameters,
+    set_default_equilibrium,
+    set_equilibrium,
+    set_parameter,
+)
+from drake_nonstop.loop.equilibrium import on_reference
+from drake_nonstop.systems.diagnosis import raising_block
+from drake_nonstop.systems.tracing import NotFiniteError
+from drake_nonstop.systems.wiring import input_names, output_names, wires
+from drake_nonstop.validation import ScenarioError
+
+CONSTANT = "optimization_layer=ConstantParameters"
+STATES = ("load_state", "carrier_state", "aircraft_state")
+PLANT = ("carrier_dynamics", "cables", "load_plant")
+CONTROLLER = ("wrench_controller", "force_distribution")
+AIRCRAFT = (0.01, "aircraft_transfer")
+
+
+@functools.cache
+def scenario(period=0.01, name="line", overrides=()):
+    return load_scenario(name, [f"control_period={period}", CONSTANT, *overrides])
+
+
+@functools.cache
+def expected(*arguments):
+    """The signals of the loop of `make_nonstop` in its default context."""
+    loop = make_nonstop(scenario(*arguments))
+    context = loop.CreateDefaultContext()
+    return {name: output(loop, context, name) for name in STATES if loop.HasOutputPort(name)}
+
+
+def connect(builder, blocks):
+    """Wires blocks of a builder, which may have no names, by Drake's own calls."""
+    for wire in wires(blocks):
+        (source, signal), (reader, port) = (end.split(".") for end in wire.split(" -> "))
+        ports = blocks[source].GetOutputPort(signal), blocks[reader].GetInputPort(port)
+        builder.Connect(*ports)
+
+
+def wired(blocks, *, names=False):
+    """A diagram that exports nothing."""
+    builder = DiagramBuilder()
+    for name, block in blocks.items():
+        builder.AddNamedSystem(name, block) if names else builder.AddSystem(block)
+    connect(builder, blocks)
+    return builder.Build()
+
+
+def grouped(blocks, *, names=False, left_open=()):
+    """Some of the blocks as one: inputs that the others make, and the signals that they read."""
+    builder = DiagramBuilder()
+    for name, block in blocks.items():
+        builder.AddNamedSystem(name, block) if names else builder.AddSystem(block)
+    makers = {port: block for block in blocks.values() for port in output_names(block)}
+    open_inputs = {}
+    for block in blocks.values():
+        for port in (port for port in input_names(block) if port not in left_open):
+            reader = block.GetInputPort(port)
+            if port in makers:
+                builder.Connect(makers[port].GetOutputPort(port), reader)
+            elif port in open_inputs:
+                builder.ConnectInput(port, reader)
+            else:
+                open_inputs[port] = builder.ExportInput(reader, port)
+    for port, block in makers.items():
+        builder.ExportOutput(block.GetOutputPort(port), port)
+    return builder.Build()
+
+
+def nested(blocks, *, group=PLANT, **options):
+    """Some of the blocks as one Diagram beside the others, and all of it inside of another one."""
+    part = grouped({name: blocks[name] for name in group}, **options)
+    others = {name: block for name, block in blocks.items() if name not in group}
+    builder = DiagramBuilder()
+    loop = wired(others | {"part": part}, **options)
+    builder.AddNamedSystem("inner", loop) if options.get("names") else builder.AddSystem(loop)
+    return builder.Build()
+
+
+def shown(diagram, context):
+    """Load and carriers, wherever in the diagram they are made."""
+    found = {}
+    for part in diagram.GetSystems():
+        own = diagram.GetSubsystemContext(part, context)
+        if hasattr(part, "GetSystems"):
+            found |= shown(part, own)
+        found |= {name: output(part, own, name) for name in STATES if part.HasOutputPort(name)}
+    return found
+
+
+BOTH = pytest.mark.parametrize("make", [wired, nested])
+NAMED = pytest.mark.parametrize("names", [False, True])
+
+
+def assert_starts_as_the_figure(diagram, *arguments):
+    """By `set_equilibrium`, and by default after `set_default_equilibrium`."""
+    context = diagram.CreateDefaultContext()
+    set_equilibrium(diagram, context)
+    set_default_equilibrium(diagram)
+    for start in (context, diagram.CreateDefaultContext()):
+        values = shown(diagram, start)
+        assert values.keys() == expected(*arguments).keys()
+        for name, value in expected(*arguments).items():
+            np.testing.assert_array_equal(values[name], value)
+
+
+@BOTH
+@NAMED
+@pytest.mark.parametrize("period", [0.0, 0.01])
+def test_a_loop_that_exports_nothing_starts_as_the_figure(make, names, period):
+    diagram = make(make_blocks(scenario(period)), names=names)
+    assert diagram.num_output_ports() == 0
+    assert_starts_as_the_figure(diagram, period)
+
+
+@BOTH
+@pytest.mark.filterwarnings("error")
+def test_aircraft_are_trimmed_wherever_they_are(make):
+    assert_starts_as_the_figure(make(make_blocks(scenario(*AIRCRAFT))), *AIRCRAFT)
+
+
+@pytest.mark.filterwarnings("error")
+def test_aircraft_in_a_diagram_in_the_place_of_their_box_are_trimmed():
+    def in_a_diagram(model):
+        return grouped({"aircraft": FixedWingDynamics(model)})
+
+    loop = make_nonstop(scenario(*AIRCRAFT), carrier_dynamics=in_a_diagram)
+    assert_starts_as_the_figure(loop, *AIRCRAFT)
+
+
+@BOTH
+def test_two_makers_of_a_signal_are_named(make):
+    builder = DiagramBuilder()
+    builder.AddNamedSystem("mine", make(make_blocks(scenario()), names=True))
+    builder.AddNamedSystem("camera", Ports({}, {"load_state": 13}))
+    diagram = builder.Build()
+    plant = "mine.load_plant" if make is wired else "mine.inner.part"
+    with pytest.raises(ScenarioError) as error:
+        set_equilibrium(diagram, diagram.CreateDefaultContext())
+    assert str(error.value) == (
+        f"set_equilibrium = Diagram where {plant} and camera make load_state: export the loop's by "
+        "this name, rename the port of the other, or give the diagram with one of them"
+    )
+    with pytest.raises(ScenarioError, match=f"^set_equilibrium = Diagram where {plant} and camera"):
+        set_default_equilibrium(diagram)
+
+
+@pytest.mark.parametrize("is_nested", [False, True])
+def test_the_port_that_is_exported_counts_among_several(is_nested):
+    blocks, camera = make_blocks(scenario()), Ports({}, {"load_state": 13})
+    builder = DiagramBuilder()
+    builder.AddSystem(camera)
+    if is_nested:
+        plant = grouped({name: blocks.pop(name) for name in PLANT})
+        blocks["plant"] = plant
+    for block in blocks.values():
+        builder.AddSystem(block)
+    connect(builder, blocks)
+    maker = blocks["plant" if is_nested else "load_plant"]
+    builder.ExportOutput(maker.GetOutputPort("load_state"), "load_state")
+    diagram = builder.Build()
+    set_default_equilibrium(diagram)
+    value = output(diagram, diagram.CreateDefaultContext(), "load_state")
+    np.testing.assert_array_equal(value, expected()["load_state"])
+
+
+@NAMED
+@pytest.mark.parametrize("group", [None, PLANT, CONTROLLER])
+@pytest.mark.parametrize("name", ["cables", "wrench_controller"])
+def test_a_parameter_that_is_no_number_is_blamed_on_its_block(name, group, names):
+    blocks = make_blocks(scenario())
+    make = functools.partial(nested, group=group) if group else wired
+    diagram = make(blocks, names=names)
+    context = diagram.CreateDefaultContext()
+    block = blocks[name]
+    own = block.GetMyMutableContextFromRoot(context).get_mutable_numeric_parameter(0)
+    own.SetFromVector(np.full(own.size(), np.nan))
+    path = ["inner"] * bool(group) + ["part"] * (name in (group or ())) + [name]
+    called = ".".join(path) if names else type(block).__name__
+    with pytest.raises(ScenarioError) as error:
+        set_equilibrium(diagram, context)
+    assert str(error.value).startswith(f"start = {called}: it makes a value that is not finite")
+
+
+@NAMED
+@pytest.mark.parametrize("group", [None, (*PLANT, "load_disturbance"), ("load_disturbance",)])
+def test_a_block_that_makes_no_numbers_is_blamed_and_not_its_reader(group, names):
+    blocks = make_blocks(scenario(), load_disturbance=with_ports({}, {"disturbance_wrench": 6}))
+    make = functools.partial(nested, group=group) if group else wired
+    diagram = make(blocks, names=names)
+    path = ["inner", "part"] * bool(group) + ["load_disturbance"]
+    called = ".".join(path) if names else "Ports"
+    with pytest.raises(ScenarioError, match=f"^start = {called}: it makes a value that is not fin"):
+        set_equilibrium(diagram, diagram.CreateDefaultContext())
+
+
+class Raising(LeafSystem):
+    """A block of a user's own, whose output cannot be evaluated."""
+
+    def __init__(self):
+        super().__init__()
+        self.DeclareVectorOutputPort("result", 1, self._calc)
+
+    def _calc(self, context, value):
+        raise ValueError("no result")
+
+
+@NAMED
+@pytest.mark.parametrize("depth", [0, 1])
+def test_a_block_that_raises_has_its_name(names, depth):
+    block = Raising()
+    if names:
+        block.set_name("mine")
+    diagram = in_diagrams(block, 1 + depth, names)
+    context = diagram.CreateDefaultContext()  # the error's traceback must not outlive it
+    with pytest.raises(ValueError, match="no result") as error:
+        diagram.get_output_port().Eval(context)
+    called = ".".join(["outer"] * depth + ["mine"]) if names else "Raising"
+    assert raising_block(error.value).startswith(f"{called} (test_wired_by_hand.py:")
+
+
+@NAMED
+@pytest.mark.parametrize("depth", [0, 1])
+def test_an_error_of_a_block_has_its_name(names, depth):
+    block = BoundedTensionDistribution(model())
+    if names:
+        block.set_name("mine")
+    diagram = in_diagrams(block, 1 + depth, names)
+    converted = diagram.ToAutoDiffXd()
+    context = converted.CreateDefaultContext()
+    for part in range(converted.num_input_ports()):
+        port = converted.get_input_port(part)
+        port.FixValue(context, np.full(port.size(), AutoDiffXd(1.0)))
+    called = "BoundedTensionDistribution"
+    if names:
+        called = ".".join(["outer"] * depth + ["mine"])
+    with pytest.raises(ScenarioError, match=rf"^scalar type of {called} = AutoDiffXd: it computes"):
+        converted.get_output_port(0).Eval(context)
+
+
+def in_diagrams(block, depth, names):
+    """A system in that many diagrams, all ports of which are exported."""
+    for _ in range(depth):
+        builder = DiagramBuilder()
+        builder.AddSystem(block)
+        for k in range(block.num_input_ports()):
+            builder.ExportInput(block.get_input_port(k))
+        for k in range(block.num_output_ports()):
+            builder.ExportOutput(block.get_output_port(k))
+        block = builder.Build()
+        if names:
+            block.set_name("outer")
+    return block
+
+
+@NAMED
+@pytest.mark.parametrize("depth", [0, 1])
+def test_geometry_has_its_name_or_its_class_in_errors(names, depth):
+    geometry = NonstopGeometry(SceneGraph(), scenario())
+    if names:
+        geometry.set_name("scene")
+    diagram = in_diagrams(geometry, 1 + depth, names)
+    context = diagram.CreateDefaultContext()
+    for k in range(2):
+        port = diagram.get_input_port(k)
+        port.FixValue(context, np.full(port.size(), np.nan))
+    called = ".".join(["outer"] * depth + ["scene"]) if names else "NonstopGeometry"
+    with pytest.raises(NotFiniteError, match=f"^{called} was given a value that is not finite"):
+        diagram.get_output_port().Eval(context)
+
+
+def test_an_open_input_in_a_diagram_inside_is_named():
+    blocks = make_blocks(scenario())
+    del blocks["load_disturbance"]
+    plant = grouped({name: blocks.pop(name) for name in PLANT}, left_open=["disturbance_wrench"])
+    diagram = wired(blocks | {"plant": plant})
+    with pytest.raises(ScenarioError, match=r"^LoadPlant\.disturbance_wrench = not connected: con"):
+        set_equilibrium(diagram, diagram.CreateDefaultContext())
+
+
+def test_an_optional_input_without_a_value_is_not_blamed():
+    blocks = make_blocks(scenario())
+    del blocks["load_disturbance"]
+    reader = Ports({"hint": 1}, {})
+    reader.optional_inputs = ("hint",)
+    builder = DiagramBuilder()
+    for block in (reader, *blocks.values()):
+        builder.AddSystem(block)
+    builder.ExportInput(reader.GetInputPort("hint"), "hint")
+    connect_remaining(builder)
+    diagram = builder.Build()
+    with pytest.raises(ScenarioError, match=r"^LoadPlant\.disturbance_wrench = not connected: con"):
+        set_equilibrium(diagram, diagram.CreateDefaultContext())
+
+
+def test_carriers_that_follow_an_input_from_outside_start_as_the_figure():
+    arguments = (0.01, "line", ("carrier_dynamics=IdealCarriers",))
+    blocks = make_blocks(scenario(*arguments))
+    forces = blocks.pop("force_distribution")
+    plant = grouped({name: blocks.pop(name) for name in PLANT})
+    rest = grouped(blocks | {"plant": plant})
+    assert_starts_as_the_figure(wired({"rest": rest, "forces": forces}), *arguments)
+
+
+def test_a_loop_whose_inputs_come_from_outside_starts_as_the_figure():
+    builder, root = DiagramBuilder(), DiagramBuilder()
+    rest = make_nonstop(scenario(), load_disturbance=None)
+    connect_by_name(builder, {"rest": rest, "other": NoDisturbance(model())})
+    root.AddSystem(builder.Build())
+    assert_starts_as_the_figure(root.Build())
+
+
+@BOTH
+@NAMED
+def test_parameters_of_a_loop_that_exports_nothing(make, names):
+    diagram = make(make_blocks(scenario()), names=names)
+    context = diagram.CreateDefaultContext()
+    assert "@" not in str([entry.path for entry in parameters(diagram, context)])
+    path = f"{'wrench_controller' if names else 'WrenchController'}.position_gain"
+    assert path in [entry.path for entry in parameters(diagram, context)]
+    for changed in (path, "system.load_mass", "simulated.cable_damping"):
+        value = 1.1 * get_parameter(diagram, context, changed)
+        set_parameter(diagram, context, changed, value)
+        assert get_parameter(diagram, context, changed) == pytest.approx(value, abs=0)
+    set_equilibrium(diagram, context)
+    blocks = [entry.blocks for entry in parameters(diagram, context) if entry.path == path]
+    assert blocks == [(path.split(".")[0],)]
+
+
+def test_a_block_without_parameters_is_known_by_its_class():
+    made = make_blocks(scenario(), load_disturbance=with_ports({}, {"disturbance_wrench": 6}))
+    diagram = wired(made)
+    said = r"^Ports\.gain = 1: it is no parameter of the context, which has none here"
+    with pytest.raises(ScenarioError, match=said):
+        set_parameter(diagram, diagram.CreateDefaultContext(), "Ports.gain", 1)
+
+
+def test_parameters_of_two_loops_are_those_of_neither():
+    builder = DiagramBuilder()
+    for name in ("one", "other"):
+        builder.AddNamedSystem(name, wired(make_blocks(scenario())))
+    diagram = builder.Build()
+    with pytest.raises(ScenarioError, match=r"^loop = a diagram around one and other: give the"):
+        parameters(diagram, diagram.CreateDefaultContext())
+
+
+@BOTH
+def test_load_and_carriers_are_set_on_their_references(make):
+    diagram = make(make_blocks(scenario()))
+    context = diagram.CreateDefaultContext()
+    on_reference(diagram, context)
+    figure = make_nonstop(scenario())
+    start = figure.CreateDefaultContext()
+    on_reference(figure, start)
+    for name, value in shown(diagram, context).items():
+        np.testing.assert_array_equal(value, output(figure, start, name))
