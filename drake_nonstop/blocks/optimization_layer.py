@@ -4,18 +4,14 @@ import functools
 import math
 import pickle
 import time
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import asdict, dataclass
-from typing import Any, ClassVar, NamedTuple
+from typing import Any
 
 import casadi
 import numpy as np
-from numpy.typing import NDArray
-from pydrake.systems.framework import (
-    BasicVector,
-    Context,
-    DiscreteValues,
-)
+from numpy.typing import ArrayLike, NDArray
+from pydrake.systems.framework import BasicVector, Context
 
 from drake_nonstop.blocks.receding_horizon import (
     RecedingHorizonOptimizer,
@@ -28,27 +24,10 @@ from drake_nonstop.blocks.speed_bound_layer import (
     require_no_command,
 )
 from drake_nonstop.blocks.turn_rate_optimizer import TurnRateOptimizer, TurnRateOptimizerConfig
-from drake_nonstop.mechanics.signals import (
-    LOAD_REFERENCE_SIZE,
-    LOAD_STATE_SIZE,
-    PARAMETERS_SIZE,
-    PHASE_SIZE,
-    WIND_SIZE,
-    WRENCH_SIZE,
-)
+from drake_nonstop.mechanics.signals import PARAMETERS_SIZE, WRENCH_SIZE
 from drake_nonstop.model.block_parameters import BlockParameters, Rules
 from drake_nonstop.model.system import Model
-from drake_nonstop.optimization.diagnostics import (
-    DIAGNOSTICS_SIZE,
-    LAYER_LAYOUTS,
-    Diagnostics,
-    Outcome,
-    count_missed,
-    count_update,
-    missed_layout,
-    missed_limits_of,
-    update_count,
-)
+from drake_nonstop.optimization.diagnostics import Diagnostics, Outcome, update_count
 from drake_nonstop.optimization.gradual_change import limit_step, raised_bound, step_towards
 from drake_nonstop.optimization.problem_config import (
     NonstopProblemConfig,
@@ -61,12 +40,11 @@ from drake_nonstop.optimization.update_data import UpdateData
 from drake_nonstop.optimization.update_solver import UpdateSolver, traced_tightened
 from drake_nonstop.systems.block import LeafBlock
 from drake_nonstop.systems.diagram_trace import At, TracedAttempt
+from drake_nonstop.systems.in_context import InContext
 from drake_nonstop.systems.parameters import declare_parameters
 from drake_nonstop.systems.requirements import LoopBlocks
 from drake_nonstop.systems.tracing import chosen
 from drake_nonstop.validation import StrictFields, require, require_non_negative, require_positive
-
-_WIND = "wind_estimate"  # an optional input, of aircraft
 
 
 @dataclass(kw_only=True)
@@ -75,21 +53,6 @@ class NonstopOptimizerConfig(NonstopProblemConfig):
 
     What `min_separation` and the solvers cost is said in docs/layers_in_detail.md.
     """
-
-
-class _TraceNumbers(NamedTuple):
-    """What the trace of a `NonstopOptimizer` takes of its parameters."""
-
-    enabled: NDArray  # (1,), 1 or 0
-    bound: NDArray  # (1,), m/s, ε that was set
-    highest: NDArray  # (1,), m/s, of a bound
-    tightening: NDArray  # (3,), how it is tightened, see `UpdateSolver.tightening`
-    beliefs: NDArray  # a flat `Beliefs`
-
-    @classmethod
-    def view(cls, values: NDArray) -> "_TraceNumbers":
-        """The parts of a flat vector."""
-        return cls._make([values[:1], values[1:2], values[2:3], values[3:6], values[6:]])
 
 
 class NonstopOptimizer(SpeedBoundLayer):
@@ -140,11 +103,6 @@ class NonstopOptimizer(SpeedBoundLayer):
         "wind_estimate",
         "speed_bound_command",
     )
-    makes = ("parameters", "diagnostics", "solve_time", "speed_bound", "missed_limits")
-
-    where: ClassVar = {_WIND: "there are aircraft", "missed_limits": "limits are asked for"}
-    signal_layouts = LAYER_LAYOUTS
-    optional_inputs = (COMMAND, _WIND)
 
     def requires(self, loop: LoopBlocks) -> Iterator[str]:
         """Tells of aircraft that it keeps above a speed bound, and within no limit of theirs."""
@@ -157,50 +115,25 @@ class NonstopOptimizer(SpeedBoundLayer):
             )
 
     def __init__(self, model: Model, config: NonstopOptimizerConfig | None = None):
-        config = with_stated_bound(BOX, config or NonstopOptimizerConfig(), model)
-        super().__init__(model, config, check_problem)
+        super().__init__(model, config)
+        config = self._config
         if self.scalar is float:
             self.solver = UpdateSolver(model, config, self.get_name)
-        self._measured_load_state = self.DeclareVectorInputPort(
-            "measured_load_state", LOAD_STATE_SIZE
-        )
-        self._reference = self.DeclareVectorInputPort("reference", LOAD_REFERENCE_SIZE)
-        self._wrench = self.DeclareVectorInputPort("wrench", WRENCH_SIZE)
-        self._wrench_rate = self.DeclareVectorInputPort("wrench_rate", WRENCH_SIZE)
-        self._phase = self.DeclareVectorInputPort("phase", PHASE_SIZE)
-        self._wind = self._missed = None
-        if model.aircraft is not None:
-            self._wind = self.DeclareVectorInputPort(_WIND, WIND_SIZE)
-        self._state = self.DeclareDiscreteState([config.frequency, config.amplitude])
-        self._diagnostics = self.DeclareDiscreteState(DIAGNOSTICS_SIZE)
-        self._solve_time = self.DeclareDiscreteState(1)
-        self._last_wrench_rate = self.DeclareDiscreteState(WRENCH_SIZE)
-        self._bound_in_force = self.DeclareDiscreteState([config.speed_bound])
-        self._is_changing = self.DeclareDiscreteState(1)
         self._share_of_steps = config.period / config.change_time
         self._times = {"period": config.period, "change_time": config.change_time}
         self._period = config.period
-        self.DeclareStateOutputPort("parameters", self._state)
-        self.DeclareStateOutputPort("diagnostics", self._diagnostics)
-        self.DeclareStateOutputPort("solve_time", self._solve_time)
-        self.declare_command()
-        self.declare_bound()
-        self._counted = missed_limits_of(config, model)
-        self.signal_layouts = {}
-        if self._counted:
-            self._missed = self.DeclareDiscreteState(len(self._counted))
-            self.DeclareStateOutputPort("missed_limits", self._missed)
-            self.signal_layouts = {"missed_limits": missed_layout(self._counted)}
-        # Offset = period: with offset 0 the periodic event would repeat the first one.
-        self.DeclareInitializationDiscreteUpdateEvent(self._update)
-        # An event at each sample of the controllers, of which every `_samples_per_update`-th is an
-        # update. An event of the update's own period would, by rounding, come at some of their
-        # samples and just before others.
-        self._sample_period = model.control_period or config.period
-        self._samples_per_update = round(config.period / self._sample_period)
-        self.DeclarePeriodicDiscreteUpdateEvent(
-            self._sample_period, self._sample_period, self._update_at_sample
+        self.declare(
+            config.period,
+            parameters=[config.frequency, config.amplitude],
+            last_wrench_rate=np.zeros(WRENCH_SIZE),
+            bound_in_force=[config.speed_bound],
+            is_changing=np.zeros(1),
         )
+
+    @classmethod
+    def check(cls, model: Model, config: NonstopOptimizerConfig) -> None:
+        """Raises ScenarioError for a config that cannot be used with the model."""
+        check_problem(BOX, config, model)
 
     @property
     def trace_key(self) -> Any:
@@ -209,17 +142,10 @@ class NonstopOptimizer(SpeedBoundLayer):
         return pickle.dumps((self.solver.trace_key, timing))
 
     def trace_parameters(self, context: Context) -> NDArray:
-        """What `traced_attempt` takes of the parameters, as a flat `_TraceNumbers`."""
-        numbers = self._numbers_in(context)
-        first = [float(self.is_enabled(context)), numbers.speed_bound, self.highest_speed_bound]
-        return np.concatenate([first, self.solver.tightening, numbers.beliefs])
-
-    def traced_output(self, port: str, at: At) -> NDArray:
-        if port == "speed_bound":
-            known = _TraceNumbers.view(at.parameters)
-            return self.traced_bound(at, known.bound, known.highest)
-        ports = ["parameters", "diagnostics", "solve_time"]
-        return at.state(1 + ports.index(port) if port in ports else 7)
+        """The bounds (2,), 1 or 0 as it is enabled, `UpdateSolver.tightening` (3,), `Beliefs`."""
+        bounds, numbers = super().trace_parameters(context), self._numbers_in(context)
+        enabled = [float(self.is_enabled(context))]
+        return np.concatenate([bounds, enabled, self.solver.tightening, numbers.beliefs])
 
     @property
     def traced_search(self) -> SearchFunctions | None:
@@ -228,113 +154,91 @@ class NonstopOptimizer(SpeedBoundLayer):
 
     def traced_attempt(self, at: At, found: NDArray) -> TracedAttempt:
         """The states after a sample that keeps the parameters, or changes them to what is found."""
-        known = _TraceNumbers.view(at.parameters)
-        states = [at.state(k) for k in range(1, 8 if self._missed is not None else 7)]
-        previous, diagnostics, _, last_wrench_rate, bound_in_force, is_changing = states[:6]
-        bound = self.traced_bound(at, known.bound, known.highest)
-        aim = traced_tightened(bound, known.tightening)
-        wrench_rate = at.input("wrench_rate")
-        updates = Diagnostics(*diagnostics).updates
+        _, enabled, tightening, beliefs = np.split(at.parameters, [2, 3, 6])
+        states, bound = self.states(at), self.traced_bound(at)
+        aim = traced_tightened(bound, tightening)
+        updates = Diagnostics(*states["diagnostics"]).updates
         data = UpdateData(
-            previous=previous,
-            phase=at.input("phase"),
-            load_state=at.input("measured_load_state"),
-            reference=at.input("reference"),
-            wrench=at.input("wrench"),
-            wrench_rate=wrench_rate,
-            wrench_second_rate=(wrench_rate - last_wrench_rate) / self._period,
+            **self._motion(at, states),
             speed_bound=aim,
             speed_unit=chosen(bound[0] > 0, aim, np.ones(1)),
             orbit_turn=np.zeros(1),
             anchor_weight=np.zeros(1),
-            wind=np.zeros(WIND_SIZE) if self._wind is None else at.input_or(_WIND, np.zeros(3)),
-            beliefs=known.beliefs,
+            beliefs=beliefs,
         )
         answer = self.solver.traced_answer(data, updates, found)
         conditions = [
             answer.holds,
-            known.enabled[0] == 1,
-            bound[0] == bound_in_force[0],
-            is_changing[0] == 0,
+            enabled[0] == 1,
+            bound[0] == states["bound_in_force"][0],
+            states["is_changing"][0] == 0,
             updates > 0,
         ]
-        number = casadi.fmod(
-            casadi.floor(at.time[0] / self._sample_period + 0.5), self._samples_per_update
-        )
-        is_update = number == 0
-        counted = [diagnostics.copy(), diagnostics.copy()]
-        for values, outcome in zip(counted, (Outcome.SOLVED, Outcome.KEPT), strict=True):
-            count_update(values, outcome, answer.slowest_speed - bound[0])
-        after = [
-            answer.parameters,
-            chosen(found[0] > 0, *counted),
-            np.zeros(1),
-            wrench_rate,
-            *states[4:],
+        is_update, margin = self.is_update(at.time[0]), answer.slowest_speed - bound[0]
+        counted = [
+            self.counted(states, outcome, margin)["diagnostics"]
+            for outcome in (Outcome.SOLVED, Outcome.KEPT)
         ]
+        after = states | {
+            "parameters": answer.parameters,
+            "diagnostics": chosen(found[0] > 0, *counted),
+            "solve_time": np.zeros(1),
+            "last_wrench_rate": data.wrench_rate,
+        }
         return TracedAttempt(
-            states=[chosen(is_update, *pair) for pair in zip(after, states, strict=True)],
+            states=[chosen(is_update, after[name], states[name]) for name in states],
             holds=casadi.logic_or(
                 functools.reduce(casadi.logic_and, conditions), casadi.logic_not(is_update)
             ),
             data=answer.data,
         )
 
+    def _motion(self, at: At | InContext, states: dict[str, NDArray]) -> dict[str, NDArray]:
+        """What `UpdateData` have of states and inputs."""
+        wrench_rate = at.input("wrench_rate")
+        return {
+            "previous": states["parameters"],
+            "phase": at.input("phase"),
+            "load_state": at.input("measured_load_state"),
+            "reference": at.input("reference"),
+            "wrench": at.input("wrench"),
+            "wrench_rate": wrench_rate,
+            "wrench_second_rate": (wrench_rate - states["last_wrench_rate"]) / self._period,
+            "wind": self.wind(at),
+        }
+
     def begin_anew(self, context: Context) -> None:
         """Lets what has not been updated begin with the parameters of the context, its own."""
-        diagnostics = context.get_discrete_state(self._diagnostics).value()
-        is_changing = context.get_discrete_state(self._is_changing).value()[0] > 0
-        if update_count(diagnostics) > 0 or is_changing:
+        states = self.states(InContext(self, context))
+        if update_count(states["diagnostics"]) > 0 or states["is_changing"][0] > 0:
             return
         numbers = self._numbers_in(context)
-        context.SetDiscreteState(self._state, numbers.nominal)
-        context.SetDiscreteState(self._bound_in_force, [numbers.speed_bound])
+        context.SetDiscreteState(self._groups["parameters"], numbers.nominal)
+        context.SetDiscreteState(self._groups["bound_in_force"], [numbers.speed_bound])
 
-    def _update_at_sample(self, context: Context, discrete_state: DiscreteValues) -> None:
-        if round(context.get_time() / self._sample_period) % self._samples_per_update == 0:
-            self._update(context, discrete_state)
-
-    def _update(self, context: Context, discrete_state: DiscreteValues) -> None:
-        self.require_floats(
-            "give ConstantParameters, with its frequency and amplitude, in place of "
-            "NonstopOptimizer"
-        )
-        previous = context.get_discrete_state(self._state).CopyToVector()
-        numbers = self._numbers_in(context)
-        wrench_rate = self._wrench_rate.Eval(context)
-        bound = self._wanted_bound(context, numbers)
+    def updated(self, context: Context) -> Mapping[str, ArrayLike]:
+        """The states after an update."""
+        at, numbers = InContext(self, context), self._numbers_in(context)
+        states, wrench_rate = self.states(at), at.input("wrench_rate")
+        previous, bound = states["parameters"], float(self.bound_in(context)[0])
         if not self.is_enabled(context):
-            parameters = step_towards(previous, numbers.nominal, **self._times)
-            discrete_state.set_value(self._state, parameters)
-            discrete_state.set_value(self._bound_in_force, [0.0])
-            discrete_state.set_value(self._is_changing, [1.0])
-            discrete_state.set_value(self._last_wrench_rate, wrench_rate)
-            return
-        last_bound = context.get_discrete_state(self._bound_in_force).value()[0]
-        is_changing = context.get_discrete_state(self._is_changing).value()[0] > 0
+            return {
+                "parameters": step_towards(previous, numbers.nominal, **self._times),
+                "bound_in_force": [0.0],
+                "is_changing": [1.0],
+                "last_wrench_rate": wrench_rate,
+            }
+        last_bound, is_changing = states["bound_in_force"][0], states["is_changing"][0] > 0
         is_rising = last_bound < bound
         if is_rising:
             bound = raised_bound(last_bound, bound, **self._times)
-        diagnostics = context.get_discrete_state(self._diagnostics).CopyToVector()
-        updates = update_count(diagnostics)
-        last_wrench_rate = wrench_rate
-        if updates > 0:
-            last_wrench_rate = context.get_discrete_state(self._last_wrench_rate).value()
-        inputs = (
-            previous,
-            self._phase.Eval(context),
-            self._measured_load_state.Eval(context),
-            self._reference.Eval(context),
-            self._wrench.Eval(context),
-            wrench_rate,
-            (wrench_rate - last_wrench_rate) / self._period,
-        )
-        wind = np.zeros(WIND_SIZE)
-        if self._wind is not None and self._wind.HasValue(context):
-            wind = self._wind.Eval(context)
+        updates = update_count(states["diagnostics"])
+        if updates == 0:
+            states["last_wrench_rate"] = wrench_rate
+        motion = self._motion(at, states)
         start = time.perf_counter()
         data = self.solver.update_data(
-            *inputs, speed_bound=bound, updates=updates, beliefs=numbers.beliefs, wind=wind
+            **motion, speed_bound=bound, updates=updates, beliefs=numbers.beliefs
         )
         parameters, outcome, slowest_speed = self.solver.solve(data)
         if is_changing or is_rising:
@@ -346,19 +250,17 @@ class NonstopOptimizer(SpeedBoundLayer):
                 slowest_speed = self.solver.problem(data).slowest_speed(parameters)
             is_changing = is_rising or outcome > Outcome.SOLVED
         solve_time = time.perf_counter() - start
-        count_update(diagnostics, outcome, slowest_speed - bound)
-        if self._missed is not None:
-            missed = context.get_discrete_state(self._missed).CopyToVector()
-            if outcome > Outcome.SOLVED:
-                kinds = self.solver.problem(data).missed_kinds(parameters)
-                count_missed(missed, self._counted, kinds)
-            discrete_state.set_value(self._missed, missed)
-        discrete_state.set_value(self._state, parameters)
-        discrete_state.set_value(self._diagnostics, diagnostics)
-        discrete_state.set_value(self._last_wrench_rate, wrench_rate)
-        discrete_state.set_value(self._solve_time, [solve_time])
-        discrete_state.set_value(self._bound_in_force, [bound])
-        discrete_state.set_value(self._is_changing, [float(is_changing)])
+        missed: Collection[str] = ()
+        if self._counted and outcome > Outcome.SOLVED:
+            missed = self.solver.problem(data).missed_kinds(parameters)
+        return {
+            "parameters": parameters,
+            "last_wrench_rate": wrench_rate,
+            "solve_time": [solve_time],
+            "bound_in_force": [bound],
+            "is_changing": [float(is_changing)],
+            **self.counted(states, outcome, slowest_speed - bound, missed),
+        }
 
 
 @dataclass(kw_only=True)

@@ -3,49 +3,28 @@
 import math
 import threading
 import time as clock
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import casadi
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from pydrake.common.value import AbstractValue, Value
-from pydrake.systems.framework import (
-    BasicVector,
-    Context,
-    DependencyTicket,
-    DiscreteStateIndex,
-    DiscreteValues,
-    InputPort,
-    State,
-    ValueProducer,
-)
+from pydrake.systems.framework import Context, DependencyTicket, State, ValueProducer
 
 from drake_nonstop.blocks.speed_bound_layer import (
     BOX,
     COMMAND,
+    WIND,
     LayerNumbers,
     SpeedBoundLayer,
 )
 from drake_nonstop.mechanics.reference_preview import ReferencePreview, continued_reference
 from drake_nonstop.mechanics.rigid_load import STILL_AIR
-from drake_nonstop.mechanics.signals import (
-    LOAD_REFERENCE_SIZE,
-    PARAMETERS_SIZE,
-    PLANNED_SIZE,
-    WIND_SIZE,
-    PlannedParameters,
-)
+from drake_nonstop.mechanics.signals import PLANNED_SIZE, PlannedParameters
 from drake_nonstop.model.system import Model
-from drake_nonstop.optimization.diagnostics import (
-    DIAGNOSTICS_SIZE,
-    LAYER_LAYOUTS,
-    Outcome,
-    count_missed,
-    count_update,
-    missed_layout,
-    missed_limits_of,
-)
+from drake_nonstop.optimization.diagnostics import Outcome
 from drake_nonstop.optimization.horizon_check import check_horizon
 from drake_nonstop.optimization.horizon_problem import (
     HorizonConfig,
@@ -60,26 +39,22 @@ from drake_nonstop.optimization.horizon_solver import (
     PlanAnswer,
 )
 from drake_nonstop.optimization.plan import DEGREE, Plan, traced_plan_values
-from drake_nonstop.optimization.problem_config import (
-    LimitsConfig,
-    check_limits,
-    check_pattern,
-    with_stated_bound,
-)
+from drake_nonstop.optimization.problem_config import LimitsConfig, check_limits, check_pattern
 from drake_nonstop.optimization.update_data import Beliefs
 from drake_nonstop.systems.block import weakly
 from drake_nonstop.systems.diagram_trace import At, TracedAttempt
+from drake_nonstop.systems.in_context import InContext
 from drake_nonstop.systems.tracing import NotFiniteError
 from drake_nonstop.validation import require
 
 _PREVIEW = "reference_preview"  # an optional input
-_WIND = "wind_estimate"  # an optional input, of aircraft
 _MANY_ITERATIONS = 20  # of a plan that no earlier one leads to
 _MOST_ITERATIONS = 100  # of any other
 _FAR_FROM_FEASIBLE = 0.01  # slack of plans that may be on a branch from which no step leads
 _ANEW = 0.0  # in place of a factor of `_Effort`: constant ξ and A that are searched for
 _NO_PLAN = 0.0  # in place of a scale
-_VALUES = 4  # the place of the values of a plan among the discrete states, from 1 on
+# States: a flat `_PlanState`, and the values of its plan (8,) at the last sample.
+_LAST, _VALUES = "last_plan", "values"
 
 
 @dataclass(kw_only=True)
@@ -136,60 +111,30 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
     reads = ("reference", "reference_preview", "wind_estimate", "speed_bound_command")
     makes = ("parameters", "plan", "diagnostics", "solve_time", "speed_bound", "missed_limits")
 
-    where: ClassVar = {_WIND: "there are aircraft", "missed_limits": "limits are asked for"}
-    signal_layouts = LAYER_LAYOUTS
-    optional_inputs = (_PREVIEW, _WIND, COMMAND)
+    computed = ("parameters", "plan", "speed_bound")
+    optional_inputs = (_PREVIEW, WIND, COMMAND)
 
     def __init__(self, model: Model, config: RecedingHorizonOptimizerConfig | None = None):
-        config = with_stated_bound(BOX, config or RecedingHorizonOptimizerConfig(), model)
-        super().__init__(model, config, _check, _structure)
-        config = timed(config, config.frequency, model.control_period)
-        self._model, self._config = model, config
-        self._reference = self.DeclareVectorInputPort("reference", LOAD_REFERENCE_SIZE)
-        self._preview = self.DeclareAbstractInputPort(_PREVIEW, Value(object()))
-        self._wind: InputPort | None = None
-        if model.aircraft is not None:
-            self._wind = self.DeclareVectorInputPort(_WIND, WIND_SIZE)
+        super().__init__(model, config)
+        config = timed(self._config, self._config.frequency, model.control_period)
+        self._config = config
         self._planner = _Planner(model, config, self.get_name) if self.scalar is float else None
         count = round(config.horizon / config.knot_spacing) + DEGREE
         nominal = np.array([config.frequency, config.amplitude])
         ones = np.ones((2, count))
         first = _PlanState(0.0, 0.0, _NO_PLAN, config.speed_bound, 0.0, nominal, ones)
-        self._plan = self.DeclareDiscreteState(first.flat())
+        is_held = model.control_period > 0
+        held = {_VALUES: _resting(nominal)} if is_held else {}
+        self.declare(config.knot_spacing, **{_LAST: first.flat()}, **held)
         entry = self.DeclareCacheEntry(
             "plan",
             ValueProducer(Value(()).Clone, weakly(self._calc_plan)),
-            {self.discrete_state_ticket(self._plan)},
+            {self.discrete_state_ticket(self._groups[_LAST])},
         )
         self._plan_entry = entry.cache_index()
-        self._diagnostics = self.DeclareDiscreteState(DIAGNOSTICS_SIZE)
-        self._solve_time = self.DeclareDiscreteState(1)
-        self._missed: DiscreteStateIndex | None = None
-        self._values: DiscreteStateIndex | None = None
-        if model.control_period > 0:
-            self._values = self.DeclareDiscreteState(_resting(nominal))
-        self.declare_command()
-        sources = self._sources_of_values()
-        self.DeclareVectorOutputPort("parameters", PARAMETERS_SIZE, self._calc_parameters, sources)
-        self.DeclareVectorOutputPort("plan", PLANNED_SIZE, self._calc_values, sources)
-        self.DeclareStateOutputPort("diagnostics", self._diagnostics)
-        self.DeclareStateOutputPort("solve_time", self._solve_time)
-        self.declare_bound()
-        self._counted = missed_limits_of(config, model)
-        self.signal_layouts = {}
-        if self._counted:
-            self._missed = self.DeclareDiscreteState(len(self._counted))
-            self.DeclareStateOutputPort("missed_limits", self._missed)
-            self.signal_layouts = {"missed_limits": missed_layout(self._counted)}
-        self.DeclareInitializationDiscreteUpdateEvent(self._update)
-        self._sample_period = model.control_period or config.knot_spacing
-        self._samples_per_plan = round(config.knot_spacing / self._sample_period)
-        self.DeclarePeriodicDiscreteUpdateEvent(
-            self._sample_period, self._sample_period, self._update_at_sample
-        )
         # Unrestricted, because Drake runs these before the discrete updates: what samples or holds
         # at the same instant reads the plan of that instant.
-        if self._values is not None:
+        if is_held:
             self.DeclarePeriodicUnrestrictedUpdateEvent(
                 self._sample_period, self._sample_period, self._go_on
             )
@@ -197,61 +142,81 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
     updates_first = True
     shows_first_update = True  # to what samples it at the start
 
-    def _sources_of_values(self) -> set[DependencyTicket]:
-        """What the values of the plan are declared to depend on.
+    def sources_of(self, output: str) -> set[DependencyTicket]:
+        """What the bound or the values of the plan are declared to depend on.
 
-        At samples neither on the time nor on the preview, which change between them: all that reads
-        the plan would be computed anew in each step. They count only where there is no plan yet.
+        At samples these depend neither on the time nor on the preview, which change between them:
+        all that reads the plan would be computed anew in each step. They count only where there is
+        no plan yet.
         """
-        if self._values is None:
+        if output == "speed_bound":
+            return super().sources_of(output)
+        if _VALUES not in self._groups:
             return {self.all_sources_ticket()}
-        inputs = [self._reference, self._command, *([] if self._wind is None else [self._wind])]
-        return {
-            self.all_parameters_ticket(),
-            self.discrete_state_ticket(self._plan),
-            self.discrete_state_ticket(self._values),
-            *(self.input_port_ticket(port.get_index()) for port in inputs),
-        }
+        states = {self.discrete_state_ticket(self._groups[name]) for name in (_LAST, _VALUES)}
+        return states | self.tickets("reference", COMMAND, WIND)
+
+    def shown(self, output: str, context: Context) -> NDArray:
+        """What an output shows: the bound, the values of the plan or its parameters."""
+        if output == "speed_bound":
+            return super().shown(output, context)
+        values = self._values_in(context)
+        return values if output == "plan" else _parameters_of(values)
 
     @property
     def trace_key(self) -> Any:
         """What the values of a plan depend on besides the plan."""
-        return self._config.knot_spacing, self._sample_period, self._samples_per_plan
-
-    def trace_parameters(self, context: Context) -> NDArray:
-        """The speed bound and the highest one (2,), m/s."""
-        return np.array([self._numbers_in(context).speed_bound, self.highest_speed_bound])
+        return self._config.knot_spacing, self._sample_period, self._samples_per_update
 
     def traced_output(self, port: str, at: At) -> NDArray:
-        if port == "speed_bound":
-            return self.traced_bound(at, *np.split(at.parameters, 2))
-        values = at.state(_VALUES)
+        """What a port shows."""
         if port == "parameters":
-            planned = PlannedParameters.view(values)
-            return np.concatenate([planned.frequency, planned.amplitude])
-        places = {"plan": _VALUES, "diagnostics": 2, "solve_time": 3, "missed_limits": _VALUES + 1}
-        return at.state(places[port])
+            return _parameters_of(self.states(at)[_VALUES])
+        return super().traced_output(_VALUES if port == "plan" else port, at)
 
     def traced_update(self, at: At) -> list[NDArray]:
-        states = self._traced_states(at)
-        vector = states[0]
-        states[_VALUES - 1] = traced_plan_values(
-            (vector[0], vector[1]),
+        """The states after a sample."""
+        states = self.states(at)
+        last = _PlanState.view(states[_LAST])
+        states[_VALUES] = traced_plan_values(
+            (last.start_time, last.start_angle),
             self._config.knot_spacing,
-            vector[5:7],
-            vector[7:].reshape(2, -1),
+            last.nominal,
+            last.coefficients,
             at.time[0],
         )
-        return states
+        return [*states.values()]
 
     def traced_attempt(self, at: At, found: NDArray) -> TracedAttempt:
         """The states after a sample that has no new plan."""
-        samples = casadi.floor(at.time[0] / self._sample_period + 0.5)
-        keeps = casadi.fmod(samples, self._samples_per_plan) != 0
-        return TracedAttempt(self._traced_states(at), keeps)
+        return TracedAttempt(
+            [*self.states(at).values()], casadi.logic_not(self.is_update(at.time[0]))
+        )
 
-    def _traced_states(self, at: At) -> list[NDArray]:
-        return [at.state(k) for k in range(1, _VALUES + 1 + (self._missed is not None))]
+    @classmethod
+    def structure(cls, model: Model, config: RecedingHorizonOptimizerConfig) -> tuple[float, float]:
+        """The times of the horizon."""
+        times = timed(config, config.frequency, model.control_period)
+        return times.horizon, times.knot_spacing
+
+    @classmethod
+    def check(cls, model: Model, config: RecedingHorizonOptimizerConfig) -> None:
+        """Raises ScenarioError for a config that cannot be used with the model."""
+        remedy = "the pattern has no orbits that it could change; give !TurnRateOptimizer and "
+        remedy += "load_trajectory: !PlannedTurn, whose load turns with its aircraft"
+        can_turn = model.aircraft is not None and model.pattern.is_constant
+        require(not can_turn, BOX, "RecedingHorizonOptimizer", remedy)
+        check_limits(BOX, config, model)
+        check_horizon(BOX, config, config, model)
+        check_pattern(BOX, model, "RecedingHorizonOptimizer")
+        require(
+            1 <= config.max_iterations <= _MOST_ITERATIONS,
+            f"{BOX}.max_iterations",
+            config.max_iterations,
+            f"give 1 to {_MOST_ITERATIONS}",
+        )
+        remedy = "give a time above zero"
+        require(config.time_limit > 0, f"{BOX}.time_limit", config.time_limit, remedy)
 
     def begin_anew(self, context: Context) -> None:
         """Lets what has no plan begin with the parameters of the context, its own."""
@@ -259,9 +224,10 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
         if last.scale != _NO_PLAN:
             return
         numbers = self._numbers_in(context)
-        context.SetDiscreteState(self._plan, last._replace(nominal=numbers.nominal).flat())
-        if self._values is not None:
-            context.SetDiscreteState(self._values, _resting(numbers.nominal))
+        last = last._replace(nominal=numbers.nominal)
+        context.SetDiscreteState(self._groups[_LAST], last.flat())
+        if _VALUES in self._groups:
+            context.SetDiscreteState(self._groups[_VALUES], _resting(numbers.nominal))
 
     def _calc_plan(self, context: Context, value: AbstractValue) -> None:
         value.set_value(self._last(context).plan(self._config.knot_spacing))
@@ -273,74 +239,49 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
         """The plan's at the last sample; where there is none, of that which is made now."""
         if self.scalar is float and self._last(context).scale == _NO_PLAN:
             plan = self._next(context).state.plan(self._config.knot_spacing)
-            return np.array(plan.values(context.get_time()))
-        if self._values is not None:
-            return context.get_discrete_state(self._values).CopyToVector()
-        return np.array(self._plan_in(context).values(context.get_time()))
-
-    def _calc_values(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._values_in(context))
-
-    def _calc_parameters(self, context: Context, output: BasicVector) -> None:
-        planned = PlannedParameters.view(self._values_in(context))
-        output.SetFromVector(np.concatenate([planned.frequency, planned.amplitude]))
-
-    def _update_at_sample(self, context: Context, discrete_state: DiscreteValues) -> None:
-        samples = round(context.get_time() / self._sample_period)
-        if samples % self._samples_per_plan == 0:
-            self._update(context, discrete_state)
+        elif _VALUES in self._groups:
+            return context.get_discrete_state(self._groups[_VALUES]).CopyToVector()
+        else:
+            plan = self._plan_in(context)
+        return np.array(plan.values(context.get_time()))
 
     def _go_on(self, context: Context, state: State) -> None:
         values = self._plan_in(context).values(context.get_time())
-        state.get_mutable_discrete_state().set_value(self._values, values)
+        state.get_mutable_discrete_state().set_value(self._groups[_VALUES], values)
 
-    def _update(self, context: Context, discrete_state: DiscreteValues) -> None:
-        self.require_floats(
-            "give ConstantParameters, with its frequency and amplitude, in place of "
-            "RecedingHorizonOptimizer"
-        )
-        planned = self._next(context)
+    def updated(self, context: Context) -> Mapping[str, ArrayLike]:
+        """The states after a new plan."""
+        made = self._next(context)
+        after: dict[str, ArrayLike] = {_LAST: made.state.flat(), "solve_time": [made.solve_time]}
+        if _VALUES in self._groups:
+            after[_VALUES] = made.state.plan(self._config.knot_spacing).values(context.get_time())
         if self.is_enabled(context):
-            bound = self._wanted_bound(context, self._numbers_in(context))
-            diagnostics = context.get_discrete_state(self._diagnostics).CopyToVector()
-            count_update(diagnostics, planned.outcome, planned.slowest_speed - bound)
-            discrete_state.set_value(self._diagnostics, diagnostics)
-            if self._missed is not None:
-                missed = context.get_discrete_state(self._missed).CopyToVector()
-                count_missed(missed, self._counted, planned.missed)
-                discrete_state.set_value(self._missed, missed)
-        discrete_state.set_value(self._plan, planned.state.flat())
-        discrete_state.set_value(self._solve_time, [planned.solve_time])
-        if self._values is not None:
-            plan = planned.state.plan(self._config.knot_spacing)
-            discrete_state.set_value(self._values, plan.values(context.get_time()))
+            states = self.states(InContext(self, context))
+            margin = made.slowest_speed - float(self.bound_in(context)[0])
+            after |= self.counted(states, made.outcome, margin, made.missed)
+        return after
 
     def _next(self, context: Context) -> "_Planned":
         """The plan that is made at the time of the context."""
         assert self._planner is not None
-        numbers = self._numbers_in(context)
+        wind = self.wind(InContext(self, context)).copy() if self._config.wind else STILL_AIR
         return self._planner.plan(
             context.get_time(),
             self._reference_ahead(context),
-            self._wanted_bound(context, numbers) if self.is_enabled(context) else 0.0,
-            numbers,
+            float(self.bound_in(context)[0]) if self.is_enabled(context) else 0.0,
+            self._numbers_in(context),
             self._last(context),
-            self._wind_in(context),
+            wind,
         )
 
     def _last(self, context: Context) -> "_PlanState":
-        return _PlanState.view(context.get_discrete_state(self._plan).CopyToVector())
-
-    def _wind_in(self, context: Context) -> NDArray:
-        """The wind (3,) that the aircraft fly in, as far as it is known, m/s, in W."""
-        if self._wind is None or not self._config.wind or not self._wind.HasValue(context):
-            return STILL_AIR
-        return self._wind.Eval(context).copy()
+        return _PlanState.view(context.get_discrete_state(self._groups[_LAST]).CopyToVector())
 
     def _reference_ahead(self, context: Context) -> ReferencePreview:
         """The load's reference at times from now on."""
-        if self._config.preview and self._preview.HasValue(context):
-            preview = self._preview.Eval(context)
+        port = self.GetInputPort(_PREVIEW)
+        if self._config.preview and port.HasValue(context):
+            preview = port.Eval(context)
             end = context.get_time() + self._config.horizon
             require(
                 preview.end_time >= end,
@@ -350,7 +291,7 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
                 f"{BOX}.horizon",
             )
             return preview
-        now, reference = context.get_time(), self._reference.Eval(context).copy()
+        now, reference = context.get_time(), self.GetInputPort("reference").Eval(context).copy()
         return ReferencePreview(
             lambda time: continued_reference(reference, time - now),
             references=lambda times: continued_reference(reference, times - now),
@@ -360,6 +301,12 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
 def _resting(nominal: NDArray) -> NDArray:
     """The vector (8,) of `plan` at nominal [ξ, A] (2,), at the start."""
     return np.concatenate([[0.0], nominal, np.zeros(PLANNED_SIZE - 3)])
+
+
+def _parameters_of(values: NDArray) -> NDArray:
+    """[ξ, A] (2,) of the vector (8,) of `plan`."""
+    planned = PlannedParameters.view(values)
+    return np.concatenate([planned.frequency, planned.amplitude])
 
 
 class _PlanState(NamedTuple):
@@ -486,15 +433,8 @@ class _Planner(threading.local):
             self._last = known = key, (*made, math.sqrt(squares.min()))
         answer, outcome, slowest = known[1]
         coefficients, slack = answer.coefficients, answer.slack
-        state = _PlanState(
-            start_time,
-            angle,
-            answer.scale,
-            speed_bound,
-            slack,
-            numbers.nominal,
-            coefficients,
-        )
+        begin = start_time, angle, answer.scale, speed_bound, slack
+        state = _PlanState(*begin, numbers.nominal, coefficients)
         solve_time = clock.perf_counter() - began
         if solve_time > self._config.time_limit and not is_first:
             state, outcome, coefficients, slack = last, Outcome.HELD, start, math.inf
@@ -532,13 +472,9 @@ class _Planner(threading.local):
         effort: _Effort,
     ) -> tuple[PlanAnswer, Outcome]:
         def improved(coefficients: NDArray, scale: float) -> PlanAnswer:
-            if is_new:
-                return solver.solve(
-                    data, coefficients, max_iterations=_MANY_ITERATIONS, scale=scale
-                )
-            iterations = self._config.max_iterations
+            iterations = _MANY_ITERATIONS if is_new else self._config.max_iterations
             answer = solver.solve(data, coefficients, max_iterations=iterations, scale=scale)
-            if answer.is_feasible:
+            if is_new or answer.is_feasible:
                 return answer
             return solver.solve(
                 data,
@@ -577,25 +513,3 @@ class _Planner(threading.local):
             )
             self._solvers[fixed] = known = key, HorizonSolver(problem)
         return known[1]
-
-
-def _structure(model: Model, config: RecedingHorizonOptimizerConfig) -> tuple[float, float]:
-    times = timed(config, config.frequency, model.control_period)
-    return times.horizon, times.knot_spacing
-
-
-def _check(box: str, config: RecedingHorizonOptimizerConfig, model: Model) -> None:
-    remedy = "the pattern has no orbits that it could change; give !TurnRateOptimizer and "
-    remedy += "load_trajectory: !PlannedTurn, whose load turns with its aircraft"
-    can_turn = model.aircraft is not None and model.pattern.is_constant
-    require(not can_turn, box, "RecedingHorizonOptimizer", remedy)
-    check_limits(box, config, model)
-    check_horizon(box, config, config, model)
-    check_pattern(box, model, "RecedingHorizonOptimizer")
-    require(
-        1 <= config.max_iterations <= _MOST_ITERATIONS,
-        f"{box}.max_iterations",
-        config.max_iterations,
-        f"give 1 to {_MOST_ITERATIONS}",
-    )
-    require(config.time_limit > 0, f"{box}.time_limit", config.time_limit, "give a time above zero")

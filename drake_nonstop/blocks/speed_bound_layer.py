@@ -1,77 +1,217 @@
-"""What the layers that keep a speed bound share: parameters in the context, and ε as an input."""
+"""What the layers of the box "Optimization Layer" share: ports, states, updates and the bound."""
 
-from collections.abc import Callable
+import weakref
+from collections.abc import Collection, Mapping
 from dataclasses import replace
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, ClassVar, NamedTuple
 
 import casadi
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from pydrake.common.value import AbstractValue, Value
 from pydrake.systems.framework import (
-    BasicVector,
     BasicVector_,
     Context,
+    DependencyTicket,
+    DiscreteValues,
     InputPort,
     ValueProducer,
 )
 
 from drake_nonstop.mechanics.cable import compliance_of
+from drake_nonstop.mechanics.rigid_load import STILL_AIR
+from drake_nonstop.mechanics.signal_layouts import SIGNALS
 from drake_nonstop.model.block_parameters import AIRCRAFT_NUMBERS, LOAD, BlockParameters, Rules
 from drake_nonstop.model.system import OFFSET, Model
+from drake_nonstop.optimization.diagnostics import (
+    DIAGNOSTICS_SIZE,
+    LAYER_LAYOUTS,
+    Outcome,
+    count_missed,
+    count_update,
+    missed_layout,
+    missed_limits_of,
+)
 from drake_nonstop.optimization.problem_config import (
     LEAST_BOUND,
-    LimitsConfig,
     check_speed_bound,
     highest_speed_bound,
     range_for,
+    with_stated_bound,
 )
 from drake_nonstop.optimization.update_data import Beliefs
 from drake_nonstop.systems.block import LeafBlock, weakly
 from drake_nonstop.systems.diagram_trace import At
+from drake_nonstop.systems.documentation import own_config_class
+from drake_nonstop.systems.in_context import InContext
 from drake_nonstop.systems.parameters import declare_parameters
 from drake_nonstop.systems.tracing import chosen
 from drake_nonstop.validation import require
 
 BOX = "optimization_layer"
 COMMAND = "speed_bound_command"  # an optional input of the box
+WIND = "wind_estimate"  # an optional input of the box, of aircraft
+_MISSED = "missed_limits"
 _OWN = ("speed_bound", "frequency", "amplitude", "frequency_bounds", "amplitude_bounds")
 
-_Config = TypeVar("_Config", bound=LimitsConfig)
 
+class PeriodicLayer(LeafBlock):
+    """A layer that makes an update every some samples of the controllers, and counts how they end.
 
-def _layer_parameters(
-    model: Model,
-    config: _Config,
-    check: Callable[[str, _Config, Model], None],
-    structure: Callable[[Model, _Config], Any],
-) -> BlockParameters:
-    """Those of a layer; amplitude bounds of zero stand for those from the weight.
+    It declares the inputs of `reads`. A class below calls `declare`; its `updated` makes the states
+    after an update.
 
     Args:
         model: what the controllers believe.
-        config: the layer's.
-        check: raises ScenarioError for a config of the named box that cannot be used.
-        structure: what of model and config decides how the layer is built, see `Rules`.
+        config: the layer's, None: the default values.
+
+    Attributes:
+        computed: the outputs of `shown`; the others show the states of their names.
     """
 
-    def check_all(model: Model, config: _Config) -> None:
-        if not any(config.amplitude_bounds):
-            config = replace(config, amplitude_bounds=[])
-        check(BOX, config, model)
-        check_bound(highest_speed_bound(config), config.speed_bound)
-
-    return BlockParameters(
-        model,
-        (*LOAD, "cable_length", "cable_stiffness", *model.offset_parameter),
-        config=replace(config, amplitude_bounds=config.amplitude_bounds or [0.0, 0.0]),
-        own=_OWN,
-        rules=Rules(
-            check=check_all,
-            structure=structure,
-            fixed=AIRCRAFT_NUMBERS if model.aircraft is not None else (),
-        ),
+    makes: ClassVar[tuple[str, ...]] = (
+        "parameters",
+        "diagnostics",
+        "solve_time",
+        "speed_bound",
+        _MISSED,
     )
+
+    where: ClassVar = {WIND: "there are aircraft", _MISSED: "limits are asked for"}
+    computed: ClassVar[tuple[str, ...]] = ("speed_bound",)
+    is_sampled = True
+    signal_layouts = LAYER_LAYOUTS
+    optional_inputs: tuple[str, ...] = (COMMAND, WIND)
+
+    def __init__(self, model: Model, config: Any = None):
+        super().__init__()
+        config = with_stated_bound(BOX, config or own_config_class(type(self))(), model)
+        self.check(model, config)
+        self._model, self._config = model, config
+        self.parameters = self.block_parameters(model, config)
+        declare_parameters(self, self.parameters)
+        for name in filter(SIGNALS.__contains__, self.reads):  # others a class below declares
+            if SIGNALS[name] is None:
+                self.DeclareAbstractInputPort(name, Value(object()))
+            elif name != WIND or model.aircraft is not None:
+                self.DeclareVectorInputPort(name, _size(model, name))
+
+    @classmethod
+    def check(cls, model: Model, config: Any) -> None:
+        """Raises ScenarioError for a config that cannot be used with the model."""
+
+    def block_parameters(self, model: Model, config: Any) -> BlockParameters:
+        """What of system and config the context holds."""
+        raise NotImplementedError
+
+    def updated(self, context: Context) -> Mapping[str, ArrayLike]:
+        """The states that an update changes, by name, after it."""
+        raise NotImplementedError
+
+    def declare(self, period: float, **states: ArrayLike) -> None:
+        """Declares the states, the outputs and the updates, every `period` s.
+
+        `states` are what the first update finds. Those that all layers have come after the first.
+        """
+        self._counted = missed_limits_of(self._config, self._model)
+        self.signal_layouts = {_MISSED: missed_layout(self._counted)} if self._counted else {}
+        first = next(iter(states))
+        shared = {"diagnostics": np.zeros(DIAGNOSTICS_SIZE), "solve_time": np.zeros(1)}
+        values: dict[str, ArrayLike] = {first: states[first], **shared, **states}
+        if self._counted:
+            values[_MISSED] = np.zeros(len(self._counted))
+        self._groups = {name: self.DeclareDiscreteState(value) for name, value in values.items()}
+        for name in self.makes:
+            if name in self._groups:
+                self.DeclareStateOutputPort(name, self._groups[name])
+            elif name in self.computed:
+                calc, size = self._shown(name), _size(self._model, name)
+                self.DeclareVectorOutputPort(name, size, calc, self.sources_of(name))
+        # An event at each sample of the controllers, of which every `_samples_per_update`-th is an
+        # update. An event of the update's own period would, by rounding, come at some of their
+        # samples and just before others.
+        self._sample_period = self._model.control_period or period
+        self._samples_per_update = round(period / self._sample_period)
+        # Offset = period: with offset 0 the periodic event would repeat the first one.
+        self.DeclareInitializationDiscreteUpdateEvent(self._update)
+        self.DeclarePeriodicDiscreteUpdateEvent(
+            self._sample_period, self._sample_period, self._update_at_sample
+        )
+
+    def sources_of(self, output: str) -> set[DependencyTicket]:
+        """What an output that is `computed` depends on."""
+        return self.tickets(COMMAND)
+
+    def shown(self, output: str, context: Context) -> NDArray:
+        """What an output that is `computed` shows."""
+        return self.bound_in(context)
+
+    def tickets(self, *inputs: str) -> set[DependencyTicket]:
+        """Those of the parameters, and of the inputs of these names that there are."""
+        ports = (self.GetInputPort(name) for name in inputs if self.HasInputPort(name))
+        return {
+            self.all_parameters_ticket(),
+            *(self.input_port_ticket(port.get_index()) for port in ports),
+        }
+
+    def states(self, at: At | InContext) -> dict[str, NDArray]:
+        """The states by name, as they were declared."""
+        return {name: at.state(1 + int(group)) for name, group in self._groups.items()}
+
+    def wind(self, at: At | InContext) -> NDArray:
+        """The wind (3,) that aircraft fly in, m/s, in W; still air where it is not told."""
+        return at.input_or(WIND, STILL_AIR) if self.HasInputPort(WIND) else STILL_AIR
+
+    def counted(
+        self,
+        states: dict[str, NDArray],
+        outcome: Outcome,
+        margin: Any,
+        missed: Collection[str] = (),
+    ) -> dict[str, NDArray]:
+        """The states that count updates, after one.
+
+        Its speed margin (m/s) may be a symbol; it misses the limits of these names.
+        """
+        after = {name: states[name].copy() for name in ("diagnostics", _MISSED) if name in states}
+        count_update(after["diagnostics"], outcome, margin)
+        if self._counted:
+            count_missed(after[_MISSED], self._counted, missed)
+        return after
+
+    def is_update(self, time: Any) -> Any:
+        """Whether a sample at a time (s), a number or symbol, is one of an update."""
+        samples = casadi.floor(time / self._sample_period + 0.5)
+        return casadi.fmod(samples, self._samples_per_update) == 0
+
+    def _update_at_sample(self, context: Context, discrete_state: DiscreteValues) -> None:
+        if self.is_update(context.get_time()):
+            self._update(context, discrete_state)
+
+    def _update(self, context: Context, discrete_state: DiscreteValues) -> None:
+        amplitude = "amplitude 0" if self._model.pattern.is_constant else "amplitude"
+        self.require_floats(
+            f"give ConstantParameters, with its frequency and {amplitude}, in place of "
+            f"{type(self).__name__}"
+        )
+        for name, values in self.updated(context).items():
+            discrete_state.set_value(self._groups[name], values)
+
+    def bound_in(self, context: Context) -> NDArray:
+        """ε (1,), m/s."""
+        values = context.get_numeric_parameter(0).CopyToVector()
+        return values[self.parameters.place("speed_bound")]
+
+    def _shown(self, output: str) -> Any:
+        me: Any = weakref.ref(self)
+        return lambda context, vector: vector.SetFromVector(me().shown(output, context))
+
+
+def _size(model: Model, name: str) -> int:
+    """That of a signal which is a vector."""
+    layout = SIGNALS[name]
+    assert layout is not None
+    return layout.count(model.n, model.m)
 
 
 class LayerNumbers(NamedTuple):
@@ -82,56 +222,15 @@ class LayerNumbers(NamedTuple):
     beliefs: NDArray  # a flat `Beliefs`
 
 
-def _layer_numbers(values: dict[str, NDArray], n: int) -> LayerNumbers:
-    """Of the parameters by name, for n carriers."""
-    amplitudes = values["amplitude_bounds"]
-    if not amplitudes.any():
-        share = float(values["load_mass"][0] * values["gravity"][0]) / n
-        amplitudes = np.array(range_for(share, float(values["amplitude"][0])))
-    frequencies = values["frequency_bounds"]
-    beliefs = Beliefs(
-        load_mass=values["load_mass"],
-        load_inertia=values["load_inertia"].ravel(),
-        load_drag=values["load_drag"],
-        load_angular_drag=values["load_angular_drag"],
-        gravity=values["gravity"],
-        rest_length=values["cable_length"],
-        compliance=compliance_of(values["cable_stiffness"]),
-        nominal=np.concatenate([values["frequency"], values["amplitude"]]),
-        lower=np.array([frequencies[0], amplitudes[0]]),
-        upper=np.array([frequencies[1], amplitudes[1]]),
-        offset=values.get(OFFSET, np.zeros(0)),
-    )
-    return LayerNumbers(float(values["speed_bound"][0]), beliefs.nominal, np.concatenate(beliefs))
-
-
-class SpeedBoundLayer(LeafBlock):
+class SpeedBoundLayer(PeriodicLayer):
     """A layer that keeps a speed bound, which may change during a run.
-
-    Args:
-        model: what the controllers believe.
-        config: the layer's.
-        check: raises ScenarioError for a config of the named box that cannot be used.
-        structure: what of model and config decides how the layer is built, see `Rules`.
 
     Attributes:
         highest_speed_bound: m/s, below which a bound has to be.
     """
 
-    is_sampled = True
-    optional_inputs: tuple[str, ...] = (COMMAND,)
-
-    def __init__(
-        self,
-        model: Model,
-        config: _Config,
-        check: Callable[[str, _Config, Model], None],
-        structure: Callable[[Model, _Config], Any] = lambda *_: None,
-    ):
-        super().__init__()
-        check(BOX, config, model)
-        self.parameters = _layer_parameters(model, config, check, structure)
-        declare_parameters(self, self.parameters)
+    def __init__(self, model: Model, config: Any = None):
+        super().__init__(model, config)
         entry = self.DeclareCacheEntry(
             "numbers",
             ValueProducer(Value(()).Clone, weakly(self._calc_numbers)),
@@ -139,20 +238,32 @@ class SpeedBoundLayer(LeafBlock):
         )
         self._numbers = entry.cache_index()  # the entry would keep this block alive
         self._enabled = self.DeclareNumericParameter(BasicVector_[self.scalar]([1.0]))
-        self.highest_speed_bound = highest_speed_bound(config)
-        self._n = model.n
+        self.highest_speed_bound = highest_speed_bound(self._config)
 
-    def declare_command(self) -> None:
-        """Declares the input `speed_bound_command`."""
-        self._command = self.DeclareVectorInputPort(COMMAND, 1)
+    @classmethod
+    def structure(cls, model: Model, config: Any) -> Any:
+        """What of model and config decides how the layer is built, see `Rules`."""
 
-    def declare_bound(self) -> None:
-        """Declares the output `speed_bound`, after the input."""
-        self.DeclareVectorOutputPort(
-            "speed_bound",
-            1,
-            self._calc_speed_bound,
-            {self.all_parameters_ticket(), self.input_port_ticket(self._command.get_index())},
+    def block_parameters(self, model: Model, config: Any) -> BlockParameters:
+        """As of `PeriodicLayer`; amplitude bounds of zero stand for those from the weight."""
+        kind = type(self)
+
+        def check(model: Model, config: Any) -> None:
+            if not any(config.amplitude_bounds):
+                config = replace(config, amplitude_bounds=[])
+            kind.check(model, config)
+            check_bound(highest_speed_bound(config), config.speed_bound)
+
+        return BlockParameters(
+            model,
+            (*LOAD, "cable_length", "cable_stiffness", *model.offset_parameter),
+            config=replace(config, amplitude_bounds=config.amplitude_bounds or [0.0, 0.0]),
+            own=_OWN,
+            rules=Rules(
+                check=check,
+                structure=kind.structure,
+                fixed=AIRCRAFT_NUMBERS if model.aircraft is not None else (),
+            ),
         )
 
     def set_speed_bound(self, context: Context, speed_bound: float) -> None:
@@ -171,7 +282,7 @@ class SpeedBoundLayer(LeafBlock):
     def require_effect(self, context: Context, name: str, value: Any) -> None:
         """Raises ScenarioError where a parameter that is set would have none in this context."""
         if name == "speed_bound":
-            require_no_command(self._command, context, value)
+            require_no_command(self.GetInputPort(COMMAND), context, value)
 
     def begin_anew(self, context: Context) -> None:
         """Lets what has not been updated begin with the parameters of the context, its own."""
@@ -184,46 +295,58 @@ class SpeedBoundLayer(LeafBlock):
         """Whether the layer is switched on."""
         return bool(context.get_numeric_parameter(self._enabled).CopyToVector()[0])
 
-    def traced_bound(self, at: At, bound: NDArray, highest: NDArray) -> NDArray:
-        """ε (1,), m/s: `bound`, or what is commanded; no number where that is out of range.
+    def trace_parameters(self, context: Context) -> NDArray:
+        """The speed bound and the highest one (2,), m/s, which are no part of a trace."""
+        return np.array([self._numbers_in(context).speed_bound, self.highest_speed_bound])
 
-        Args:
-            at: the instant.
-            bound: (1,), m/s, that was set.
-            highest: (1,), m/s, `highest_speed_bound`, which is no part of a trace.
-        """
+    def traced_bound(self, at: At) -> NDArray:
+        """ε (1,), m/s: as set, or what is commanded; no number where that is out of range."""
         if not at.has_input(COMMAND):
-            return bound
-        command = at.input(COMMAND)
-        is_bound = casadi.logic_and(command[0] >= LEAST_BOUND, command[0] < highest[0])
+            return at.parameters[:1]
+        command, highest = at.input(COMMAND), at.parameters[1]
+        is_bound = casadi.logic_and(command[0] >= LEAST_BOUND, command[0] < highest)
         is_bound = casadi.logic_or(command[0] == 0, is_bound)
         return chosen(is_bound, command, np.array([np.nan]))
 
-    def _calc_speed_bound(self, context: Context, output: BasicVector) -> None:
-        if self._command.HasValue(context):
-            output.SetFromVector(self._commanded_bound(context))
-            return
-        values = self.parameters.view(context.get_numeric_parameter(0).CopyToVector())
-        output.SetFromVector(values["speed_bound"])
+    def traced_output(self, port: str, at: At) -> NDArray:
+        """What a port shows."""
+        return self.traced_bound(at) if port == "speed_bound" else self.states(at)[port]
 
-    def _commanded_bound(self, context: Context) -> NDArray:
-        bound = self._command.Eval(context)
+    def bound_in(self, context: Context) -> NDArray:
+        """ε (1,), m/s: what is commanded, or else as it was set."""
+        command = self.GetInputPort(COMMAND)
+        if not command.HasValue(context):
+            return super().bound_in(context)
+        bound = command.Eval(context)
         if self.scalar is float:
             check_bound(self.highest_speed_bound, float(bound[0]), COMMAND)
         return bound
-
-    def _wanted_bound(self, context: Context, numbers: LayerNumbers) -> float:
-        """The ε (m/s) that is commanded, or else the one that was set."""
-        if self._command.HasValue(context):
-            return float(self._commanded_bound(context)[0])
-        return numbers.speed_bound
 
     def _numbers_in(self, context: Context) -> LayerNumbers:
         return self.get_cache_entry(self._numbers).Eval(context)
 
     def _calc_numbers(self, context: Context, value: AbstractValue) -> None:
-        vector = context.get_numeric_parameter(0).CopyToVector()
-        value.set_value(_layer_numbers(self.parameters.view(vector), self._n))
+        values = self.parameters.view(context.get_numeric_parameter(0).CopyToVector())
+        amplitudes = values["amplitude_bounds"]
+        if not amplitudes.any():
+            share = float(values["load_mass"][0] * values["gravity"][0]) / self._model.n
+            amplitudes = np.array(range_for(share, float(values["amplitude"][0])))
+        frequencies = values["frequency_bounds"]
+        beliefs = Beliefs(
+            load_mass=values["load_mass"],
+            load_inertia=values["load_inertia"].ravel(),
+            load_drag=values["load_drag"],
+            load_angular_drag=values["load_angular_drag"],
+            gravity=values["gravity"],
+            rest_length=values["cable_length"],
+            compliance=compliance_of(values["cable_stiffness"]),
+            nominal=np.concatenate([values["frequency"], values["amplitude"]]),
+            lower=np.array([frequencies[0], amplitudes[0]]),
+            upper=np.array([frequencies[1], amplitudes[1]]),
+            offset=values.get(OFFSET, np.zeros(0)),
+        )
+        bound = float(values["speed_bound"][0])
+        value.set_value(LayerNumbers(bound, beliefs.nominal, np.concatenate(beliefs)))
 
 
 def check_bound(highest: float, speed_bound: float, name: str = "speed_bound") -> None:

@@ -1,19 +1,15 @@
 """The variant of box "Optimization Layer" for a load that turns with its aircraft."""
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from typing import Any, ClassVar
 
-import numpy as np
-from pydrake.systems.framework import Context, DiscreteValues
+from numpy.typing import ArrayLike
+from pydrake.systems.framework import Context
 
 from drake_nonstop.blocks import load_trajectory, phase
-from drake_nonstop.blocks.speed_bound_layer import BOX
-from drake_nonstop.mechanics.signals import (
-    LOAD_REFERENCE_SIZE,
-    WIND_SIZE,
-    WRENCH_SIZE,
-)
+from drake_nonstop.blocks.speed_bound_layer import BOX, WIND, PeriodicLayer
 from drake_nonstop.model.block_parameters import (
     AIRCRAFT_NUMBERS,
     BlockParameters,
@@ -21,37 +17,28 @@ from drake_nonstop.model.block_parameters import (
     required_aircraft,
 )
 from drake_nonstop.model.system import OFFSET, Model
-from drake_nonstop.optimization.diagnostics import (
-    DIAGNOSTICS_SIZE,
-    LAYER_LAYOUTS,
-    count_missed,
-    count_update,
-    missed_layout,
-    missed_limits_of,
-)
 from drake_nonstop.optimization.flight_limits import FlightLimits
 from drake_nonstop.optimization.problem_config import (
     AircraftLimits,
     SpeedBound,
+    check_count,
     check_flight_limits,
+    check_initial,
+    check_samples,
     check_speed_bound,
     require_limit,
-    with_stated_bound,
 )
 from drake_nonstop.optimization.turn_rate import TurnRateSolver, turn_update
-from drake_nonstop.systems.block import LeafBlock
-from drake_nonstop.systems.parameters import declare_parameters
+from drake_nonstop.systems.in_context import InContext
 from drake_nonstop.systems.requirements import LoopBlocks
 from drake_nonstop.validation import (
     StrictFields,
     require,
-    require_array,
     require_non_negative,
     require_period,
     require_positive,
 )
 
-_WIND = "wind_estimate"  # an optional input
 _FIXED = (*AIRCRAFT_NUMBERS, "cable_stiffness", OFFSET)
 
 
@@ -76,7 +63,7 @@ class TurnRateOptimizerConfig(AircraftLimits, _Turn):
     period: float = 0.04  # s, between updates
 
 
-class TurnRateOptimizer(LeafBlock):
+class TurnRateOptimizer(PeriodicLayer):
     """Changes ξ, at which a load turns with its aircraft, as little as keeps them flying.
 
     Of a pattern without orbits, `ConstantSpread`, and a load that turns at ξ, `PlannedTurn`. At
@@ -100,11 +87,9 @@ class TurnRateOptimizer(LeafBlock):
     """
 
     reads = ("reference", "wrench", "wrench_rate", "wind_estimate")
-    makes = ("parameters", "diagnostics", "solve_time", "speed_bound", "missed_limits")
 
-    is_sampled = True
-    signal_layouts = LAYER_LAYOUTS
-    optional_inputs = (_WIND,)
+    where: ClassVar = {}  # the carriers are aircraft
+    optional_inputs = (WIND,)
 
     def requires(self, loop: LoopBlocks) -> Iterator[str]:
         """Raises ScenarioError where the load does not turn at the rate that it makes."""
@@ -133,108 +118,49 @@ class TurnRateOptimizer(LeafBlock):
         yield from ()
 
     def __init__(self, model: Model, config: TurnRateOptimizerConfig | None = None):
-        super().__init__()
         required_aircraft(model, BOX, "TurnRateOptimizer")
-        config = with_stated_bound(BOX, config or TurnRateOptimizerConfig(), model)
-        _check(model, config)
-        self._config = config
-        self.parameters = BlockParameters(
-            model, config=config, own=("speed_bound",), rules=Rules(check=_check, fixed=_FIXED)
-        )
-        declare_parameters(self, self.parameters)
+        super().__init__(model, config)
+        config = self._config
         self._solver = TurnRateSolver(model, FlightLimits(config), config.orbit_points)
-        self._reference = self.DeclareVectorInputPort("reference", LOAD_REFERENCE_SIZE)
-        self._wrench = self.DeclareVectorInputPort("wrench", WRENCH_SIZE)
-        self._wrench_rate = self.DeclareVectorInputPort("wrench_rate", WRENCH_SIZE)
-        self._wind = self.DeclareVectorInputPort(_WIND, WIND_SIZE)
-        self._state = self.DeclareDiscreteState([config.frequency, 0.0])
-        self._diagnostics = self.DeclareDiscreteState(DIAGNOSTICS_SIZE)
-        self._solve_time = self.DeclareDiscreteState(1)
-        self._counted = missed_limits_of(config, model)
-        self._missed = self.DeclareDiscreteState(len(self._counted))
-        self.DeclareStateOutputPort("parameters", self._state)
-        self.DeclareStateOutputPort("diagnostics", self._diagnostics)
-        self.DeclareStateOutputPort("solve_time", self._solve_time)
-        self.DeclareVectorOutputPort(
-            "speed_bound",
-            1,
-            lambda context, output: output.SetFromVector(
-                context.get_numeric_parameter(0).CopyToVector()
-            ),
-            {self.all_parameters_ticket()},
-        )
-        self.DeclareStateOutputPort("missed_limits", self._missed)
-        self.signal_layouts = {"missed_limits": missed_layout(self._counted)}
-        self.DeclareInitializationDiscreteUpdateEvent(self._update)
-        self._sample_period = model.control_period or config.period
-        self._samples_per_update = round(config.period / self._sample_period)
-        self.DeclarePeriodicDiscreteUpdateEvent(
-            self._sample_period, self._sample_period, self._update_at_sample
-        )
+        self.declare(config.period, parameters=[config.frequency, 0.0])
 
-    def _update_at_sample(self, context: Context, discrete_state: DiscreteValues) -> None:
-        if round(context.get_time() / self._sample_period) % self._samples_per_update == 0:
-            self._update(context, discrete_state)
+    def block_parameters(self, model: Model, config: Any) -> BlockParameters:
+        """The bound, which a context can change."""
+        rules = Rules(check=self.check, fixed=_FIXED)
+        return BlockParameters(model, config=config, own=("speed_bound",), rules=rules)
 
-    def _update(self, context: Context, discrete_state: DiscreteValues) -> None:
-        self.require_floats(
-            "give ConstantParameters, with its frequency and amplitude 0, in place of "
-            "TurnRateOptimizer"
-        )
-        (previous, _) = context.get_discrete_state(self._state).CopyToVector()
-        bound = float(context.get_numeric_parameter(0).CopyToVector()[0])
-        wind = np.zeros(WIND_SIZE)
-        if self._wind.HasValue(context):
-            wind = self._wind.Eval(context)
+    def updated(self, context: Context) -> Mapping[str, ArrayLike]:
+        """The states after an update."""
+        at = InContext(self, context)
+        states, bound = self.states(at), float(self.bound_in(context)[0])
         update = turn_update(
             self._config,
             bound,
-            previous,
-            self._reference.Eval(context),
-            self._wrench.Eval(context),
-            self._wrench_rate.Eval(context),
-            wind,
+            states["parameters"][0],
+            at.input("reference"),
+            at.input("wrench"),
+            at.input("wrench_rate"),
+            self.wind(at),
         )
         start = time.perf_counter()
         answer = self._solver.solve(update)
         solve_time = time.perf_counter() - start
-        diagnostics = context.get_discrete_state(self._diagnostics).CopyToVector()
-        count_update(diagnostics, answer.outcome, answer.slowest_speed - bound)
-        missed = context.get_discrete_state(self._missed).CopyToVector()
-        count_missed(missed, self._counted, answer.missed)
-        discrete_state.set_value(self._state, [answer.rate, 0.0])
-        discrete_state.set_value(self._diagnostics, diagnostics)
-        discrete_state.set_value(self._solve_time, [solve_time])
-        discrete_state.set_value(self._missed, missed)
+        return {
+            "parameters": [answer.rate, 0.0],
+            "solve_time": [solve_time],
+            **self.counted(states, answer.outcome, answer.slowest_speed - bound, answer.missed),
+        }
 
-
-def _check(model: Model, config: TurnRateOptimizerConfig) -> None:
-    require_positive(BOX, frequency=config.frequency, period=config.period)
-    require_non_negative(BOX, tightening=config.tightening, anchor_weight=config.anchor_weight)
-    require(config.tightening < 1, f"{BOX}.tightening", config.tightening, "give less than 1")
-    require_period(f"{BOX}.period", config.period)
-    check_speed_bound(BOX, config.speed_bound)
-    require_limit(BOX, "max_frequency_rate", config.max_frequency_rate, 0.0)
-    check_flight_limits(BOX, config, model.aircraft)
-    bounds = config.frequency_bounds
-    low, high = require_array(f"{BOX}.frequency_bounds", bounds, [2], "lower, upper")
-    require(
-        0 < low <= config.frequency <= high,
-        f"{BOX}.frequency_bounds",
-        bounds,
-        f"give bounds above zero that hold the initial frequency {config.frequency}",
-    )
-    require(
-        isinstance(config.orbit_points, int) and 1 <= config.orbit_points <= 64,
-        f"{BOX}.orbit_points",
-        config.orbit_points,
-        "give 1 to 64",
-    )
-    if model.control_period > 0:
-        ratio = config.period / model.control_period
-        require(
-            round(ratio) >= 1 and abs(ratio - round(ratio)) < 1e-9,
-            f"{BOX}.period",
-            config.period,
-            f"give a multiple of the control period {model.control_period}",
-        )
+    @classmethod
+    def check(cls, model: Model, config: TurnRateOptimizerConfig) -> None:
+        """Raises ScenarioError for a config that cannot be used with the model."""
+        require_positive(BOX, frequency=config.frequency, period=config.period)
+        require_non_negative(BOX, tightening=config.tightening, anchor_weight=config.anchor_weight)
+        require(config.tightening < 1, f"{BOX}.tightening", config.tightening, "give less than 1")
+        require_period(f"{BOX}.period", config.period)
+        check_speed_bound(BOX, config.speed_bound)
+        require_limit(BOX, "max_frequency_rate", config.max_frequency_rate, 0.0)
+        check_flight_limits(BOX, config, model.aircraft)
+        check_initial(BOX, "frequency", config.frequency, config.frequency_bounds)
+        check_count(BOX, config, "orbit_points", 64)
+        check_samples(BOX, config.period, model)

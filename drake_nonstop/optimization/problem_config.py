@@ -212,13 +212,7 @@ def check_limits(box: str, config: LimitsConfig, model: Model) -> None:
         ("frequency", config.frequency, config.frequency_bounds),
         ("amplitude", config.amplitude, amplitude_range(config, model)),
     ):
-        low, high = require_array(f"{box}.{name}_bounds", bounds, [2], "lower, upper")
-        require(
-            0 < low <= start <= high,
-            f"{box}.{name}_bounds",
-            bounds,
-            f"give bounds above zero that hold the initial {name} {start}",
-        )
+        check_initial(box, name, start, bounds)
 
 
 def check_problem(box: str, config: NonstopProblemConfig, model: Model) -> None:
@@ -235,14 +229,37 @@ def check_problem(box: str, config: NonstopProblemConfig, model: Model) -> None:
     require_period(f"{box}.period", config.period)
     _check_choices(box, config)
     check_pattern(box, model, "NonstopOptimizer")
+    check_samples(box, config.period, model)
+
+
+def check_samples(box: str, period: float, model: Model) -> None:
+    """Raises ScenarioError for a period (s), of a config's `box`, of no whole control periods."""
     if model.control_period > 0:
-        ratio = config.period / model.control_period
+        ratio = period / model.control_period
         require(
             round(ratio) >= 1 and abs(ratio - round(ratio)) < 1e-9,
             f"{box}.period",
-            config.period,
+            period,
             f"give a multiple of the control period {model.control_period}",
         )
+
+
+def check_count(box: str, config: Any, name: str, most: int, one: str = "") -> None:
+    """Raises ScenarioError for what is no number of points; `one` says what 1 stands for."""
+    value = getattr(config, name)
+    is_count = isinstance(value, int) and 1 <= value <= most
+    require(is_count, f"{box}.{name}", value, f"give 1{one} to {most}")
+
+
+def check_initial(box: str, name: str, start: float, bounds: Any) -> None:
+    """Raises ScenarioError for bounds, of a config's `box`, that do not hold an initial value."""
+    low, high = require_array(f"{box}.{name}_bounds", bounds, [2], "lower, upper")
+    require(
+        0 < low <= start <= high,
+        f"{box}.{name}_bounds",
+        bounds,
+        f"give bounds above zero that hold the initial {name} {start}",
+    )
 
 
 def _check_ratios(box: str, config: LimitsConfig) -> None:
@@ -293,18 +310,8 @@ def check_flight_limits(box: str, config: AircraftLimits, aircraft: Aircraft | N
 
 
 def _check_choices(box: str, config: NonstopProblemConfig) -> None:
-    require(
-        isinstance(config.look_ahead_points, int) and 1 <= config.look_ahead_points <= 50,
-        f"{box}.look_ahead_points",
-        config.look_ahead_points,
-        "give 1 (the instant of the update only) to 50",
-    )
-    require(
-        isinstance(config.orbit_points, int) and 1 <= config.orbit_points <= 64,
-        f"{box}.orbit_points",
-        config.orbit_points,
-        "give 1 (the present phase only) to 64",
-    )
+    check_count(box, config, "look_ahead_points", 50, " (the instant of the update only)")
+    check_count(box, config, "orbit_points", 64, " (the present phase only)")
     require(
         isinstance(config.orbit_updates, int)
         and config.orbit_updates >= 1
