@@ -1,13 +1,13 @@
 """The inputs of sampled controllers, held from one sample to the next."""
 
 from collections.abc import Mapping
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.framework import Context, State
 
-from drake_nonstop.mechanics.signal_layouts import Layout, Part
+from drake_nonstop.mechanics.signal_layouts import HELD, SIGNALS
 from drake_nonstop.mechanics.signals import (
     LOAD_REFERENCE_SIZE,
     LOAD_STATE_SIZE,
@@ -16,7 +16,7 @@ from drake_nonstop.mechanics.signals import (
 )
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import LeafBlock
-from drake_nonstop.systems.diagram_trace import At
+from drake_nonstop.systems.in_context import InContext
 
 _POSES = ("measured_load_state", "reference")  # begin with a quaternion
 _HIGHER_RATES = "reference_higher_rates"
@@ -36,7 +36,7 @@ class SampleAndHold(LeafBlock):
     the same instant reads the new sample (Drake's ZeroOrderHold is a discrete update and
     would give it the one before).
 
-    What is left unconnected is held as zero.
+    What is left unconnected is held as zero. `add_sample_and_hold` adds it to a builder.
 
     Args:
         model: its control period.
@@ -59,7 +59,7 @@ class SampleAndHold(LeafBlock):
     where: ClassVar = {"wind_estimate": "it is held", "held_wind_estimate": "it is held"}
 
     optional_inputs = (_HIGHER_RATES,)
-    signal_layouts: ClassVar = {"sample_time": Layout(Part("", "1", "s"))}
+    signal_layouts: ClassVar = {"sample_time": SIGNALS["sample_time"]}
 
     def __init__(
         self,
@@ -69,18 +69,13 @@ class SampleAndHold(LeafBlock):
         holds_wind: bool = False,
     ):
         super().__init__()
-        self._inputs = []
-        signals = HELD_SIGNALS | ({"wind_estimate": WIND_SIZE} if holds_wind else {})
-        at_rest = {
-            name: np.eye(size)[0] if name in _POSES else np.zeros(size)
-            for name, size in signals.items()
-        }
-        initial_values = at_rest | dict(initial_values or {})
-        for name, size in signals.items():
-            self._inputs.append(self.DeclareVectorInputPort(name, size))
-            initial = initial_values[name]
-            self.DeclareStateOutputPort(f"held_{name}", self.DeclareDiscreteState(initial))
-        self._optional = [*signals].index(_HIGHER_RATES)
+        self._held = HELD_SIGNALS | ({"wind_estimate": WIND_SIZE} if holds_wind else {})
+        initial_values = initial_values or {}
+        for name, size in self._held.items():
+            self.DeclareVectorInputPort(name, size)
+            at_rest = np.eye(size)[0] if name in _POSES else np.zeros(size)
+            initial = self.DeclareDiscreteState(initial_values.get(name, at_rest))
+            self.DeclareStateOutputPort(f"{HELD}{name}", initial)
         self.DeclareStateOutputPort("sample_time", self.DeclareDiscreteState(1))
         self.period = period = model.control_period
         self.DeclareInitializationUnrestrictedUpdateEvent(self._sample)
@@ -90,18 +85,16 @@ class SampleAndHold(LeafBlock):
     updates_first = True  # before others' updates at the same instant
     updates_at_start = True
 
-    def traced_output(self, port: str, at: At) -> NDArray:
-        names = [self.get_output_port(k).get_name() for k in range(self.num_output_ports())]
-        return at.state(1 + names.index(port))
+    def traced_output(self, port: str, at: Any) -> NDArray:
+        return at.state(1 + int(self.GetOutputPort(port).get_index()))
 
-    def traced_update(self, at: At) -> list[NDArray]:
-        names = [port.get_name() for port in self._inputs]
-        held = [at.input_or(name, at.state(1 + k)) for k, name in enumerate(names)]
+    def traced_update(self, at: Any) -> list[NDArray]:
+        held = [
+            at.input_or(name, at.state(1 + k)) if name in self.optional_inputs else at.input(name)
+            for k, name in enumerate(self._held)
+        ]
         return [*held, at.time]
 
     def _sample(self, context: Context, state: State) -> None:
-        held = state.get_mutable_discrete_state()
-        for i, port in enumerate(self._inputs):
-            if i != self._optional or port.HasValue(context):
-                held.set_value(i, port.Eval(context))
-        held.set_value(len(self._inputs), [context.get_time()])
+        for k, values in enumerate(self.traced_update(InContext(self, context))):
+            state.get_mutable_discrete_state().set_value(k, values)

@@ -225,6 +225,8 @@ AIRCRAFT_STATE = Layout(
     Part("airspeed", "n", "m/s"),
 )
 
+HELD = "held_"  # begins the name of a signal that is held from one sample to the next
+
 # By the names of signals; None: one is no vector. Besides, a block may have `signal_layouts`.
 SIGNALS: dict[str, Layout | None] = {
     "reference": LOAD_REFERENCE,

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Iterable
 from typing import Any, TypeVar
 
-from drake_nonstop.mechanics.signal_layouts import SIGNALS
+from drake_nonstop.mechanics.signal_layouts import HELD, SIGNALS
 from drake_nonstop.systems.field_comments import meanings
 from drake_nonstop.validation import ScenarioError
 
@@ -96,7 +96,7 @@ def _where(kind: Any, name: str) -> str:
 def _ports(kind: Any, names: Iterable[str]) -> Iterable[str]:
     layouts = SIGNALS | getattr(kind, "signal_layouts", {})
     for name in names:
-        layout = layouts.get(name)
+        layout = layouts.get(name.removeprefix(HELD))
         size, said = ("abstract", "") if layout is None else (layout.size, f": {layout}")
         when = [f"where {where}"] if (where := getattr(kind, "where", {}).get(name)) else []
         when += ["may be left unconnected"] if name in getattr(kind, "optional_inputs", ()) else []
