@@ -1,20 +1,19 @@
-"""What aircraft need along a planned orbit, with exact gradients.
+"""What aircraft need along a planned orbit.
 
 For optimization: the airspeed, lift, bank, climb and thrust that a point-mass aircraft needs to fly
-the orbit above a moving load at a phase θ, with ξ and A that change, and their gradients by θ, ξ,
-ξ̇, A, Ȧ and Ä. All vectors are components in the load's frame L, in which the pattern is constant;
-wind enters by the velocity through the air alone, v_b − Rᵀw. In three steps, each usable alone:
+the orbit above a moving load at a phase θ, with ξ and A that change. All vectors are components in
+the load's frame L, in which the pattern is constant; wind enters by the velocity through the air
+alone, v_b − Rᵀw. In three steps, each usable alone:
 
 - `flight_terms` (wrench and load motion given) or `flight_along_reference` (both of a reference):
   what depends on neither phase, ξ nor A, a `FlightTerms`;
 - `flight_products` (numbers or symbols): with these and a `PlannedOrbit`, the six scalar products
   of the velocity through the air V_a, the needed force F = m (v̇ + g e₃) + f and the vertical that
-  decide all needs, `FlightProducts`; `planned_products`: of numbers, with their gradients;
+  decide all needs, `FlightProducts`;
 - `flight_needs` (numbers or symbols): airspeed, ‖F‖, C_L, bank, climb and thrust of such products,
-  `FlightNeeds`, by the exact inverse `lift_and_thrust`; `needs_gradients`: of these.
+  `FlightNeeds`, by the exact inverse `lift_and_thrust`.
 
-`planned_flight` does the last two at once, with gradients. Stall alone needs ‖F‖ and V only, see
-`stall_factor`.
+Stall alone needs ‖F‖ and V only, see `stall_factor`.
 With the forces and rates of `mechanics.nonstop.orbit_ahead`,
 
     f = f₀ + A u,   ᴸḟ = d + Ȧ u + A ξ u′,   ᴸf̈ = d₂ + (Ä − A ξ²) u + (2 Ȧ ξ + A ξ̇) u′,
@@ -33,13 +32,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.aircraft import (
-    LARGEST_ANGLE,
     Aircraft,
-    drag_coefficient,
     lift_and_thrust,
-    pressure_force,
 )
 from drake_nonstop.mechanics.force_rates import second_and_third_force_rates
+from drake_nonstop.mechanics.planned_orbit import carrier_columns
 from drake_nonstop.mechanics.rigid_load import STILL_AIR, RigidLoad
 from drake_nonstop.mechanics.rotation import cross, rotation_matrix
 from drake_nonstop.mechanics.signals import (
@@ -80,9 +77,14 @@ class FlightTerms(NamedTuple):
         vectors, lead = self[:5], self.up.shape[:-1]
         return np.concatenate([*(v.reshape(*lead, -1) for v in vectors), *self[5:]], axis=-1)
 
+    @property
+    def columns(self) -> NDArray:
+        """For each carrier at k instants the terms of it alone, flat, (24, k, n)."""
+        return carrier_columns(self[:5], self[5:])
+
 
 class PlannedOrbit(NamedTuple):
-    """Phase, ξ and A with their rates at k instants; gradients are by these, in this order."""
+    """Phase, ξ and A with their rates at k instants."""
 
     angle: NDArray  # (k,), rad, θ
     frequency: NDArray  # (k,), rad/s, ξ
@@ -93,7 +95,7 @@ class PlannedOrbit(NamedTuple):
 
 
 class FlightProducts(NamedTuple):
-    """The products that decide what an aircraft needs, or their gradients; of any one shape."""
+    """The products that decide what an aircraft needs; of any one shape."""
 
     v_v: NDArray  # V_a·V_a, m²/s², the squared airspeed
     f_f: NDArray  # F·F, N²
@@ -104,7 +106,7 @@ class FlightProducts(NamedTuple):
 
 
 class FlightNeeds(NamedTuple):
-    """What aircraft need, or its gradients; of any one shape."""
+    """What aircraft need; of any one shape."""
 
     airspeed: NDArray  # m/s
     force: NDArray  # N, ‖F‖
@@ -112,13 +114,6 @@ class FlightNeeds(NamedTuple):
     bank: NDArray  # rad, positive to the right
     climb: NDArray  # rad, of the path through the air
     thrust: NDArray  # N
-
-
-class PlannedFlight(NamedTuple):
-    """What n aircraft need at k instants, and the gradients."""
-
-    needs: FlightNeeds  # (k, n)
-    gradients: FlightNeeds  # (6, k, n), by the parts of a `PlannedOrbit`
 
 
 def flight_terms(
@@ -225,22 +220,6 @@ def flight_along_reference(
     return terms._replace(second_rates=seconds @ R_WL - of_turning).flat
 
 
-class _Flight(NamedTuple):
-    """What `flight_products` and its gradients share; components come first, (3, k, n)."""
-
-    u: NDArray
-    along: NDArray  # u′
-    force: NDArray  # f
-    r: NDArray
-    s: NDArray
-    velocity: NDArray  # V_a
-    needed: NDArray  # F
-    square: NDArray  # (k, n), T²
-    swing: NDArray  # L₀/T
-    a: NDArray
-    b: NDArray
-
-
 def flight_products(
     aircraft: Aircraft,
     terms: FlightTerms,
@@ -263,43 +242,6 @@ def flight_products(
         cable_forces: (k, n, 3), N, in L, on the load, that pull at the aircraft in place of the
             planned ones; None: those.
     """
-    cables = {"rest_length": rest_length, "compliance": compliance}
-    up = _instants_last(terms.up)
-    flight = _flight(aircraft, terms, axes, orbit, **cables)
-    if cable_forces is not None:
-        flight = flight._replace(needed=flight.needed + _by_component(cable_forces) - flight.force)
-    return _products(flight, up)
-
-
-def planned_cable_forces(
-    terms: FlightTerms, axes: tuple[NDArray, NDArray], orbit: PlannedOrbit
-) -> NDArray:
-    """The cables' f (k, n, 3), N, in L, of numbers; arguments as of `flight_products`."""
-    angle, amplitude = orbit.angle[:, None, None], orbit.amplitude[:, None, None]
-    return terms.forces + amplitude * (np.cos(angle) * axes[0] + np.sin(angle) * axes[1])
-
-
-def _products(flight: _Flight, up: NDArray) -> FlightProducts:
-    velocity, needed = flight.velocity, flight.needed
-    return FlightProducts(
-        _dot(velocity, velocity),
-        _dot(needed, needed),
-        _dot(needed, velocity),
-        _dot(needed, up),
-        _dot(velocity, up),
-        _dot(_cross(needed, velocity), up),
-    )
-
-
-def _flight(
-    aircraft: Aircraft,
-    terms: FlightTerms,
-    axes: tuple[NDArray, NDArray],
-    orbit: PlannedOrbit,
-    *,
-    rest_length: Any,
-    compliance: Any,
-) -> _Flight:
     p, q = (axis.T[:, None] for axis in axes)
     angle, xi, xi_rate, A, A_rate, A_second = (values[:, None] for values in orbit)
     cosine, sine = np.cos(angle), np.sin(angle)
@@ -317,7 +259,24 @@ def _flight(
     velocity = v_b + (swing + compliance) * r - (swing * a) * force
     acceleration = a_b + swing * (s - 2 * a * r - b * force) + compliance * s
     needed = aircraft.mass * (acceleration + aircraft.gravity * up) + force
-    return _Flight(u, along, force, r, s, velocity, needed, square, swing, a, b)
+    if cable_forces is not None:
+        needed = needed + _by_component(cable_forces) - force
+    return FlightProducts(
+        _dot(velocity, velocity),
+        _dot(needed, needed),
+        _dot(needed, velocity),
+        _dot(needed, up),
+        _dot(velocity, up),
+        _dot(_cross(needed, velocity), up),
+    )
+
+
+def planned_cable_forces(
+    terms: FlightTerms, axes: tuple[NDArray, NDArray], orbit: PlannedOrbit
+) -> NDArray:
+    """The cables' f (k, n, 3), N, in L, of numbers; arguments as of `flight_products`."""
+    angle, amplitude = orbit.angle[:, None, None], orbit.amplitude[:, None, None]
+    return terms.forces + amplitude * (np.cos(angle) * axes[0] + np.sin(angle) * axes[1])
 
 
 def turning_terms(
@@ -388,72 +347,6 @@ def turning_terms(
     )
 
 
-def planned_products(
-    aircraft: Aircraft,
-    terms: FlightTerms,
-    axes: tuple[NDArray, NDArray],
-    orbit: PlannedOrbit,
-    *,
-    rest_length: Any,
-    compliance: Any,
-) -> tuple[FlightProducts, FlightProducts]:
-    """`flight_products` of numbers, and their gradients (6, k, n) by the parts of `orbit`.
-
-    Terms are at k instants; arguments as of `flight_products`.
-    """
-    cables = {"rest_length": rest_length, "compliance": compliance}
-    flight = _flight(aircraft, terms, axes, orbit, **cables)
-    _, xi, xi_rate, A, A_rate, A_second = (values[:, None] for values in orbit)
-    omega, alpha, up = (_instants_last(vectors)[:, None] for vectors in terms[5:])
-    u, along, swing, a, b = flight.u, flight.along, flight.swing, flight.a, flight.b
-    by_u, by_along = A_second - A * xi * xi, 2 * A_rate * xi + A * xi_rate
-    # Tangents (3, 6, k, n) by the parts of the orbit.
-    zero = np.zeros(u.shape)
-    turned = A_rate * along - (A * xi) * u
-    of_force = np.stack([A * along, zero, zero, u, zero, zero], axis=1)
-    of_rate = np.stack([turned, A * along, zero, xi * along, u, zero], axis=1)
-    of_second = np.stack(
-        [
-            by_u * along - by_along * u,
-            2 * turned,
-            A * along,
-            xi_rate * along - xi * xi * u,
-            2 * xi * along,
-            u,
-        ],
-        axis=1,
-    )
-    of_r, of_s = _turned(omega, alpha, of_force, of_rate, of_second)
-    force, r, s = (vectors[:, None] for vectors in (flight.force, flight.r, flight.s))
-    reach, square = swing + compliance, flight.square
-    of_log = _dot(force, of_force) / square  # of ln T
-    of_a = (_dot(of_force, r) + _dot(force, of_r)) / square - 2 * a * of_log
-    of_b = (
-        (2 * _dot(r, of_r) + _dot(of_force, s) + _dot(force, of_s)) / square
-        - 2 * (b + 3 * a * a) * of_log
-        - 6 * a * of_a
-    )
-    of_velocity = (
-        reach * of_r
-        - (swing * a) * of_force
-        - (swing * of_log) * (r - a * force)
-        - (swing * of_a) * force
-    )
-    of_bending = of_s - 2 * a * of_r - b * of_force - 2 * of_a * r - of_b * force
-    of_bending = of_bending - of_log * (s - 2 * a * r - b * force)
-    of_needed = aircraft.mass * (swing * of_bending + compliance * of_s) + of_force
-    velocity, needed = flight.velocity[:, None], flight.needed[:, None]
-    gradients = FlightProducts(
-        2 * _dot(velocity, of_velocity),
-        2 * _dot(needed, of_needed),
-        _dot(of_needed, velocity) + _dot(needed, of_velocity),
-        _dot(of_needed, up),
-        _dot(of_velocity, up),
-        _dot(of_needed, _cross(velocity, up)) + _dot(of_velocity, _cross(up, needed)),
-    )
-    return _products(flight, up[:, 0]), gradients
-
-
 def flight_needs(aircraft: Aircraft, products: FlightProducts) -> FlightNeeds:
     """What aircraft need, of products of numbers or symbols of one shape (...,).
 
@@ -476,68 +369,6 @@ def flight_needs(aircraft: Aircraft, products: FlightProducts) -> FlightNeeds:
         np.arctan(climb_sine / climb_cosine),
         thrust,
     )
-
-
-def needs_gradients(
-    aircraft: Aircraft, products: FlightProducts, gradients: FlightProducts
-) -> tuple[FlightNeeds, FlightNeeds]:
-    """The needs (...,) of products (...,), and their gradients (g, ...) from those of the products.
-
-    Those of C_L and thrust are of the equations that the inverse solves, by the implicit function
-    theorem; where the angle of attack is at its end, that of C_L is zero.
-    """
-    needs = flight_needs(aircraft, products)
-    airspeed, lift, thrust = needs.airspeed, needs.lift, needs.thrust
-    along = products.f_v / airspeed
-    across = np.sqrt(products.f_f - along * along + _LEAST)
-    climb_sine, climb_cosine = np.sin(needs.climb), np.cos(needs.climb)
-    of_airspeed = gradients.v_v / (2 * airspeed)
-    of_along = (gradients.f_v - along * of_airspeed) / airspeed
-    of_across = (gradients.f_f / 2 - along * of_along) / across
-    of_sine = (gradients.v_up - climb_sine * of_airspeed) / airspeed
-    of_climb = of_sine / climb_cosine
-    of_climb_cosine = -climb_sine * of_climb
-    side, upward = across * np.sin(needs.bank), across * np.cos(needs.bank)
-    of_side = (gradients.triple / airspeed - side * climb_cosine * of_airspeed / airspeed) / (
-        climb_cosine
-    ) - side * of_climb_cosine / climb_cosine
-    of_upward = (
-        gradients.f_up - of_sine * along - climb_sine * of_along - upward * of_climb_cosine
-    ) / climb_cosine
-    of_bank = (upward * of_side - side * of_upward) / (across * across)
-
-    pressure = pressure_force(aircraft, airspeed)
-    of_pressure = 2 * pressure / airspeed * of_airspeed
-    slope = aircraft.lift_slope
-    angle = (lift - aircraft.lift_at_zero_angle) / slope
-    cosine, sine = np.cos(angle), np.sin(angle)
-    drag = drag_coefficient(aircraft, lift)
-    by_angle = pressure * slope + thrust * cosine  # of N = q S C_L + T sin α
-    by_angle_along = thrust * sine + pressure * 2 * aircraft.induced_drag * lift * slope  # of −F_x
-    determinant = cosine * by_angle + sine * by_angle_along
-    of_n, of_x = of_across - lift * of_pressure, of_along + drag * of_pressure
-    of_angle = (cosine * of_n - sine * of_x) / determinant
-    of_thrust = (by_angle * of_x + by_angle_along * of_n) / determinant
-    is_inside = np.abs(angle) < LARGEST_ANGLE * (1 - _LEAST)
-    of_lift = np.where(is_inside, slope * of_angle, 0.0)
-    of_thrust = np.where(is_inside, of_thrust, of_x / cosine)
-    of_force = gradients.f_f / (2 * needs.force)
-    return needs, FlightNeeds(of_airspeed, of_force, of_lift, of_bank, of_climb, of_thrust)
-
-
-def planned_flight(
-    aircraft: Aircraft,
-    terms: FlightTerms,
-    axes: tuple[NDArray, NDArray],
-    orbit: PlannedOrbit,
-    *,
-    rest_length: Any,
-    compliance: Any,
-) -> PlannedFlight:
-    """What aircraft need at k instants of a plan; arguments as of `planned_products`."""
-    cables = {"rest_length": rest_length, "compliance": compliance}
-    products = planned_products(aircraft, terms, axes, orbit, **cables)
-    return PlannedFlight(*needs_gradients(aircraft, *products))
 
 
 def stall_factor(aircraft: Aircraft, lift_share: float) -> float | NDArray:

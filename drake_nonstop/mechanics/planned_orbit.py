@@ -1,9 +1,10 @@
-"""The carriers' speeds while ξ and A change smoothly, and their gradients.
+"""The carriers' speeds and distances while ξ and A change smoothly.
 
 As in `mechanics.nonstop`, with the rate of A: the internal force A u(θ) has the rate
 Ȧ u + A ξ u', with u = p cos θ + q sin θ and u' = ∂u/∂θ.
 """
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -30,6 +31,11 @@ class OrbitTerms(NamedTuple):
         lead = values.shape[:-1]
         parts = values[..., :-3].reshape(*lead, 3, -1, 3)
         return cls(parts[..., 0, :, :], parts[..., 1, :, :], parts[..., 2, :, :], values[..., -3:])
+
+    @property
+    def columns(self) -> NDArray:
+        """For each carrier at k instants the terms of it alone, flat, (12, k, n)."""
+        return carrier_columns(self[:3], self[3:])
 
 
 def orbit_along_reference(
@@ -65,12 +71,10 @@ def orbit_along_reference(
 
 
 class PlannedSpeeds(NamedTuple):
-    """Squared speeds and tensions at k instants, and the gradients of the former."""
+    """Squared speeds and tensions at k instants."""
 
     squares: NDArray  # (k, n), m²/s²
-    gradients: NDArray  # (4, k, n), of the squares by θ, ξ, A and Ȧ
     tension_squares: NDArray  # (k, n), N²
-    tension_gradients: NDArray  # (2, k, n), of the squared tensions by θ and A
 
 
 def planned_speeds(
@@ -84,14 +88,11 @@ def planned_speeds(
     rest_length: Any,
     compliance: Any,
 ) -> PlannedSpeeds:
-    """The carriers' squared speeds at k instants of a plan.
+    """The carriers' squared speeds at k instants of a plan, of numbers or symbols.
 
     With f = f₀ + A u, r = d + ω × f + Ȧ u + A ξ u' and T = ‖f‖,
 
         v = v_b + (L₀/T) (r − f (f·r)/T²) + r/K_c.
-
-    The gradients follow from that of ½ v² by r, g_r = v/K_c + (L₀/T) (v − f (f·v)/T²), and by the
-    f in the factors of r. Own derivation.
 
     Args:
         terms: at k instants.
@@ -104,40 +105,18 @@ def planned_speeds(
         compliance: 1/K_c, m/N.
     """
     A, xi, rate = amplitude[:, None], frequency[:, None], amplitude_rate[:, None]
-    f, u, along = _planned_forces(terms, axes, angle, amplitude)
+    f, u, along = _planned_forces(terms.forces, axes, angle, amplitude)
     rates, v_b = _by_component(terms.rates), _by_component(terms.velocities)
     omega = terms.angular_velocity.T[:, :, None]
     r = rates + _cross(omega, f) + rate * u + (A * xi) * along
     tension_squared = _dot(f, f)
     swing = rest_length / np.sqrt(tension_squared)  # L₀/T
-    shrink = swing / tension_squared  # L₀/T³
-    reach = swing + compliance
-    f_r = _dot(f, r)
-    v = v_b + reach * r - (shrink * f_r) * f
-    f_v, v_r = _dot(f, v), _dot(v, r)
-    shrink_v, shrink_r = shrink * f_v, shrink * f_r
-    by_r = reach * v - shrink_v * f
-    by_f = (
-        (3 * f_v * shrink_r / tension_squared - shrink * v_r) * f
-        - shrink_r * v
-        - shrink_v * r
-        + _cross(by_r, omega)
-    )
-    r_u, r_along = _dot(by_r, u), _dot(by_r, along)
-    gradients = np.stack(
-        [
-            A * _dot(by_f, along) + rate * r_along - A * xi * r_u,
-            A * r_along,
-            _dot(by_f, u) + xi * r_along,
-            r_u,
-        ]
-    )
-    tension_gradients = np.stack([A * _dot(f, along), _dot(f, u)])
-    return PlannedSpeeds(_dot(v, v), 2 * gradients, tension_squared, 2 * tension_gradients)
+    v = v_b + (swing + compliance) * r - (swing / tension_squared * _dot(f, r)) * f
+    return PlannedSpeeds(_dot(v, v), tension_squared)
 
 
 def planned_gaps(
-    terms: OrbitTerms,
+    forces: NDArray,
     axes: tuple[NDArray, NDArray],
     angle: NDArray,
     amplitude: NDArray,
@@ -146,13 +125,13 @@ def planned_gaps(
     pairs: NDArray,
     rest_length: Any,
     compliance: Any,
-) -> tuple[NDArray, NDArray]:
-    """The squared distances between carriers at k instants of a plan, and their gradients.
+) -> NDArray:
+    """The squared distances (k, m), m², between carriers at k instants, of numbers or symbols.
 
     A carrier is at its attachment plus (L₀/T + 1/K_c) f, see `planned_speeds`.
 
     Args:
-        terms: at k instants.
+        forces: f₀ (k, n, 3), N, of `OrbitTerms`.
         axes: as of `planned_speeds`, and so are the angle and the amplitude (k,).
         angle: θ, rad.
         amplitude: A, N.
@@ -160,33 +139,30 @@ def planned_gaps(
         pairs: (2, m), the numbers of the carriers.
         rest_length: L₀, m.
         compliance: 1/K_c, m/N.
-
-    Returns:
-        The squares (k, m), m², and their gradients (2, k, m) by θ and A.
     """
-    f, u, along = _planned_forces(terms, axes, angle, amplitude)
-    tension_squared = _dot(f, f)
-    swing = rest_length / np.sqrt(tension_squared)
-    shrink, reach = swing / tension_squared, swing + compliance
+    f, _, _ = _planned_forces(forces, axes, angle, amplitude)
+    places = (rest_length / np.sqrt(_dot(f, f)) + compliance) * f + attachments.T[:, None]
     first, second = pairs
-
-    def between(values: NDArray) -> NDArray:
-        return values[..., first] - values[..., second]
-
-    gaps = between(reach * f + attachments.T[:, None])
-    by_angle = between(amplitude[:, None] * (reach * along - (shrink * _dot(f, along)) * f))
-    by_amplitude = between(reach * u - (shrink * _dot(f, u)) * f)
-    return _dot(gaps, gaps), 2 * np.stack([_dot(gaps, by_angle), _dot(gaps, by_amplitude)])
+    gaps = places[..., first] - places[..., second]
+    return _dot(gaps, gaps)
 
 
 def _planned_forces(
-    terms: OrbitTerms, axes: tuple[NDArray, NDArray], angle: NDArray, amplitude: NDArray
+    forces: NDArray, axes: tuple[NDArray, NDArray], angle: NDArray, amplitude: NDArray
 ) -> tuple[NDArray, NDArray, NDArray]:
     """f, u and u' (3, k, n): sums over components are several times faster in this order."""
     p, q = (axis.T[:, None] for axis in axes)
     cosine, sine = np.cos(angle)[:, None], np.sin(angle)[:, None]
     u, along = cosine * p + sine * q, cosine * q - sine * p
-    return _by_component(terms.forces) + amplitude[:, None] * u, u, along
+    return _by_component(forces) + amplitude[:, None] * u, u, along
+
+
+def carrier_columns(of_carriers: Sequence[NDArray], of_load: Sequence[NDArray]) -> NDArray:
+    """Vectors (k, n, 3) of carriers and (k, 3) of the load, one below the other, (..., k, n)."""
+    columns = [np.moveaxis(vectors, -1, 0) for vectors in of_carriers]
+    shape = columns[0].shape
+    columns += [np.broadcast_to(vectors.T[:, :, None], shape) for vectors in of_load]
+    return np.concatenate(columns)
 
 
 def _by_component(vectors: NDArray) -> NDArray:

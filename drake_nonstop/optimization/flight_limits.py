@@ -1,16 +1,13 @@
-"""The limits of aircraft on the orbits that a layer predicts, as margins with gradients."""
+"""The limits of aircraft on the orbits that a layer predicts, as margins."""
 
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.aircraft import Aircraft
 from drake_nonstop.mechanics.planned_flight import FlightNeeds
 from drake_nonstop.optimization.limits import Of, asked
 from drake_nonstop.optimization.problem_config import limit_tightening
-
-_STEP = 1e-30  # along the imaginary axis: derivatives are exact to round-off
 
 
 class FlightLimits:
@@ -33,8 +30,3 @@ class FlightLimits:
     def margins(self, aircraft: Aircraft, needs: FlightNeeds) -> list[NDArray]:
         """The margins (...,) of needs (...,), of numbers or symbols, for each of `kinds`."""
         return [m for limit, value in self._rows for m in limit.margins(aircraft, needs, value)]
-
-    def gradients(self, aircraft: Aircraft, needs: FlightNeeds, by: FlightNeeds) -> list[NDArray]:
-        """Those (g, ...) of `margins`, from those of the needs, by complex steps."""
-        moved = (need + 1j * _STEP * slope for need, slope in zip(needs, by, strict=True))
-        return [np.imag(m) / _STEP for m in self.margins(aircraft, FlightNeeds(*moved))]

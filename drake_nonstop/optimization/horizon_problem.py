@@ -19,7 +19,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +31,6 @@ from drake_nonstop.mechanics.planned_flight import (
     flight_along_reference,
     flight_needs,
     flight_products,
-    planned_flight,
 )
 from drake_nonstop.mechanics.planned_orbit import (
     OrbitTerms,
@@ -62,7 +61,7 @@ from drake_nonstop.optimization.terminal_set import (
 )
 from drake_nonstop.optimization.traced_problem import beliefs_of
 from drake_nonstop.optimization.update_data import Beliefs
-from drake_nonstop.systems.tracing import TracedFunction
+from drake_nonstop.systems.tracing import ElementwiseFunction, TracedFunction
 
 _OTHERS_SHARE = 0.3  # of the weight of the speed bound's slack: that of the other limits
 
@@ -319,7 +318,10 @@ class HorizonProblem:
         self._beliefs = np.concatenate(beliefs)
         self.rest_length = float(beliefs.rest_length[0])  # m
         self.compliance = float(beliefs.compliance[0])  # m/N
-        self._cables = {"rest_length": self.rest_length, "compliance": self.compliance}
+        self._cables: dict[str, Any] = {
+            "rest_length": self.rest_length,
+            "compliance": self.compliance,
+        }
         self.axes = nonstop.orbit_axes(model.pattern.basis, model.pattern.phases)
         low, high = self._bounds[:, 1]
         self.amplitudes = np.linspace(low, high, config.terminal_amplitudes)
@@ -354,6 +356,9 @@ class HorizonProblem:
         if self._limits.min_separation > 0:
             self._separation = SeparationConstraint(self._limits.min_separation, self.axes)
         self._pairs = np.array(np.triu_indices(model.n, 1))
+        if self._separation is not None:
+            pairs = self._pairs.shape[1]
+            self._planned_gaps = self._elementwise(self._gaps_of_one, [4, *[6] * 4], pairs)
         rows = spline_rows(self.instants, self.intervals, spacing)
         self._rows = rows
         self._flight_rows = type(rows)(*(part[self._flight_at] for part in rows))
@@ -369,10 +374,16 @@ class HorizonProblem:
         )
         self._place_constraints()
         self.hessian = self._hessian()
+        self._axis_columns = np.hstack(self.axes).T[:, None]
+        self._planned_speeds = self._elementwise(self._speeds_of_one, [4, 12, 6], model.n)
         self._terms = self._traced(orbit_along_reference)
         self._flight_terms: TracedFunction | None = None
         if self._limits_flight:
             self._flight_terms = self._traced(flight_along_reference)
+            flown = len(self._flight_at) + len(self._orbits_of) * len(self._orbit_angles)
+            self._planned_flight = self._elementwise(
+                self._flight_margins_of_one, [6, 24, 6], model.n, flown
+            )
 
     @property
     def largest_differences(self) -> NDArray:
@@ -424,8 +435,7 @@ class HorizonProblem:
 
         Of flat `FlightTerms` (k, 15n + 9), with limits of flight.
         """
-        aircraft, angles, count = self.model.aircraft, self._orbit_angles, len(flat_flight)
-        assert aircraft is not None
+        angles, count = self._orbit_angles, len(flat_flight)
         shape = np.ones(count * len(angles))
         orbit = PlannedOrbit(
             np.tile(angles, count),
@@ -436,10 +446,18 @@ class HorizonProblem:
             0 * shape,
         )
         terms = FlightTerms.view(np.repeat(flat_flight, len(angles), axis=0))
-        products = flight_products(aircraft, terms, self.axes, orbit, **self._cables)
-        margins = self._flight_limits.margins(aircraft, flight_needs(aircraft, products))
+        margins = self._flight_margins(terms, self.axes, orbit)
         worst: NDArray = np.min(margins, axis=(0, 2)).reshape(count, -1).min(axis=1)
         return worst
+
+    def _flight_margins(
+        self, terms: FlightTerms, axes: tuple[NDArray, NDArray], orbit: PlannedOrbit
+    ) -> list[NDArray]:
+        """The margins (k, n) of aircraft's limits, of numbers or symbols."""
+        aircraft = self.model.aircraft
+        assert aircraft is not None
+        products = flight_products(aircraft, terms, axes, orbit, **self._cables)
+        return self._flight_limits.margins(aircraft, flight_needs(aircraft, products))
 
     def data(
         self,
@@ -622,19 +640,28 @@ class HorizonProblem:
         return float(away @ self.hessian @ away) / 2
 
     def speeds(self, data: HorizonData, coefficients: NDArray) -> PlannedSpeeds:
-        """The squared speeds (k, n) at the instants, and their gradients."""
+        """The squared speeds and tensions (k, n) at the instants."""
+        return PlannedSpeeds(*self._speeds_and_slopes(data, coefficients)[0])
+
+    def _speeds_and_slopes(
+        self, data: HorizonData, coefficients: NDArray
+    ) -> tuple[NDArray, NDArray]:
+        """The parts (2, k, n) of `speeds`, and their gradients (2, 4, k, n) by θ, ξ, A and Ȧ."""
+        orbit = self._orbit(data, coefficients)
+        return self._planned_speeds(orbit, data.terms.columns, self._axis_columns)
+
+    def _orbit(self, data: HorizonData, coefficients: NDArray) -> NDArray:
+        """θ, ξ, A and Ȧ (4, k, 1) at the instants."""
         c, d = coefficients
         frequency, amplitude = self.nominal
         rows = self._rows
-        return planned_speeds(
-            data.terms,
-            self.axes,
+        values = [
             data.start_angle + frequency * (rows.integral @ c),
             frequency * (rows.value @ c),
             amplitude * (rows.value @ d),
             amplitude * (rows.rate @ d),
-            **self._cables,
-        )
+        ]
+        return np.stack(values)[:, :, None]
 
     def values_along(self, of: Of, terms: OrbitTerms, planned: NDArray) -> NDArray:
         """Speeds, tensions or separations (k, c) at k instants, of the plan's values (k, 8) there.
@@ -644,17 +671,16 @@ class HorizonProblem:
         values = PlannedParameters.view(planned)
         angle, amplitude = values.angle[:, 0], values.amplitude[:, 0]
         if of is Of.SEPARATION:
-            return np.sqrt(
-                planned_gaps(
-                    terms,
-                    self.axes,
-                    angle,
-                    amplitude,
-                    attachments=self.model.attachments,
-                    pairs=self._pairs,
-                    **self._cables,
-                )[0]
+            squares = planned_gaps(
+                terms.forces,
+                self.axes,
+                angle,
+                amplitude,
+                attachments=self.model.attachments,
+                pairs=self._pairs,
+                **self._cables,
             )
+            return np.sqrt(squares)
         found = planned_speeds(
             terms,
             self.axes,
@@ -668,23 +694,19 @@ class HorizonProblem:
 
     def linearization(self, data: HorizonData, coefficients: NDArray) -> Linearization:
         """The constraints about coefficients (2, N)."""
-        speeds = self.speeds(data, coefficients)
+        values, slopes = self._speeds_and_slopes(data, coefficients)
         limits, bound, unit = self._limits, data.speed_bound, math.sqrt(data.speed_unit)
-        margins = limits.of_speeds(speeds.squares, bound, unit)
-        gradients = [speeds.gradients / unit**2]
-        gradients += [factor * speeds.gradients for factor in limits.speed_factors]
+        margins = limits.of_speeds(values[0], bound, unit)
+        gradients = [slopes[0] / unit**2]
+        gradients += [factor * slopes[0] for factor in limits.speed_factors]
         if limits.limit_tensions:
-            margins += limits.of_tensions(speeds.tension_squares)
-            by_angle, by_amplitude = speeds.tension_gradients
-            for factor in limits.tension_factors:
-                zero = np.zeros(by_angle.shape)
-                gradients.append(factor * np.stack([by_angle, zero, by_amplitude, zero]))
+            margins += limits.of_tensions(values[1])
+            gradients += [factor * slopes[1] for factor in limits.tension_factors]
         if self._separation is not None:
-            squares, (by_angle, by_amplitude) = self._gaps(data, coefficients)
+            squares, slopes = self._gaps(data, coefficients)
             factor = 1 / limits.min_separation**2
-            margins.append(factor * squares - 1)
-            zero = np.zeros(by_angle.shape)
-            gradients.append(factor * np.stack([by_angle, zero, by_amplitude, zero]))
+            margins.append(factor * squares[0] - 1)
+            gradients.append(factor * slopes[0])
         of_instants, weights = _with_dips(np.concatenate(margins, axis=1))
         # What carriers have to keep beyond the bound steps with time: no minimum follows from it.
         of_instants[:, : self.model.n] -= (data.aims**2 - bound**2) / unit**2
@@ -693,7 +715,7 @@ class HorizonProblem:
         by = [_columns(np.concatenate(gradients, axis=2)), of_terminal]
         all_weights = [_columns(weights)]
         if self._limits_flight:
-            flight, of_flight = self._flight_margins(data, coefficients)
+            flight, of_flight = self._flight_linearization(data, coefficients)
             count = len(self._flight_at)
             dipping, weights = _with_dips(flight[:count])
             of_orbits = _columns(of_flight[:, count:])
@@ -813,13 +835,13 @@ class HorizonProblem:
     def _limits_flight(self) -> bool:
         return bool(self._flight_limits.kinds)
 
-    def _flight_margins(self, data: HorizonData, coefficients: NDArray) -> tuple[NDArray, NDArray]:
+    def _flight_linearization(
+        self, data: HorizonData, coefficients: NDArray
+    ) -> tuple[NDArray, NDArray]:
         """Those of aircraft's limits (k, m) and their gradients (6, k, m), by the `Slopes`.
 
         At those instants, and after them at all phases of orbits at the ends of the last intervals.
         """
-        aircraft = self.model.aircraft
-        assert aircraft is not None
         c, d = coefficients
         frequency, amplitude = self.nominal
         rows, angles = self._flight_rows, self._orbit_angles
@@ -842,35 +864,31 @@ class HorizonProblem:
             zero,
             zero,
         )
-        needs, by = planned_flight(
-            aircraft,
-            FlightTerms.view(np.concatenate([data.flat_flight, data.flat_flight[every]])),
-            self.axes,
-            PlannedOrbit(*map(np.concatenate, zip(along, around, strict=True))),
-            **self._cables,
-        )
-        margins = self._flight_limits.margins(aircraft, needs)
-        gradients = self._flight_limits.gradients(aircraft, needs, by)
-        found = np.concatenate(gradients, axis=2)
-        return np.concatenate(margins, axis=1), found[[0, 1, 3, 4, 2, 5]]
+        terms = FlightTerms.view(np.concatenate([data.flat_flight, data.flat_flight[every]]))
+        orbit = np.hstack([along, around])[:, :, None]
+        margins, slopes = self._planned_flight(orbit, terms.columns, self._axis_columns)
+        count = len(along.angle) + len(every)
+        slopes = slopes[:, [0, 1, 3, 4, 2, 5]].transpose(1, 2, 0, 3)
+        return margins.swapaxes(0, 1).reshape(count, -1), slopes.reshape(len(orbit), count, -1)
 
     @property
     def _limits_amplitude(self) -> bool:
         return self._limits.limit_tensions or self._separation is not None
 
     def _gaps(self, data: HorizonData, coefficients: NDArray) -> tuple[NDArray, NDArray]:
-        """The squared distances of all pairs at the instants, and their gradients."""
-        c, d = coefficients
-        frequency, amplitude = self.nominal
-        return planned_gaps(
-            data.terms,
-            self.axes,
-            data.start_angle + frequency * (self._rows.integral @ c),
-            amplitude * (self._rows.value @ d),
-            attachments=self.model.attachments,
-            pairs=self._pairs,
-            **self._cables,
-        )
+        """The squared distances (1, k, m) of all pairs at the instants.
+
+        And their gradients (1, 4, k, m) by θ, ξ, A and Ȧ.
+        """
+
+        def of_both(vectors: NDArray) -> NDArray:
+            """Those (k, n, 3) of both carriers of a pair, (6, k, m)."""
+            both = np.moveaxis(vectors[:, self._pairs], (1, 3), (0, 1))
+            return both.reshape(6, *both.shape[2:])
+
+        constants = (of_both(part[None]) for part in (*self.axes, self.model.attachments))
+        orbit = self._orbit(data, coefficients)
+        return self._planned_gaps(orbit, of_both(data.terms.forces), *constants)
 
     def _terminal_margins(
         self, data: HorizonData, coefficients: NDArray
@@ -918,6 +936,43 @@ class HorizonProblem:
             config.amplitude_weight * square(rows.value) + smooth
         )
         return hessian
+
+    def _speeds_of_one(self, orbit: NDArray, terms: NDArray, axes: NDArray) -> PlannedSpeeds:
+        """`planned_speeds` of one carrier at an instant."""
+        own = OrbitTerms.view(terms[None])
+        return planned_speeds(
+            own, (axes[None, :3], axes[None, 3:]), *orbit[:, None], **self._cables
+        )
+
+    def _gaps_of_one(self, orbit: NDArray, *both: NDArray) -> NDArray:
+        """`planned_gaps` of one pair of carriers at an instant."""
+        forces, p, q, attachments = (vectors.reshape(2, 3) for vectors in both)
+        return planned_gaps(
+            forces[None],
+            (p, q),
+            orbit[:1],
+            orbit[2:3],
+            attachments=attachments,
+            pairs=np.array([[0], [1]]),
+            **self._cables,
+        )
+
+    def _flight_margins_of_one(
+        self, orbit: NDArray, terms: NDArray, axes: NDArray
+    ) -> list[NDArray]:
+        """`_flight_margins` of one aircraft at an instant."""
+        own = FlightTerms.view(terms[None])
+        planned = PlannedOrbit(*orbit[:, None])
+        return self._flight_margins(own, (axes[None, :3], axes[None, 3:]), planned)
+
+    def _elementwise(
+        self, function: Callable, sizes: list[int], width: int, instants: int = 0
+    ) -> ElementwiseFunction:
+        """A function of one carrier or pair at an instant, for all of them; 0: at all instants."""
+        key = function.__name__, self.model.aircraft, self.limits, self.rest_length, self.compliance
+        return ElementwiseFunction(
+            function, sizes, (instants or len(self.instants), width), key=key
+        )
 
     def _traced(self, terms: Callable[..., NDArray]) -> TracedFunction:
         """The flat terms that a function has of a load, a reference, a wind and a model."""

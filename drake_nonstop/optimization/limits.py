@@ -103,10 +103,7 @@ class Limit:
         return self.side / limit**2
 
     def margins(self, aircraft: Aircraft, needs: FlightNeeds, limit: float) -> list[NDArray]:
-        """The margins (...,) of needs (...,), of numbers or symbols, negative beyond the limit.
-
-        They are analytic in the needs: `FlightLimits.gradients` differentiates them.
-        """
+        """The margins (...,) of needs (...,), of numbers or symbols, negative beyond the limit."""
         if self.own_margins is not None:
             return self.own_margins(aircraft, needs, limit)
         assert self.quantity is not None

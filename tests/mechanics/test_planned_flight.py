@@ -1,4 +1,4 @@
-"""What aircraft need along a planned orbit, against the inverse, other motions and differences."""
+"""What aircraft need along a planned orbit, against the inverse, and other motions."""
 
 from dataclasses import replace
 
@@ -13,14 +13,12 @@ from drake_nonstop.mechanics.force_rates import second_and_third_force_rates
 from drake_nonstop.mechanics.grasp import cable_forces_and_rates
 from drake_nonstop.mechanics.internal_force import planned_internal_force
 from drake_nonstop.mechanics.planned_flight import (
-    FlightNeeds,
     FlightTerms,
     PlannedOrbit,
     flight_along_reference,
+    flight_needs,
     flight_products,
     flight_terms,
-    planned_flight,
-    planned_products,
     stall_factor,
     turning_terms,
 )
@@ -82,6 +80,11 @@ def stack(references, model, wind):
     return FlightTerms.view(np.array(rows))
 
 
+def needs_of(model, terms, orbit):
+    products = flight_products(model.aircraft, terms, axes_of(model), orbit, **cables_of(model))
+    return flight_needs(model.aircraft, products)
+
+
 def slow_motion(seed, share=0.2):
     """A reference (22,) with everything in motion, in slow motion."""
     reference = Motion(seed).reference(0.7)
@@ -117,9 +120,7 @@ def test_needs_are_those_of_the_exact_inverse_of_the_commanded_motion(rng):
     model = aircraft_model()
     orbit = plan(rng, 6)
     references = [slow_motion(i) for i in range(6)]
-    found = planned_flight(
-        model.aircraft, stack(references, model, WIND), axes_of(model), orbit, **cables_of(model)
-    ).needs
+    found = needs_of(model, stack(references, model, WIND), orbit)
     for i, (reference, instant) in enumerate(zip(references, np.transpose(orbit), strict=True)):
         velocities, acceleration, forces = commanded(model, reference, instant, WIND)
         force = needed_force(model.aircraft, acceleration, forces)
@@ -135,27 +136,6 @@ def test_needs_are_those_of_the_exact_inverse_of_the_commanded_motion(rng):
         ):
             np.testing.assert_allclose(
                 getattr(found, name)[i], expected, rtol=1e-8, atol=1e-8, err_msg=name
-            )
-
-
-def test_gradients_are_central_differences(rng):
-    model = aircraft_model()
-    terms = stack([slow_motion(i) for i in range(5)], model, WIND)
-    orbit = plan(rng, 5)
-    others = model.aircraft, terms, axes_of(model)
-    found = planned_flight(*others, orbit, **cables_of(model)).gradients
-    for i, (name, values) in enumerate(orbit._asdict().items()):
-
-        def needs(shift, name=name, values=values):
-            moved = orbit._replace(**{name: values + shift})
-            return np.array(planned_flight(*others, moved, **cables_of(model)).needs)
-
-        expected = FlightNeeds(*difference(needs, 0.0))
-        for field in FlightNeeds._fields:
-            gradient = getattr(found, field)[i]
-            scale = 1 + np.abs(getattr(expected, field)).max()
-            np.testing.assert_allclose(
-                gradient, getattr(expected, field), atol=1e-7 * scale, err_msg=f"{field} by {name}"
             )
 
 
@@ -217,13 +197,7 @@ def test_above_a_resting_load_needs_are_those_of_the_margins(yaw_rate):
         moved[0], moved[3] = np.cos(angle / 2), np.sin(angle / 2)
         turned.append(moved)
     constant = [np.full(7, value) for value in (xi, 0.0, A, 0.0, 0.0)]
-    needs = planned_flight(
-        model.aircraft,
-        stack(turned, model, WIND),
-        axes_of(model),
-        PlannedOrbit(phases, *constant),
-        **cables_of(model),
-    ).needs
+    needs = needs_of(model, stack(turned, model, WIND), PlannedOrbit(phases, *constant))
     for name in ("airspeed", "lift", "bank", "climb", "thrust"):
         np.testing.assert_allclose(
             getattr(needs, name), getattr(expected, name), rtol=1e-7, atol=1e-7, err_msg=name
@@ -241,7 +215,7 @@ def test_closed_forms_of_level_orbits_that_turn_with_the_load():
     reference[0], reference[9] = 1.0, rate
     orbit = PlannedOrbit(*(np.array([value]) for value in (0.0, 0.4, 0.0, 0.0, 0.0, 0.0)))
     terms = stack([reference], model, np.zeros(3))
-    needs = planned_flight(aircraft, terms, axes_of(model), orbit, **cables_of(model)).needs
+    needs = needs_of(model, terms, orbit)
     share = 10.0 * 9.81 / 4
     tangent = spread / share
     radius = 1.5 + length * tangent / np.hypot(1, tangent)
@@ -262,7 +236,7 @@ def test_wind_only_shifts_the_velocity_of_the_attachments(rng):
     # The drag of the load changes the forces, too: those are of the still air here.
     shifted = still._replace(velocities=windy.velocities)
     others = axes_of(model), orbit
-    products, _ = planned_products(model.aircraft, shifted, *others, **cables_of(model))
+    products = flight_products(model.aircraft, shifted, *others, **cables_of(model))
     for i, reference in enumerate(references):
         own = commanded(model, reference, np.transpose(orbit)[i], np.zeros(3))[0] - WIND
         np.testing.assert_allclose(products.v_v[i], (own**2).sum(axis=1), rtol=1e-12)
@@ -280,7 +254,7 @@ def test_the_stall_factor_bounds_the_lift_share(wind):
         np.linspace(0, 6.2, count), *(np.full(count, v) for v in (0.595, 0.0, 1.0, 0.0, 0.0))
     )
     terms = stack([np.eye(22)[0]] * count, model, np.array([wind, 0.0, 0.0]))
-    needs = planned_flight(aircraft, terms, axes_of(model), orbit, **cables_of(model)).needs
+    needs = needs_of(model, terms, orbit)
     share = needs.force / (stall_factor(aircraft, 1.0) * needs.airspeed**2)
     ratio = share / (needs.lift / aircraft.max_lift)
     assert ratio.min() > 1.0

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from helpers import Motion, difference, model
+from helpers import Motion, model
 
 from drake_nonstop.mechanics import nonstop
 from drake_nonstop.mechanics.carrier import carrier_motion
@@ -93,21 +93,3 @@ def test_at_constant_parameters_they_are_the_speeds_of_one_update():
     s = A * xi
     np.testing.assert_allclose(found.squares[0], c + 2 * b * s + a * s * s, rtol=1e-9)
     np.testing.assert_allclose(found.tension_squares[0], tension_squared, rtol=1e-9)
-
-
-def test_gradients_are_central_differences():
-    system, motion = model(4), Motion(3)
-    rng = np.random.default_rng(3)
-    numbers = rng.uniform([0, 0.5, 0.3, -0.5], [6, 3, 1.5, 0.5], (6, 4)).T
-    terms = terms_of(system, [motion.reference(time) for time in rng.uniform(0, 9, 6)])
-
-    def at(values):
-        return planned_speeds(terms, axes_of(system), *values, **CABLES)
-
-    found = at(numbers)
-    for i, unit in enumerate(np.eye(4)[:, :, None]):
-        expected = difference(lambda h, unit=unit: at(numbers + h * unit).squares, 0.0)
-        np.testing.assert_allclose(found.gradients[i], expected, rtol=1e-7, atol=1e-8)
-    for i, unit in enumerate(np.eye(4)[[0, 2]][:, :, None]):
-        expected = difference(lambda h, unit=unit: at(numbers + h * unit).tension_squares, 0.0)
-        np.testing.assert_allclose(found.tension_gradients[i], expected, rtol=1e-7, atol=1e-8)

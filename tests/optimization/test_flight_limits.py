@@ -1,9 +1,8 @@
-"""The limits of aircraft as margins: their signs, and their gradients by differences."""
+"""The limits of aircraft as margins."""
 
 import math
 
 import numpy as np
-import pytest
 
 from drake_nonstop.mechanics.aircraft import stall_speed, thrust_limits
 from drake_nonstop.mechanics.planned_flight import FlightNeeds
@@ -49,21 +48,6 @@ def test_a_margin_is_negative_beyond_its_limit(rng):
         np.testing.assert_array_equal(margin >= 0, is_kept)
         assert is_kept.any()
         assert not is_kept.all()
-
-
-@pytest.mark.parametrize("field", [f for f in FlightNeeds._fields if f != "lift"])
-def test_gradients_are_central_differences(field, rng):
-    needs, step = needs_at(rng, 20), 1e-5
-    limits = FlightLimits(CONFIG)
-    zero = np.zeros((1, 20))
-    by = FlightNeeds(*(zero for _ in needs))._replace(**{field: zero + 1})
-    found = limits.gradients(AIRCRAFT, needs, by)
-    up, down = (
-        limits.margins(AIRCRAFT, needs._replace(**{field: getattr(needs, field) + shift}))
-        for shift in (step, -step)
-    )
-    for gradient, above, below in zip(found, up, down, strict=True):
-        np.testing.assert_allclose(gradient[0], (above - below) / (2 * step), atol=1e-8)
 
 
 def test_only_enabled_limits_have_margins_and_they_are_tightened(rng):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from pydrake.autodiffutils import ExtractGradient, InitializeAutoDiff
 
-from drake_nonstop.systems.tracing import NotFiniteError, TracedFunction
+from drake_nonstop.systems.tracing import ElementwiseFunction, NotFiniteError, TracedFunction
 
 
 def equations(a, b):
@@ -172,3 +172,16 @@ def test_operators_take_numbers_and_arrays_on_either_side(name, number, rng):
     traced = TracedFunction(results, [3, 3], name=str)(x, y)
     for value, expected in zip(traced, results(x, y), strict=True):
         np.testing.assert_allclose(value, expected.astype(float), rtol=1e-15)
+
+
+def test_an_elementwise_function_has_the_values_and_derivatives_of_each_entry(rng):
+    traced = TracedFunction(equations, [3, 2], name=lambda: "some_block", jacobian_of=0)
+    elementwise = ElementwiseFunction(equations, [3, 2], (4, 5), key=None)
+    a, b = rng.uniform(1, 2, (3, 4, 1)), rng.uniform(1, 2, (2, 1, 5))
+    values, slopes = elementwise(a, b)
+    elementwise(b[[0, 1, 1]], b)  # an answer is its caller's
+    assert (values.shape, slopes.shape) == ((11, 4, 5), (11, 3, 4, 5))
+    for i, j in np.ndindex(4, 5):
+        *expected, jacobian = traced(a[:, i, 0], b[:, 0, j])
+        np.testing.assert_allclose(values[:, i, j], np.concatenate(expected), rtol=1e-14)
+        np.testing.assert_allclose(slopes[:, :, i, j], jacobian, rtol=1e-14, atol=1e-14)
