@@ -27,7 +27,7 @@ from drake_nonstop.mechanics.aircraft import (
 )
 from drake_nonstop.mechanics.cable import positive_part
 from drake_nonstop.mechanics.formation_orbit import CarriedLoad, FormationShape, carrier_orbit
-from drake_nonstop.mechanics.planned_flight import FlightNeeds
+from drake_nonstop.mechanics.planned_orbit import FlightNeeds
 from drake_nonstop.optimization.limits import Limit
 from drake_nonstop.systems.tracing import TracedFunction
 

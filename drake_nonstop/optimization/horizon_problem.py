@@ -25,16 +25,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.mechanics import nonstop
-from drake_nonstop.mechanics.planned_flight import (
+from drake_nonstop.mechanics.planned_orbit import (
     FlightTerms,
+    OrbitTerms,
     PlannedOrbit,
+    PlannedSpeeds,
     flight_along_reference,
     flight_needs,
     flight_products,
-)
-from drake_nonstop.mechanics.planned_orbit import (
-    OrbitTerms,
-    PlannedSpeeds,
     orbit_along_reference,
     planned_gaps,
     planned_speeds,

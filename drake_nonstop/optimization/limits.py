@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.aircraft import Aircraft, thrust_limits
-from drake_nonstop.mechanics.planned_flight import FlightNeeds, stall_factor
+from drake_nonstop.mechanics.planned_orbit import FlightNeeds, stall_factor
 
 
 class Of(Enum):

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.mechanics import nonstop
-from drake_nonstop.mechanics.planned_flight import (
+from drake_nonstop.mechanics.planned_orbit import (
     PlannedOrbit,
     flight_needs,
     flight_products,

@@ -28,7 +28,7 @@ from drake_nonstop.mechanics.aircraft import (
     thrust_share,
 )
 from drake_nonstop.mechanics.cable import forces_under_other_wrench, wrenches_of
-from drake_nonstop.mechanics.planned_flight import FlightNeeds
+from drake_nonstop.mechanics.planned_orbit import FlightNeeds
 from drake_nonstop.mechanics.resting_orbit import CarrierOrbits, resting_orbits
 from drake_nonstop.mechanics.rigid_load import RigidLoad
 from drake_nonstop.mechanics.signals import LoadReference, Parameters, Pose

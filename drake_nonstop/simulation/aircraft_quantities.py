@@ -12,7 +12,7 @@ from drake_nonstop.mechanics.aircraft import (
     thrust_power,
     thrust_share,
 )
-from drake_nonstop.mechanics.planned_flight import FlightNeeds
+from drake_nonstop.mechanics.planned_orbit import FlightNeeds
 from drake_nonstop.mechanics.signals import AircraftState, CarrierStates, LoadReference
 from drake_nonstop.model.system import aircraft_in, overridden
 from drake_nonstop.simulation.run import Run

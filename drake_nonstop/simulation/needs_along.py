@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.cable import forces_under_other_wrench, wrenches_of
 from drake_nonstop.mechanics.nonstop import orbit_axes
-from drake_nonstop.mechanics.planned_flight import (
+from drake_nonstop.mechanics.planned_orbit import (
     FlightNeeds,
     FlightTerms,
     PlannedOrbit,

@@ -18,7 +18,7 @@ from drake_nonstop.mechanics.aircraft import (
     thrust_share,
 )
 from drake_nonstop.mechanics.formation_orbit import CarriedLoad, FormationShape, carrier_orbit
-from drake_nonstop.mechanics.planned_flight import FlightNeeds
+from drake_nonstop.mechanics.planned_orbit import FlightNeeds
 from drake_nonstop.mechanics.signals import POSE_SIZE
 from drake_nonstop.model.pattern import EllipticCarouselConfig
 from drake_nonstop.optimization.formation_program import (

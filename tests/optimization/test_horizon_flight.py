@@ -8,7 +8,7 @@ import pytest
 from helpers import Motion, difference, model
 
 from drake_nonstop.mechanics.aircraft import needed_force, required_command, thrust_limits
-from drake_nonstop.mechanics.planned_flight import stall_factor
+from drake_nonstop.mechanics.planned_orbit import stall_factor
 from drake_nonstop.mechanics.wind import MeanWind
 from drake_nonstop.mechanics.wrench import NO_FEEDBACK, wrench_and_rate
 from drake_nonstop.model.aircraft import AircraftParameters

@@ -12,7 +12,7 @@ from drake_nonstop.mechanics.carrier import carrier_acceleration, carrier_motion
 from drake_nonstop.mechanics.force_rates import second_and_third_force_rates
 from drake_nonstop.mechanics.grasp import cable_forces_and_rates
 from drake_nonstop.mechanics.internal_force import planned_internal_force
-from drake_nonstop.mechanics.planned_flight import (
+from drake_nonstop.mechanics.planned_orbit import (
     FlightTerms,
     PlannedOrbit,
     flight_along_reference,
