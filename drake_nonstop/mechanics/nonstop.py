@@ -9,9 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.mechanics.grasp import in_load_frame
 from drake_nonstop.mechanics.internal_force import ellipse_axes, internal_force
-from drake_nonstop.mechanics.rotation import absolute, cross, quaternion_rate, rotation_matrix
+from drake_nonstop.mechanics.rotation import absolute, cross, quaternion_rate
 from drake_nonstop.mechanics.signals import LoadState, Parameters, Phase
 
 
@@ -135,46 +134,6 @@ def quadratic_change_cost(
     )
 
 
-def orbit_ahead(
-    load_state: NDArray,
-    load_motion: NDArray,
-    wrench: NDArray,
-    wrench_rate: NDArray,
-    wrench_second_rate: NDArray,
-    *,
-    time: float,
-    pseudo_inverse: NDArray,
-    offset: NDArray,
-    attachments: NDArray,
-) -> tuple[NDArray, ...]:
-    """The terms, independent of the phase, of the orbits that are flown `time` (s) ahead.
-
-    All in the frame of the load, where the grasp matrix and the pattern are constant:
-
-        f = f₀ + A u,   ḟ = d + ω × f + A ξ u',   v = v_b + d/dt (ℓ f/‖f‖),
-
-    with u = p cos θ + q sin θ and u' = ∂u/∂θ, p and q from `orbit_axes`.
-
-    `load_state` turns the load-frame forces, `load_motion` is the motion that the carriers
-    follow (the measured state, as printed, or the reference, as commanded); both (13,) and
-    already `time` ahead. The wrench and its first two rates (6,) are those of now, in W, and
-    extrapolate the wrench.
-
-    Returns:
-        f₀, d, the levers of the attachments in `load_motion` and their velocities v_b,
-        (n, 3) each, and the angular velocity ω (3,) that turns the forces.
-    """
-    wrench = wrench + time * (wrench_rate + time / 2 * wrench_second_rate)
-    wrench_rate = wrench_rate + time * wrench_second_rate
-    R_LW, omega, wrench_L, wrench_rate_L = in_load_frame(load_state, wrench, wrench_rate)
-    forces = pseudo_inverse @ wrench_L + offset
-    rates = pseudo_inverse @ wrench_rate_L
-    motion = LoadState.view(load_motion)
-    levers = attachments @ (R_LW @ rotation_matrix(motion.quaternion)).T
-    velocities = R_LW @ motion.velocity + cross(R_LW @ motion.angular_velocity, levers)
-    return forces.reshape(-1, 3), rates.reshape(-1, 3), levers, velocities, omega
-
-
 def orbit_axes(basis: NDArray, phases: NDArray) -> tuple[NDArray, NDArray]:
     """The axes p and q (n, 3), in L: the internal force N₀ λ is A (p cos θ + q sin θ)."""
     cosine_axes, sine_axes = ellipse_axes(basis, phases)
@@ -184,7 +143,8 @@ def orbit_axes(basis: NDArray, phases: NDArray) -> tuple[NDArray, NDArray]:
 class AxisProducts(NamedTuple):
     """The products of vectors of n carriers with one vector of the orbit's plane: p, q or u.
 
-    The vectors are f₀, d, v_b and ω of `orbit_ahead`, e = d + ω × f₀, and cross products with ω.
+    The vectors are f₀, d, v_b and ω of `planned_orbit.OrbitTerms`, e = d + ω × f₀, and cross
+    products with ω.
     """
 
     f: NDArray  # (n,), of f₀, as all
@@ -253,7 +213,7 @@ def speed_products(
 ) -> NDArray:
     """The scalar products (25, n) from which `speed_polynomials` are built: a `SpeedProducts`.
 
-    Of f₀, d, v_b, ω (see `orbit_ahead`), p and q (see `orbit_axes`), in any one frame.
+    Of f₀, d, v_b, ω (see `planned_orbit.OrbitTerms`), p and q (see `orbit_axes`), in any one frame.
     """
 
     def dot(a: NDArray, b: NDArray) -> NDArray:
@@ -357,9 +317,9 @@ def orbit_positions(
     """Carriers relative to the load at phases of their orbits, and their rates by the phase θ.
 
     Both (3, …) in L, m and m/rad: the components come first, and what follows broadcasts.
-    `forces` f₀ (N) and `levers` (m) are those of `orbit_ahead`, `directions` u and
-    `direction_rates` u' = ∂u/∂θ as described there, `amplitude` is A (N). The position is
-    lever + ℓ f/‖f‖ with f = f₀ + A u and ℓ = L₀ + ‖f‖/K_c.
+    `forces` f₀ (N) are those of `planned_orbit.OrbitTerms`, `levers` (m) of the attachments,
+    `directions` u and `direction_rates` u' = ∂u/∂θ as in `planned_orbit`, `amplitude` is A (N). The
+    position is lever + ℓ f/‖f‖ with f = f₀ + A u and ℓ = L₀ + ‖f‖/K_c.
     """
     force = forces + amplitude * directions
     force_rate = amplitude * direction_rates

@@ -14,7 +14,7 @@ through the air alone, v_b − Rᵀw. In steps, each usable alone and most of nu
 - `flight_needs`: airspeed, ‖F‖, C_L, bank, climb and thrust of such products, `FlightNeeds`, by the
   exact inverse `lift_and_thrust`. Stall alone needs ‖F‖ and V only, see `stall_factor`.
 
-With the forces and rates of `mechanics.nonstop.orbit_ahead`,
+With u = p cos θ + q sin θ and u′ = ∂u/∂θ, p and q from `mechanics.nonstop.orbit_axes`,
 
     f = f₀ + A u,   ᴸḟ = d + Ȧ u + A ξ u′,   ᴸf̈ = d₂ + (Ä − A ξ²) u + (2 Ȧ ξ + A ξ̇) u′,
     r = ᴸḟ + ω × f,   s = ᴸf̈ + 2 ω × ᴸḟ + α × f + ω × (ω × f),
@@ -34,7 +34,6 @@ from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.aircraft import Aircraft, lift_and_thrust
 from drake_nonstop.mechanics.force_rates import second_and_third_force_rates
-from drake_nonstop.mechanics.nonstop import orbit_ahead
 from drake_nonstop.mechanics.rigid_load import STILL_AIR, RigidLoad
 from drake_nonstop.mechanics.rotation import cross, rotation_matrix
 from drake_nonstop.mechanics.signals import (
@@ -50,7 +49,7 @@ _LEAST = 1e-12  # beside squares that may vanish
 
 
 class OrbitTerms(NamedTuple):
-    """What the speeds of n carriers depend on besides θ, ξ and A, in L; see `orbit_ahead`."""
+    """What the speeds of n carriers depend on besides θ, ξ and A, in L."""
 
     forces: NDArray  # (..., n, 3), N, f₀
     rates: NDArray  # (..., n, 3), N/s, d
@@ -95,6 +94,11 @@ class FlightTerms(NamedTuple):
         """The array (..., 15n + 9) of which these are the parts."""
         vectors, lead = self[:5], self.up.shape[:-1]
         return np.concatenate([*(v.reshape(*lead, -1) for v in vectors), *self[5:]], axis=-1)
+
+    @property
+    def of_speeds(self) -> OrbitTerms:
+        """Those that count for speeds."""
+        return OrbitTerms(self.forces, self.rates, self.velocities, self.angular_velocity)
 
     @property
     def columns(self) -> NDArray:
@@ -152,19 +156,18 @@ def orbit_along_reference(
     """
     state = reference[:LOAD_STATE_SIZE]
     wrench, wrench_rate = feedforward_wrench(load, reference, wind)
-    forces, rates, _, velocities, omega = orbit_ahead(
+    terms = flight_terms(
         state,
-        state,
+        reference,
         wrench,
         wrench_rate,
         np.zeros(WRENCH_SIZE),
-        time=0.0,
+        wind,
         pseudo_inverse=pseudo_inverse,
         offset=offset,
         attachments=attachments,
     )
-    velocities = velocities - rotation_matrix(state[:4]).T @ wind
-    return np.concatenate([forces.ravel(), rates.ravel(), velocities.ravel(), omega])
+    return np.concatenate([part.ravel() for part in terms.of_speeds])
 
 
 def flight_terms(

@@ -44,7 +44,7 @@ class Separation:
 
     Args:
         constraint: what all updates share.
-        forces: f₀ (n, 3), N, of `mechanics.nonstop.orbit_ahead`.
+        forces: f₀ (n, 3), N, of `OrbitTerms`.
         levers: (n, 3), m, likewise.
         rest_length: m, of the cables.
         compliance: m/N, of the cables.

@@ -186,13 +186,14 @@ class TracedProblem:
             model.aircraft,
         )
 
-    def _trace_instants(self, data: UpdateData) -> list[tuple[NDArray, NDArray, NDArray]]:
-        """The load's state and motion (22,) at each instant, and the wind that counts there."""
+    def _trace_instants(self, data: UpdateData) -> tuple[list[FlightTerms], NDArray]:
+        """The terms at each instant, and the levers (n, 3) of the attachments at the last one."""
         state, reference, model = data.load_state, data.reference, self.model
         beliefs = Beliefs.view(data.beliefs)
         wind = STILL_AIR if model.aircraft is None else data.wind
         load = _load_of(beliefs)
         accelerations = load_acceleration(load, state, data.wrench, wind)
+        wrench_rate, second_rate = data.wrench_rate, self._second_rate(data)
         found = []
         for instant in self._instants:
             ahead = nonstop.advance(state, *accelerations, instant)
@@ -202,8 +203,20 @@ class TracedProblem:
                 rates = desired.angular_acceleration, desired.acceleration
                 moved = nonstop.advance(reference[:LOAD_STATE_SIZE], *rates, instant)
                 motion = np.concatenate([moved, *rates, desired.jerk])
-            found.append((ahead, motion, wind))
-        return found
+            terms = flight_terms(
+                ahead,
+                motion,
+                data.wrench + instant * (wrench_rate + instant / 2 * second_rate),
+                wrench_rate + instant * second_rate,
+                second_rate,
+                wind,
+                pseudo_inverse=_without_round_off(model.pseudo_inverse),
+                offset=beliefs.offset if len(beliefs.offset) else np.zeros(3 * model.n),
+                attachments=model.attachments,
+            )
+            found.append(terms)
+        turn = rotation_matrix(ahead[:4]).T @ rotation_matrix(motion[:4])
+        return found, model.attachments @ turn.T
 
     def _second_rate(self, data: UpdateData) -> NDArray:
         """The wrench's second rate (6,) that counts: of aircraft none.
@@ -213,51 +226,11 @@ class TracedProblem:
         """
         return data.wrench_second_rate if self.model.aircraft is None else np.zeros(WRENCH_SIZE)
 
-    def _trace_orbits(self, data: UpdateData) -> tuple[NDArray, NDArray, NDArray]:
-        """The products (25, instants, n), and the last instant's forces and levers (n, 3)."""
-        model, beliefs = self.model, Beliefs.view(data.beliefs)
-        offset = beliefs.offset if len(beliefs.offset) else np.zeros(3 * model.n)
-        products = []
-        for instant, (ahead, motion, wind) in zip(
-            self._instants, self._trace_instants(data), strict=True
-        ):
-            forces, rates, levers, velocities, omega = nonstop.orbit_ahead(
-                ahead,
-                motion[:LOAD_STATE_SIZE],
-                data.wrench,
-                data.wrench_rate,
-                self._second_rate(data),
-                time=instant,
-                pseudo_inverse=_without_round_off(model.pseudo_inverse),
-                offset=offset,
-                attachments=model.attachments,
-            )
-            if model.aircraft is not None:
-                velocities = velocities - rotation_matrix(ahead[:4]).T @ wind
-            products.append(nonstop.speed_products(forces, rates, velocities, omega, *self._axes))
-        return np.stack(products, axis=1), forces, levers
-
     def _trace_flight_terms(self, x: NDArray, vector: NDArray) -> tuple[NDArray, NDArray]:
         """The flat `FlightTerms` (rows, 15n + 9), and the phases (rows,)."""
-        data, model = UpdateData.view(vector), self.model
-        beliefs = Beliefs.view(data.beliefs)
-        found = []
-        for instant, (ahead, motion, wind) in zip(
-            self._instants, self._trace_instants(data), strict=True
-        ):
-            terms = flight_terms(
-                ahead,
-                motion,
-                data.wrench + instant * data.wrench_rate,
-                data.wrench_rate,
-                self._second_rate(data),
-                wind,
-                pseudo_inverse=_without_round_off(model.pseudo_inverse),
-                offset=beliefs.offset if len(beliefs.offset) else np.zeros(3 * model.n),
-                attachments=model.attachments,
-            )
-            found.append(terms.flat)
-        return np.stack(found)[self._instant_of_row], self._angles_of_rows(x, data)
+        data = UpdateData.view(vector)
+        found = np.stack([terms.flat for terms in self._trace_instants(data)[0]])
+        return found[self._instant_of_row], self._angles_of_rows(x, data)
 
     def _angles_of_rows(self, x: NDArray, data: UpdateData) -> NDArray:
         """The phases (rows,), rad."""
@@ -268,7 +241,9 @@ class TracedProblem:
     def _trace_terms(self, x: NDArray, vector: NDArray) -> tuple[NDArray, ...]:
         """The `SpeedTerms`."""
         data = UpdateData.view(vector)
-        products, forces, levers = self._trace_orbits(data)
+        instants, levers = self._trace_instants(data)
+        orbits = [nonstop.speed_products(*terms.of_speeds, *self._axes) for terms in instants]
+        products = np.stack(orbits, axis=1)
         angle = nonstop.phase_of(x, data.previous, data.phase)
         ahead = angle + Parameters.view(data.previous).frequency * self._instants
         cosine, sine = np.cos(ahead[: self._points]), np.sin(ahead[: self._points])
@@ -284,7 +259,9 @@ class TracedProblem:
             products[:, self._instant_of_row],
         )
         angles = angle + self.model.pattern.phases
-        return SpeedTerms(polynomials.reshape(nonstop.POLYNOMIALS_SHAPE), forces, levers, angles)
+        return SpeedTerms(
+            polynomials.reshape(nonstop.POLYNOMIALS_SHAPE), instants[-1].forces, levers, angles
+        )
 
     def _trace_margins(self, x: NDArray, vector: NDArray) -> NDArray:
         data = UpdateData.view(vector)

@@ -10,7 +10,6 @@ from drake_nonstop.mechanics.nonstop import (
     advance,
     change_cost,
     nearest_squares,
-    orbit_ahead,
     orbit_axes,
     orbit_positions,
     phase_of,
@@ -20,6 +19,8 @@ from drake_nonstop.mechanics.nonstop import (
     speed_products,
     speed_squares,
 )
+from drake_nonstop.mechanics.planned_orbit import flight_terms
+from drake_nonstop.mechanics.rotation import rotation_matrix
 
 ATTACHMENTS = spatial(4)
 BASIS = hamiltonian_cycle(ATTACHMENTS)
@@ -43,13 +44,22 @@ WRENCHES = (
 AXES = orbit_axes(BASIS, PHASES)
 
 
-def predicted(time, state, motion, theta):
-    """The squared speeds (4,) and tensions of PARAMETERS at a phase, `time` ahead."""
-    grasp = {name: GRASP[name] for name in ("pseudo_inverse", "offset")}
-    forces, rates, _, velocities, omega = orbit_ahead(
-        state, motion, *WRENCHES, time=time, attachments=ATTACHMENTS, **grasp
+def terms_ahead(time, state, reference):
+    wrench, rate, second_rate = WRENCHES
+    return flight_terms(
+        state,
+        reference,
+        wrench + time * (rate + time / 2 * second_rate),
+        rate + time * second_rate,
+        second_rate,
+        attachments=ATTACHMENTS,
+        **{name: GRASP[name] for name in ("pseudo_inverse", "offset")},
     )
-    products = speed_products(forces, rates, velocities, omega, *AXES)
+
+
+def predicted(time, state, reference, theta):
+    """The squared speeds (4,) and tensions of PARAMETERS at a phase, `time` ahead."""
+    products = speed_products(*terms_ahead(time, state, reference).of_speeds, *AXES)
     polynomials = speed_polynomials(np.cos(theta), np.sin(theta), products)
     frequency, amplitude = PARAMETERS
     values = polynomial_values(polynomials, amplitude)
@@ -95,17 +105,15 @@ def test_speeds_ahead_are_the_rates_of_positions_ahead():
 
     for time in (0.0, 0.05, 0.4):
         theta = 0.7 + PARAMETERS[0] * time
-        squares, _ = predicted(time, motion.state(time), desired.state(time), theta)
+        squares, _ = predicted(time, motion.state(time), desired.reference(time), theta)
         expected = (difference(positions, time) ** 2).sum(axis=1)
         np.testing.assert_allclose(squares, expected, rtol=0, atol=1e-9)
 
 
 def test_separations_are_those_of_the_orbits_between_the_turns_too():
     state, reference = Motion(40).state(0.2), Motion(41).reference(0.2)
-    grasp = {name: GRASP[name] for name in ("pseudo_inverse", "offset")}
-    forces, _, levers, _, _ = orbit_ahead(
-        state, reference, *WRENCHES, time=0.0, attachments=ATTACHMENTS, **grasp
-    )
+    forces = terms_ahead(0.0, state, reference).forces
+    levers = ATTACHMENTS @ (rotation_matrix(state[:4]).T @ rotation_matrix(reference[:4])).T
     pairs = np.array([(i, j) for i in range(4) for j in range(i)]).T
     count = 36
     phases = 2 * np.pi * np.arange(count)[:, None] / count

@@ -66,26 +66,14 @@ def test_speeds_are_those_that_force_distribution_and_carrier_trajectory_command
 def test_at_constant_parameters_they_are_the_speeds_of_one_update():
     system, motion = model(5), Motion(8)
     reference, (angle, xi, A) = motion.reference(1.3), (2.1, 1.9, 0.8)
-    wrenches = wrench_and_rate(
-        system.load, reference[:13], reference, np.zeros(6), feedforward=1.0, **NO_FEEDBACK
-    )
-    forces, rates, _, velocities, omega = nonstop.orbit_ahead(
-        reference[:13],
-        reference[:13],
-        *wrenches,
-        np.zeros(6),
-        time=0.0,
-        pseudo_inverse=system.pseudo_inverse,
-        offset=system.pattern.offset,
-        attachments=system.attachments,
-    )
-    products = nonstop.speed_products(forces, rates, velocities, omega, *axes_of(system))
+    terms = terms_of(system, [reference])
+    products = nonstop.speed_products(*(part[0] for part in terms), *axes_of(system))
     polynomials = nonstop.speed_polynomials(np.cos(angle), np.sin(angle), products)
     c, b, a, tension_squared = nonstop.speed_squares(
         nonstop.polynomial_values(polynomials, A), **CABLES
     )
     found = planned_speeds(
-        terms_of(system, [reference]),
+        terms,
         axes_of(system),
         *np.array([[angle], [xi], [A], [0.0]]),
         **CABLES,

@@ -15,6 +15,7 @@ from drake_nonstop.mechanics import (
     grasp,
     internal_force,
     nonstop,
+    planned_orbit,
     rigid_load,
     rotation,
     shaping,
@@ -45,22 +46,20 @@ STRETCH = {"rest_length": 0.2, "compliance": 1 / 500}
 AXES = nonstop.orbit_axes(BASIS, PHASES)
 
 
-def predicted_speeds(x, phase, state, motion, *wrenches):
-    """The chain from the orbit ahead to the speeds."""
+def terms_of(state, reference, *wrenches):
     grasp = {name: GRASP[name] for name in ("pseudo_inverse", "offset")}
-    forces, rates, _, velocities, omega = nonstop.orbit_ahead(
-        state, motion, *wrenches, time=0.01, attachments=ATTACHMENTS, **grasp
-    )
-    products = nonstop.speed_products(forces, rates, velocities, omega, *AXES)
+    return planned_orbit.flight_terms(state, reference, *wrenches, attachments=ATTACHMENTS, **grasp)
+
+
+def predicted_speeds(x, phase, *motion):
+    """The chain from the terms of an orbit to the speeds."""
+    products = nonstop.speed_products(*terms_of(*motion).of_speeds, *AXES)
     polynomials = nonstop.speed_polynomials(np.cos(phase), np.sin(phase), products)
     return nonstop.speed_squares(nonstop.polynomial_values(polynomials, x), **STRETCH)
 
 
-def separations(x, state, motion, *wrenches):
-    grasp = {name: GRASP[name] for name in ("pseudo_inverse", "offset")}
-    forces, _, levers, _, _ = nonstop.orbit_ahead(
-        state, motion, *wrenches, time=0.01, attachments=ATTACHMENTS, **grasp
-    )
+def separations(x, *motion):
+    forces, levers = terms_of(*motion).forces, ATTACHMENTS
     first_axes, second_axes = (axes.T for axes in AXES)
     positions, rates = nonstop.orbit_positions(
         x, forces.T, levers.T, first_axes, second_axes, **STRETCH
@@ -219,8 +218,8 @@ EQUATIONS = {
     "shown_state": (lambda *a: aircraft.shown_state(AIRCRAFT, *a), [12 * N, 3 * N]),
     "phase_of": (nonstop.phase_of, [2, 2, 2]),
     "advance": (lambda *a: nonstop.advance(*a, 0.01), [13, 3, 3]),
-    "predicted_speeds": (predicted_speeds, [1, 1, 13, 13, 6, 6, 6]),
-    "separations": (separations, [1, 13, 13, 6, 6, 6]),
+    "predicted_speeds": (predicted_speeds, [1, 1, 13, 22, 6, 6, 6]),
+    "separations": (separations, [1, 13, 22, 6, 6, 6]),
     "change_cost": (
         lambda *a: nonstop.change_cost(
             *a,
