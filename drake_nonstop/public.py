@@ -42,7 +42,11 @@ from drake_nonstop.systems.point_forces import PointForces as PointForces
 from drake_nonstop.systems.block import LeafBlock as LeafBlock
 from drake_nonstop.model.block import Block as Block
 from drake_nonstop.systems.traced_block import TracedBlock as TracedBlock
-from drake_nonstop.systems.traced_block import TracedDynamics as TracedDynamics
+from drake_nonstop.systems.traced_block import (
+    TracedDynamics as TracedDynamics,
+    BetweenSamples as BetweenSamples,
+    Start as Start,
+)
 from drake_nonstop.mechanics.signal_layouts import Layout as Layout, Part as Part
 
 # Put together, simulated, judged.
@@ -125,6 +129,7 @@ from drake_nonstop.visualization.progress import (
     TaskProgress as TaskProgress,
 )
 from drake_nonstop.validation import (
+    StrictFields as StrictFields,
     ScenarioError as ScenarioError,
     ScenarioWarning as ScenarioWarning,
 )

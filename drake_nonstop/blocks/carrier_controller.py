@@ -123,6 +123,8 @@ class CarrierPid(_PositionPid):
 
     u = K_p (p_d − p) + K_d (v_d − v) + K_i ∫(p_d − p).
 
+    The integrals of the position errors (3n, m s) are the state, where their gain is not zero.
+
     Raises:
         ScenarioError: a gain is negative or not finite.
     """
@@ -138,6 +140,8 @@ class FeedforwardCarrierPid(_WithFeedforward):
 
     u = K_p (p_d − p) + K_d (v_d − v) + K_i ∫(p_d − p) + m_c a_d. A PID without it lags behind its
     circle by m_c a_d/K_p.
+
+    The integrals of the position errors (3n, m s) are the state, where their gain is not zero.
 
     Raises:
         ScenarioError: a gain is negative or not finite.
@@ -161,6 +165,8 @@ class TunedCarrierPid(_Tuned):
 
     u = K_p (p_d − p) + K_d (v_d − v) + K_i ∫(p_d − p), gains from `mechanics.tuning.pid_gains`.
 
+    The integrals of the position errors (3n, m s) are the state, where their gain is not zero.
+
     Raises:
         ScenarioError: the frequency is not positive, or another parameter is negative.
     """
@@ -176,6 +182,8 @@ class TunedFeedforwardCarrierPid(_Tuned, _WithFeedforward):
 
     u = K_p (p_d − p) + K_d (v_d − v) + K_i ∫(p_d − p) + m_c a_d, gains from
     `mechanics.tuning.pid_gains`.
+
+    The integrals of the position errors (3n, m s) are the state, where their gain is not zero.
 
     Raises:
         ScenarioError: the frequency is not positive, or another parameter is negative.

@@ -38,8 +38,8 @@ class AccumulatedPhase(Block):
 
     The paper's cos(ξ(t) t + φ), that of `PaperPhase`, jumps by t Δξ when ξ changes.
 
-    `phase` is the state: continuous, or stepped at each sample where the model has a control
-    period. `planned` tells no rates: those of constant ξ and A.
+    `phase`, with ∂θ/∂ξ = 0, is the state: continuous, or stepped at each sample where the model has
+    a control period. `planned` tells no rates: those of constant ξ and A.
     """
 
     reads = ("parameters",)

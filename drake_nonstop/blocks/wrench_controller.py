@@ -139,6 +139,10 @@ class WrenchController(_WrenchPid):
     `mechanics.tuning.load_gains`: for its load the paper's (Table I), but for more damping of the
     position and a quarter of the torques.
 
+    The integrals of e_R and e_p (6) are the state, where one of their gains is not zero:
+    continuous, or discrete where the model has a control period. The load's drag follows from
+    `wind_estimate`.
+
     Raises:
         ScenarioError: a gain is negative or not finite, or another word than "auto".
     """
@@ -161,6 +165,10 @@ class PaperWrenchController(_WrenchPid):
     Gains that are "auto" follow from the model's mass, inertia, cables and gravity, by
     `mechanics.tuning.load_gains`: for its load the paper's (Table I), but for more damping of the
     position and a quarter of the torques.
+
+    The integrals of e_R and e_p (6) are the state, where one of their gains is not zero:
+    continuous, or discrete where the model has a control period. The load's drag follows from
+    `wind_estimate`.
 
     Raises:
         ScenarioError: a gain is negative or not finite, or another word than "auto".
@@ -187,6 +195,8 @@ class GeometricPd(_WrenchPid):
     Gains that are "auto" follow from the model's mass, inertia, cables and gravity, by
     `mechanics.tuning.load_gains`: for its load the paper's (Table I), but for more damping of the
     position and a quarter of the torques.
+
+    The load's drag follows from `wind_estimate`.
 
     Raises:
         ScenarioError: a gain is negative or not finite, or another word than "auto".
@@ -217,6 +227,10 @@ class TunedWrenchController(_WrenchPid):
     Gains from `mechanics.tuning.pid_gains`; those of the orientation are matrices proportional
     to the inertia, so that roll, pitch and yaw respond alike. The damping of the load's drag is
     taken into account.
+
+    The integrals of e_R and e_p (6) are the state, where one of their gains is not zero:
+    continuous, or discrete where the model has a control period. The load's drag follows from
+    `wind_estimate`.
 
     Raises:
         ScenarioError: a frequency is not positive, another parameter is negative, or the

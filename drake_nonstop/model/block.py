@@ -1,9 +1,11 @@
 """The base class of the figure's blocks: what a block is follows from what its class declares."""
 
+import copy
 import functools
 import numbers
 import pickle
-from collections.abc import Callable, Iterable, Mapping
+import types
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import asdict
 from operator import attrgetter
 from typing import Any, ClassVar
@@ -11,13 +13,13 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.mechanics.signal_layouts import SIGNALS
-from drake_nonstop.model.block_parameters import AUTO, BlockParameters, Rules
+from drake_nonstop.mechanics.signal_layouts import HELD, SIGNALS
+from drake_nonstop.model.block_parameters import BlockParameters, Rules
 from drake_nonstop.model.system import AIRCRAFT, OFFSET, Model
 from drake_nonstop.systems.documentation import own_config_class
 from drake_nonstop.systems.traced_block import BetweenSamples, Start, TracedBlock, TracedDynamics
 from drake_nonstop.systems.tracing import NotFiniteError
-from drake_nonstop.validation import ScenarioError, one_line, require
+from drake_nonstop.validation import ScenarioError, one_line, require, require_array
 
 
 class Block(TracedBlock):
@@ -57,7 +59,7 @@ class Block(TracedBlock):
         state_port: the signal that shows the state; None: none does.
         is_sampled: with a control period the state changes at the samples alone.
         reads_time, is_joint, is_held, updates_first: as of `TracedBlock`.
-        model, config: what it was made of.
+        model, config: what it was made of, a copy of the config; all hooks find them there.
 
     Raises:
         ScenarioError: `check` refuses the config, or a declaration, or what `equations` returns,
@@ -76,12 +78,14 @@ class Block(TracedBlock):
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
         own = vars(cls)
-        if "state" in own and "DoCalcTimeDerivatives" not in own:
+        below = [vars(kind) for kind in cls.__mro__ if kind not in Block.__mro__]
+        if any("state" in members for members in below):
             cls.has_rates = True
-            cls.DoCalcTimeDerivatives = (  # type: ignore[method-assign]
-                TracedDynamics.DoCalcTimeDerivatives
-            )
-        for name in ("reads", "makes", "system", "of_model"):
+            if not any("DoCalcTimeDerivatives" in members for members in below):
+                cls.DoCalcTimeDerivatives = (  # type: ignore[method-assign]
+                    TracedDynamics.DoCalcTimeDerivatives
+                )
+        for name in ("reads", "makes", "optional_inputs", "system", "of_model"):
             remedy = f'give a tuple of names, such as {name} = ("load_mass",)'
             is_tuple = isinstance(own.get(name, ()), tuple)
             require(is_tuple, f"{cls.__name__}.{name}", own.get(name), remedy)
@@ -91,40 +95,87 @@ class Block(TracedBlock):
 
     def __init__(self, model: Model, config: Any = None):
         """Makes the block; it takes a `model` and a `config` (None: the default values)."""
-        config = self.config_of(model, config)
+        config = copy.deepcopy(self.config_of(model, config))  # the caller may change it
+        self.model, self.config = model, config
         self.check(model, config)
-        constants = self.constants(model, config)
-        state, reads, period = self.state(model), self.inputs(model), model.control_period
+        constants, parameters = self.constants(model, config), self.block_parameters(model, config)
+        reads, period = self.inputs(model), model.control_period
+        state = self.state(model)
+        if state is not None:
+            state = require_array(self._said("state"), state, [None], "numbers, the first state")
         has_state = state is not None and self.has_state(model, config)
-        equations: Any = getattr(type(self), "equations", None)
-        remedy = "write a @staticmethod of arrays, see drake_nonstop.Block"
-        require(equations is not None, f"{type(self).__name__}.equations", "none", remedy)
         outputs = self._sizes(model, self.makes)
+        self._require_sound(constants, parameters, reads, has_state)
         made = {name: size for name, size in outputs.items() if name != self.state_port}
         if state is not None:
             made = {"the state's rate": len(state)} | made
-        function = self._explained(functools.partial(equations, **constants), made)
+        equations: Any = type(self).equations
+        function = self._explained("equations", functools.partial(equations, **constants), made)
+        kept = [(k, v if callable(v) else pickle.dumps(v)) for k, v in constants.items()]
         if state is not None and not has_state:
             function = _without_state(function, state)
-        kept = ((k, v if callable(v) else pickle.dumps(v)) for k, v in constants.items())
+            kept.append(("state", state.tobytes()))
         super().__init__(
             function,
             inputs=self._sizes(model, reads),
             outputs=outputs,
             optional=[name for name in self.optional_inputs if name in reads],
             reads_time=self.reads_time,
-            parameters=self.block_parameters(model, config),
+            parameters=parameters,
             key=(equations, has_state, *kept),
             is_joint=self.is_joint,
-            between=self.between_samples(model, config) if period > 0 else None,
+            between=self._moved(outputs) if period > 0 else None,
             state=state if has_state else None,
             state_port=self.state_port,
             period=period if self.is_sampled else 0.0,
-            updates_first=type(self).updates_first,
+            updates_first=self.updates_first,
             start=self.start() if has_state else None,
             is_held=self.is_held,
         )
-        self.model, self.config = model, config
+
+    def _said(self, member: str) -> str:
+        """What errors call a member of the class."""
+        return f"{type(self).__name__}.{member}"
+
+    def _require_sound(
+        self,
+        constants: Mapping[str, Any],
+        parameters: BlockParameters,
+        reads: Collection[str],
+        has_state: bool,
+    ) -> None:
+        """Raises ScenarioError for declarations that contradict each other."""
+        remedy = "write a @staticmethod of arrays, see drake_nonstop.Block"
+        require(hasattr(type(self), "equations"), self._said("equations"), "none", remedy)
+        port, remedy = self.state_port, "name one of the signals that it makes, of a state"
+        is_shown = port is None or (port in self.makes and has_state)
+        require(is_shown, self._said("state_port"), port, remedy)
+        for name in self.optional_inputs:
+            remedy = "name signals that it reads"
+            is_read = name in reads or name in self.reads
+            require(is_read, self._said("optional_inputs"), name, remedy)
+        for name, value in constants.items():
+            is_bound = isinstance(value, types.MethodType) and value.__self__ is self
+            remedy = "it would be kept with the block; make it a @staticmethod"
+            require(not is_bound, self._said("constants"), f"{name}, a method of it", remedy)
+        last_parts = [name.rpartition(".")[2] for name in self.of_model]
+        names = [*{*constants} - {*last_parts}, *last_parts]
+        names += [*parameters.of_system, *parameters.own]
+        twice = [name for name in dict.fromkeys(names) if names.count(name) > 1]
+        remedy = "constants, fields of the system and of the config need different names"
+        require(not twice, type(self).__name__, ", ".join(twice), remedy)
+
+    def _moved(self, outputs: Mapping[str, int]) -> BetweenSamples | None:
+        """What moves between samples, checked."""
+        between = self.between_samples(self.model, self.config)
+        if between is None:
+            return None
+        for name in (*between.reads, *between.makes):
+            remedy = f"name signals that it makes: {', '.join(outputs)}"
+            require(name in outputs, self._said("between_samples"), name, remedy)
+        sizes = {name: outputs[name] for name in between.makes}
+        function = self._explained("between_samples", between.function, sizes)
+        return between._replace(function=function)
 
     def config_of(self, model: Model, config: Any) -> Any:
         """The config that the block goes by; a class may derive it from the one that is given."""
@@ -140,7 +191,7 @@ class Block(TracedBlock):
             return {name.rpartition(".")[2]: attrgetter(name)(model) for name in self.of_model}
         except AttributeError as error:
             remedy = 'give attributes of a Model, such as "attachments" or "pattern.basis"'
-            field = f"{type(self).__name__}.of_model"
+            field = self._said("of_model")
             raise ScenarioError(f"{field} = {one_line(error)}: {remedy}") from error
 
     def inputs(self, model: Model) -> tuple[str, ...]:
@@ -199,7 +250,7 @@ class Block(TracedBlock):
         layouts = SIGNALS | getattr(self, "signal_layouts", {})
         sizes = {}
         for name in names:
-            layout: Any = layouts.get(name)
+            layout: Any = layouts.get(name.removeprefix(HELD))
             remedy = (
                 "it is no vector among the figure's signals; correct the name, or give its layout, "
                 f'such as signal_layouts = {{"{name}": Layout(Part("", "3", "m"))}}'
@@ -208,12 +259,12 @@ class Block(TracedBlock):
             sizes[name] = layout.count(model.n, model.m)
         return sizes
 
-    def _explained(self, function: Callable, sizes: Mapping[str, int]) -> Callable:
-        """The equations, which return arrays of these sizes; what is wrong is said in a sentence.
+    def _explained(self, member: str, function: Callable, sizes: Mapping[str, int]) -> Callable:
+        """A function that returns arrays of these sizes; what is wrong is said in a sentence.
 
-        They run when they are traced, and on AutoDiffXd and Expression.
+        It runs when it is traced, and on AutoDiffXd and Expression.
         """
-        field = f"{type(self).__name__}.equations"
+        field = self._said(member)
         remedy = "return an array for each of " + ", ".join(f"{k} ({v})" for k, v in sizes.items())
 
         def explained(*inputs: NDArray, **values: NDArray) -> tuple[NDArray, ...]:
@@ -245,7 +296,11 @@ def _without_state(function: Callable, state: NDArray) -> Callable:
 
 
 def _is_numeric(value: Any) -> bool:
-    """Whether a field can be a parameter of the context."""
-    if isinstance(value, list):
-        return len(value) > 0 and all(map(_is_numeric, value))
-    return value == AUTO or (isinstance(value, numbers.Real) and not isinstance(value, bool))
+    """Whether a field can be a parameter of the context: a number, or an array of some."""
+    if isinstance(value, bool) or not isinstance(value, numbers.Real | list | np.ndarray):
+        return False
+    try:
+        array = np.array(value, dtype=float)
+    except (TypeError, ValueError):  # no numbers, or rows of several lengths
+        return False
+    return array.size > 0

@@ -93,7 +93,7 @@ def _has_trace(leaf: System) -> bool:
 
 def _is_one_function(leaf: Any) -> bool:
     """Whether a `TracedBlock`'s function is all of a leaf, whatever class below it is."""
-    if not hasattr(leaf, "own_outputs") or leaf.num_output_ports() != leaf.own_outputs:
+    if not getattr(leaf, "is_one_function", False):
         return False
     known = __name__.split(".")[0], "pydrake"
     rates = (vars(kind).get("DoCalcTimeDerivatives") for kind in type(leaf).__mro__)

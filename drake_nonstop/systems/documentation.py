@@ -5,7 +5,7 @@ import inspect
 import re
 import sys
 from collections.abc import Iterable
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 from drake_nonstop.mechanics.signal_layouts import HELD, SIGNALS
 from drake_nonstop.systems.field_comments import meanings
@@ -35,10 +35,16 @@ def documented(block: _Kind) -> _Kind:
     It is told by the class's attributes `reads` and `makes`, names of signals, `where`, which says
     of some of them when there is such a port, and the dataclass of its parameters.
     """
-    text = vars(block).get("__doc__")
+    text, kind = vars(block).get("__doc__"), cast(Any, block)
+    if text is None and _declared_names(kind):
+        text = ""  # not the docstring of the class above, which has other ports
     if isinstance(text, str):
         block.__doc__ = _Docstring(text)  # type: ignore[assignment]
     return block
+
+
+def _declared_names(kind: Any) -> list[str]:
+    return [*getattr(kind, "reads", ()), *getattr(kind, "makes", ())]
 
 
 class _Docstring:
@@ -59,14 +65,14 @@ def _docstring(kind: type, text: str) -> str:
         return said
     section = re.search(r"^(Args|Attributes|Raises):$", said, re.MULTILINE)
     head, tail = (said[: section.start()], said[section.start() :]) if section else (said, "")
-    return f"{head.rstrip()}\n\n{declared}\n\n{tail}".rstrip()
+    return f"{head.rstrip()}\n\n{declared}\n\n{tail}".strip()
 
 
 def _declared(kind: Any) -> str:
     """Drake's directive, and lists of the ports and the parameters."""
-    reads, makes = getattr(kind, "reads", ()), getattr(kind, "makes", ())
-    if not reads and not makes:
+    if not _declared_names(kind):
         return ""
+    reads, makes = getattr(kind, "reads", ()), getattr(kind, "makes", ())
     parts = [_directive(kind, reads, makes)]
     parts += [_list(f"{word}:", _ports(kind, names)) for word, names in _words(reads, makes)]
     config: Any = getattr(sys.modules[kind.__module__], f"{kind.__name__}Config", None)
@@ -97,7 +103,8 @@ def _ports(kind: Any, names: Iterable[str]) -> Iterable[str]:
     layouts = SIGNALS | getattr(kind, "signal_layouts", {})
     for name in names:
         layout = layouts.get(name.removeprefix(HELD))
-        size, said = ("abstract", "") if layout is None else (layout.size, f": {layout}")
+        size, about = ("abstract", "") if layout is None else (layout.size, str(layout))
+        said = f": {about}" if about else ""
         when = [f"where {where}"] if (where := getattr(kind, "where", {}).get(name)) else []
         when += ["may be left unconnected"] if name in getattr(kind, "optional_inputs", ()) else []
         yield f"`{name}` ({', '.join([size, *when])}){said}"

@@ -17,6 +17,8 @@ from pydrake.systems.framework import (
     ContinuousState,
     DiscreteValues,
     InputPort,
+    LeafSystem,
+    LeafSystem_,
     State,
     ValueProducer,
 )
@@ -90,6 +92,7 @@ class TracedBlock(LeafBlock):
     """
 
     has_rates = False
+    _declarations = 0  # of states and events
 
     def __init__(
         self,
@@ -170,11 +173,17 @@ class TracedBlock(LeafBlock):
             self._add_moved(between)
         for name, output_size in (outputs or {}).items():
             self._declare_output(name, output_size)
-        self.own_outputs = self.num_output_ports()  # a subclass may declare more
         if start is not None:
             self.DeclareInitializationUnrestrictedUpdateEvent(weakly(self._begin))
         if self._is_held:
             self.DeclareInitializationDiscreteUpdateEvent(weakly(self._hold))
+        # A subclass may declare more.
+        self._of_function = self.num_output_ports(), self._declarations
+
+    @property
+    def is_one_function(self) -> bool:
+        """Whether its outputs, states and events are those of the function alone."""
+        return self._of_function == (self.num_output_ports(), self._declarations)
 
     @property
     def period(self) -> float:
@@ -353,14 +362,15 @@ class TracedBlock(LeafBlock):
     @property
     def traced_start(self) -> Callable[[At], list[NDArray]]:
         """The state and what is held at the start of a run; none where that is as declared."""
-        if self._start is None:
+        if self._start is None and not self._is_held:
             raise AttributeError("traced_start: the state starts as it was declared")
         return self._traced_start
 
     def _traced_start(self, at: At) -> list[NDArray]:
-        assert self._start is not None
-        make, names = self._start
-        state = make(*(at.input(name) for name in names))
+        state = self._traced_state(at)
+        if self._start is not None:
+            make, names = self._start
+            state = make(*(at.input(name) for name in names))
         places = (self._places[name] for name in self._held)
         return [state, *(self._traced(k, at, state)[place] for k, place in places)]
 
@@ -394,6 +404,21 @@ class TracedBlock(LeafBlock):
         if name in self._known:
             return at.known(name, self._known[name])
         return self._traced_state(at) if name == _STATE else at.input(name)
+
+
+def _noted(name: str) -> Callable:
+    """A Declare function of LeafSystem's that a block notes."""
+
+    def declare(self: Any, *arguments: Any, **named: Any) -> Any:
+        self._declarations += 1
+        return getattr(LeafSystem_[self.scalar], name)(self, *arguments, **named)
+
+    return declare
+
+
+for _name in dir(LeafSystem):
+    if _name.startswith("Declare") and _name.endswith(("Event", "State")):
+        setattr(TracedBlock, _name, _noted(_name))
 
 
 class TracedDynamics(TracedBlock):

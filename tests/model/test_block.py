@@ -7,7 +7,16 @@ import pytest
 from helpers import fix, model, output
 from pydrake.autodiffutils import AutoDiffXd
 
-from drake_nonstop import Block, Layout, Part, load_scenario, make_nonstop, set_parameter, simulate
+from drake_nonstop import (
+    BetweenSamples,
+    Block,
+    Layout,
+    Part,
+    load_scenario,
+    make_nonstop,
+    set_parameter,
+    simulate,
+)
 from drake_nonstop.systems.block import number
 from drake_nonstop.validation import ScenarioError
 
@@ -116,6 +125,100 @@ def test_signals_of_its_own_have_layouts_of_its_own():
     assert "- `fuel` (n): kg" in Gauge.__doc__
 
 
+class Still(Dragged):
+    """Its state does not move."""
+
+    first = 0.5
+
+    @classmethod
+    def has_state(cls, model, config):
+        return False
+
+    def state(self, model):
+        return np.full(3, self.first)
+
+
+class FurtherStill(Still):
+    first = 2.0
+
+
+def test_states_that_stay_are_those_of_each_class():
+    values = []
+    for kind in (Still, FurtherStill):
+        block = kind(model())
+        context = block.CreateDefaultContext()
+        fix(block, context, load_state=np.zeros(13))
+        values.append(output(block, context, "disturbance_wrench")[3])
+    assert values == [1.0, 4.0]
+
+
+@dataclass(kw_only=True)
+class CounterConfig:
+    rate: float = 1.0
+
+
+class Counter(Block):
+    """A held output of a state that is sampled."""
+
+    reads = ("measured_load_state",)
+    makes = ("count",)
+    signal_layouts = {"count": Layout(Part("", "1"))}  # noqa: RUF012
+    is_sampled = True
+    is_held = True
+
+    @staticmethod
+    def equations(count, load, *, rate):
+        return rate + 0 * load[:1], 1.0 * count
+
+    def state(self, model):
+        return np.array([self.config.rate])
+
+
+class Reset(Counter):
+    """It declares an event besides, which no trace has."""
+
+    def __init__(self, model, config=None):
+        super().__init__(model, config)
+        self.DeclarePeriodicDiscreteUpdateEvent(0.05, 0.05, self.begin)
+
+    def begin(self, context, state):
+        state.set_value(0, [0.0])
+
+
+def counted(kind, engine):
+    scenario = load_scenario("quintic", SETTINGS)
+    run = simulate(scenario, engine=engine, extra={"counter": kind})
+    return run.signals["counter.count"][:, 0]
+
+
+def test_a_held_state_without_a_start_is_the_same_in_both_engines(recwarn):
+    counts = [counted(Counter, engine) for engine in ("compiled", "diagram")]
+    np.testing.assert_allclose(*counts, rtol=0, atol=1e-12)
+    assert counts[0][0] == 1.0
+    assert not [w for w in recwarn if "compiled" in str(w.message)]
+
+
+def test_an_event_of_a_class_below_is_not_left_out_in_silence(recwarn):
+    counts = [counted(Reset, engine) for engine in ("compiled", "diagram")]
+    np.testing.assert_allclose(*counts, rtol=0, atol=1e-12)
+    assert [w for w in recwarn if "counter" in str(w.message)]
+
+
+def test_a_config_that_changes_later_changes_no_block():
+    config = CounterConfig()
+    block = Counter(model(control_period=0.01), config)
+    config.rate = 5.0
+    assert block.config.rate == 1.0
+
+
+def test_help_of_a_class_without_a_docstring_has_its_own_ports():
+    class Plain(Counter):
+        makes = ("fuel",)
+
+    assert "fuel" in Plain.__doc__
+    assert "A held output" not in Plain.__doc__
+
+
 def own(**members):
     """A class of these members, beside its config."""
     return type("Own", (Block,), {"__module__": __name__, **members})
@@ -158,6 +261,30 @@ REFUSED = {
         "system": ("mass",),
         "equations": ZEROS,
     },
+    "Own.state_port = disturbance_wrench: name one of the signals": {
+        "state_port": "disturbance_wrench",
+        "equations": ZEROS,
+    },
+    "Own.optional_inputs = wind: name signals that it reads": {
+        "optional_inputs": ("wind",),
+        "equations": ZEROS,
+    },
+    "Own = load_mass: constants, fields of the system and of the config need different names": {
+        "system": ("load_mass", "load_mass"),
+        "equations": ZEROS,
+    },
+    "Own.constants = help, a method of it: it would be kept": {
+        "constants": lambda self, model, config: {"help": self.inputs},
+        "equations": ZEROS,
+    },
+    "Own.between_samples = wrenc: name signals that it makes": {
+        "between_samples": lambda self, model, config: BetweenSamples(len, ["wrenc"], []),
+        "equations": ZEROS,
+    },
+    "Own.state = 3.0: give n finite numbers": {
+        "state": lambda self, model: 3.0,
+        "equations": ZEROS,
+    },
     "Own.of_model = .*: give attributes of a Model": {
         "of_model": ("attachment",),
         "equations": ZEROS,
@@ -168,7 +295,7 @@ REFUSED = {
 @pytest.mark.parametrize(("said", "members"), REFUSED.items(), ids=lambda each: str(each)[:30])
 def test_what_cannot_be_a_block_is_refused_in_a_sentence(said, members):
     with pytest.raises(ScenarioError, match=said):
-        own(**NOTHING | members)(model())
+        own(**NOTHING | members)(model(control_period=0.01))
 
 
 def test_a_class_without_a_config_is_refused_in_a_sentence():
