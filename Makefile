@@ -63,7 +63,7 @@ golden: $(VENV)/.installed-dev
 	cd tests && ../$(BIN)/python -m golden
 
 pictures: $(VENV)/.installed-dev
-	$(BIN)/drake-nonstop pictures --out docs/pictures
+	$(BIN)/python -m tests.benchmarks pictures --out docs/pictures
 
 # Both distributions, checked, each in an environment of its own: the quick tests in the unpacked
 # source, and a run by the installed wheel.

@@ -4,8 +4,8 @@ import contextlib
 import os
 
 import pytest
+from benchmarks.browser import open_browser
 
-from drake_nonstop.benchmarks.browser import open_browser
 from drake_nonstop.validation import ScenarioError
 
 

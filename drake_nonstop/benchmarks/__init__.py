@@ -1,1 +1,1 @@
-"""Measurements of speed and quality, and of the README's claims; no other room needs them."""
+"""Measurements of the speed of a scenario and of both engines; no other room needs them."""

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from pydrake.systems.framework import DiagramBuilder
 
-from drake_nonstop.benchmarks.optimizer import versions
+from drake_nonstop.benchmarks.running import versions
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.scenario.schema import COMPILED, DIAGRAM, Scenario
 from drake_nonstop.simulation.compiled_run import recorded_loop

@@ -1,13 +1,11 @@
-"""Figures of the benchmarks: the time in each block, and the time over the number of carriers."""
+"""A figure of the time of a run in each block."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from drake_nonstop.visualization.figure_style import COLOURS, new_figure, titled
+from drake_nonstop.visualization.figure_style import COLOURS, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -86,37 +84,3 @@ def _draw_frame(
 
 def _seconds(frame: Mapping[str, Any]) -> float:
     return frame["seconds"] + sum(map(_seconds, frame["children"]))
-
-
-def make_scale_figure(results: Mapping[str, Any]) -> Figure:
-    """Wall time per step and real-time factor over the number of carriers.
-
-    Args:
-        results: returned by `benchmarks.scaling.benchmark_scale`.
-    """
-    runs = results["runs"]
-    counts = np.array([run["n"] for run in runs])
-    figure = new_figure((9.0, 4.2))
-    left, right = figure.subplots(1, 2)
-    costs, low, high = (
-        np.array([1e6 * run[f"{which}wall_per_step_s"] for run in runs])
-        for which in ("", "lowest_", "highest_")
-    )
-    left.errorbar(counts, costs, [costs - low, high - costs], fmt="o-", capsize=3, label="measured")
-    left.plot(counts, costs[0] * counts / counts[0], ":", color="0.5", label="in proportion to n")
-    left.set_ylabel("wall time per step (µs)")
-    left.legend(fontsize="small")
-    right.plot(counts, [run["real_time_factor"] for run in runs], "o-")
-    right.axhline(1, color="green", linestyle="--")
-    right.set_ylabel("real-time factor")
-    for axes in (left, right):
-        axes.set_xscale("log")
-        axes.set_yscale("log")
-        axes.set_xticks(counts, [str(n) for n in counts])
-        axes.minorticks_off()
-        from matplotlib.ticker import LogLocator
-
-        axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-        axes.yaxis.set_major_formatter("{x:g}")
-        axes.set_xlabel("carriers")
-    return titled(figure, f"{results['scenario']}, scaled: n^{results['exponent']:.2f}")

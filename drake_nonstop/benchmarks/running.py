@@ -4,15 +4,16 @@ import contextlib
 import platform
 import statistics
 from collections.abc import Callable
+from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 from drake_nonstop.benchmarks.block_timers import OUTSIDE, BlockTimers, Frame
 from drake_nonstop.benchmarks.comparing import FreshRuns, Source, spread
-from drake_nonstop.benchmarks.optimizer import versions
 from drake_nonstop.scenario.schema import COMPILED
 from drake_nonstop.simulation.run import StepCheck
 from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.validation import require
+from drake_nonstop.version import __version__
 
 _OPTIMIZATION_LAYER = "optimization_layer"
 STARTS = 3  # fresh interpreters; the start-up is the median's
@@ -93,6 +94,17 @@ def benchmark_run(
         "memory_of_imports_MiB": fresh[0]["start_up"]["memory_of_imports_MiB"],
         "frames": _as_dict(timers.root),
     }
+
+
+def versions() -> dict[str, str | None]:
+    """The versions of the package and of its libraries; None: not installed."""
+    found: dict[str, str | None] = {"drake_nonstop": __version__}
+    for package in ("drake", "numpy", "casadi", "scipy"):
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            found[package] = None
+    return found
 
 
 def _blocks(timers: BlockTimers) -> list[dict[str, Any]]:

@@ -1,27 +1,13 @@
-"""`drake-nonstop bench`: measurements of speed and quality, a subcommand each."""
+"""`drake-nonstop bench`: measurements of speed, a subcommand each."""
 
-from drake_nonstop.cli import (
-    bench_accuracy,
-    bench_engines,
-    bench_optimizer,
-    bench_run,
-    bench_scale,
-    bench_viewer,
-)
-from drake_nonstop.cli.arguments import Commands
+from drake_nonstop.cli import bench_engines, bench_run
+from drake_nonstop.cli.arguments import Commands, add_moved
 
 
 def add_to(commands: Commands) -> None:
     """Adds the subcommand."""
-    parser = commands.add_parser("bench", help="measure speed and quality")
+    parser = commands.add_parser("bench", help="measure speed")
     benches = parser.add_subparsers(required=True, metavar="WHAT")
-    benches_of = (
-        bench_optimizer,
-        bench_viewer,
-        bench_run,
-        bench_engines,
-        bench_accuracy,
-        bench_scale,
-    )
-    for bench in benches_of:
-        bench.add_to(benches)
+    bench_run.add_to(benches)
+    bench_engines.add_to(benches)
+    add_moved(benches, "optimizer", "viewer", "accuracy", "scale")

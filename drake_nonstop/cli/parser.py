@@ -11,9 +11,7 @@ from drake_nonstop.cli import (
     export,
     list_scenarios,
     new,
-    pictures,
     plot,
-    report,
     robustness,
     run,
     schema,
@@ -21,6 +19,7 @@ from drake_nonstop.cli import (
     sweep,
     view,
 )
+from drake_nonstop.cli.arguments import add_moved
 from drake_nonstop.version import __version__
 
 # Each has `add_to`, which adds its parser; the help lists them in this order.
@@ -39,8 +38,6 @@ _COMMANDS = (
     robustness,
     ablate,
     sweep,
-    pictures,
-    report,
     bench,
 )
 STUDIES = ("design", "stability", "robustness", "ablate", "sweep")
@@ -56,4 +53,5 @@ def make_parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(required=True, metavar="COMMAND", dest="command")
     for command in _COMMANDS:
         command.add_to(commands)
+    add_moved(commands, "pictures", "report")
     return parser

@@ -30,7 +30,7 @@ from drake_nonstop.mechanics.signals import LoadReference, resting_reference
 from drake_nonstop.mechanics.tethered_loop import Carriers, Inputs, Orbit
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.horizon_problem import HorizonConfig, HorizonProblem, timed
-from drake_nonstop.optimization.problem_config import LimitsConfig, amplitude_range
+from drake_nonstop.optimization.problem_config import LimitsConfig, amplitude_range, with_fields_of
 from drake_nonstop.optimization.terminal_set import product_limits
 from drake_nonstop.optimization.turn_of_loops import Feedback, TurnOfLoops, turn_of_loops
 
@@ -41,7 +41,6 @@ _MEMORY = 10.0  # s, of the inputs that matter for a shortfall
 _LARGEST_GROWTH = 0.2  # per s, beyond which there is no margin
 _AMPLITUDES = 25  # among which the plan's is looked for
 _SPARSE = 5  # of the instants, one at which it is
-_AMPLITUDE_WEIGHT = 4.0  # of (A/A₀ − 1)² beside (ξ/ξ₀ − 1)², as plans weigh them
 _FIRST = 0.02  # of ε, a margin to begin with
 _REPEATS = 6  # of the margin, as a larger one asks for faster orbits
 _LEAST_SPEED = 1e-9  # m/s
@@ -213,6 +212,7 @@ class _Task:
 
     def __init__(self, model: Model, limits: LimitsConfig, motion: Motion):
         self.model, self.limits, self.motion = model, limits, motion
+        self._amplitude_weight = with_fields_of(HorizonConfig, limits).amplitude_weight
         horizon = timed(HorizonConfig(), limits.frequency, model.control_period)
         problem = HorizonProblem(model, limits, horizon, lambda: "speed margin")
         self.axes, self._max_speed = problem.axes, problem.max_speed
@@ -250,7 +250,7 @@ class _Task:
         highest = np.minimum(most.min(axis=0) / amplitudes, self.limits.frequency_bounds[1])
         frequencies = np.minimum(frequencies, highest)
         change = (frequencies / self.limits.frequency - 1) ** 2
-        change += _AMPLITUDE_WEIGHT * (amplitudes / self.limits.amplitude - 1) ** 2
+        change += self._amplitude_weight * (amplitudes / self.limits.amplitude - 1) ** 2
         change += 1e3 * np.maximum(products / (amplitudes * frequencies) - 1, 0)
         best = int(np.argmin(change))
         found = np.array([frequencies[best], amplitudes[best]])

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from pydrake.systems.framework import Context, Diagram
 
 from drake_nonstop.blocks.carrier_trajectory import MeasuredCarrierTrajectoryConfig
+from drake_nonstop.blocks.fixed_wing_controller import FixedWingControllerConfig
 from drake_nonstop.diagrams.nonstop import make_nonstop, replaced
 from drake_nonstop.mechanics.aircraft import (
     Aircraft,
@@ -52,9 +53,9 @@ class FlightLimits(NamedTuple):
     The first three are where `FixedWingController` saturates, the last two those of a run.
     """
 
-    lift_share: float = 0.9  # of C_Lmax
-    speed_share: float = 1.2  # of the stall speed
-    bank: float = math.radians(50.0)  # rad
+    lift_share: float = FixedWingControllerConfig.lift_share  # of C_Lmax
+    speed_share: float = FixedWingControllerConfig.speed_share  # of the stall speed
+    bank: float = FixedWingControllerConfig.max_bank  # rad
     climb: float = math.radians(30.0)  # rad, up or down; PX4's FW_P_LIM_MAX and FW_P_LIM_MIN
     carrier_distance: float = RunLimits.carrier_distance  # of the reach, see `RunLimits`
     cable_distance: float = RunLimits.cable_distance  # of the distance of two attachments

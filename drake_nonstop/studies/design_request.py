@@ -1,7 +1,6 @@
 """What a formation of aircraft is to be designed for."""
 
 import inspect
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,6 +17,7 @@ from drake_nonstop.optimization.problem_config import AircraftLimits, check_flig
 from drake_nonstop.scenario.overrides import require_override
 from drake_nonstop.scenario.schema import check_name
 from drake_nonstop.scenario.yaml_text import dump_plain, parse_plain
+from drake_nonstop.simulation.aircraft_margins import FlightLimits
 from drake_nonstop.systems.field_comments import meanings
 from drake_nonstop.validation import (
     ScenarioError,
@@ -73,9 +73,9 @@ class _Asked(StrictFields):
     displacement: list[float] = field(default_factory=lambda: [50.0, 0.0, 0.0])  # m, of the load
     speed: float = 1.25  # m/s, the load's largest on the way; 0: it rests
     separation: float = 12.0  # m, of any two carriers, at least
-    lift_share: float = 0.8  # of C_Lmax, at most; where a controller saturates it is 0.9
-    speed_share: float = 1.25  # of the stall speed, at least; a controller adds thrust at 1.2
-    bank: float = 0.75  # rad, at most; it saturates at 0.87
+    lift_share: float = 0.8  # of C_Lmax, at most; less than where a controller saturates
+    speed_share: float = 1.25  # of the stall speed, at least; more than where thrust is added
+    bank: float = 0.75  # rad, at most; less than where a controller saturates
     climb: float = 0.45  # rad, up or down at most; a formation beyond 0.52 is refused
     thrust_reserve: float = 0.1  # of the range of thrust at an airspeed, kept at both of its ends
     starts: int = 4  # of the search for each number of carriers and kind
@@ -134,17 +134,19 @@ class DesignRequest(AircraftLimits, _Asked):
             slow, fast = (float(np.linalg.norm(way)) / time for time in _WAY_TIMES[::-1])
             remedy = f"give {slow:.2g} to {fast:.2g}, for the length of the way, or 0 for none"
             require(slow <= self.speed <= fast, "request.speed", self.speed, remedy)
+        limits = FlightLimits()
         for name, low, high in (
-            ("lift_share", 0.0, 0.9),
-            ("bank", 0.0, math.radians(50)),
-            ("climb", 0.0, math.radians(30)),
+            ("lift_share", 0.0, limits.lift_share),
+            ("bank", 0.0, limits.bank),
+            ("climb", 0.0, limits.climb),
             ("thrust_reserve", 0.0, 0.5),
         ):
             value = getattr(self, name)
             remedy = f"give a number above {low:g} and below {high:.3g}, the limit"
             require(low < value < high, f"request.{name}", value, remedy)
-        remedy = "give a number above 1.2, the limit, up to 10"
-        require(1.2 < self.speed_share <= 10, "request.speed_share", self.speed_share, remedy)
+        remedy = f"give a number above {limits.speed_share:g}, the limit, up to 10"
+        is_usable = limits.speed_share < self.speed_share <= 10
+        require(is_usable, "request.speed_share", self.speed_share, remedy)
         remedy = f"give 1 to {_MOST_STARTS}"
         require(1 <= self.starts <= _MOST_STARTS, "request.starts", self.starts, remedy)
         require_seed("request.seed", self.seed)

@@ -2,7 +2,7 @@
 
 The function is run once on CasADi symbols; the expression graph that results is then
 evaluated by CasADi's virtual machine, about ten times faster than NumPy on arrays of
-this size. CasADi is used here, and for comparison in `benchmarks.peers`, and nowhere else.
+this size. CasADi is used here and nowhere else.
 """
 
 import math

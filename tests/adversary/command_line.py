@@ -118,10 +118,8 @@ def _arguments(rng: np.random.Generator) -> list[str]:
                 "report",
                 "bench",
                 "bench run",
-                "bench optimizer",
+                "bench engines",
                 "bench scale",
-                "bench accuracy",
-                "bench viewer",
                 "odd",
             ]
         )
@@ -225,10 +223,6 @@ def _arguments(rng: np.random.Generator) -> list[str]:
         form = rng.integers(4)
         end = [["--run", _number(rng)], ["--serial", "--restart"], ["--serial"], [_text(rng)]][form]
         return ["sweep", scenario, "s.yaml", *quick, *end]
-    if command == "pictures":
-        return ["pictures", "--out", "/dev/null/no"]
-    if command == "report":
-        return ["report", "--readme", _text(rng), "--out", "/dev/null/no", "--quick"]
     if command == "bench":
         return ["bench", *([] if pick < 0.5 else [_text(rng)])]
     if command == "bench run":
@@ -239,18 +233,6 @@ def _arguments(rng: np.random.Generator) -> list[str]:
         ]
         drawn = options[rng.integers(3)]
         return ["bench", "run", scenario, *quick, *drawn, "--set", "system.load_mass=0"]
-    if command == "bench optimizer":
-        options = [
-            ["--instances", _number(rng)],
-            ["--seed", _number(rng)],
-            ["--solvers", _text(rng)],
-            ["--tasks", _text(rng)],
-        ]
-        drawn = options[rng.integers(4)]
-        return ["bench", "optimizer", *drawn, "--out", "/dev/null/no"]
-    if command == "bench scale":
-        options = [["--max-n", _number(rng)], ["--duration", _number(rng)]]
-        return ["bench", "scale", *options[rng.integers(2)], "--set", "system.load_mass=0"]
     return [*command.split(), scenario, *quick, "--set", "system.load_mass=0"]
 
 

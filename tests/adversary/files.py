@@ -102,7 +102,7 @@ _LONG = "x" * 300
 def _read(rng: np.random.Generator, folder: Path) -> tuple[list[str], str]:
     """A command that reads a file which is not what it should be."""
     form = str(rng.choice(_KINDS))
-    what = str(rng.choice(["scenario", "trajectory", "load", "spec", "grid", "base", "readme"]))
+    what = str(rng.choice(["scenario", "trajectory", "load", "spec", "grid", "base"]))
     name = str(
         rng.choice(["mine", "mine", "mine", "a b", "é", "-x", "a'b", "a,b", "[x]", "a:b", "~"])
     )
@@ -155,7 +155,7 @@ def _read(rng: np.random.Generator, folder: Path) -> tuple[list[str], str]:
     elif what == "spec":
         _made(rng, folder / f"{name}.yaml", _SWEPT, form)
         call = ["sweep", "line", f"./{name}.yaml", "--serial", "--out", "out"]
-    elif what == "grid":
+    else:
         _made(rng, folder / f"{name}.yaml", "variants:\n  a: [simulation_duration=0.01]\n", form)
         call = [
             "ablate",
@@ -168,11 +168,6 @@ def _read(rng: np.random.Generator, folder: Path) -> tuple[list[str], str]:
             "--set",
             "simulation_duration=0.02",
         ]
-    else:
-        _made(rng, folder / "README.md", "| `quintic` | slowest speed (m/s) | | 0.5 |\n" * 3, form)
-        call = ["report", "--quick", "--readme", "README.md", "--out", "out"]
-        if form in ("long", "damaged", "truncated", "one line", "utf-16"):
-            call = ["report", "--quick", "--readme", "no.md"]
     return call, f"{what} file is {form}"
 
 
@@ -299,9 +294,7 @@ def _named(rng: np.random.Generator, folder: Path) -> tuple[list[str], str]:
         )
     )
     command = str(
-        rng.choice(
-            ["run", "run", "ablate", "sweep", "robustness", "stability", "check", "pictures"]
-        )
+        rng.choice(["run", "run", "ablate", "sweep", "robustness", "stability", "check", "view"])
     )
     (folder / "s.yaml").write_text(_SWEPT)
     call = {
@@ -319,9 +312,9 @@ def _named(rng: np.random.Generator, folder: Path) -> tuple[list[str], str]:
         "robustness": ["robustness", "line", "--set", "system.load_mass=-1"],
         "stability": ["stability", "line", "--set", "system.load_mass=-1"],
         "check": ["check", "aircraft_rest"],
-        "pictures": ["view", "--no-open"],
+        "view": ["view", "--no-open"],
     }[command]
-    if command == "pictures":
+    if command == "view":
         return [*call, "--", out], "a folder to view"
     return [*call, f"--out={out}"], "an odd folder"
 

@@ -73,7 +73,7 @@ CALLS: dict[str, tuple[list[str], float]] = {
     "stability": (["stability", "line", "--out", "out"], 20.0),
     "check": (["check", "aircraft_rest", "--out", "out/check"], 3.0),
     "view": (["view", "out", "--no-open"], 1.0),
-    "bench scale": (["bench", "scale", "--max-n", "4", "--duration", "0.1"], 4.0),
+    "bench engines": (["bench", "engines", "--set", "simulation_duration=0.1"], 4.0),
     "list": (["list"], 0.5),
 }
 _WEIGHTS = {
@@ -87,7 +87,7 @@ _WEIGHTS = {
     "stability": 1,
     "check": 1,
     "view": 0.7,
-    "bench scale": 0.5,
+    "bench engines": 0.5,
     "list": 0.5,
 }
 

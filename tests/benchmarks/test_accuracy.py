@@ -1,13 +1,13 @@
-"""`bench accuracy` reports how far an integrator setting leaves a run from a converged one."""
+"""`accuracy` reports how far an integrator setting leaves a run from a converged one."""
 
 import json
 
 import numpy as np
 import pytest
 
+from benchmarks.__main__ import main
+from benchmarks.accuracy import OVERRIDES, benchmark_accuracy, table
 from drake_nonstop import load_scenario, simulate
-from drake_nonstop.benchmarks.accuracy import OVERRIDES, benchmark_accuracy, table
-from drake_nonstop.cli.main import main
 from drake_nonstop.scenario.overrides import changed
 
 BRIEF = ["simulation_duration=0.4", "optimization_layer=ConstantParameters"]
@@ -59,7 +59,7 @@ def test_a_run_that_diverges_is_reported(results):
 
 @pytest.mark.nightly("benchmarks")
 def test_command_prints_a_table_and_writes_json(tmp_path, capsys):
-    arguments = ["bench", "accuracy", "line", "--repeats", "1", "--out", str(tmp_path)]
+    arguments = ["accuracy", "line", "--repeats", "1", "--out", str(tmp_path)]
     assert main([*arguments, "--set", "simulation_duration=0.05", BRIEF[1]]) == 0
     assert "(as it is)" in capsys.readouterr().out
     runs = json.loads((tmp_path / "accuracy.json").read_text())["runs"]

@@ -6,8 +6,9 @@ from functools import partial
 
 import pytest
 
-from drake_nonstop.benchmarks import claims
-from drake_nonstop.benchmarks.claims import (
+from benchmarks import claims
+from benchmarks.__main__ import main
+from benchmarks.claims import (
     LOOP_QUANTITIES,
     QUANTITIES,
     Claim,
@@ -18,8 +19,7 @@ from drake_nonstop.benchmarks.claims import (
     wrong_claims,
     wrong_shares,
 )
-from drake_nonstop.benchmarks.speed_claims import BENCHMARKS, _of_scenario
-from drake_nonstop.cli.main import main
+from benchmarks.speed_claims import BENCHMARKS, _of_scenario
 from drake_nonstop.simulation.metrics import METRICS
 from drake_nonstop.studies.run_all import SerialExecutor, run_all
 from drake_nonstop.validation import ScenarioError

@@ -5,11 +5,11 @@ import json
 import numpy as np
 import pytest
 
-from drake_nonstop.benchmarks import instances as drawn
-from drake_nonstop.benchmarks.optimizer import PEERS
-from drake_nonstop.benchmarks.whole_tasks import benchmark_tasks, tasks_table
+from benchmarks import instances as drawn
+from benchmarks.__main__ import main
+from benchmarks.optimizer import PEERS
+from benchmarks.whole_tasks import benchmark_tasks, tasks_table
 from drake_nonstop.cli.exit_codes import BAD_INPUT
-from drake_nonstop.cli.main import main
 from drake_nonstop.optimization.diagnostics import Outcome
 from drake_nonstop.optimization.horizon_solver import PLAN_TOLERANCE
 from drake_nonstop.optimization.margins import FEASIBILITY_TOLERANCE
@@ -125,7 +125,7 @@ def test_peers_solve_what_is_near_by(name, solvers):
 def test_command_prints_a_table_and_writes_json(tmp_path, capsys):
     out = tmp_path / "bench"
     names = ["search", "SciPy SLSQP"]
-    arguments = ["bench", "optimizer", "--instances", "4", "--tasks", "--out", str(out)]
+    arguments = ["optimizer", "--instances", "4", "--tasks", "--out", str(out)]
     assert main([*arguments, "--solvers", *names]) == 0
     text = capsys.readouterr().out
     results = json.loads((out / "optimizer.json").read_text())
@@ -170,5 +170,5 @@ def test_layers_are_compared_with_the_offline_optimum():
     ],
 )
 def test_bad_options_are_named(arguments, message, tmp_path, capsys):
-    assert main(["bench", "optimizer", "--out", str(tmp_path), *arguments]) == BAD_INPUT
+    assert main(["optimizer", "--out", str(tmp_path), *arguments]) == BAD_INPUT
     assert message in capsys.readouterr().err

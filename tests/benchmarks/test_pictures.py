@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from drake_nonstop.benchmarks import pictures
-from drake_nonstop.cli.main import main
+from benchmarks import pictures
+from benchmarks.__main__ import main
 
 
 @pytest.mark.nightly("browsers")

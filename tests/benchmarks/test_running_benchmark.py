@@ -13,11 +13,13 @@ import pytest
 from helpers import nightly_beyond
 
 import drake_nonstop
+from benchmarks import scaling
+from benchmarks.__main__ import main as main_of_tests
 from drake_nonstop import load_scenario, make_nonstop, simulate
-from drake_nonstop.benchmarks import comparing, running, scaling
+from drake_nonstop.benchmarks import comparing, running
 from drake_nonstop.benchmarks.block_timers import BlockTimers
 from drake_nonstop.benchmarks.comparing import FreshRuns, Source, checked_out, compare
-from drake_nonstop.benchmarks.figures import make_run_time_figure, make_scale_figure
+from drake_nonstop.benchmarks.figures import make_run_time_figure
 from drake_nonstop.cli.exit_codes import BAD_INPUT, FAILED
 from drake_nonstop.cli.main import main
 from drake_nonstop.simulation.run import RunStopped, StepCheck
@@ -477,7 +479,7 @@ def test_scale_of_few_carriers():
         )
     first, last = (row["wall_per_step_s"] for row in found["runs"])
     assert found["exponent"] == pytest.approx(math.log(last / first) / math.log(4 / 3))
-    assert len(make_scale_figure(found).axes) == 2
+    assert len(scaling.make_scale_figure(found).axes) == 2
     with pytest.raises(ScenarioError, match="--max-n = 3: give at least 4"):
         scaling.benchmark_scale(scenario, max_n=3)
     other = load_scenario("quintic", ["pattern=LinearPattern"])
@@ -503,7 +505,7 @@ def test_commands_print_tables_and_write_files(tmp_path, capsys, monkeypatch):
     assert ratio["pairs"] == [ratio["of_medians"]] == [medians[0] / medians[1]]
     assert 0 < found["load_path_difference_m"] < 1e-4
     assert f"the present is {ratio['of_medians']:.3f} times as fast as with simulator" in text
-    assert main(["bench", "scale", "--max-n", "4", "--duration", "0.1", *out]) == 0
+    assert main_of_tests(["scale", "--max-n", "4", "--duration", "0.1", *out]) == 0
     assert "n^" in capsys.readouterr().out
     assert {path.name for path in tmp_path.iterdir()} == {
         *("run.json", "run.png", "comparison.json", "scale.json", "scale.png")
@@ -513,14 +515,15 @@ def test_commands_print_tables_and_write_files(tmp_path, capsys, monkeypatch):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["run", "quintic", "--repeats", "0"], "--repeats = 0: give at least 1"),
-        (["run", "quintc"], "scenario = quintc: give"),
+        (["bench", "run", "quintic", "--repeats", "0"], "--repeats = 0: give at least 1"),
+        (["bench", "run", "quintc"], "scenario = quintc: give"),
         (["scale", "--duration", "0"], "--duration = 0.0: give more"),
         (["scale", "--max-n", "2"], "--max-n = 2: give at least 4"),
     ],
 )
 def test_bad_options_are_named(arguments, message, tmp_path, capsys):
-    assert main(["bench", *arguments, "--out", str(tmp_path / "out")]) == BAD_INPUT
+    command = main if arguments[0] == "bench" else main_of_tests
+    assert command([*arguments, "--out", str(tmp_path / "out")]) == BAD_INPUT
     assert message in capsys.readouterr().err
 
 
@@ -529,5 +532,5 @@ def test_a_run_that_diverges_is_one_sentence(tmp_path, capsys, monkeypatch):
         raise RunStopped("the run diverged", None)
 
     monkeypatch.setattr(scaling, "simulate", diverge)
-    assert main(["bench", "scale", "--out", str(tmp_path)]) == FAILED
+    assert main_of_tests(["scale", "--out", str(tmp_path)]) == FAILED
     assert capsys.readouterr().err == "drake-nonstop: the run diverged\n"

@@ -5,8 +5,8 @@ import json
 import pytest
 from helpers import nightly_beyond
 
-from drake_nonstop.benchmarks import viewer
-from drake_nonstop.cli.main import main
+from benchmarks import viewer
+from benchmarks.__main__ import main
 
 
 @pytest.mark.parametrize(
@@ -15,7 +15,7 @@ from drake_nonstop.cli.main import main
 def test_the_cost_of_a_view_is_measured(duration, repeats, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(viewer, "REPEATS", repeats)
     settings = [f"simulation_duration={duration}", "optimization_layer=ConstantParameters"]
-    assert main(["bench", "viewer", "quintic", "--out", str(tmp_path), "--set", *settings]) == 0
+    assert main(["viewer", "quintic", "--out", str(tmp_path), "--set", *settings]) == 0
     assert "of real time" in capsys.readouterr().out
     report = json.loads((tmp_path / "viewer.json").read_text())
     assert report["simulated_s"] == duration

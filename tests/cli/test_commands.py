@@ -386,12 +386,30 @@ def test_an_interrupt_that_no_signal_asked_for_is_an_error_of_the_code(
 @pytest.mark.parametrize(
     "call",
     [
+        "report --quick",
+        "pictures --out o",
+        "bench scale quintic --set a=1",
+        "bench viewer",
+        "bench optimizer --help",
+        "bench accuracy",
+    ],
+)
+def test_commands_that_are_in_the_checkout_are_refused_with_their_new_name(call, capsys):
+    assert main(call.split()) == BAD_INPUT
+    command = call.partition(" -")[0].removesuffix(" quintic")
+    new = f"python -m tests.benchmarks {command.removeprefix('bench ')}"
+    said = f"drake-nonstop: command = {command}: give `{new}`, in the folder of a checkout\n"
+    assert capsys.readouterr() == ("", said)
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
         ["run", "line"],
         ["ablate", "line", "--swap", "phase=PaperPhase"],
         ["stability", "line"],
         ["robustness", "line"],
-        ["bench", "scale"],
-        ["pictures"],
+        ["bench", "run", "line"],
     ],
 )
 def test_a_backend_that_matplotlib_does_not_know_is_refused_first(

@@ -6,9 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-
-from drake_nonstop import compute_metrics, load_scenario, scenario_names
-from drake_nonstop.benchmarks.claims import (
+from benchmarks.claims import (
     QUANTITIES,
     Measured,
     documentation,
@@ -16,6 +14,8 @@ from drake_nonstop.benchmarks.claims import (
     read_claims,
     wrong_claims,
 )
+
+from drake_nonstop import compute_metrics, load_scenario, scenario_names
 from drake_nonstop.simulation.run import StepCheck
 from drake_nonstop.studies.run_all import fly
 
@@ -77,7 +77,7 @@ def test_claims_on_a_changed_scenario():
 
 @pytest.mark.nightly("flights")
 def test_claims_on_changed_scenarios():
-    """Those of tables; those of paragraphs are measured by `drake-nonstop report` only."""
+    """Those of tables; those of paragraphs are measured by `python -m tests.benchmarks report`."""
     of_changed = [claim for arguments in CHANGED for claim in BY_ARGUMENTS[arguments]]
     claims = [claim for claim in of_changed if claim.is_in_table]
     assert len(claims) >= 12

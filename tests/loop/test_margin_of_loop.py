@@ -457,6 +457,21 @@ def test_what_is_not_known_is_said_in_one_sentence():
     assert len([w for w in said if "tightening" in str(w.message)]) == 1
 
 
+def test_the_orbits_of_the_margin_weigh_the_amplitude_as_their_layer_does():
+    """Faster orbits have a larger A where it costs little, and keep the nominal one else."""
+    layer = "optimization_layer=RecedingHorizonOptimizer"
+    faster = ("phase=ShapedPhase", layer, "optimization_layer.speed_bound=0.8")
+    as_of_default, light, same, heavy = (
+        margin_with(*faster, *weight).margin
+        for weight in (
+            [],
+            *([f"optimization_layer.amplitude_weight={w}"] for w in (0.01, 4.0, 400.0)),
+        )
+    )
+    assert same == as_of_default
+    assert light != same != heavy
+
+
 @pytest.mark.nightly("studies")
 def test_the_orbits_of_the_margin_keep_a_largest_speed():
     """Of 1.1 m/s on the nominal orbits: one that binds needs others, or there are none."""

@@ -4,9 +4,9 @@ import ctypes
 
 import numpy as np
 import pytest
+from benchmarks.instances import draw_instances, make_solvers
 from nonstop_cases import AT_REST, moving, update_data, update_solver
 
-from drake_nonstop.benchmarks.instances import draw_instances, make_solvers
 from drake_nonstop.optimization.diagnostics import Outcome
 from drake_nonstop.systems.compilation import compiled, compiler
 

@@ -49,7 +49,7 @@ def benchmark_accuracy(
         progress: called with what is being done and the share of it that is done.
 
     Returns:
-        What `drake-nonstop bench accuracy` writes as JSON. Where a run stops before its end,
+        What `python -m tests.benchmarks accuracy` writes as JSON. Where a run stops before its end,
         its row has the error's message and no figures.
 
     Raises:

@@ -2,16 +2,19 @@
 
 import dataclasses
 import statistics
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator
 from numpy.typing import NDArray
 
 from drake_nonstop.model.pattern import HamiltonianCycleConfig, LinearPatternConfig
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.validation import require
+from drake_nonstop.visualization.figure_style import new_figure, titled
 
 COUNTS = (3, 4, 6, 8, 12, 16, 24, 32, 48, 64)  # carriers
 
@@ -83,7 +86,7 @@ def benchmark_scale(
         progress: called with what is being done and the share of it that is done.
 
     Returns:
-        What `drake-nonstop bench scale` writes as JSON. `exponent` is that of the power of n
+        What `python -m tests.benchmarks scale` writes as JSON. `exponent` is that of the power of n
         that fits the wall time per step best, over all n; `last_exponent` that between the two
         largest n.
 
@@ -142,3 +145,35 @@ def table(results: dict[str, Any]) -> str:
         f"carriers as n^{results['last_exponent']:.2f}"
     )
     return "\n".join(rows)
+
+
+def make_scale_figure(results: Mapping[str, Any]) -> Figure:
+    """Wall time per step and real-time factor over the number of carriers.
+
+    Args:
+        results: returned by `benchmark_scale`.
+    """
+    runs = results["runs"]
+    counts = np.array([run["n"] for run in runs])
+    figure = new_figure((9.0, 4.2))
+    left, right = figure.subplots(1, 2)
+    costs, low, high = (
+        np.array([1e6 * run[f"{which}wall_per_step_s"] for run in runs])
+        for which in ("", "lowest_", "highest_")
+    )
+    left.errorbar(counts, costs, [costs - low, high - costs], fmt="o-", capsize=3, label="measured")
+    left.plot(counts, costs[0] * counts / counts[0], ":", color="0.5", label="in proportion to n")
+    left.set_ylabel("wall time per step (µs)")
+    left.legend(fontsize="small")
+    right.plot(counts, [run["real_time_factor"] for run in runs], "o-")
+    right.axhline(1, color="green", linestyle="--")
+    right.set_ylabel("real-time factor")
+    for axes in (left, right):
+        axes.set_xscale("log")
+        axes.set_yscale("log")
+        axes.set_xticks(counts, [str(n) for n in counts])
+        axes.minorticks_off()
+        axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axes.yaxis.set_major_formatter("{x:g}")
+        axes.set_xlabel("carriers")
+    return titled(figure, f"{results['scenario']}, scaled: n^{results['exponent']:.2f}")

@@ -5,16 +5,16 @@ import logging
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.benchmarks import instances as drawn
-from drake_nonstop.benchmarks.instances import Instance, Truth
-from drake_nonstop.benchmarks.peers import Solve, casadi_ipopt, scipy_slsqp
-from drake_nonstop.benchmarks.whole_tasks import ONE_SAMPLE, benchmark_tasks, tasks_table
+from benchmarks import instances as drawn
+from benchmarks.instances import Instance, Truth
+from benchmarks.peers import Solve, casadi_ipopt, scipy_slsqp
+from benchmarks.whole_tasks import ONE_SAMPLE, benchmark_tasks, tasks_table
+from drake_nonstop.benchmarks.running import versions
 from drake_nonstop.blocks.optimization_layer import NonstopOptimizer, NonstopOptimizerConfig
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.margins import FEASIBILITY_TOLERANCE
@@ -24,7 +24,6 @@ from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.simulation.run import StepCheck
 from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.systems.drake_log import drake_log_level
-from drake_nonstop.version import __version__
 
 _SAME_COST = 1e-3  # relative, to the true optimum
 _REPEATS = 3  # of each solve; its time is the median's
@@ -276,14 +275,3 @@ def _quantiles(times: NDArray) -> dict[str, float] | None:
 
 def _mean(flags: NDArray) -> float | None:
     return float(np.mean(flags)) if len(flags) > 0 else None
-
-
-def versions() -> dict[str, str | None]:
-    """The versions of the package and of its libraries; None: not installed."""
-    found: dict[str, str | None] = {"drake_nonstop": __version__}
-    for package in ("drake", "numpy", "casadi", "scipy"):
-        try:
-            found[package] = version(package)
-        except PackageNotFoundError:
-            found[package] = None
-    return found

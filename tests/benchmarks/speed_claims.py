@@ -10,11 +10,11 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from drake_nonstop.benchmarks.accuracy import OVERRIDES, benchmark_accuracy
+from benchmarks.accuracy import OVERRIDES, benchmark_accuracy
+from benchmarks.scaling import benchmark_scale
+from benchmarks.viewer import benchmark_viewer
 from drake_nonstop.benchmarks.comparing import Source
 from drake_nonstop.benchmarks.running import benchmark_run
-from drake_nonstop.benchmarks.scaling import benchmark_scale
-from drake_nonstop.benchmarks.viewer import benchmark_viewer
 from drake_nonstop.scenario.loading import load_scenario
 
 Results = dict[str, Any]

@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from drake_nonstop.benchmarks.speed_claims import (
+from benchmarks.speed_claims import (
     BENCH,
     FACTOR,
     is_exact,

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image
 
-from drake_nonstop.benchmarks.browser import open_browser
+from benchmarks.browser import open_browser
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.simulation.aircraft_margins import aircraft_margins
 from drake_nonstop.simulation.aircraft_quantities import AircraftQuantities

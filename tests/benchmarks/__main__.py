@@ -1,0 +1,225 @@
+"""Measurements for who changes the code: `python -m tests.benchmarks scale`, in the checkout."""
+
+import argparse
+import sys
+from functools import partial
+from pathlib import Path
+
+import drake_nonstop.studies.one_blas_thread  # noqa: F401
+
+sys.path[:0] = [str(Path(__file__).parents[2]), str(Path(__file__).parents[1])]
+
+from benchmarks import accuracy, claims, optimizer, scaling, viewer, whole_tasks  # noqa: E402
+from benchmarks.browser import find_browser  # noqa: E402
+from drake_nonstop.cli.arguments import (  # noqa: E402
+    Commands,
+    add_repeats,
+    add_scenario,
+    read_scenario,
+    require_repeats,
+)
+from drake_nonstop.cli.bench_results import run_benchmark  # noqa: E402
+from drake_nonstop.cli.exit_codes import BAD_INPUT, FAILED  # noqa: E402
+from drake_nonstop.scenario.loading import scenario_names  # noqa: E402
+from drake_nonstop.studies.files import replacing_file, require_writable  # noqa: E402
+from drake_nonstop.validation import (  # noqa: E402
+    ScenarioError,
+    message_of,
+    require,
+    require_installed,
+    require_seed,
+)
+from drake_nonstop.visualization.figure_style import require_drawing  # noqa: E402
+from drake_nonstop.visualization.progress import TaskProgress  # noqa: E402
+
+
+def _add_accuracy(commands: Commands) -> None:
+    parser = commands.add_parser(
+        "accuracy", help="how fast and how exact a scenario's run is, by integrator and step"
+    )
+    parser.set_defaults(action=_accuracy)
+    add_scenario(parser, "out/bench", default="quintic")
+    add_repeats(parser, 3)
+
+
+def _accuracy(options: argparse.Namespace) -> int:
+    require_repeats(options)
+    scenario = read_scenario(options)
+    measure = partial(accuracy.benchmark_accuracy, scenario, repeats=options.repeats)
+    return run_benchmark(options, "accuracy", measure, accuracy.table)
+
+
+def _add_scale(commands: Commands) -> None:
+    parser = commands.add_parser(
+        "scale", help="how a scenario's speed falls with the number of carriers"
+    )
+    parser.set_defaults(action=_scale)
+    add_scenario(parser, "out/bench", default="quintic")
+    add_repeats(parser, 3)
+    parser.add_argument("--max-n", type=int, default=64, metavar="N", help="carriers, at most (64)")
+    parser.add_argument("--duration", type=float, default=3.0, metavar="S", help="of a run (3)")
+
+
+def _scale(options: argparse.Namespace) -> int:
+    require_repeats(options)
+    require(options.duration > 0, "--duration", options.duration, "give more than 0 s")
+    measure = partial(
+        scaling.benchmark_scale,
+        read_scenario(options),
+        max_n=options.max_n,
+        duration=options.duration,
+        repeats=options.repeats,
+    )
+    return run_benchmark(options, "scale", measure, scaling.table, scaling.make_scale_figure)
+
+
+def _add_viewer(commands: Commands) -> None:
+    parser = commands.add_parser("viewer", help="what a live view of a scenario costs")
+    parser.set_defaults(action=_viewer)
+    add_scenario(parser, "out/bench")
+
+
+def _viewer(options: argparse.Namespace) -> int:
+    measure = partial(viewer.benchmark_viewer, read_scenario(options))
+    return run_benchmark(options, "viewer", measure, viewer.table)
+
+
+def _add_optimizer(commands: Commands) -> None:
+    parser = commands.add_parser(
+        "optimizer",
+        help="the optimization layer: solvers on random and recorded problems, whole tasks",
+        description="Solvers of the optimization layer on random problems and on those of a run, "
+        "and layers that fly whole tasks, compared with the best plan that knows all of a task.",
+    )
+    parser.set_defaults(action=_optimizer)
+    parser.add_argument("--instances", type=int, default=1000, metavar="N", help="(1000)")
+    parser.add_argument("--seed", type=int, default=0, help="of the instances (0)")
+    parser.add_argument(
+        "--solvers", nargs="+", metavar="NAME", default=[], help="these only, of all in the table"
+    )
+    parser.add_argument(
+        "--tasks",
+        nargs="*",
+        metavar="NAME",
+        default=whole_tasks.TASKS,
+        help=f"scenarios that layers fly ({', '.join(whole_tasks.TASKS)})",
+    )
+    parser.add_argument("--out", type=Path, metavar="DIR", help="(out/bench)")
+
+
+def _optimizer(options: argparse.Namespace) -> int:
+    known = [*optimizer.SOLVERS, *optimizer.PEERS]
+    for name in options.solvers:
+        require(name in known, "--solvers", name, f"give some of {', '.join(known)}")
+        require(optimizer.is_installed(name), "--solvers", name, "install SciPy")
+    require(options.instances > 0, "--instances", options.instances, "give at least 1")
+    require_seed("--seed", options.seed)
+    for name in options.tasks:
+        remedy = f"give some of {', '.join(whole_tasks.TASKS)}"
+        require(name in scenario_names(), "--tasks", name, remedy)
+    measure = partial(
+        optimizer.benchmark_optimizer,
+        options.instances,
+        options.seed,
+        options.solvers,
+        options.tasks,
+    )
+    return run_benchmark(options, "optimizer", measure, optimizer.table)
+
+
+def _add_pictures(commands: Commands) -> None:
+    parser = commands.add_parser("pictures", help="take the README's pictures")
+    parser.set_defaults(action=_pictures)
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", default=Path("out/pictures"), help="(out/pictures)"
+    )
+
+
+def _pictures(options: argparse.Namespace) -> int:
+    require_installed("pictures", PIL="pillow")
+    require_drawing()
+    from benchmarks.pictures import FILES, make_pictures
+
+    find_browser()
+    require_writable(options.out, FILES)
+    with TaskProgress() as progress:
+        paths = make_pictures(options.out, progress=progress)
+    for path in paths:
+        print(path)
+    return 0
+
+
+def _add_report(commands: Commands) -> None:
+    parser = commands.add_parser(
+        "report",
+        help="measure the numbers that the README marks as measured, and take its pictures",
+    )
+    parser.set_defaults(action=_report)
+    parser.add_argument(
+        "--readme",
+        type=Path,
+        metavar="FILE",
+        default=Path("README.md"),
+        help="with docs beside it (README.md)",
+    )
+    parser.add_argument("--out", type=Path, metavar="DIR", default=Path("out/report"))
+    parser.add_argument(
+        "--quick",
+        action="store_true",
+        help="the runs only: no benchmarks, no pictures, no tests/evals",
+    )
+
+
+def _report(options: argparse.Namespace) -> int:
+    text = claims.documentation(options.readme)
+    measurable = [
+        claim for claim in claims.read_claims(text) if not (options.quick and claim.is_of_speed)
+    ]
+    files = ["report.md"]
+    if not options.quick:  # what is missing is said before all is measured
+        require_installed("report", PIL="pillow", scipy="scipy", pytest="pytest")
+        require_drawing()
+        from benchmarks.pictures import FILES, make_pictures
+
+        find_browser()
+        files += FILES
+    require_writable(options.out, files)
+    with TaskProgress() as progress:
+        measured = claims.measure(measurable, progress=progress)
+    failed, solvers = claims.wrong_claims(measured), ""
+    if not options.quick:
+        with TaskProgress() as progress:
+            make_pictures(options.out, progress=progress)
+            results = optimizer.benchmark_optimizer(1000, 0, [], progress=progress)
+        solvers = optimizer.table(results)
+        failed += claims.wrong_shares(text, results)
+        print("running tests/evals, which measure the rest ...", flush=True)
+        failed += claims.failing_evals(options.readme.parent)
+    with replacing_file(options.out / "report.md") as file:
+        file.write(claims.report_text(measured, solvers, failed).encode())
+    for claim in failed:
+        print(claim, file=sys.stderr)
+    print(f"{len(measurable)} numbers measured, {len(failed) or 'no'} claims failed")
+    print(f"results: {options.out / 'report.md'}")
+    return FAILED if failed else 0
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Runs the command; returns the exit code."""
+    parser = argparse.ArgumentParser(prog="python -m tests.benchmarks", description=__doc__)
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    for add in (_add_optimizer, _add_viewer, _add_accuracy, _add_scale, _add_pictures, _add_report):
+        add(commands)
+    options = parser.parse_args(arguments)
+    try:
+        return options.action(options)
+    except ScenarioError as error:
+        print(f"benchmarks: {message_of(error)}", file=sys.stderr)
+        return BAD_INPUT
+    except KeyboardInterrupt:
+        print("benchmarks: interrupted", file=sys.stderr)
+        return 130
+
+
+if __name__ == "__main__":
+    sys.exit(main())
