@@ -2,13 +2,13 @@
 
 import argparse
 import sys
+import warnings
 from functools import partial
 from pathlib import Path
 
-import drake_nonstop.studies.one_blas_thread  # noqa: F401
-
 sys.path[:0] = [str(Path(__file__).parents[2]), str(Path(__file__).parents[1])]
 
+import drake_nonstop.studies.one_blas_thread  # noqa: E402, F401
 from benchmarks import accuracy, claims, optimizer, scaling, viewer, whole_tasks  # noqa: E402
 from benchmarks.browser import find_browser  # noqa: E402
 from drake_nonstop.cli.arguments import (  # noqa: E402
@@ -24,10 +24,12 @@ from drake_nonstop.scenario.loading import scenario_names  # noqa: E402
 from drake_nonstop.studies.files import replacing_file, require_writable  # noqa: E402
 from drake_nonstop.validation import (  # noqa: E402
     ScenarioError,
+    ScenarioWarning,
     message_of,
     require,
     require_installed,
     require_seed,
+    show_warning,
 )
 from drake_nonstop.visualization.figure_style import require_drawing  # noqa: E402
 from drake_nonstop.visualization.progress import TaskProgress  # noqa: E402
@@ -212,7 +214,10 @@ def main(arguments: list[str] | None = None) -> int:
         add(commands)
     options = parser.parse_args(arguments)
     try:
-        return options.action(options)
+        with warnings.catch_warnings():
+            warnings.simplefilter("once", ScenarioWarning)
+            warnings.showwarning = show_warning
+            return options.action(options)
     except ScenarioError as error:
         print(f"benchmarks: {message_of(error)}", file=sys.stderr)
         return BAD_INPUT

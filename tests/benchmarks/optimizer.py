@@ -71,7 +71,7 @@ def benchmark_optimizer(
         progress: called with the name of a part and the share of it that is done.
 
     Returns:
-        What `drake-nonstop bench optimizer` writes as JSON.
+        What `python -m tests.benchmarks optimizer` writes as JSON.
     """
 
     def report(what: str) -> Callable[[int], None] | None:
@@ -122,7 +122,7 @@ def benchmark_optimizer(
 
 
 def is_installed(name: str) -> bool:
-    """Whether a solver's package is installed: SciPy comes with the extra `bench`."""
+    """Whether a solver's package is installed."""
     return name != "SciPy SLSQP" or importlib.util.find_spec("scipy") is not None
 
 
