@@ -270,18 +270,31 @@ def _of_scalar(block: type, scalar: type) -> type:
 
 
 def _with_super_of(owner: type, method: Any) -> Any:
-    """A method with `super()` that of another class; anything else as it is."""
+    """A method with `super()` that of another class, decorated or not; anything else as it is."""
     if isinstance(method, (staticmethod, classmethod)):
         return type(method)(_with_super_of(owner, method.__func__))
     if not isinstance(method, types.FunctionType) or not method.__closure__:
         return method
-    cells = zip(method.__code__.co_freevars, method.__closure__, strict=True)
-    closure = tuple(types.CellType(owner) if name == "__class__" else cell for name, cell in cells)
+    closure = tuple(
+        types.CellType(owner) if name == "__class__" else _cell_with_super_of(owner, cell)
+        for name, cell in zip(method.__code__.co_freevars, method.__closure__, strict=True)
+    )
     made = types.FunctionType(
         method.__code__, method.__globals__, method.__name__, method.__defaults__, closure
     )
     made.__kwdefaults__ = method.__kwdefaults__
     return functools.update_wrapper(made, method)
+
+
+def _cell_with_super_of(owner: type, cell: Any) -> Any:
+    """The cell of a method that is decorated; any other one as it is."""
+    try:
+        inner = cell.cell_contents
+    except ValueError:  # it is empty yet
+        return cell
+    if not isinstance(inner, types.FunctionType) or "__class__" not in inner.__code__.co_freevars:
+        return cell
+    return types.CellType(_with_super_of(owner, inner))
 
 
 def _converted(scalar: type, block: LeafBlock) -> Any:
@@ -300,7 +313,8 @@ def declare_default_state(block: Any, context: Any) -> None:
     if context.num_continuous_states() > 0:
         state, scalar = context.get_continuous_state(), getattr(block, "scalar", float)
         vector = BasicVector_[scalar]([number(value) for value in state.CopyToVector()])
-        block.DeclareContinuousState(vector, state.num_q(), state.num_v(), state.num_z())
+        declare = LeafSystem_[scalar].DeclareContinuousState  # a block notes what it declares
+        declare(block, vector, state.num_q(), state.num_v(), state.num_z())
 
 
 def _converter() -> SystemScalarConverter:
