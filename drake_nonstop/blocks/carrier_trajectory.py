@@ -15,11 +15,12 @@ from drake_nonstop.mechanics.carrier import (
     motion_after,
 )
 from drake_nonstop.mechanics.force_rates import second_and_third_force_rates
+from drake_nonstop.mechanics.signal_layouts import SAMPLE_TIME
 from drake_nonstop.model.block import Block
 from drake_nonstop.model.block_parameters import LOAD, rigid_load
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.requirements import LoopBlocks
-from drake_nonstop.systems.traced_block import SAMPLE_TIME, BetweenSamples
+from drake_nonstop.systems.traced_block import BetweenSamples
 from drake_nonstop.systems.wiring import WiringError
 from drake_nonstop.validation import StrictFields, require
 

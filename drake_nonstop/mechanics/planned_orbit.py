@@ -139,6 +139,15 @@ class FlightNeeds(NamedTuple):
     thrust: NDArray  # N
 
 
+def _terms_along_reference(
+    load: RigidLoad, reference: NDArray, wind: NDArray, **constants: NDArray
+) -> FlightTerms:
+    """The terms of a load on its reference, with the wrench that moves it along."""
+    state = reference[:LOAD_STATE_SIZE]
+    wrenches = *feedforward_wrench(load, reference, wind), np.zeros(WRENCH_SIZE)
+    return flight_terms(state, reference, *wrenches, wind, **constants)
+
+
 def orbit_along_reference(
     load: RigidLoad,
     reference: NDArray,
@@ -154,14 +163,9 @@ def orbit_along_reference(
     W; the velocities are those through this air. The reference's angular jerk is taken as zero.
     `pseudo_inverse` (3n, 6), `offset` (3n,) in N and `attachments` (n, 3) are in L.
     """
-    state = reference[:LOAD_STATE_SIZE]
-    wrench, wrench_rate = feedforward_wrench(load, reference, wind)
-    terms = flight_terms(
-        state,
+    terms = _terms_along_reference(
+        load,
         reference,
-        wrench,
-        wrench_rate,
-        np.zeros(WRENCH_SIZE),
         wind,
         pseudo_inverse=pseudo_inverse,
         offset=offset,
@@ -244,14 +248,9 @@ def flight_along_reference(
     The wrench is that which moves the load along its reference in the steady `wind` (3,), m/s,
     in W. The reference's angular jerk and snap are taken as zero. Others as of `flight_terms`.
     """
-    state = reference[:LOAD_STATE_SIZE]
-    wrench, wrench_rate = feedforward_wrench(load, reference, wind)
-    terms = flight_terms(
-        state,
+    terms = _terms_along_reference(
+        load,
         reference,
-        wrench,
-        wrench_rate,
-        np.zeros(WRENCH_SIZE),
         wind,
         pseudo_inverse=pseudo_inverse,
         offset=offset,

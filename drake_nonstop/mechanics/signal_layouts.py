@@ -171,7 +171,6 @@ _TWIST = (
 )
 
 # The layouts of the `mechanics.signals` and of other vectors between the blocks.
-SCALAR = Layout(Part("", "1"))
 LOAD_STATE = Layout(*_POSE, *_TWIST)
 LOAD_REFERENCE = Layout(
     _POSE[0]._replace(meaning="of R_WD, D the desired frame"),
@@ -225,6 +224,7 @@ AIRCRAFT_STATE = Layout(
     Part("airspeed", "n", "m/s"),
 )
 
+SAMPLE_TIME = "sample_time"  # of what is held
 HELD = "held_"  # begins the name of a signal that is held from one sample to the next
 
 # By the names of signals; None: one is no vector. Besides, a block may have `signal_layouts`.
@@ -245,7 +245,7 @@ SIGNALS: dict[str, Layout | None] = {
     "solve_time": Layout(Part("", "1", "s", "", "wall time of the last update")),
     "speed_bound": Layout(Part("", "1", "m/s", "", "ε, set or commanded")),
     "speed_bound_command": Layout(Part("", "1", "m/s", "", "ε, in place of the one that is set")),
-    "sample_time": Layout(Part("", "1", "s", "", "of the last sample")),
+    SAMPLE_TIME: Layout(Part("", "1", "s", "", "of the last sample")),
     "internal_force": INTERNAL_FORCE,
     "internal_force_higher_rates": INTERNAL_FORCE_HIGHER_RATES,
     "desired_cable_forces": Layout(Part("", "3n", "N", "W", "on the load")),

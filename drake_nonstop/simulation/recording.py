@@ -30,7 +30,7 @@ from pydrake.systems.primitives import LogVectorOutput, Multiplexer, VectorLog
 
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold
 from drake_nonstop.diagrams.nonstop import BOXES, SIGNALS
-from drake_nonstop.mechanics.signal_layouts import Entry, Layout, by_name, numbered_entries
+from drake_nonstop.mechanics.signal_layouts import HELD, Entry, Layout, by_name, numbered_entries
 from drake_nonstop.mechanics.signals import (
     LOAD_REFERENCE_SIZE,
     LOAD_STATE_SIZE,
@@ -41,7 +41,6 @@ from drake_nonstop.simulation.monitor import AT_SAMPLE, other_instants
 from drake_nonstop.simulation.run import SIGNAL_PERIOD, WALL_TIME
 from drake_nonstop.systems.block import LOOP, LeafBlock, title
 from drake_nonstop.systems.wiring import (
-    HELD,
     maker_of,
     nested,
     optional_inputs,

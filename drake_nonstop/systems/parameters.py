@@ -66,13 +66,6 @@ class NumericParameters:
             for name, place in self._places.items()
         }
 
-    def filled_in(self, function: Callable) -> Callable:
-        """The function, which takes the parameters by name, with the defaults."""
-        if not self.defaults:
-            return function
-        values = self.view(self.vector)
-        return lambda *arguments: function(*arguments, **values)
-
     def as_argument(self, function: Callable, place: int) -> Callable:
         """The function with the vector as its argument of that place, in front of later ones."""
 

@@ -24,6 +24,7 @@ from pydrake.systems.framework import (
 )
 from pydrake.systems.primitives import SelectorParams
 
+from drake_nonstop.mechanics.signal_layouts import SAMPLE_TIME
 from drake_nonstop.systems.block import LeafBlock, number, weakly
 from drake_nonstop.systems.diagram_trace import At
 from drake_nonstop.systems.parameters import NumericParameters, declare_parameters
@@ -33,7 +34,6 @@ from drake_nonstop.systems.tracing import Trace, object_array
 _STATE, _RATE, _NUMBERS, _TIME = "(state)", "(rate)", "(parameters)", "(time)"
 _LARGE = 600  # operations of a part whose outputs are kept in the cache
 _AT_SAMPLE = "(at the sample)"  # the outputs that move from there
-SAMPLE_TIME = "sample_time"
 
 
 class BetweenSamples(NamedTuple):

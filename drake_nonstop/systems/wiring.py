@@ -14,12 +14,11 @@ from pydrake.systems.framework import (
     System,
 )
 
-from drake_nonstop.mechanics.signal_layouts import HELD as HELD
+from drake_nonstop.mechanics.signal_layouts import HELD, SAMPLE_TIME
 from drake_nonstop.systems.block import box_of, title
 from drake_nonstop.validation import ScenarioError, listed, require
 
 OUTSIDE = "outside"  # what wires call the diagram's own input ports
-SAMPLE_TIME = "sample_time"  # of what is held
 
 _HOLD_REMEDY = (
     f"a SampleAndHold makes {SAMPLE_TIME} and the {HELD}... signals of sampled controllers; add "
