@@ -74,7 +74,7 @@ from drake_nonstop.loop.parameters import (
     LoopParameter as LoopParameter,
 )
 from drake_nonstop.simulation.simulate import simulate as simulate
-from drake_nonstop.simulation.aircraft_margins import (
+from drake_nonstop.analysis.aircraft_margins import (
     aircraft_margins as aircraft_margins,
     AircraftMargins as AircraftMargins,
     FlightMargin as FlightMargin,
@@ -94,7 +94,7 @@ from drake_nonstop.systems.energy import (
     kinetic_energy as kinetic_energy,
     potential_energy as potential_energy,
 )
-from drake_nonstop.simulation.outcome import RunOutcome as RunOutcome
+from drake_nonstop.analysis.limit import RunOutcome as RunOutcome
 from drake_nonstop.studies.results_folder import write_results as write_results
 from drake_nonstop.studies.ablation import ablate as ablate, read_grid as read_grid
 from drake_nonstop.studies.design import design as design

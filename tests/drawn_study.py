@@ -24,15 +24,16 @@ from drawn_tasks import aircraft_task, carriers_task
 from numpy.typing import NDArray
 
 import drake_nonstop
-from drake_nonstop.mechanics.signals import Parameters, PlannedParameters
+from drake_nonstop.analysis.formation import find_formation
+from drake_nonstop.analysis.limit import RunOutcome
+from drake_nonstop.analysis.speed_check import check_speeds
+from drake_nonstop.analysis.task import task_of
+from drake_nonstop.mechanics.signals import SIGNAL_PERIOD, Parameters, PlannedParameters
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.simulation.formation import find_formation
-from drake_nonstop.simulation.outcome import LIMITS, RunOutcome
-from drake_nonstop.simulation.run import SIGNAL_PERIOD, Run, StepCheck
+from drake_nonstop.simulation.outcome import LIMITS
+from drake_nonstop.simulation.run import Run, StepCheck
 from drake_nonstop.simulation.run_quantities import RunQuantities
-from drake_nonstop.simulation.speed_check import check_speeds
-from drake_nonstop.simulation.task import task_of
 from drake_nonstop.studies.ablation import read_grid
 from drake_nonstop.studies.journal import Journal, StudyInterrupted, open_journal, settings_of
 from drake_nonstop.studies.run_all import COMPLETED, FAILED, SerialExecutor, attempt, run_all

@@ -11,6 +11,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
+from drake_nonstop.analysis.aircraft_margins import margins_at_rest
 from drake_nonstop.blocks.load_trajectory import RestToRest, RestToRestConfig
 from drake_nonstop.mechanics.aircraft import stall_speed
 from drake_nonstop.mechanics.grasp import grasp_matrix
@@ -22,7 +23,6 @@ from drake_nonstop.optimization.problem_config import LimitsConfig
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.simulation.aircraft_margins import margins_at_rest
 
 GRAVITY = 9.81
 STEP = 0.02  # s, at which planned motions are looked at

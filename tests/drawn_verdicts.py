@@ -16,12 +16,13 @@ import numpy as np
 from drawn_study import _code
 from drawn_tasks import GRAVITY, aircraft_task, attachments_of, loaded
 
+from drake_nonstop.analysis.limit import RunOutcome
+from drake_nonstop.analysis.task_check import check_task
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.simulation.outcome import Judgement, RunOutcome, judge
+from drake_nonstop.simulation.outcome import Judgement, judge
 from drake_nonstop.simulation.run import StepCheck
 from drake_nonstop.simulation.run_quantities import RunQuantities
-from drake_nonstop.simulation.task_check import check_task
 from drake_nonstop.studies.journal import StudyInterrupted, open_journal, settings_of
 from drake_nonstop.studies.run_all import FAILED, SerialExecutor, attempt, run_all
 from drake_nonstop.systems.block import release

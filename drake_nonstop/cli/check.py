@@ -3,18 +3,20 @@
 import argparse
 from pathlib import Path
 
-from drake_nonstop.cli.arguments import Commands, add_scenario, read_scenario
-from drake_nonstop.cli.exit_codes import BAD_INPUT, FAILED
-from drake_nonstop.scenario.loading import dump_scenario
-from drake_nonstop.scenario.proportions import warn_of_angles
-from drake_nonstop.simulation.aircraft_margins import (
+from drake_nonstop.analysis.aircraft_margins import (
     aircraft_margins,
     margins_dictionary,
     margins_table,
 )
-from drake_nonstop.simulation.task_check import check_task, task_dictionary, task_table
+from drake_nonstop.analysis.task_check import check_task, task_dictionary, task_table
+from drake_nonstop.cli.arguments import Commands, add_scenario, read_scenario
+from drake_nonstop.cli.exit_codes import BAD_INPUT, FAILED
+from drake_nonstop.scenario.loading import dump_scenario
+from drake_nonstop.scenario.proportions import warn_of_angles
+from drake_nonstop.simulation.make_simulator import make_simulator
 from drake_nonstop.studies.files import replacing_files, require_writable, write_json
 from drake_nonstop.studies.results_folder import default_folder, require_no_other_run
+from drake_nonstop.systems.block import LOOP
 from drake_nonstop.visualization.check_figure import make_check_figure
 from drake_nonstop.visualization.figure_style import require_drawing
 from drake_nonstop.visualization.limits_figure import make_limits_figure
@@ -47,7 +49,8 @@ def _check(options: argparse.Namespace) -> int:
     folder = options.out or default_folder(Path("out") / "check" / scenario.name, scenario)
     require_no_other_run(folder, scenario)
     aircraft = aircraft_margins(scenario) if scenario.system.aircraft is not None else None
-    found = check_task(scenario)
+    loop = make_simulator(scenario).get_system().GetSubsystemByName(LOOP)
+    found = check_task(scenario, loop)
     report = {
         "scenario": scenario.name,
         "is_sound": found.is_sound,

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from drake_nonstop.analysis.limit import RunOutcome
 from drake_nonstop.cli.arguments import Commands, add_scenario, read_scenario
 from drake_nonstop.cli.ending import exit_code, say_end
 from drake_nonstop.cli.exit_codes import BAD_INPUT, FAILED, INTERRUPTED, NOT_OK
@@ -19,7 +20,6 @@ from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.interruption import ALL, current_interruption
 from drake_nonstop.simulation.metrics import in_brief, metrics_table
 from drake_nonstop.simulation.moved_metrics import TOLERANCES
-from drake_nonstop.simulation.outcome import RunOutcome
 from drake_nonstop.simulation.recording import least_size
 from drake_nonstop.simulation.run import Run, RunInterrupted, RunStopped
 from drake_nonstop.simulation.simulate import simulate, verify_step

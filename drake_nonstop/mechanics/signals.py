@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+SIGNAL_PERIOD = 0.01  # s, of the signals that are written
 POSE_SIZE = 7
 LOAD_STATE_SIZE = 13
 LOAD_REFERENCE_SIZE = 22

@@ -13,10 +13,11 @@ from pydrake.systems.framework import Context, Diagram
 from drake_nonstop.loop.block_events import NotCompilableError, sample_times
 from drake_nonstop.loop.compiled_loop import CompiledFlight, CompiledLoop, reason_against
 from drake_nonstop.mechanics.signal_layouts import by_name
+from drake_nonstop.mechanics.signals import SIGNAL_PERIOD
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.monitor import SAME_RATIO, Monitor
 from drake_nonstop.simulation.recording import Recording, RecordingError
-from drake_nonstop.simulation.run import SIGNAL_PERIOD, WALL_TIME
+from drake_nonstop.simulation.run import WALL_TIME
 from drake_nonstop.simulation.short_flights import RestorableState, SavedState, flown
 from drake_nonstop.systems.block import is_of_package, release
 from drake_nonstop.systems.tracing import LARGEST

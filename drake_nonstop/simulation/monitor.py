@@ -7,8 +7,9 @@ from fractions import Fraction
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram, EventStatus
 
+from drake_nonstop.mechanics.signals import SIGNAL_PERIOD
 from drake_nonstop.simulation.interruption import Interruption
-from drake_nonstop.simulation.run import SIGNAL_PERIOD, StepAction
+from drake_nonstop.simulation.run import StepAction
 from drake_nonstop.simulation.short_flights import RestorableState, SavedState, SavedStates
 from drake_nonstop.systems.block import LeafBlock
 

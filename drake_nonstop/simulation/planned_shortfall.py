@@ -10,6 +10,7 @@ from drake_nonstop.mechanics.planned_orbit import OrbitTerms
 from drake_nonstop.mechanics.rigid_load import STILL_AIR
 from drake_nonstop.mechanics.signals import (
     PLANNED_SIZE,
+    SIGNAL_PERIOD,
     CarrierStates,
     Parameters,
     Phase,
@@ -19,7 +20,7 @@ from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.horizon_problem import HorizonConfig, HorizonProblem, timed
 from drake_nonstop.optimization.limits import Of
 from drake_nonstop.optimization.problem_config import LimitsConfig
-from drake_nonstop.simulation.run import SIGNAL_PERIOD, Run
+from drake_nonstop.simulation.run import Run
 from drake_nonstop.simulation.signal_table import UnknownSignalError
 
 _SETTLING = 5  # samples at 100 Hz, in which a carrier goes from one planned speed to another

@@ -8,16 +8,16 @@ import numpy as np
 from pydrake.systems.analysis import GetIntegrationSchemes
 from pydrake.systems.framework import Context, Diagram
 
+from drake_nonstop.analysis.aircraft_margins import margins_of_loop
+from drake_nonstop.analysis.formation import growth_complaint
+from drake_nonstop.analysis.task import task_of_loop
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.loop.equilibrium import block_named
 from drake_nonstop.scenario.proportions import out_of_proportion
 from drake_nonstop.scenario.scene_config import check_scene
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.simulation.aircraft_margins import margins_of_loop
-from drake_nonstop.simulation.formation import growth_complaint
 from drake_nonstop.simulation.recording import RUN_SIGNALS
 from drake_nonstop.simulation.step_size import ChosenStep, chosen_step
-from drake_nonstop.simulation.task import task_of_loop
 from drake_nonstop.systems.block import LOOP
 from drake_nonstop.systems.wiring import innermost, input_names, nested, require_signals
 from drake_nonstop.validation import ScenarioError, called, require, warn_user

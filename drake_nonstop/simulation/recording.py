@@ -35,10 +35,11 @@ from drake_nonstop.mechanics.signals import (
     LOAD_REFERENCE_SIZE,
     LOAD_STATE_SIZE,
     PARAMETERS_SIZE,
+    SIGNAL_PERIOD,
 )
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.monitor import AT_SAMPLE, other_instants
-from drake_nonstop.simulation.run import SIGNAL_PERIOD, WALL_TIME
+from drake_nonstop.simulation.run import WALL_TIME
 from drake_nonstop.systems.block import LOOP, LeafBlock, title
 from drake_nonstop.systems.wiring import (
     maker_of,

@@ -19,7 +19,6 @@ from drake_nonstop.validation import require
 if TYPE_CHECKING:
     from drake_nonstop.simulation.recording import LogSignals, Recording
 
-SIGNAL_PERIOD = 0.01  # s, of the signals that are written
 WALL_TIME = "solve_time"  # differs from run to run: kept out of the samples
 
 

@@ -8,6 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from drake_nonstop.analysis.limit_along import LimitAlong
+from drake_nonstop.analysis.separations import Spacing, least_length
 from drake_nonstop.mechanics.aircraft import Aircraft, is_stalled
 from drake_nonstop.mechanics.rotation import (
     quaternion_conjugate,
@@ -20,10 +22,8 @@ from drake_nonstop.model.system import SystemParameters, aircraft_in, overridden
 from drake_nonstop.optimization.diagnostics import Diagnostics
 from drake_nonstop.optimization.limits import Limit, Of, asked
 from drake_nonstop.simulation.aircraft_quantities import AircraftQuantities, has_aircraft
-from drake_nonstop.simulation.limit_along import LimitAlong
 from drake_nonstop.simulation.planned_shortfall import largest_shortfall
 from drake_nonstop.simulation.run import Run
-from drake_nonstop.simulation.separations import Spacing, least_length
 from drake_nonstop.simulation.signal_table import UnknownSignalError
 from drake_nonstop.systems.tracing import NotFiniteError
 

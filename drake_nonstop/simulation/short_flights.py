@@ -15,9 +15,8 @@ from pydrake.systems.analysis import (
 )
 from pydrake.systems.framework import Context, Diagram
 
-from drake_nonstop.mechanics.signals import CarrierStates, LoadState
+from drake_nonstop.mechanics.signals import SIGNAL_PERIOD, CarrierStates, LoadState
 from drake_nonstop.simulation.moved_metrics import SHARE, SPEED_GRAIN, TENSION_GRAIN
-from drake_nonstop.simulation.run import SIGNAL_PERIOD
 from drake_nonstop.systems.port_state import copied_context, set_state_values, state_values
 
 _SAVING_PERIOD = 0.5  # s; longer where there would be more states than the largest number

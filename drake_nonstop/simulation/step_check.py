@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 from pydrake.systems.analysis import SimulatorConfig
 from pydrake.systems.framework import Context
 
-from drake_nonstop.mechanics.signals import CarrierStates
+from drake_nonstop.mechanics.signals import SIGNAL_PERIOD, CarrierStates
 from drake_nonstop.simulation.metrics import compute_metrics
 from drake_nonstop.simulation.moved_metrics import moved_metrics
-from drake_nonstop.simulation.run import SIGNAL_PERIOD, Run
+from drake_nonstop.simulation.run import Run
 from drake_nonstop.simulation.short_flights import (
     COMPARED,
     FlightSamples,

@@ -8,10 +8,9 @@ import numpy as np
 from pydrake.systems.analysis import Simulator, SimulatorConfig
 from pydrake.systems.framework import Context, Diagram
 
+from drake_nonstop.analysis.linearized_loop import LinearizedLoop
 from drake_nonstop.loop.equilibrium import on_reference
-from drake_nonstop.mechanics.signals import CarrierStates, LoadReference, LoadState
-from drake_nonstop.simulation.linearized_loop import LinearizedLoop
-from drake_nonstop.simulation.run import SIGNAL_PERIOD
+from drake_nonstop.mechanics.signals import SIGNAL_PERIOD, CarrierStates, LoadReference, LoadState
 from drake_nonstop.simulation.short_flights import SavedState, ShortFlights, difference, finer
 from drake_nonstop.systems.port_state import copied_context
 from drake_nonstop.validation import require

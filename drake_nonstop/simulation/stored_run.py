@@ -23,10 +23,11 @@ from numpy.typing import NDArray
 
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.mechanics.signal_layouts import Entry
+from drake_nonstop.mechanics.signals import SIGNAL_PERIOD
 from drake_nonstop.scenario.loading import parse_scenario
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.recording import AT_INSTANT, EVERY_STEP, RUN_SIGNALS, recorded_sizes
-from drake_nonstop.simulation.run import SIGNAL_PERIOD, Run, solve_times_of
+from drake_nonstop.simulation.run import Run, solve_times_of
 from drake_nonstop.simulation.signal_table import SignalTable
 from drake_nonstop.validation import (
     ScenarioError,

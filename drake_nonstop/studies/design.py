@@ -9,6 +9,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from drake_nonstop.analysis.aircraft_margins import (
+    AircraftMargins,
+    FlightLimits,
+    aircraft_margins,
+    aircraft_needs,
+)
+from drake_nonstop.analysis.bowed_cables import BowedCables
+from drake_nonstop.analysis.formation import find_formation
+from drake_nonstop.analysis.task import task_of
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.mechanics.aircraft import (
     airspeed_over_loaded_stall,
@@ -34,16 +43,7 @@ from drake_nonstop.optimization.limits import Of, asked
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.scenario.overrides import as_override, changed
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.simulation.aircraft_margins import (
-    AircraftMargins,
-    FlightLimits,
-    aircraft_margins,
-    aircraft_needs,
-)
-from drake_nonstop.simulation.bowed_cables import BowedCables
-from drake_nonstop.simulation.formation import find_formation
 from drake_nonstop.simulation.run import RunStopped, StepCheck
-from drake_nonstop.simulation.task import task_of
 from drake_nonstop.studies.design_request import (
     GRAVITY,
     DesignRequest,

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from pydrake.common.yaml import yaml_dump, yaml_load_typed
 
+from drake_nonstop.analysis.aircraft_margins import FlightLimits
 from drake_nonstop.mechanics.aircraft import Aircraft
 from drake_nonstop.model.aircraft import AircraftParameters, make_aircraft
 from drake_nonstop.model.system import checked_inertia
@@ -17,7 +18,6 @@ from drake_nonstop.optimization.problem_config import AircraftLimits, check_flig
 from drake_nonstop.scenario.overrides import require_override
 from drake_nonstop.scenario.schema import check_name
 from drake_nonstop.scenario.yaml_text import dump_plain, parse_plain
-from drake_nonstop.simulation.aircraft_margins import FlightLimits
 from drake_nonstop.systems.field_comments import meanings
 from drake_nonstop.validation import (
     ScenarioError,

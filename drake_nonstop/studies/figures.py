@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from drake_nonstop.analysis.separations import closest_cables, closest_carriers
 from drake_nonstop.mechanics.signals import CarrierStates
 from drake_nonstop.simulation.run import Run
 from drake_nonstop.simulation.run_quantities import attachment_positions
-from drake_nonstop.simulation.separations import closest_cables, closest_carriers
 from drake_nonstop.studies.margins import Margin
 from drake_nonstop.studies.robustness import POSITION_ERROR_MEAN, Case
 from drake_nonstop.visualization.figure_style import COLOURS, LINE_STYLES, new_figure, titled

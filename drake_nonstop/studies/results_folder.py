@@ -9,10 +9,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
 
+from drake_nonstop.analysis.limit import RunOutcome
 from drake_nonstop.scenario.loading import dump_scenario
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.metrics import compute_metrics
-from drake_nonstop.simulation.outcome import RunOutcome
 from drake_nonstop.simulation.run import Run
 from drake_nonstop.simulation.stored_run import (
     SCENARIO,

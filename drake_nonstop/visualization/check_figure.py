@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.simulation.speed_check import set_over_time
-from drake_nonstop.simulation.task_check import TaskCheck
+from drake_nonstop.analysis.speed_check import set_over_time
+from drake_nonstop.analysis.task_check import TaskCheck
 from drake_nonstop.visualization.figure_style import COLOURS, new_figure, titled
 
 if TYPE_CHECKING:

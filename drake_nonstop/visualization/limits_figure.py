@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from drake_nonstop.simulation.limit_along import LimitAlong
+from drake_nonstop.analysis.limit_along import LimitAlong
 from drake_nonstop.visualization.decimation import extreme_samples
 from drake_nonstop.visualization.figure_style import new_figure, titled
 

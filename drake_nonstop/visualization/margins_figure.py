@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.simulation.aircraft_margins import AircraftMargins
+from drake_nonstop.analysis.aircraft_margins import AircraftMargins
 from drake_nonstop.visualization.figure_style import COLOURS, new_figure, titled
 
 if TYPE_CHECKING:

@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.geometry import Meshcat, MeshcatAnimation
 
-from drake_nonstop.mechanics.signals import AircraftState
+from drake_nonstop.mechanics.signals import SIGNAL_PERIOD, AircraftState
 from drake_nonstop.model.system import overridden
 from drake_nonstop.scenario.scene_config import SceneConfig
 from drake_nonstop.simulation.aircraft_quantities import AircraftQuantities, has_aircraft
-from drake_nonstop.simulation.run import SIGNAL_PERIOD, Run
+from drake_nonstop.simulation.run import Run
 from drake_nonstop.simulation.run_quantities import carrier_speeds
 from drake_nonstop.simulation.signal_table import UnknownSignalError
 from drake_nonstop.visualization.canvas import RecordingCanvas

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from benchmarks.browser import open_browser
+from drake_nonstop.analysis.aircraft_margins import aircraft_margins
 from drake_nonstop.scenario.loading import load_scenario
-from drake_nonstop.simulation.aircraft_margins import aircraft_margins
 from drake_nonstop.simulation.aircraft_quantities import AircraftQuantities
 from drake_nonstop.simulation.run import Run
 from drake_nonstop.simulation.run_quantities import carrier_speeds, speed_bounds

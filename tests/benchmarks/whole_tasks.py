@@ -11,19 +11,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from drake_nonstop.analysis.task import Task, task_of
 from drake_nonstop.blocks.phase import ShapedPhaseConfig
 from drake_nonstop.mechanics.planned_orbit import OrbitTerms
-from drake_nonstop.mechanics.signals import PlannedParameters
+from drake_nonstop.mechanics.signals import SIGNAL_PERIOD, PlannedParameters
 from drake_nonstop.optimization.horizon_problem import HorizonConfig, HorizonProblem, timed
 from drake_nonstop.optimization.limits import Of
 from drake_nonstop.optimization.whole_task import plan_task
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.simulation.run import SIGNAL_PERIOD, Run, StepCheck
+from drake_nonstop.simulation.run import Run, StepCheck
 from drake_nonstop.simulation.run_quantities import RunQuantities
 from drake_nonstop.simulation.simulate import simulate
-from drake_nonstop.simulation.task import Task, task_of
 
 TASKS = ("line", "quintic", "three_carriers", "real_scale_spread")
 OFFLINE = "offline optimum"

@@ -22,6 +22,7 @@ from drake_nonstop import (
     set_parameter,
     simulate,
 )
+from drake_nonstop.analysis.limit import RunOutcome
 from drake_nonstop.blocks.carrier_controller import CarrierPidConfig
 from drake_nonstop.blocks.carrier_dynamics import (
     CarrierDynamicsConfig,
@@ -31,7 +32,6 @@ from drake_nonstop.blocks.carrier_dynamics import (
 from drake_nonstop.mechanics.aircraft import FlightStates, air_force
 from drake_nonstop.mechanics.signals import AircraftState
 from drake_nonstop.model.aircraft import AircraftParameters
-from drake_nonstop.simulation.outcome import RunOutcome
 from drake_nonstop.systems.traced_block import TracedBlock
 
 RASCAL = AircraftParameters(model="rascal_110")

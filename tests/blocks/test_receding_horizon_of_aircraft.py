@@ -7,6 +7,7 @@ import pytest
 from helpers import fix, output
 from pydrake.systems.analysis import Simulator
 
+from drake_nonstop.analysis.aircraft_margins import margins_at_rest
 from drake_nonstop.blocks.receding_horizon import (
     RecedingHorizonOptimizer,
     RecedingHorizonOptimizerConfig,
@@ -16,7 +17,6 @@ from drake_nonstop.mechanics.wind import MeanWind
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.diagnostics import Diagnostics, Outcome
 from drake_nonstop.scenario.loading import load_scenario
-from drake_nonstop.simulation.aircraft_margins import margins_at_rest
 from drake_nonstop.validation import ScenarioError
 
 AT_REST = np.concatenate([[1.0], np.zeros(21)])

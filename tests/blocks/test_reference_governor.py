@@ -17,6 +17,8 @@ from drake_nonstop import (
     parse_scenario,
     simulate,
 )
+from drake_nonstop.analysis.speed_check import check_speeds
+from drake_nonstop.analysis.task import task_of
 from drake_nonstop.blocks.load_trajectory import (
     ConstantVelocityMove,
     RestToRest,
@@ -26,8 +28,6 @@ from drake_nonstop.blocks.reference_governor import ReferenceGovernor
 from drake_nonstop.loop import assembly
 from drake_nonstop.mechanics.signals import CarrierStates
 from drake_nonstop.optimization.stretched_time import PathDelay
-from drake_nonstop.simulation.speed_check import check_speeds
-from drake_nonstop.simulation.task import task_of
 from drake_nonstop.studies.run_all import fly
 from drake_nonstop.systems.wiring import output_sizes
 from drake_nonstop.validation import ScenarioError, ScenarioWarning

@@ -6,7 +6,7 @@ import pytest
 from drawn_study import VARIANTS, fly, study, table
 from drawn_tasks import aircraft_task, carriers_task
 
-from drake_nonstop.simulation.aircraft_margins import aircraft_margins
+from drake_nonstop.analysis.aircraft_margins import aircraft_margins
 
 FAILS_TODAY = 1029  # a task on which the layer of one sample falls below the bound
 

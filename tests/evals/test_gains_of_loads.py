@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from helpers import GAINS
 
+from drake_nonstop.analysis.load_stability import LoadDeviations
 from drake_nonstop.blocks.wrench_controller import WrenchController, WrenchControllerConfig
 from drake_nonstop.model.pattern import HamiltonianCycleConfig
 from drake_nonstop.model.system import Model, SystemParameters
-from drake_nonstop.simulation.load_stability import LoadDeviations
 
 GRAVITY = 9.81
 AT_REST = np.eye(22)[0]

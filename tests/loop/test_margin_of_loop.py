@@ -10,6 +10,7 @@ import pytest
 from drawn_tasks import draw
 from pydrake.systems.analysis import Simulator
 
+from drake_nonstop.analysis.linearized_loop import LinearizedLoop
 from drake_nonstop.blocks.carrier_controller import CarrierPid
 from drake_nonstop.diagrams.nonstop import make_blocks, make_nonstop
 from drake_nonstop.loop.margin_of_loop import feedback_of, margin_of_loop
@@ -33,7 +34,6 @@ from drake_nonstop.optimization.problem_config import (
 from drake_nonstop.optimization.speed_margin import DEVIATIONS
 from drake_nonstop.scenario.loading import dump_scenario, load_scenario, parse_scenario
 from drake_nonstop.scenario.overrides import changed
-from drake_nonstop.simulation.linearized_loop import LinearizedLoop
 from drake_nonstop.simulation.metrics import compute_metrics
 from drake_nonstop.simulation.run import StepCheck
 from drake_nonstop.simulation.simulate import simulate

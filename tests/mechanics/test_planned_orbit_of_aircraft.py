@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from helpers import Motion, difference
 
+from drake_nonstop.analysis.aircraft_margins import aircraft_needs
 from drake_nonstop.mechanics import nonstop
 from drake_nonstop.mechanics.aircraft import needed_force, required_command, stall_speed
 from drake_nonstop.mechanics.carrier import carrier_acceleration, carrier_motion
@@ -28,7 +29,6 @@ from drake_nonstop.mechanics.wrench import NO_FEEDBACK, wrench_and_rate
 from drake_nonstop.model.aircraft import AircraftParameters
 from drake_nonstop.model.pattern import ConstantSpreadConfig, EllipticCarouselConfig
 from drake_nonstop.model.system import Model, SystemParameters
-from drake_nonstop.simulation.aircraft_margins import aircraft_needs
 
 WIND = np.array([1.9, -0.8, 0.3])
 ORBIT = np.array([0.6, 0.01, 1.0, 0.02, -0.01])  # ξ, ξ̇, A, Ȧ, Ä

@@ -8,6 +8,7 @@ import pytest
 from helpers import nightly_beyond
 from pydrake.solvers import ClarabelSolver, MathematicalProgram
 
+from drake_nonstop.analysis.aircraft_margins import FlightLimits, margins_at_rest
 from drake_nonstop.blocks.optimization_layer import NonstopOptimizerConfig
 from drake_nonstop.mechanics.aircraft import stall_speed
 from drake_nonstop.mechanics.wind import MeanWind
@@ -18,7 +19,6 @@ from drake_nonstop.optimization.diagnostics import Outcome
 from drake_nonstop.optimization.flight_search import nearest_in_polygon
 from drake_nonstop.optimization.local_solver import LocalSolver
 from drake_nonstop.optimization.update_solver import UpdateSolver
-from drake_nonstop.simulation.aircraft_margins import FlightLimits, margins_at_rest
 
 CORNERS = [[1.5, 0.0, 0.0], [0.0, 1.5, 0.0], [-1.5, 0.0, 0.0], [0.0, -1.5, 0.0]]
 START = np.array([0.595, 1.0])

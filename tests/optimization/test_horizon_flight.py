@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from helpers import Motion, difference, model
 
+from drake_nonstop.analysis.aircraft_margins import margins_at_rest
 from drake_nonstop.mechanics.aircraft import needed_force, required_command, thrust_limits
 from drake_nonstop.mechanics.planned_orbit import stall_factor
 from drake_nonstop.mechanics.wind import MeanWind
@@ -17,7 +18,6 @@ from drake_nonstop.model.system import Model, SystemParameters
 from drake_nonstop.optimization.horizon_problem import HorizonConfig, HorizonProblem
 from drake_nonstop.optimization.horizon_solver import PLAN_TOLERANCE, HorizonSolver
 from drake_nonstop.optimization.problem_config import LimitsConfig
-from drake_nonstop.simulation.aircraft_margins import margins_at_rest
 
 WIND = np.array([1.6, -0.7, 0.2])
 SHARES = {"max_lift_share": 0.9, "max_bank": 0.75, "max_climb": 0.5, "max_thrust_share": 0.95}

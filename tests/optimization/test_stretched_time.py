@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from helpers import difference, model
 
+from drake_nonstop.analysis.aircraft_margins import margins_at_rest
 from drake_nonstop.blocks.load_trajectory import (
     ConstantVelocityMove,
     ConstantVelocityMoveConfig,
@@ -26,7 +27,6 @@ from drake_nonstop.optimization.stretched_time import (
     stretching,
 )
 from drake_nonstop.scenario.loading import load_scenario
-from drake_nonstop.simulation.aircraft_margins import margins_at_rest
 
 START, MOVE = 3.0, 3.0  # s, of the line
 DURATION = 24.0  # s

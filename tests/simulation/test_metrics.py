@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 
 from drake_nonstop import load_scenario
-from drake_nonstop.simulation import run_quantities
-from drake_nonstop.simulation.metrics import METRICS, compute_metrics, flattened, metrics_table
-from drake_nonstop.simulation.run import Run
-from drake_nonstop.simulation.run_quantities import load_errors
-from drake_nonstop.simulation.separations import (
+from drake_nonstop.analysis.separations import (
     closest_cables,
     closest_carriers,
     least_cable_distances,
     segment_distances,
 )
+from drake_nonstop.simulation import run_quantities
+from drake_nonstop.simulation.metrics import METRICS, compute_metrics, flattened, metrics_table
+from drake_nonstop.simulation.run import Run
+from drake_nonstop.simulation.run_quantities import load_errors
 
 KEYS = {
     "": {

@@ -9,8 +9,8 @@ from pydrake.systems.framework import LeafSystem
 from pydrake.systems.primitives import FirstOrderTaylorApproximation
 
 from drake_nonstop import ScenarioError, load_scenario, make_nonstop, set_equilibrium
+from drake_nonstop.analysis.linearized_loop import LinearizedLoop
 from drake_nonstop.loop.parameters import parameters, set_parameter
-from drake_nonstop.simulation.linearized_loop import LinearizedLoop
 from drake_nonstop.systems.block import number
 
 CONSTANT = "optimization_layer=ConstantParameters"

@@ -16,9 +16,9 @@ from drake_nonstop import (
     simulate,
     verify_step,
 )
+from drake_nonstop.analysis.linearized_loop import LinearizedLoop
 from drake_nonstop.loop.equilibrium import on_reference
 from drake_nonstop.scenario.schema import ENGINES
-from drake_nonstop.simulation.linearized_loop import LinearizedLoop
 from drake_nonstop.simulation.metrics import METRICS
 from drake_nonstop.simulation.moved_metrics import moved_metrics
 from drake_nonstop.simulation.short_flights import SavedState, ShortFlights, difference

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from helpers import nightly_beyond
 
+from drake_nonstop.analysis.aircraft_margins import aircraft_margins
 from drake_nonstop.optimization.limits import Of, limits_of
 from drake_nonstop.scenario.loading import dump_scenario, parse_scenario
-from drake_nonstop.simulation.aircraft_margins import aircraft_margins
 from drake_nonstop.studies import design as module
 from drake_nonstop.studies.design import (
     Design,

@@ -7,22 +7,17 @@ import numpy as np
 import pytest
 from helpers import nightly_beyond
 
-from drake_nonstop import ScenarioError, compute_metrics, load_scenario, simulate
+from drake_nonstop import compute_metrics, load_scenario, simulate
+from drake_nonstop.analysis import formation
+from drake_nonstop.analysis.sampled_growth import SampledGrowth
+from drake_nonstop.analysis.speed_check import check_speeds
+from drake_nonstop.analysis.task import task_of
+from drake_nonstop.analysis.task_check import check_task, task_dictionary, task_table
 from drake_nonstop.mechanics.signals import Parameters
 from drake_nonstop.optimization.limits import LIMITS
-from drake_nonstop.simulation import formation
 from drake_nonstop.simulation.run import StepCheck
 from drake_nonstop.simulation.run_quantities import RunQuantities
-from drake_nonstop.simulation.sampled_growth import SampledGrowth
-from drake_nonstop.simulation.speed_check import check_speeds
-from drake_nonstop.simulation.task import task_of
-from drake_nonstop.simulation.task_check import check_task, task_dictionary, task_table
 
-# Refused by what the loop is built from, and by what a run is flown with.
-REFUSED = [
-    "optimization_layer.max_speed=0.5",
-    "simulator_config.integration_scheme=euler",
-]
 # Beyond what any plan of so many seconds keeps, and what is within reach.
 MISSED = {
     "min_tension": (0.5, 20.0, 2.0),  # that which takes least time is tried first
@@ -34,15 +29,6 @@ MISSED = {
 
 def quintic(*overrides, duration=0.5):
     return load_scenario("quintic", [f"simulation_duration={duration}", *overrides])
-
-
-@pytest.mark.parametrize("override", REFUSED)
-def test_what_a_run_refuses_the_check_refuses_in_the_same_words(override):
-    with pytest.raises(ScenarioError) as of_run:
-        simulate(quintic(override))
-    with pytest.raises(ScenarioError) as of_check:
-        check_task(quintic(override))
-    assert str(of_check.value) == str(of_run.value)
 
 
 @pytest.mark.parametrize("field", nightly_beyond(1, "studies", MISSED))

@@ -6,9 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drake_nonstop.scenario.loading import load_scenario
-from drake_nonstop.simulation import speed_check
-from drake_nonstop.simulation.speed_check import (
+from drake_nonstop.analysis import speed_check
+from drake_nonstop.analysis.speed_check import (
     check_speeds,
     constant_speeds,
     feasible_speeds,
@@ -16,7 +15,8 @@ from drake_nonstop.simulation.speed_check import (
     problem_of,
     set_over_time,
 )
-from drake_nonstop.simulation.task import task_of
+from drake_nonstop.analysis.task import task_of
+from drake_nonstop.scenario.loading import load_scenario
 
 
 def test_speeds_over_an_orbit_are_those_of_the_carriers_there():

@@ -10,21 +10,21 @@ from drawn_tasks import aircraft_task
 from helpers import nightly_beyond
 
 from drake_nonstop import load_scenario
-from drake_nonstop.mechanics.aircraft import stall_speed
-from drake_nonstop.mechanics.signals import AircraftState
-from drake_nonstop.scenario.overrides import changed
-from drake_nonstop.simulation.aircraft_margins import (
+from drake_nonstop.analysis.aircraft_margins import (
     FlightLimits,
     aircraft_margins,
     flight_limits_of,
 )
-from drake_nonstop.simulation.flight_of_plan import flight_of_plan
+from drake_nonstop.analysis.flight_of_plan import flight_of_plan
+from drake_nonstop.analysis.sampled_growth import SampledGrowth
+from drake_nonstop.analysis.speed_check import check_speeds
+from drake_nonstop.analysis.task import task_of
+from drake_nonstop.analysis.task_check import check_task
+from drake_nonstop.mechanics.aircraft import stall_speed
+from drake_nonstop.mechanics.signals import AircraftState
+from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.simulation.run import StepCheck
-from drake_nonstop.simulation.sampled_growth import SampledGrowth
 from drake_nonstop.simulation.simulate import simulate
-from drake_nonstop.simulation.speed_check import check_speeds
-from drake_nonstop.simulation.task import task_of
-from drake_nonstop.simulation.task_check import check_task
 
 # One whose aircraft need more lift than they have at the end of the way, of a layer that does not
 # know of it.

@@ -5,15 +5,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from drake_nonstop.simulation.aircraft_margins import (
+from drake_nonstop.analysis.aircraft_margins import (
     FlightLimits,
     FlightMargin,
     FlightRanges,
     quantities_of_each,
 )
-from drake_nonstop.simulation.needs_along import NeedsAlong
-from drake_nonstop.simulation.speed_check import SpeedCheck
-from drake_nonstop.simulation.task import Task
+from drake_nonstop.analysis.needs_along import NeedsAlong
+from drake_nonstop.analysis.speed_check import SpeedCheck
+from drake_nonstop.analysis.task import Task
 
 # Times as long as the way asks for what is beyond the limits commands may be at them: afterwards
 # feedback makes up for it.

@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.framework import Context, Diagram, System
 
+from drake_nonstop.analysis.load_stability import LoadDeviations
+from drake_nonstop.analysis.planned_turn import PlannedTurnAlong, constant_turn, predicted_turn
 from drake_nonstop.blocks.carrier_controller import CarrierPidConfig, FeedforwardCarrierPidConfig
 from drake_nonstop.blocks.carrier_trajectory import MeasuredCarrierTrajectoryConfig
 from drake_nonstop.blocks.load_feedback import (
@@ -34,8 +36,6 @@ from drake_nonstop.optimization.problem_config import LimitsConfig, with_fields_
 from drake_nonstop.optimization.speed_margin import with_margin
 from drake_nonstop.optimization.turn_of_loops import Feedback
 from drake_nonstop.scenario.schema import Scenario, check
-from drake_nonstop.simulation.load_stability import LoadDeviations
-from drake_nonstop.simulation.planned_turn import PlannedTurnAlong, constant_turn, predicted_turn
 from drake_nonstop.systems.block import is_of_package
 from drake_nonstop.validation import require
 

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from drake_nonstop.analysis.task import Task
 from drake_nonstop.mechanics.grasp import cable_forces_and_rates
 from drake_nonstop.mechanics.internal_force import (
     internal_force,
@@ -27,7 +28,6 @@ from drake_nonstop.mechanics.tethered_loop import Carriers, Orbit
 from drake_nonstop.mechanics.wrench import feedforward_wrench
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.turn_of_loops import Feedback, loops_at, turn_of_loops
-from drake_nonstop.simulation.task import Task
 
 _STARTS = 60  # at most, from which on deviations are followed
 _PER_TURN = 4  # likewise

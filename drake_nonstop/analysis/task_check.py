@@ -6,27 +6,27 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from pydrake.systems.framework import Diagram
 
-from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.simulation.aircraft_margins import flight_limits_of
-from drake_nonstop.simulation.flight_of_plan import FlightOfPlan, flight_of_plan
-from drake_nonstop.simulation.formation import (
+from drake_nonstop.analysis.aircraft_margins import flight_limits_of
+from drake_nonstop.analysis.flight_of_plan import FlightOfPlan, flight_of_plan
+from drake_nonstop.analysis.formation import (
     Formation,
     FormationInstant,
     find_formation,
     find_formation_remedies,
 )
-from drake_nonstop.simulation.make_simulator import make_simulator
-from drake_nonstop.simulation.planned_motion import PlannedMotion, find_motion_remedies
-from drake_nonstop.simulation.speed_check import (
+from drake_nonstop.analysis.planned_motion import PlannedMotion, find_motion_remedies
+from drake_nonstop.analysis.speed_check import (
     SpeedCheck,
     SpeedRemedy,
     check_speeds,
     find_limit_remedies,
     find_speed_remedies,
 )
-from drake_nonstop.simulation.task import Task, task_of
-from drake_nonstop.systems.block import LOOP
+from drake_nonstop.analysis.task import Task, task_of
+from drake_nonstop.diagrams.nonstop import make_nonstop
+from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.validation import finite
 
 
@@ -190,17 +190,20 @@ def _without(instant: FormationInstant) -> str:
     return "" if instant.controlled is None else f", and by {instant.free.rate:.2g} without control"
 
 
-def check_task(scenario: Scenario, *, tries_remedies: bool = True) -> TaskCheck:
+def check_task(
+    scenario: Scenario, loop: Diagram | None = None, *, tries_remedies: bool = True
+) -> TaskCheck:
     """Whether a scenario's task can be flown, and what would help where it cannot.
 
     Args:
         scenario: of the task.
+        loop: that was built from it; None: one is, which starts at its equilibrium.
         tries_remedies: whether what would help is looked for, which takes most of the time.
 
     Raises:
-        ScenarioError: as of `task_of`, and for what no run is flown with.
+        ScenarioError: as of `task_of` and `make_nonstop`.
     """
-    task = task_of(scenario, make_simulator(scenario).get_system().GetSubsystemByName(LOOP))
+    task = task_of(scenario, loop or make_nonstop(scenario))
     speeds = check_speeds(task)
     plan = speeds.plan
 

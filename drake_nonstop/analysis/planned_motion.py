@@ -9,16 +9,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from drake_nonstop.analysis.formation import held_forces
+from drake_nonstop.analysis.limit import find_collisions
+from drake_nonstop.analysis.separations import Spacing, closest_cables, closest_carriers
+from drake_nonstop.analysis.task import Task
 from drake_nonstop.mechanics.internal_force import internal_force
 from drake_nonstop.mechanics.signals import LoadReference
 from drake_nonstop.model.pattern import SpreadCarouselConfig
 from drake_nonstop.model.system import SystemParameters
 from drake_nonstop.optimization.plan import Plan
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.simulation.formation import held_forces
-from drake_nonstop.simulation.outcome import find_collisions
-from drake_nonstop.simulation.separations import Spacing, closest_cables, closest_carriers
-from drake_nonstop.simulation.task import Task
 from drake_nonstop.validation import ScenarioError
 
 _SPREADS = (1.2, 2.0, 3.0)  # of the nominal A

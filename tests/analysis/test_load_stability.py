@@ -10,22 +10,22 @@ import pytest
 from drawn_tasks import carriers_task
 from helpers import nightly_beyond, regular
 
-from drake_nonstop.mechanics.signals import LoadReference
-from drake_nonstop.mechanics.wrench import FEEDBACK_GAINS, NO_FEEDBACK
-from drake_nonstop.model.pattern import CarouselConfig, HamiltonianCycleConfig
-from drake_nonstop.model.system import Model, SystemParameters
-from drake_nonstop.scenario.loading import load_scenario
-from drake_nonstop.simulation import formation
-from drake_nonstop.simulation.formation import (
+from drake_nonstop.analysis import formation
+from drake_nonstop.analysis.formation import (
     cable_loads,
     find_formation,
     find_formation_remedies,
     formation_at,
     growth_complaint,
 )
-from drake_nonstop.simulation.load_stability import LoadDeviations
-from drake_nonstop.simulation.sampled_growth import SampledGrowth, growth_on_the_way, sampled_rate
-from drake_nonstop.simulation.task import task_of
+from drake_nonstop.analysis.load_stability import LoadDeviations
+from drake_nonstop.analysis.sampled_growth import SampledGrowth, growth_on_the_way, sampled_rate
+from drake_nonstop.analysis.task import task_of
+from drake_nonstop.mechanics.signals import LoadReference
+from drake_nonstop.mechanics.wrench import FEEDBACK_GAINS, NO_FEEDBACK
+from drake_nonstop.model.pattern import CarouselConfig, HamiltonianCycleConfig
+from drake_nonstop.model.system import Model, SystemParameters
+from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.studies.stability import at_rest, linearize
 from drake_nonstop.validation import ScenarioError
 

@@ -5,6 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from drake_nonstop.analysis.aircraft_margins import asked_load
+from drake_nonstop.analysis.task import Task
 from drake_nonstop.mechanics.cable import forces_under_other_wrench, wrenches_of
 from drake_nonstop.mechanics.nonstop import orbit_axes
 from drake_nonstop.mechanics.planned_orbit import (
@@ -19,8 +21,6 @@ from drake_nonstop.mechanics.planned_orbit import (
 from drake_nonstop.mechanics.rigid_load import RigidLoad
 from drake_nonstop.mechanics.signals import PlannedParameters
 from drake_nonstop.model.system import Model
-from drake_nonstop.simulation.aircraft_margins import asked_load
-from drake_nonstop.simulation.task import Task
 
 
 class NeedsAlong:

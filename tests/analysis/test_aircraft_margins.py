@@ -8,6 +8,13 @@ import numpy as np
 import pytest
 from helpers import nightly_beyond, regular
 
+from drake_nonstop.analysis import aircraft_margins
+from drake_nonstop.analysis.aircraft_margins import (
+    FlightLimits,
+    margins_at_rest,
+    margins_dictionary,
+    margins_table,
+)
 from drake_nonstop.mechanics.aircraft import drag_coefficient, stall_speed
 from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE, AircraftState, LoadReference
 from drake_nonstop.mechanics.wind import MeanWind
@@ -15,13 +22,6 @@ from drake_nonstop.model.aircraft import AircraftParameters
 from drake_nonstop.model.pattern import ConstantSpreadConfig, EllipticCarouselConfig
 from drake_nonstop.model.system import Model, SystemParameters
 from drake_nonstop.scenario.loading import load_scenario
-from drake_nonstop.simulation import aircraft_margins
-from drake_nonstop.simulation.aircraft_margins import (
-    FlightLimits,
-    margins_at_rest,
-    margins_dictionary,
-    margins_table,
-)
 from drake_nonstop.simulation.run import StepCheck
 from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.validation import ScenarioError, ScenarioWarning

@@ -11,8 +11,7 @@ from pydrake.systems.framework import Context, Diagram
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold
 from drake_nonstop.loop.equilibrium import LOOP_SIGNALS
 from drake_nonstop.loop.plant_states import PlantStates
-from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, CarrierStates, LoadState
-from drake_nonstop.simulation.run import SIGNAL_PERIOD
+from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, SIGNAL_PERIOD, CarrierStates, LoadState
 from drake_nonstop.systems.port_state import copied_context
 from drake_nonstop.systems.wiring import innermost
 

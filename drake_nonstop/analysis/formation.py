@@ -10,6 +10,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from drake_nonstop.analysis.load_stability import Growth, LoadDeviations
+from drake_nonstop.analysis.sampled_growth import (
+    Planned,
+    SampledGrowth,
+    growth_on_the_way,
+    sampled_rate,
+)
+from drake_nonstop.analysis.task import Task
 from drake_nonstop.mechanics.grasp import grasp_matrix, in_load_frame
 from drake_nonstop.mechanics.internal_force import internal_force
 from drake_nonstop.mechanics.rigid_load import STILL_AIR
@@ -18,14 +26,6 @@ from drake_nonstop.mechanics.wrench import FEEDBACK_GAINS, NO_FEEDBACK, feedforw
 from drake_nonstop.model.pattern import LinearPatternConfig
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.plan import Plan
-from drake_nonstop.simulation.load_stability import Growth, LoadDeviations
-from drake_nonstop.simulation.sampled_growth import (
-    Planned,
-    SampledGrowth,
-    growth_on_the_way,
-    sampled_rate,
-)
-from drake_nonstop.simulation.task import Task
 from drake_nonstop.validation import ScenarioError
 
 _MOST_GROWN = 1.0  # logarithm of what becomes of a deviation of 1, of a sound task

@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.framework import Context, Diagram
 
+from drake_nonstop.analysis.bowed_cables import BowedCables
+from drake_nonstop.analysis.separations import segment_distances
 from drake_nonstop.blocks.carrier_trajectory import MeasuredCarrierTrajectoryConfig
 from drake_nonstop.blocks.fixed_wing_controller import FixedWingControllerConfig
 from drake_nonstop.diagrams.nonstop import make_nonstop, replaced
@@ -37,8 +39,6 @@ from drake_nonstop.mechanics.wind import MeanWind
 from drake_nonstop.model.system import Model, overridden
 from drake_nonstop.scenario.run_limits import RunLimits
 from drake_nonstop.scenario.schema import Scenario, check
-from drake_nonstop.simulation.bowed_cables import BowedCables
-from drake_nonstop.simulation.separations import segment_distances
 from drake_nonstop.validation import require
 
 _INSTANTS = 720  # of a turn

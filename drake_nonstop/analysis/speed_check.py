@@ -10,6 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from drake_nonstop.analysis.limit_along import LimitAlong
+from drake_nonstop.analysis.needs_along import NeedsAlong
+from drake_nonstop.analysis.task import Task
 from drake_nonstop.mechanics.carrier import carrier_motion
 from drake_nonstop.mechanics.grasp import cable_forces_and_rates
 from drake_nonstop.mechanics.internal_force import internal_force
@@ -28,9 +31,6 @@ from drake_nonstop.optimization.problem_config import (
 )
 from drake_nonstop.optimization.terminal_set import orbit_polynomials
 from drake_nonstop.optimization.whole_task import receding_coefficients
-from drake_nonstop.simulation.limit_along import LimitAlong
-from drake_nonstop.simulation.needs_along import NeedsAlong
-from drake_nonstop.simulation.task import Task
 from drake_nonstop.validation import ScenarioError
 
 _TIMES = 60  # of a task, at which constant ξ and A are tried
