@@ -35,7 +35,6 @@ from drake_nonstop.loop.derivatives import (
 from drake_nonstop.loop.functions import (
     LoopFunction,
     LoopFunctions,
-    Recent,
     Symbols,
     Traced,
 )
@@ -51,7 +50,7 @@ from drake_nonstop.systems.diagram_trace import (
     updates_in_trace,
 )
 from drake_nonstop.systems.traced_block import TracedBlock
-from drake_nonstop.systems.tracing import LARGEST
+from drake_nonstop.systems.tracing import LARGEST, LruCache
 from drake_nonstop.systems.wiring import require_context
 from drake_nonstop.validation import ScenarioError, require, require_known
 
@@ -146,8 +145,7 @@ def _is_held(block: System, wires: Wires) -> bool:
     return not is_fed and block.CreateDefaultContext().num_continuous_states() == 0
 
 
-_recent_functions: Recent[LoopFunctions] = Recent()
-_recent_derivatives: Recent[DerivativeFunctions] = Recent()
+_recent_functions, _recent_derivatives = LruCache(16), LruCache(16)  # by what they depend on
 
 
 class CompiledLoop:
@@ -219,7 +217,7 @@ class CompiledLoop:
 
     @cached_property
     def _functions(self) -> LoopFunctions:
-        functions = _recent_functions.get(self._key(), self._traced)
+        functions: LoopFunctions = _recent_functions.get(self._key(), self._traced)
         functions.prepare(self._samples, self._compiles)
         return functions
 
@@ -322,7 +320,8 @@ class CompiledLoop:
     @cached_property
     def _derivatives(self) -> DerivativeFunctions:
         made = functools.partial(derivative_functions, self._layout)
-        return _recent_derivatives.get(self._content, made)
+        functions: DerivativeFunctions = _recent_derivatives.get(self._content, made)
+        return functions
 
     @property
     def blocks_without_derivatives(self) -> list[str]:

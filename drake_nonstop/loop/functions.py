@@ -1,11 +1,10 @@
 """The traced functions of a loop, and how they are evaluated: as C, or in CasADi's machine."""
 
 import ctypes
-import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.resources import files
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import casadi
 import numpy as np
@@ -15,32 +14,12 @@ from pydrake.systems.framework import System
 from drake_nonstop.optimization.traced_search import SearchFunctions
 from drake_nonstop.systems.compilation import Compiled, compiled
 from drake_nonstop.systems.diagram_trace import FOUND_SIZE
-from drake_nonstop.systems.tracing import object_array
+from drake_nonstop.systems.tracing import bound, object_array
 
-Made = TypeVar("Made")
-_MOST_ENTRIES = 16
 _WORTH_SHORTENING = 1_500  # samples, which save about what it takes
 _WORTH_COMPILING = 20_000  # samples, 2 s in the virtual machine
 _NO_SEARCH = "#define search(data, tolerance, x) 0\n"
 _FLY_SAMPLES = files(__package__).joinpath("fly_samples.c").read_text()
-
-
-class Recent(Generic[Made]):
-    """What was made for the last keys, and is shared by all that have one of them."""
-
-    def __init__(self) -> None:
-        self.entries: dict[Any, Made] = {}
-        self._lock = threading.Lock()
-
-    def get(self, key: Any, make: Callable[[], Made]) -> Made:
-        """What there is for a key, or what is made; None has no entry."""
-        with self._lock:
-            found = self.entries.pop(key, None) or make()
-            if key is not None:
-                self.entries[key] = found
-                if len(self.entries) > _MOST_ENTRIES:
-                    self.entries.pop(next(iter(self.entries)))
-            return found
 
 
 class Reading(NamedTuple):
@@ -181,24 +160,19 @@ class Evaluation:
 
     def __init__(self, function: LoopFunction, compiles: bool):
         self.readings = function.readings
-        self._function = function.function  # the buffer borrows it and the arrays
-        library = None
+        evaluated, library = function.function, None
         if compiles and function.compiled is not None:
-            self._function, library = function.compiled
-        self._buffer, self.evaluate = self._function.buffer()
-        self._input = np.zeros(self._function.size1_in(0))
-        sizes = [self._function.size1_out(k) for k in range(self._function.n_out())]
-        self._outputs = list(map(np.zeros, sizes))
-        self._buffer.set_arg(0, self._input.data)
-        for k, output in enumerate(self._outputs):
-            self._buffer.set_res(k, output.data)
+            evaluated, library = function.compiled
+        self._input = np.zeros(evaluated.size1_in(0))
+        self._outputs = [np.zeros(evaluated.size1_out(k)) for k in range(evaluated.n_out())]
+        self._kept_alive, self.evaluate = bound(evaluated, [self._input], self._outputs)
         self._arguments = function.argument_sizes
         self.outside_size = sum(function.reading_sizes)
         self._fly = self._flying_in_python
         if library is not None and hasattr(library, "fly_samples"):
             self._fly = _FlyingInC(
                 library,
-                self._function,
+                evaluated,
                 self._input,
                 self._outputs,
                 self._arguments,

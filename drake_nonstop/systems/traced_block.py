@@ -164,7 +164,7 @@ class TracedBlock(LeafBlock):
         if between is not None:
             apart = [made.index(name) for name in between.reads]
             reads = sorted(set().union(*(dependence[i] for i in apart)))
-            self._add(trace, _Group(reads, apart), [*read], made, is_shared=True)
+            self._add(trace, (reads, apart), [*read], made, is_shared=True)
         inner = {i for i, name in enumerate(read) if name not in inputs}
         others = [i for i in range(len(made)) if i not in apart]
         for group in _groups(dependence, others, inner, has_state=size > 0):
@@ -213,7 +213,7 @@ class TracedBlock(LeafBlock):
     def _add(
         self,
         trace: Trace,
-        group: "_Group",
+        group: tuple[list[int], list[int]],
         read: Sequence[str],
         made: Sequence[str],
         *,
@@ -223,25 +223,27 @@ class TracedBlock(LeafBlock):
 
         To look into the cache takes as long as some hundred operations.
         """
-        k, part = len(self._parts), _part_of(trace, group, read, made)
+        k, part = len(self._parts), _Part(trace, group, read, made)
         self._parts.append(part)
         readers = [self._reader(name) for name in part.reads] or [_time_of]
         tickets = {self._ticket(name) for name in part.reads} or {self.nothing_ticket()}
-        numbers, entry = range(len(part.outputs)), None
-        knows = not self._known.keys().isdisjoint(part.reads)
-        if is_shared or (len(part.outputs) > 1 and (part.is_large or knows)):
-            self._wholes[k] = part.make(self.scalar, weakly(self.box), numbers).of_vectors, readers
+        entry, name_of_block = None, weakly(self.box)
+        if is_shared or (len(part.outputs) > 1 and self._is_costly(part)):
+            self._wholes[k] = part.evaluator(self.scalar, name_of_block), readers
             produced = ValueProducer(Value(np.zeros(0)).Clone, _calc_whole(weakref.ref(self), k))
             entry = self.DeclareCacheEntry(f"part {k}", produced, tickets)
             self._entries.append((entry.cache_index(), entry.ticket()))
             tickets = {entry.ticket()}
-        for i, (name, place) in zip(numbers, part.outputs.items(), strict=True):
+        for i, (name, place) in enumerate(part.outputs.items()):
             self._places[name], self._tickets[name] = (k, place), tickets
             if entry is None:
-                function = part.make(self.scalar, weakly(self.box), [i])
-                self._evaluators[name] = function.of_vectors, readers
+                self._evaluators[name] = part.evaluator(self.scalar, name_of_block, i), readers
             else:
                 self._evaluators[name] = _at(place), [self._cached(self._entries[-1][0])]
+
+    def _is_costly(self, part: "_Part") -> bool:
+        knows = not self._known.keys().isdisjoint(part.reads)
+        return knows or part.function.n_instructions() > _LARGE
 
     def _cached(self, entry: Any) -> Callable[[Context], NDArray]:
         me: Any = weakref.ref(self)
@@ -389,7 +391,7 @@ class TracedBlock(LeafBlock):
             for name in self._parts[k].reads
         ]
         taken = casadi.SX(casadi.vertcat(*np.concatenate(read)) if read else 0)
-        results, _ = self._parts[k].function()(taken)
+        results, _ = self._parts[k].function(taken)
         return object_array(results)
 
     def _traced_value(self, name: str, at: At) -> NDArray:
@@ -434,11 +436,8 @@ class TracedDynamics(TracedBlock):
             derivatives.SetFromVector(self._evaluated(context, _RATE))
 
 
-class _Group(NamedTuple):
-    """Outputs that depend on the same input ports, made together."""
-
-    reads: list[int]  # the numbers of the inputs that any of them depends on
-    makes: list[int]  # the outputs' numbers
+# Numbers of inputs, and of the outputs that depend on the same ports among them.
+_Group = tuple[list[int], list[int]]
 
 
 def _groups(
@@ -461,39 +460,32 @@ def _groups(
     groups = []
     for own in dict.fromkeys(ports.values()):
         makes = [i for i, other in ports.items() if other == own]
-        groups.append(_Group(sorted(set().union(*(dependence[i] for i in makes))), makes))
+        groups.append((sorted(set().union(*(dependence[i] for i in makes))), makes))
     return groups
 
 
-class _Part(NamedTuple):
-    """Outputs that are made together."""
+class _Part:
+    """Outputs of a trace that are made together, of inputs and outputs with these names."""
 
-    reads: list[str]  # what the function takes, stacked
-    outputs: dict[str, slice]  # their places in what is made
-    # Takes the scalar type, the name of the block and numbers of outputs, and returns what
-    # evaluates these: a `TracedFunction` or what stands in for one.
-    make: Callable[[type, Callable[[], str], Sequence[int]], Any]
-    function: Callable[[], casadi.Function]  # of what is read, stacked
-    key: Any  # equal for parts of one function
-    is_large: bool  # all outputs are made at once
+    def __init__(self, trace: Trace, group: _Group, read: Sequence[str], made: Sequence[str]):
+        self._trace, (self._taken, self._makes) = trace, group
+        self.reads = [read[i] for i in self._taken]  # what it takes, stacked
+        ends = np.cumsum([0, *(trace.output_sizes[i] for i in self._makes)]).tolist()
+        places = zip(self._makes, pairwise(ends), strict=True)
+        self.outputs = {made[i]: slice(*pair) for i, pair in places}  # in what is made
+        self.key = (trace.identity, *map(tuple, group))  # equal for parts of one function
 
+    @property
+    def function(self) -> casadi.Function:
+        """The function of what is read, stacked."""
+        return self._trace.part(self._taken, self._makes)
 
-def _part_of(trace: Trace, group: _Group, read: Sequence[str], made: Sequence[str]) -> _Part:
-    """A group of the outputs of a trace, which takes and makes what has these names."""
-
-    def make(scalar: type, name: Callable[[], str], numbers: Sequence[int]) -> Any:
-        function = trace.compiled if scalar is float else trace.on_arrays
-        return function(group.reads, [group.makes[i] for i in numbers], name=name)
-
-    ends = np.cumsum([0, *(trace.output_sizes[i] for i in group.makes)]).tolist()
-    return _Part(
-        [read[i] for i in group.reads],
-        {made[i]: slice(*pair) for i, pair in zip(group.makes, pairwise(ends), strict=True)},
-        make,
-        lambda: trace.part(group.reads, group.makes),
-        (trace.identity, *map(tuple, group)),
-        trace.part(group.reads, group.makes).n_instructions() > _LARGE,
-    )
+    def evaluator(
+        self, scalar: type, name: Callable[[], str], number: int | None = None
+    ) -> Callable[[Sequence[NDArray]], NDArray]:
+        """Evaluates the output of that number, or all of them, stacked."""
+        makes = self._makes if number is None else [self._makes[number]]
+        return self._trace.evaluator(self._taken, makes, scalar, name)
 
 
 def _at(place: slice) -> Callable[[Sequence[NDArray]], NDArray]:

@@ -8,7 +8,7 @@ this size. CasADi is used here and nowhere else.
 import math
 import pickle
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import casadi
@@ -16,9 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.autodiffutils import AutoDiffXd, ExtractValue
 from pydrake.symbolic import Formula, Variable, if_then_else
-
-_MAX_TRACES = 32
-_traces: dict[Any, Any] = {}  # by their keys; the most recently used is the last
 
 LARGEST = 1e9  # SI units; no rate or force of a load on cables comes near it
 
@@ -133,6 +130,18 @@ class TracedFunction:
         raise NotFiniteError(self._name(), was_given=was_given)
 
 
+def bound(
+    function: casadi.Function, inputs: Iterable[NDArray], outputs: Sequence[NDArray]
+) -> tuple[Any, Callable[[], None]]:
+    """What evaluates a function from arrays into arrays, and what has to live as long as it."""
+    buffer, evaluate = function.buffer()
+    for i, array in enumerate(inputs):
+        buffer.set_arg(i, array.data)
+    for i, array in enumerate(outputs):
+        buffer.set_res(i, array.reshape(-1, order="F").data)
+    return (buffer, function, inputs, outputs), evaluate
+
+
 class _Scratch(threading.local):
     """The memory in which a thread evaluates a function: each thread has its own.
 
@@ -140,14 +149,9 @@ class _Scratch(threading.local):
     """
 
     def __init__(self, function: casadi.Function, count: int):
-        # The buffer borrows the function and the arrays: all must live as long as it.
-        self._function = function
-        self._buffer, evaluate = function.buffer()
         vector = np.zeros(function.size1_in(0))
         outputs = [np.zeros(function.size_out(i), order="F") for i in range(function.n_out())]
-        self._buffer.set_arg(0, vector.data)
-        for i, array in enumerate(outputs):
-            self._buffer.set_res(i, array.reshape(-1, order="F").data)
+        self._kept_alive, evaluate = bound(function, [vector], outputs)
         results = tuple([array[:, 0] for array in outputs[:count]] + outputs[count + 1 :])
         self.parts = vector, evaluate, outputs[count][:, 0], results
 
@@ -200,15 +204,11 @@ class _ElementwiseScratch(threading.local):
     def __init__(
         self, function: casadi.Function, input_sizes: Sequence[int], shape: tuple[int, ...]
     ):
-        self._function = function  # as in `_Scratch`
-        self._buffer, evaluate = function.buffer()
         inputs, outputs = (
             np.zeros((count, *shape)) for count in (function.n_in(), function.n_out())
         )
-        for i, values in enumerate(inputs):
-            self._buffer.set_arg(i, values.reshape(-1).data)
-        for i, values in enumerate(outputs):
-            self._buffer.set_res(i, values.reshape(-1).data)
+        rows = [values.reshape(-1) for values in (*inputs, *outputs)]
+        self._kept_alive, evaluate = bound(function, rows[: len(inputs)], rows[len(inputs) :])
         parts = np.split(inputs, np.cumsum(input_sizes)[:-1])
         self.parts = parts, evaluate, outputs, input_sizes[0]
 
@@ -253,74 +253,44 @@ class Trace:
         """The same for traces of one function with one key; it can be hashed."""
         return self._expressions
 
-    def compiled(
-        self, reads: Sequence[int], makes: Sequence[int], *, name: Callable[[], str]
-    ) -> TracedFunction:
-        """The function of the inputs `reads` to the outputs `makes`, both stacked, on floats.
+    def part(self, reads: Sequence[int], makes: Sequence[int]) -> casadi.Function:
+        """The function of the inputs `reads`, stacked, to the outputs `makes` and their size.
 
         Where it reads none, it takes a number (1,), and leaves that alone.
         """
-        function = self._expressions.part(tuple(reads), tuple(makes))
-        return TracedFunction(function, [function.size1_in(0)], name=name)
-
-    def part(self, reads: Sequence[int], makes: Sequence[int]) -> casadi.Function:
-        """The function of the inputs `reads`, stacked, to the outputs `makes` and their size."""
         return self._expressions.part(tuple(reads), tuple(makes))
 
-    def on_arrays(
-        self, reads: Sequence[int], makes: Sequence[int], *, name: Callable[[], str]
-    ) -> "ArrayFunction":
-        """The same on object arrays: of AutoDiffXd or Expression."""
-        return ArrayFunction(self._function, self.input_sizes, reads, makes, name=name)
+    def evaluator(
+        self, reads: Sequence[int], makes: Sequence[int], scalar: type, name: Callable[[], str]
+    ) -> Callable[[Sequence[NDArray]], NDArray]:
+        """Evaluates a part on vectors of that scalar type: their outputs, stacked.
 
-
-class ArrayFunction:
-    """Some outputs of a function of some of its inputs, both stacked, on object arrays.
-
-    It stands in for the part of a trace where numbers are AutoDiffXd or Expression.
-
-    Args:
-        function: as of `TracedFunction`.
-        input_sizes: of the whole function.
-        reads: the inputs' numbers.
-        makes: the outputs' numbers.
-        name: as of `TracedFunction`.
-
-    Raises:
-        NotFiniteError: as `TracedFunction`, on AutoDiffXd.
-    """
-
-    def __init__(
-        self,
-        function: Callable,
-        input_sizes: Sequence[int],
-        reads: Sequence[int],
-        makes: Sequence[int],
-        *,
-        name: Callable[[], str],
-    ):
-        self._function, self._sizes = function, list(input_sizes)
-        self._reads, self._makes, self._name = list(reads), list(makes), name
-
-    def of_vectors(self, inputs: Sequence[NDArray]) -> NDArray:
-        """The outputs for the inputs."""
-        values = np.concatenate(inputs)
-        scalar = type(values[0])
+        On AutoDiffXd and Expression it calls the function itself. It raises NotFiniteError, as
+        `TracedFunction` does, but on Expressions.
+        """
+        if scalar is float:
+            function = self.part(reads, makes)
+            return TracedFunction(function, [function.size1_in(0)], name=name).of_vectors
         unread = scalar(1.0) if scalar is AutoDiffXd else scalar(Variable("unread"))
-        given = [np.full(size, unread) for size in self._sizes]
-        ends = np.cumsum([self._sizes[i] for i in self._reads])
-        for i, read in zip(self._reads, np.split(values, ends[:-1]), strict=False):
-            given[i] = read
-        with np.errstate(invalid="ignore"):  # Expression raises the flag without a cause
-            outputs = self._function(*given)
-        if not isinstance(outputs, tuple):
-            outputs = (outputs,)
-        stacked = np.concatenate([np.ravel(outputs[i]) for i in self._makes])
-        stacked = np.array([v if isinstance(v, scalar) else scalar(v) for v in stacked])
-        if scalar is AutoDiffXd and not np.linalg.norm(ExtractValue(stacked)) < LARGEST:
-            was_given = not np.all(np.abs(ExtractValue(values)) < LARGEST)
-            raise NotFiniteError(self._name(), was_given=was_given)
-        return stacked
+        ends = np.cumsum([self.input_sizes[i] for i in reads])
+
+        def evaluate(inputs: Sequence[NDArray]) -> NDArray:
+            values = np.concatenate(inputs)
+            given = [np.full(size, unread) for size in self.input_sizes]
+            for i, read in zip(reads, np.split(values, ends[:-1]), strict=False):
+                given[i] = read
+            with np.errstate(invalid="ignore"):  # Expression raises the flag without a cause
+                outputs = self._function(*given)
+            if not isinstance(outputs, tuple):
+                outputs = (outputs,)
+            stacked = np.concatenate([np.ravel(outputs[i]) for i in makes])
+            stacked = np.array([v if isinstance(v, scalar) else scalar(v) for v in stacked])
+            if scalar is AutoDiffXd and not np.linalg.norm(ExtractValue(stacked)) < LARGEST:
+                was_given = not np.all(np.abs(ExtractValue(values)) < LARGEST)
+                raise NotFiniteError(name(), was_given=was_given)
+            return stacked
+
+        return evaluate
 
 
 class _Expressions:
@@ -359,18 +329,37 @@ def _expressions(
     return symbols, [casadi.densify(output) for output in flat]
 
 
+class LruCache:
+    """What was made for the keys that were used last; they can be hashed, or pickled.
+
+    Args:
+        most: of the entries.
+    """
+
+    def __init__(self, most: int):
+        self.entries: dict[Any, Any] = {}  # the most recently used is the last
+        self._most, self._lock = most, threading.RLock()
+
+    def get(self, key: Any, make: Callable[[], Any]) -> Any:
+        """What there is for a key, or what is made; a key that is None has no entry."""
+        if key is None:
+            return make()
+        with self._lock:
+            found = self.entries.pop(key, None)
+            if found is None:
+                found = make()
+            self.entries[key] = found
+            if len(self.entries) > self._most:
+                self.entries.pop(next(iter(self.entries)))
+            return found
+
+
+_traces = LruCache(32)
+
+
 def _cached(make: Callable[[], Any], *key: Any) -> Any:
     """What is made, or what was made for an equal key; the last of it is no key if it is None."""
-    if key[-1] is None:
-        return make()
-    hashed: Any = _hashed(key[:-1]), _hashed(key[-1])
-    found = _traces.pop(hashed, None)
-    if found is None:
-        found = make()
-    _traces[hashed] = found
-    if len(_traces) > _MAX_TRACES:
-        _traces.pop(next(iter(_traces)), None)
-    return found
+    return _traces.get(None if key[-1] is None else tuple(map(_hashed, key)), make)
 
 
 def _hashed(key: Any) -> Any:
