@@ -2,7 +2,6 @@
 
 import contextlib
 import copy
-import sys
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import is_dataclass, replace
 from typing import Any, NamedTuple, Protocol, TypeVar
@@ -31,6 +30,7 @@ from drake_nonstop.optimization.speed_margin import SpeedMargin, with_margin
 from drake_nonstop.systems import wiring
 from drake_nonstop.systems.block import LOOP, is_of_package
 from drake_nonstop.systems.diagnosis import raising_block
+from drake_nonstop.systems.documentation import config_class
 from drake_nonstop.systems.energy import LoopDiagram
 from drake_nonstop.systems.requirements import LoopBlocks
 from drake_nonstop.systems.tracing import NotFiniteError
@@ -97,26 +97,25 @@ def make_parts(
     blocks: dict[str, System] = {}
     watched: dict[str, WatchedModel] = {}
     margin: SpeedMargin | None = None
-    for name, box in sorted(boxes.items(), key=lambda item: item[0] == LAYER):  # it comes last
-        entry = others.get(name, getattr(scenario, name))
-        if entry is None:
+    entries = {name: others.get(name, getattr(scenario, name)) for name in boxes}
+    entries[LAYER] = entries.pop(LAYER)  # it comes last
+    for name, entry in (entries | _checked_extra(boxes, extra)).items():
+        box = boxes.get(name)
+        if box is not None and entry is None:
             continue
         if name == LAYER and _wants_margin(entry):
             duration = scenario.simulation_duration
             margin = computed_margin(believed, simulated, entry, blocks, duration)
             entry = with_margin(entry, margin)
-        make = _constructor(boxes, name, entry) if is_dataclass(entry) else entry
-        model = watched[name] = WatchedModel(simulated if box.is_simulated else believed)
-        blocks[name] = _made(f"replacement {name}", make, model, ", or None to leave the box out")
-        _check_layouts(name, blocks[name])
-        contract = box.required_and_optional(believed, blocks[name])
-        made = wiring.check_outputs(name, blocks[name], *contract)
-        _check_others(name, blocks[name], made.keys() - box.signals.keys(), sizes)
-    for name, entry in _checked_extra(boxes, extra).items():
-        model = watched[name] = WatchedModel(believed)
-        blocks[name] = _made(f"extra {name}", _maker(name, entry), model, "")
-        _check_others(name, blocks[name], set(wiring.output_names(blocks[name])), sizes)
-        _check_layouts(name, blocks[name])
+        is_simulated = box is not None and box.is_simulated
+        model = watched[name] = WatchedModel(simulated if is_simulated else believed)
+        block = blocks[name] = _made(boxes, name, entry, model)
+        _check_layouts(name, block)
+        expected = ({}, {}) if box is None else box.required_and_optional(believed, block)
+        made = wiring.check_outputs(name, block, *expected)
+        others_made = made.keys() - (box.signals.keys() if box is not None else ())
+        in_place = {signal: size for signal, size in sizes.items() if signal in others_made}
+        wiring.check_outputs(name, block, in_place, {})
     blocks = {name: blocks[name] for name in [*boxes, *blocks] if name in blocks}
     loop = LoopBlocks(blocks, believed, simulated)
     _require_motion(loop)
@@ -255,18 +254,24 @@ def _check_preview(loop: LoopBlocks) -> None:
         require(is_equal, field, told.tolist(), remedy)
 
 
-def _made(field: str, make: Any, model: Model, besides: str) -> System:
-    """The block that a function makes of a model."""
+def _made(boxes: Boxes, name: str, entry: Any, model: Model) -> System:
+    """The block that an entry makes of a model, for a box or beside them."""
+    field, besides = f"replacement {name}", ", or None to leave the box out"
+    if name not in boxes:
+        field, besides = f"extra {name}", ""
+        config = _config_class(entry)
+        entry = entry if config is None else config()
+    if is_dataclass(entry) and not isinstance(entry, type):
+        entry = _constructor(boxes, name, entry)
     remedy = f"give a block's config, a function that takes the model and returns a system{besides}"
-    require(callable(make), field, make, remedy)
+    require(callable(entry), field, entry, remedy)
     try:
-        block = called(field, remedy, make, model)
+        block = called(field, remedy, entry, model)
     except SystemExit:
         remedy = "give a function that returns a system, and does not exit"
         raise ScenarioError(f"{field} = SystemExit: {remedy}") from None
-    require(
-        isinstance(block, System), field, block, "return a LeafSystem or Diagram from the function"
-    )
+    remedy = "return a LeafSystem or Diagram from the function"
+    require(isinstance(block, System), field, block, remedy)
     return block
 
 
@@ -282,13 +287,6 @@ def naming_the_block() -> Iterator[None]:
         if not blamed:
             raise  # Drake's own, such as that of an algebraic loop
         raise ScenarioError(f"{blamed}{one_line(error)}; correct the block") from error
-
-
-def _check_others(name: str, block: System, made: set[str], sizes: wiring.Sizes) -> None:
-    """Checks the sizes of those signals of the figure that a block makes in place of others."""
-    known = {signal: size for signal, size in sizes.items() if signal in made}
-    if known:
-        wiring.check_outputs(name, block, known, {})
 
 
 def _check_layouts(name: str, block: System) -> None:
@@ -333,7 +331,7 @@ def _signals_left_out(boxes: Boxes, loop: LoopBlocks) -> dict[str, int | None]:
     }
 
 
-def _checked_extra(boxes: Boxes, extra: Mapping[str, Any] | None) -> Mapping[str, Any]:
+def _checked_extra(boxes: Boxes, extra: Mapping[str, Any] | None) -> dict[str, Any]:
     """The blocks beyond the figure's."""
     remedy = 'give a mapping from names to blocks, such as {"estimator": Estimator}'
     require(extra is None or isinstance(extra, Mapping), "extra", extra, remedy)
@@ -343,22 +341,8 @@ def _checked_extra(boxes: Boxes, extra: Mapping[str, Any] | None) -> Mapping[str
         if name == SAMPLE_AND_HOLD:
             remedy = "the loop has a block of that name; give another one"
         require(not taken, "extra", name, remedy)
-        remedy = "name each block by a text without colons and dots"
-        require(
-            isinstance(name, str) and name and not {":", "."} & set(name), "extra", name, remedy
-        )
-    return extra or {}
-
-
-def _maker(name: str, entry: Any) -> Any:
-    """What makes an extra block of a model."""
-    config = _config_class(entry)
-    if config is not None:
-        entry = config()
-    if not is_dataclass(entry) or isinstance(entry, type):
-        return entry
-    block: Any = block_class(f"extra {name}", type(entry))
-    return lambda model: block(model, entry)
+        wiring.require_name("extra", name)
+    return dict(extra or {})
 
 
 Loop = TypeVar("Loop", bound=LoopConfig)
@@ -402,16 +386,16 @@ def _config_class(entry: Any) -> type | None:
         return None
     if is_dataclass(entry):
         return entry
-    config = getattr(sys.modules.get(entry.__module__), f"{entry.__name__}Config", None)
+    config = config_class(entry)
     if isinstance(config, type) and is_dataclass(config) and block_of(config) is entry:
         return config
     return None
 
 
 def _constructor(boxes: Boxes, name: str, config: Any) -> Callable[[Model], System]:
-    """What makes the block of a config for the box of that name."""
-    block: Any = block_class(name, type(config))
-    if block in boxes[name].variants:
+    """What makes the block of a config for the box of that name, or beside the boxes."""
+    block: Any = block_class(name if name in boxes else f"extra {name}", type(config))
+    if name not in boxes or block in boxes[name].variants:
         return lambda model: block(model, config)
     choices = ", ".join(variant.__name__ for variant in boxes[name].variants)
     is_own = all(block not in box.variants for box in boxes.values())

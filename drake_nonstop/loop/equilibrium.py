@@ -24,8 +24,8 @@ from drake_nonstop.systems.port_state import copied_context
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
 from drake_nonstop.systems.wiring import (
     innermost,
-    require_makers,
     require_own_context,
+    require_signals,
     unconnected,
 )
 from drake_nonstop.validation import ScenarioError, require, warn_user
@@ -69,7 +69,7 @@ def set_equilibrium(nonstop: Diagram, context: Context) -> None:
             or two do, or an input is not connected; the context is that of another system.
     """
     require_own_context("set_equilibrium", nonstop, context)
-    require_makers(nonstop, LOOP_SIGNALS, "set_equilibrium")
+    require_signals(nonstop, LOOP_SIGNALS, "set_equilibrium", is_exporting=False)
     nonstop, context = innermost(nonstop, context, LOOP_SIGNALS)
     trial = copied_context(nonstop, context)
     with block_named(nonstop, trial):

@@ -38,6 +38,7 @@ from pydrake.systems.primitives import (
 
 from drake_nonstop.systems.block import is_of_package
 from drake_nonstop.systems.tracing import constants, object_array
+from drake_nonstop.systems.wiring import systems_in
 
 FOUND_SIZE = 3  # of what a search in C finds: whether it does, and two numbers
 ROWS = "known_over"  # the method of a block without inputs that gives rows of its outputs
@@ -48,13 +49,9 @@ Place = tuple[System, int]  # a port, by its system and its number
 Outside = Callable[[System, int | str, int], NDArray]  # gives an output outside, of a size
 
 
-def leaves(system: System) -> Iterator[System]:
+def leaves(system: System) -> Iterator[Any]:
     """The systems in a system that are no diagrams, itself if it is none."""
-    if not isinstance(system, Diagram):
-        yield system
-        return
-    for part in system.GetSystems():
-        yield from leaves(part)
+    return (part for part in systems_in(system) if not isinstance(part, Diagram))
 
 
 def is_traceable(system: System) -> bool:
@@ -131,10 +128,7 @@ def trace_content(diagram: Diagram, wires: "Wires", outside: Callable[[System], 
 
 def _parts(system: System, outside: Callable[[System], bool]) -> Iterator[System]:
     """A system, and all those in it, but of those outside."""
-    yield system
-    if isinstance(system, Diagram) and not outside(system):
-        for part in system.GetSystems():
-            yield from _parts(part, lambda _: False)
+    return iter((system,)) if outside(system) else systems_in(system)
 
 
 def _port(port: Any) -> tuple[str, int]:

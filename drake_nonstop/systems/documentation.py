@@ -14,19 +14,19 @@ from drake_nonstop.validation import ScenarioError
 _Kind = TypeVar("_Kind", bound=type)
 
 
-def config_class(block: type) -> type:
-    """The dataclass of a block's parameters: XConfig in the module of block X."""
-    return getattr(sys.modules[block.__module__], f"{block.__name__}Config")
+def config_class(block: type) -> Any:
+    """The dataclass of a block's parameters, XConfig in the module of X; None: it has none."""
+    return getattr(sys.modules.get(block.__module__), f"{block.__name__}Config", None)
 
 
-def own_config_class(block: type) -> type:
+def own_config_class(block: type) -> Any:
     """Likewise; of a class without one, that of the nearest class above it."""
-    for kind in block.__mro__:
-        found = getattr(sys.modules.get(kind.__module__), f"{kind.__name__}Config", None)
-        if found is not None:
-            return found
+    found = next(filter(None, map(config_class, block.__mro__)), None)
     name, where = f"{block.__name__}Config", block.__module__
-    raise ScenarioError(f"{block.__name__} = without a config: give {where} a dataclass {name}")
+    remedy = f"without a config: give {where} a dataclass {name}"
+    if found is None:
+        raise ScenarioError(f"{block.__name__} = {remedy}")
+    return found
 
 
 def documented(block: _Kind) -> _Kind:
@@ -75,7 +75,7 @@ def _declared(kind: Any) -> str:
     reads, makes = getattr(kind, "reads", ()), getattr(kind, "makes", ())
     parts = [_directive(kind, reads, makes)]
     parts += [_list(f"{word}:", _ports(kind, names)) for word, names in _words(reads, makes)]
-    config: Any = getattr(sys.modules[kind.__module__], f"{kind.__name__}Config", None)
+    config = config_class(kind)
     if config and (fields := meanings(config)):
         head = f"Parameters, the fields of `{config.__name__}`:"
         parts.append(_list(head, (f"`{name}`: {said}" for name, said in fields.items())))

@@ -68,10 +68,5 @@ class LoopDiagram(DiagramBlock):
         """The sum (J) over the blocks, see `potential_energy`."""
         return potential_energy(self, context)
 
-    def EvalKineticEnergy(self, context: Context) -> float:  # noqa: N802
-        """As `CalcKineticEnergy`: nothing is kept."""
-        return kinetic_energy(self, context)
-
-    def EvalPotentialEnergy(self, context: Context) -> float:  # noqa: N802
-        """As `CalcPotentialEnergy`: nothing is kept."""
-        return potential_energy(self, context)
+    # Nothing is kept.
+    EvalKineticEnergy, EvalPotentialEnergy = CalcKineticEnergy, CalcPotentialEnergy

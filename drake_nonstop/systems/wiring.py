@@ -2,6 +2,7 @@
 
 from collections.abc import Collection, Iterator, Mapping
 from itertools import pairwise
+from typing import Any
 
 from pydrake.systems.framework import (
     Context,
@@ -107,7 +108,7 @@ def _listed(sizes: Sizes) -> str:
 def _remedy(wrong: Sizes, signals: Sizes) -> str:
     """What to do about input ports that no signal can be connected to."""
     unknown = [name for name in wrong if name not in signals]
-    if any(name == SAMPLE_TIME or name.startswith(HELD) for name in unknown):
+    if any(map(_is_of_hold, unknown)):
         return _HOLD_REMEDY
     if not unknown:
         return "rename or resize the ports"
@@ -130,11 +131,8 @@ def _expected(wrong: Sizes, signals: Sizes) -> str:
 def wires(blocks: Mapping[str, System], inputs: Collection[str] | Sizes = ()) -> list[str]:
     """The wires "block.port -> block.port" that the names of the ports imply.
 
-    Every output port is a signal with a name of its own, and an input port named after a signal is
-    connected to it. Where a block makes `held_x` of an input x, readers of x get `held_x` in its
-    place, save those that make x or anything that is held: what is upstream of a hold must not read
-    from it. The wires of `inputs`, signals that no block makes, come from "outside.port". Ports
-    named in the attribute `optional_inputs` of a block have no wire where there is no such signal.
+    Those that `connect_by_name` makes. The wires of `inputs` come from "outside.port". Ports named
+    in the attribute `optional_inputs` of a block have no wire where there is no such signal.
 
     Raises:
         WiringError: two blocks make the same signal, or an input names no signal, or one of
@@ -276,7 +274,8 @@ def connect_by_name(
     Each output port is a signal with a name of its own; an input port named after a signal is
     connected to it, and the diagram has an output port of that name. Where a block makes `held_x`
     of an input x, as `SampleAndHold` does, readers of x get `held_x` in its place; blocks that make
-    x, or anything that is held, do not. `make_nonstop` puts its figure together in this way.
+    x, or anything that is held, do not: what is upstream of a hold must not read from it.
+    `make_nonstop` puts its figure together in this way.
 
     Args:
         builder: what the blocks are added to.
@@ -293,8 +292,7 @@ def connect_by_name(
     remedy = 'give a mapping from names to blocks, such as {"estimator": Estimator(model)}'
     require(isinstance(blocks, Mapping), "blocks", blocks, remedy)
     for name, block in blocks.items():
-        is_name = isinstance(name, str) and name and not {":", "."} & set(name)
-        require(is_name, "blocks", name, "name each block by a text without colons and dots")
+        require_name("blocks", name)
         remedy = "give a LeafSystem or Diagram"
         require(isinstance(block, System), f"blocks.{name}", block, remedy)
         is_new = not builder.HasSubsystemNamed(name)
@@ -319,6 +317,12 @@ def connect_by_name(
     for block in sorted(blocks.values(), key=lambda block: block.num_input_ports() == 0):
         for signal in output_names(block):
             builder.ExportOutput(block.GetOutputPort(signal), signal)
+
+
+def require_name(field: str, name: Any) -> None:
+    """Raises ScenarioError for what cannot be the name of a block."""
+    is_name = isinstance(name, str) and name and not {":", "."} & set(name)
+    require(is_name, field, name, "name each block by a text without colons and dots")
 
 
 def require_open(builder: DiagramBuilder, function: str) -> None:
@@ -355,27 +359,39 @@ def ports_of(diagram: Diagram, signal: str) -> list[OutputPort]:
     return found
 
 
-def require_makers(diagram: Diagram, sizes: Sizes, field: str) -> None:
-    """Checks that each of these signals is made once in a diagram, whether it is exported or not.
+def require_signals(
+    diagram: Diagram, sizes: Sizes, field: str, *, is_exporting: bool = True
+) -> None:
+    """Checks that a diagram exports signals, or else that each is made once in it, however deep.
 
     Args:
-        diagram: what should have a block with an output port of each name, however deep.
+        diagram: what should have output ports of these names, or blocks with them.
         sizes: of the ports; None: any.
         field: what the error calls the diagram.
+        is_exporting: whether it has to export them.
 
     Raises:
         WiringError: it lacks some, they have other sizes, or two blocks make the same.
     """
-    found = {signal: ports_of(diagram, signal) for signal in sizes}
+    found = {
+        signal: ports_of(diagram, signal)
+        if diagram.HasOutputPort(signal) or not is_exporting
+        else []
+        for signal in sizes
+    }
     wrong = [
         name
         for name, size in sizes.items()
         if not found[name] or size not in (None, found[name][0].size())
     ]
     if wrong:
+        pairs = sizes.items()
+        needed = ", ".join(name if size is None else f"{name} ({size})" for name, size in pairs)
+        remedy = f"give it blocks that make {needed}, by ports of these names"
+        if is_exporting:
+            remedy = f"export {needed} by these names, as connect_by_name does"
         raise WiringError(
-            f"{field} = {type(diagram).__name__} without output ports {', '.join(wrong)}: give it "
-            f"blocks that make {_needed(sizes)}, by ports of these names"
+            f"{field} = {type(diagram).__name__} without output ports {', '.join(wrong)}: {remedy}"
         )
     for name, ports in found.items():
         if len(ports) > 1:
@@ -384,33 +400,6 @@ def require_makers(diagram: Diagram, sizes: Sizes, field: str) -> None:
                 f"{field} = {type(diagram).__name__} where {makers} make {name}: export the loop's "
                 "by this name, rename the port of the other, or give the diagram with one of them"
             )
-
-
-def require_signals(diagram: Diagram, sizes: Sizes, field: str) -> None:
-    """Checks that a diagram exports signals.
-
-    Args:
-        diagram: what should have output ports of these names.
-        sizes: of the ports; None: any.
-        field: what the error calls the diagram.
-
-    Raises:
-        WiringError: it lacks some, or they have other sizes.
-    """
-    made = output_sizes(diagram)
-    wrong = [
-        name for name, size in sizes.items() if name not in made or size not in (None, made[name])
-    ]
-    if wrong:
-        raise WiringError(
-            f"{field} = {type(diagram).__name__} without output ports {', '.join(wrong)}: export "
-            f"{_needed(sizes)} by these names, as connect_by_name does"
-        )
-
-
-def _needed(sizes: Sizes) -> str:
-    """The signals as "force (3), pose"."""
-    return ", ".join(name if size is None else f"{name} ({size})" for name, size in sizes.items())
 
 
 def require_own_context(field: str, diagram: Diagram, context: Context) -> None:
@@ -463,7 +452,7 @@ def nested(diagram: Diagram, signals: Collection[str]) -> list[Diagram]:
 
 def _makes(part: Diagram, diagram: Diagram, signals: Collection[str]) -> bool:
     """Whether all signals of a diagram come from ports of a part of it, or inside of that."""
-    inside = {part, *_systems(part)}
+    inside = {*systems_in(part)}
     return all(
         port.get_system() in inside and ports_of(part, signal)
         for signal in signals
@@ -471,12 +460,11 @@ def _makes(part: Diagram, diagram: Diagram, signals: Collection[str]) -> bool:
     )
 
 
-def _systems(diagram: Diagram) -> Iterator[System]:
-    """All systems inside of a diagram."""
-    for part in diagram.GetSystems():
-        yield part
-        if isinstance(part, Diagram):
-            yield from _systems(part)
+def systems_in(system: System) -> Iterator[System]:
+    """A system, and all systems inside of it, each followed by what is in it."""
+    yield system
+    for part in system.GetSystems() if isinstance(system, Diagram) else ():
+        yield from systems_in(part)
 
 
 def innermost(
@@ -496,15 +484,13 @@ def unconnected(diagram: Diagram, context: Context) -> str:
         name = port.get_name()
         if not port.HasValue(context) and name not in optional_inputs(diagram):
             return f"{name} = no value: connect the diagram's input port, or fix its value"
-    connected = {(reader.get_name(), int(index)) for reader, index in diagram.connection_map()}
-    for i in range(diagram.num_input_ports()):
-        for reader, index in diagram.GetInputPortLocators(InputPortIndex(i)):
-            connected.add((reader.get_name(), int(index)))
     for block in diagram.GetSystems():
-        for index, port in enumerate(input_names(block)):
-            is_optional = port in optional_inputs(block)
-            if not is_optional and (block.get_name(), index) not in connected:
-                return f"{title(block)}.{port} = not connected: {_connection_of(port)}"
+        own, optional = diagram.GetSubsystemContext(block, context), optional_inputs(block)
+        for name in input_names(block):
+            if name not in optional and not block.GetInputPort(name).HasValue(own):
+                remedy = "connect it, or wire the blocks with connect_by_name or connect_remaining"
+                remedy = _HOLD_REMEDY if _is_of_hold(name) else remedy
+                return f"{title(block)}.{name} = not connected: {remedy}"
     for block in diagram.GetSystems():
         if type(block) is Diagram:
             found = unconnected(block, diagram.GetSubsystemContext(block, context))
@@ -513,11 +499,8 @@ def unconnected(diagram: Diagram, context: Context) -> str:
     return ""
 
 
-def _connection_of(port: str) -> str:
-    """How to connect an input port of that name."""
-    if port == SAMPLE_TIME or port.startswith(HELD):
-        return _HOLD_REMEDY
-    return "connect it, or wire the blocks with connect_by_name or connect_remaining"
+def _is_of_hold(port: str) -> bool:
+    return port == SAMPLE_TIME or port.startswith(HELD)
 
 
 def connections(diagram: Diagram) -> list[str]:
