@@ -133,12 +133,6 @@ def _each(model: Model, name: str, given: list[float], default: float) -> NDArra
     return values
 
 
-# The blocks that the box can be, the default first.
 VARIANTS = (Cables, IndividualCables)
 
-__all__ = [
-    "Cables",
-    "CablesConfig",
-    "IndividualCables",
-    "IndividualCablesConfig",
-]
+__all__ = ["Cables", "CablesConfig", "IndividualCables", "IndividualCablesConfig"]

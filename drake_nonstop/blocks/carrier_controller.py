@@ -228,7 +228,6 @@ class LoadedCarrierPid(Block):
         return asdict(self.config) | {"integral_gain": 0.0}
 
 
-# The blocks that the box can be, the default first.
 VARIANTS = (
     FeedforwardCarrierPid,
     CarrierPid,
@@ -238,17 +237,8 @@ VARIANTS = (
     FixedWingController,
 )
 
-__all__ = [
-    "FeedforwardCarrierPid",
-    "FeedforwardCarrierPidConfig",
-    "CarrierPid",
-    "CarrierPidConfig",
-    "TunedCarrierPid",
-    "TunedCarrierPidConfig",
-    "TunedFeedforwardCarrierPid",
-    "TunedFeedforwardCarrierPidConfig",
-    "LoadedCarrierPid",
-    "LoadedCarrierPidConfig",
-    "FixedWingController",
-    "FixedWingControllerConfig",
-]
+__all__ = ["FeedforwardCarrierPid", "FeedforwardCarrierPidConfig", "CarrierPid", "CarrierPidConfig"]
+__all__ += ["TunedCarrierPid", "TunedCarrierPidConfig"]
+__all__ += ["TunedFeedforwardCarrierPid", "TunedFeedforwardCarrierPidConfig"]
+__all__ += ["LoadedCarrierPid", "LoadedCarrierPidConfig"]
+__all__ += ["FixedWingController", "FixedWingControllerConfig"]

@@ -280,7 +280,6 @@ class FixedWingDynamics(Block):
         return float(energy[0])
 
 
-# The blocks that the box can be, the default first.
 VARIANTS = (
     CarrierDynamics,
     LoadedCarrierDynamics,
@@ -289,15 +288,7 @@ VARIANTS = (
     IdealCarriers,
 )
 
-__all__ = [
-    "CarrierDynamics",
-    "CarrierDynamicsConfig",
-    "LoadedCarrierDynamics",
-    "LoadedCarrierDynamicsConfig",
-    "FixedWingDynamics",
-    "FixedWingDynamicsConfig",
-    "JsbsimCarriers",
-    "JsbsimCarriersConfig",
-    "IdealCarriers",
-    "IdealCarriersConfig",
-]
+__all__ = ["CarrierDynamics", "CarrierDynamicsConfig"]
+__all__ += ["LoadedCarrierDynamics", "LoadedCarrierDynamicsConfig"]
+__all__ += ["FixedWingDynamics", "FixedWingDynamicsConfig"]
+__all__ += ["JsbsimCarriers", "JsbsimCarriersConfig", "IdealCarriers", "IdealCarriersConfig"]

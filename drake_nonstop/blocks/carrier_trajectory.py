@@ -233,14 +233,8 @@ class MeasuredCarrierTrajectory(Block):
         return _moving(1)
 
 
-# The blocks that the box can be, the default first.
 VARIANTS = (CarrierTrajectory, InextensibleCarrierTrajectory, MeasuredCarrierTrajectory)
 
-__all__ = [
-    "CarrierTrajectory",
-    "CarrierTrajectoryConfig",
-    "InextensibleCarrierTrajectory",
-    "InextensibleCarrierTrajectoryConfig",
-    "MeasuredCarrierTrajectory",
-    "MeasuredCarrierTrajectoryConfig",
-]
+__all__ = ["CarrierTrajectory", "CarrierTrajectoryConfig"]
+__all__ += ["InextensibleCarrierTrajectory", "InextensibleCarrierTrajectoryConfig"]
+__all__ += ["MeasuredCarrierTrajectory", "MeasuredCarrierTrajectoryConfig"]

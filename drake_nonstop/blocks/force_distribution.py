@@ -206,12 +206,7 @@ class BoundedTensionDistribution(CableForceDistribution):
         return active, np.where(at_low, low, high)[active]
 
 
-# The blocks that the box can be, the default first.
 VARIANTS = (CableForceDistribution, BoundedTensionDistribution)
 
-__all__ = [
-    "CableForceDistribution",
-    "CableForceDistributionConfig",
-    "BoundedTensionDistribution",
-    "BoundedTensionDistributionConfig",
-]
+__all__ = ["CableForceDistribution", "CableForceDistributionConfig"]
+__all__ += ["BoundedTensionDistribution", "BoundedTensionDistributionConfig"]

@@ -65,12 +65,7 @@ class PlannedInternalForce(Block):
         return np.concatenate(rates[:2]), np.concatenate(rates[2:])
 
 
-# The blocks that the box can be, the default first.
 VARIANTS = (PlannedInternalForce, InternalForceTrajectory)
 
-__all__ = [
-    "PlannedInternalForce",
-    "PlannedInternalForceConfig",
-    "InternalForceTrajectory",
-    "InternalForceTrajectoryConfig",
-]
+__all__ = ["PlannedInternalForce", "PlannedInternalForceConfig"]
+__all__ += ["InternalForceTrajectory", "InternalForceTrajectoryConfig"]

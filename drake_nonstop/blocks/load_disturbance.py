@@ -110,12 +110,6 @@ class DisturbanceForce(LeafBlock):
         return [wrenches for _ in ports]
 
 
-# The blocks that the box can be, the default first.
 VARIANTS = (NoDisturbance, DisturbanceForce)
 
-__all__ = [
-    "NoDisturbance",
-    "NoDisturbanceConfig",
-    "DisturbanceForce",
-    "DisturbanceForceConfig",
-]
+__all__ = ["NoDisturbance", "NoDisturbanceConfig", "DisturbanceForce", "DisturbanceForceConfig"]

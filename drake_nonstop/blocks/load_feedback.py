@@ -412,7 +412,6 @@ def steady_state_gain(
     return gain * np.array([[1.0, period], [1 / period, 1.0]])
 
 
-# The blocks that the box can be, the default first.
 VARIANTS = (
     IdealFeedback,
     DesiredStateFeedback,
@@ -421,15 +420,7 @@ VARIANTS = (
     EstimatedFeedback,
 )
 
-__all__ = [
-    "IdealFeedback",
-    "IdealFeedbackConfig",
-    "DesiredStateFeedback",
-    "DesiredStateFeedbackConfig",
-    "DesiredAttitudeFeedback",
-    "DesiredAttitudeFeedbackConfig",
-    "NoisyFeedback",
-    "NoisyFeedbackConfig",
-    "EstimatedFeedback",
-    "EstimatedFeedbackConfig",
-]
+__all__ = ["IdealFeedback", "IdealFeedbackConfig"]
+__all__ += ["DesiredStateFeedback", "DesiredStateFeedbackConfig"]
+__all__ += ["DesiredAttitudeFeedback", "DesiredAttitudeFeedbackConfig"]
+__all__ += ["NoisyFeedback", "NoisyFeedbackConfig", "EstimatedFeedback", "EstimatedFeedbackConfig"]

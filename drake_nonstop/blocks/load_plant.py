@@ -170,12 +170,6 @@ class _LoadForces(InnerBlock):
         output.set_value(applied)
 
 
-# The blocks that the box can be, the default first.
 VARIANTS = (LoadPlant, MultibodyLoadPlant)
 
-__all__ = [
-    "LoadPlant",
-    "LoadPlantConfig",
-    "MultibodyLoadPlant",
-    "MultibodyLoadPlantConfig",
-]
+__all__ = ["LoadPlant", "LoadPlantConfig", "MultibodyLoadPlant", "MultibodyLoadPlantConfig"]

@@ -582,7 +582,6 @@ class SampledTrajectory(LoadTrajectory):
         )
 
 
-# The blocks that the box can be, the default first.
 VARIANTS = (
     RestToRest,
     ConstantVelocityMove,
@@ -593,19 +592,7 @@ VARIANTS = (
     PlannedTurn,
 )
 
-__all__ = [
-    "RestToRest",
-    "RestToRestConfig",
-    "ConstantVelocityMove",
-    "ConstantVelocityMoveConfig",
-    "Waypoints",
-    "WaypointsConfig",
-    "Circle",
-    "CircleConfig",
-    "SampledTrajectory",
-    "SampledTrajectoryConfig",
-    "SteadyTurn",
-    "SteadyTurnConfig",
-    "PlannedTurn",
-    "PlannedTurnConfig",
-]
+__all__ = ["RestToRest", "RestToRestConfig", "ConstantVelocityMove", "ConstantVelocityMoveConfig"]
+__all__ += ["Waypoints", "WaypointsConfig", "Circle", "CircleConfig"]
+__all__ += ["SampledTrajectory", "SampledTrajectoryConfig", "SteadyTurn", "SteadyTurnConfig"]
+__all__ += ["PlannedTurn", "PlannedTurnConfig"]

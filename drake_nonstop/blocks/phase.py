@@ -243,14 +243,7 @@ class ShapedPhase(LeafBlock):
         derivatives.SetFromVector([xi[2], *rates, 0.0])
 
 
-# The blocks that the box can be, the default first.
 VARIANTS = (ShapedPhase, AccumulatedPhase, PaperPhase)
 
-__all__ = [
-    "ShapedPhase",
-    "ShapedPhaseConfig",
-    "AccumulatedPhase",
-    "AccumulatedPhaseConfig",
-    "PaperPhase",
-    "PaperPhaseConfig",
-]
+__all__ = ["ShapedPhase", "ShapedPhaseConfig", "AccumulatedPhase", "AccumulatedPhaseConfig"]
+__all__ += ["PaperPhase", "PaperPhaseConfig"]

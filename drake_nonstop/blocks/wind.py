@@ -320,16 +320,7 @@ class GustyWind(_Profile):
         return [coloured_noise(times, waves[port], deviations[port]) for port in ports]
 
 
-# The blocks that the box can be, the default first.
 VARIANTS = (StillAir, SteadyWind, WindProfile, GustyWind)
 
-__all__ = [
-    "StillAir",
-    "StillAirConfig",
-    "SteadyWind",
-    "SteadyWindConfig",
-    "WindProfile",
-    "WindProfileConfig",
-    "GustyWind",
-    "GustyWindConfig",
-]
+__all__ = ["StillAir", "StillAirConfig", "SteadyWind", "SteadyWindConfig"]
+__all__ += ["WindProfile", "WindProfileConfig", "GustyWind", "GustyWindConfig"]

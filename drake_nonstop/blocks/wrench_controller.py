@@ -280,16 +280,9 @@ class TunedWrenchController(_WrenchPid):
             )
 
 
-# The blocks that the box can be, the default first.
 VARIANTS = (WrenchController, PaperWrenchController, GeometricPd, TunedWrenchController)
 
-__all__ = [
-    "WrenchController",
-    "WrenchControllerConfig",
-    "PaperWrenchController",
-    "PaperWrenchControllerConfig",
-    "GeometricPd",
-    "GeometricPdConfig",
-    "TunedWrenchController",
-    "TunedWrenchControllerConfig",
-]
+__all__ = ["WrenchController", "WrenchControllerConfig"]
+__all__ += ["PaperWrenchController", "PaperWrenchControllerConfig"]
+__all__ += ["GeometricPd", "GeometricPdConfig"]
+__all__ += ["TunedWrenchController", "TunedWrenchControllerConfig"]
