@@ -30,11 +30,8 @@ _MOST_SAMPLES = 128  # for which what stands outside is evaluated at once
 class LoopFlight:
     """A flight of a loop's traced functions, and what stands outside of them.
 
-    Args:
-        layout: of the loop.
-        period: of the loop's samples, s.
-        context: of the diagram, at t = 0, which stays as it is.
-        largest: a value beyond it, in SI units, raises NotFiniteError.
+    It starts from a `context` of the diagram, at t = 0, which stays as it is, and goes on by
+    samples of the `period`, s. A value beyond `largest`, in SI units, raises NotFiniteError.
 
     Attributes:
         samples: the number of those that it has flown.
@@ -83,14 +80,7 @@ class LoopFlight:
 class CompiledFlight(LoopFlight):
     """A flight of a `CompiledLoop`, which is advanced from sample to sample.
 
-    Args:
-        layout: of the loop.
-        functions: of the loop.
-        compiles: whether they are evaluated as C, where that is there.
-        period: of the loop's samples, s.
-        instants: at which signals, and signals of steps, are shown in a sample.
-        context: of the diagram, at t = 0, which stays as it is.
-        largest: a value beyond it, in SI units, raises NotFiniteError.
+    `CompiledLoop.fly` makes it.
 
     Attributes:
         samples: the number of those that it has flown.
@@ -109,9 +99,10 @@ class CompiledFlight(LoopFlight):
     ):
         super().__init__(layout, period, context, largest)
         self._instants = instants
-        self._at_start = Evaluation(functions.at_start, compiles)  # with memory of its own
-        self._shown = Evaluation(functions.shown, compiles)
-        self._after_sample = Evaluation(functions.after_sample, compiles)
+        parts = functions.at_start, functions.shown, functions.after_sample
+        self._at_start, self._shown, self._after_sample = (
+            Evaluation(part, compiles) for part in parts
+        )
         at_sample, whole = functions.at_sample, functions.whole
         self._at_sample = None if at_sample is None else Evaluation(at_sample, compiles)
         self._whole = None if whole is None else Evaluation(whole, compiles)
@@ -223,11 +214,12 @@ class CompiledFlight(LoopFlight):
 
     def _in_rows(self, samples: int, *rows: NDArray) -> tuple[NDArray, NDArray]:
         """Signals, and signals of steps, with a row for each of their instants."""
-        signals, step_signals = (
-            values.reshape(samples * instants, -1)
-            for values, instants in zip(rows, self._instants, strict=True)
+        signals, step_signals = rows
+        per_sample, steps = self._instants
+        return (
+            signals.reshape(samples * per_sample, -1),
+            step_signals.reshape(samples * steps, -1),
         )
-        return signals, step_signals
 
     def _advance_whole(self, whole: Evaluation, samples: int) -> tuple[NDArray, NDArray]:
         """Samples in one call, or one of them that blocks make an update for."""
@@ -381,9 +373,7 @@ def own_context(layout: LoopLayout, block: System, context: Context) -> Context:
 class _Source:
     """What is known beforehand: a block without inputs, or a traced one's functions of time.
 
-    Args:
-        block: what is evaluated.
-        context: its own, by itself: to set the time of a whole loop's is slow.
+    The context is the block's own, by itself: to set the time of a whole loop's is slow.
     """
 
     def __init__(self, block: Any, context: Context):
@@ -407,13 +397,12 @@ class _Source:
     def values(self, outputs: Sequence[int | str], times: NDArray) -> list[NDArray]:
         """Rows of each of some outputs, at times (k,) in s."""
         given = [output for output in outputs if self._has_rows(output)]
-        found: dict[int | str, Any] = {output: [] for output in outputs}
-        found |= dict(zip(given, self._rows(given, times), strict=True)) if given else {}
-        others = [output for output in outputs if output not in given]
-        for at in times.tolist() if others else ():
-            for output in others:
-                found[output].append(self.value(output, at))
-        return [np.array(rows) for rows in found.values()]
+        rows = zip(given, self._rows(given, times), strict=True) if given else ()
+        found: dict[int | str, NDArray] = dict(rows)
+        others = [output for output in outputs if output not in found]
+        evaluated = [[self.value(k, at) for k in others] for at in times.tolist() if others]
+        found |= zip(others, map(np.array, zip(*evaluated, strict=True)), strict=True)
+        return [found[output] for output in outputs]
 
     def _has_rows(self, output: int | str) -> bool:
         """Whether the block gives rows of an output, and not its ports alone."""
@@ -441,13 +430,7 @@ class _Source:
 
 
 class _Outside:
-    """What stands outside of the function of a whole sample, for many samples at once.
-
-    Args:
-        readings: the function's.
-        sources: what they read, by its number.
-        period: s, of the samples.
-    """
+    """What stands outside of the function of a whole sample, for many samples at once."""
 
     def __init__(self, readings: Sequence[Reading], sources: Mapping[int, _Source], period: float):
         self._readings, self._sources, self._period = readings, sources, period
@@ -456,12 +439,7 @@ class _Outside:
         self._rows = np.zeros((0, 0))
 
     def of_samples(self, first: int, most: int) -> tuple[NDArray, NDArray]:
-        """The times (k,), s, and the rows (k, size) of samples, not more than `most`.
-
-        Args:
-            first: the number of the first one.
-            most: of the samples.
-        """
+        """The times (k,), s, and the rows (k, size) of samples from the first on."""
         if not self._first <= first < self._end:
             self._first, self._end = first, first + min(most, _MOST_SAMPLES)
             self._times = sample_times(np.arange(first, self._end), self._period)

@@ -119,10 +119,8 @@ def _complaint_of_trace(leaf: Any, control_period: float) -> str:
 def _schedule(period: float, shown: int, longest: float) -> list[Step]:
     """The steps that Drake's integrators take in a sample: one ends at each signal.
 
-    Args:
-        period: of the samples, s.
-        shown: how often signals are shown in one.
-        longest: of the steps, s; the last one before a signal may be shorter.
+    Of a sample's period in s, in which signals are shown so often; the last step before a signal
+    may be shorter than the longest one, in s.
     """
     steps = []
     for k in range(shown):

@@ -39,8 +39,7 @@ class Symbols:
     """The symbols of a function for what stands outside, in the order in which it is read."""
 
     numbers: Mapping[System, int]  # of all systems
-    readings: list[Reading] = field(default_factory=list)
-    symbols: list[casadi.SX] = field(default_factory=list)
+    symbols: dict[Reading, casadi.SX] = field(default_factory=dict)
 
     def at(self, offset: float) -> Any:
         """Gives the values of outputs, of a given size, at an instant."""
@@ -52,10 +51,7 @@ class Symbols:
 
     def of(self, reading: Reading, size: int) -> NDArray:
         """The symbols of a reading."""
-        if reading not in self.readings:
-            self.readings.append(reading)
-            self.symbols.append(casadi.SX.sym("outside", size))
-        return object_array(self.symbols[self.readings.index(reading)])
+        return object_array(self.symbols.setdefault(reading, casadi.SX.sym("outside", size)))
 
 
 class Traced(NamedTuple):
@@ -69,30 +65,20 @@ class Traced(NamedTuple):
 class LoopFunction:
     """A traced function of the state, the parameters, the time and what stands outside.
 
-    The last of its results is the sum of the squares of those that are checked.
-
-    Args:
-        traced: what it computes.
-        is_whole: whether it is that of a whole sample, and evaluated sample by sample.
-        search: of a block, for its updates.
+    The last of its results is the sum of the squares of those that are checked. Where it is that of
+    a `whole` sample, it is evaluated sample by sample, with a block's `search` for its updates.
     """
 
     def __init__(
-        self,
-        traced: Traced,
-        *,
-        is_whole: bool = False,
-        search: SearchFunctions | None = None,
+        self, traced: Traced, *, is_whole: bool = False, search: SearchFunctions | None = None
     ):
         results, arguments, symbols = traced
-        self.readings = symbols.readings
-        self.reading_sizes = [symbol.numel() for symbol in symbols.symbols]
-        outside = casadi.vertcat(*symbols.symbols) if symbols.symbols else casadi.SX(0, 1)
+        self.readings, read = [*symbols.symbols], [*symbols.symbols.values()]
+        outside = casadi.vertcat(*read) if read else casadi.SX(0, 1)
         self.argument_sizes = [argument.numel() for argument in arguments]
         stacked = casadi.vertcat(*arguments, outside)
         checked = results[:-2] if is_whole else results  # not what tells of updates to be made
-        norm = casadi.sumsqr(casadi.vertcat(*checked))
-        results = [*results, norm]
+        results = [*results, casadi.sumsqr(casadi.vertcat(*checked))]
         self._not_short: tuple[casadi.SX, list[casadi.SX]] | None = (stacked, results)
         self.function = casadi.Function("loop", [stacked], results)
         self.compiled: Compiled | None = None  # the same, as C
@@ -102,7 +88,7 @@ class LoopFunction:
         if is_whole:
             own = _NO_SEARCH if search is None else search.text
             self._besides = f"{own}#define FOUND_SIZE {FOUND_SIZE}\n{_FLY_SAMPLES}"
-        self._is_looked_for = self._is_tried = False  # in the cache, to compile it
+        self._tried: set[bool] = set()  # to take it from the cache (False), or to build it
 
     def shorten(self) -> None:
         """Computes what is the same in two places once; the numbers stay, to the bit."""
@@ -113,12 +99,10 @@ class LoopFunction:
 
     def compile(self, builds: bool) -> None:
         """Takes C that is in the cache, or builds it."""
-        is_done = self._is_tried if builds else self._is_looked_for
-        if self.compiled is None and not is_done:
-            self._is_tried |= builds
+        if self.compiled is None and builds not in self._tried:
+            self._tried |= {builds, False}
             functions = [self.function, *self._others]
             self.compiled = compiled(functions, besides=self._besides, builds=builds)
-            self._is_looked_for = True
 
 
 @dataclass
@@ -151,12 +135,7 @@ class LoopFunctions:
 
 
 class Evaluation:
-    """Evaluates a function, in memory of its own.
-
-    Args:
-        function: what is evaluated.
-        compiles: whether as C, where that is there.
-    """
+    """Evaluates a function, in memory of its own, as C where that is there and asked for."""
 
     def __init__(self, function: LoopFunction, compiles: bool):
         self.readings = function.readings
@@ -167,17 +146,10 @@ class Evaluation:
         self._outputs = [np.zeros(evaluated.size1_out(k)) for k in range(evaluated.n_out())]
         self._kept_alive, self.evaluate = bound(evaluated, [self._input], self._outputs)
         self._arguments = function.argument_sizes
-        self.outside_size = sum(function.reading_sizes)
         self._fly = self._flying_in_python
         if library is not None and hasattr(library, "fly_samples"):
-            self._fly = _FlyingInC(
-                library,
-                evaluated,
-                self._input,
-                self._outputs,
-                self._arguments,
-                function.tolerance,
-            ).fly
+            own = self._input, self._outputs, self._arguments
+            self._fly = _FlyingInC(library, evaluated, *own, function.tolerance).fly
 
     def __call__(self, inputs: Sequence[NDArray]) -> list[NDArray]:
         """The results for all arguments, and for what stands outside."""
@@ -230,15 +202,10 @@ class Evaluation:
 
 
 class _FlyingInC:
-    """Calls fly_samples.c, in work memory of its own.
+    """Calls fly_samples.c in a function's library, in work memory of its own.
 
-    Args:
-        library: has it.
-        function: that of a whole sample, in that library.
-        own_input: as of `Evaluation`.
-        outputs: likewise.
-        arguments: the sizes of the function's arguments, which are stacked in its input.
-        tolerance: of the search.
+    `own_input`, `outputs` and `arguments`, the sizes of what is stacked in the input, are those of
+    an `Evaluation`.
     """
 
     def __init__(

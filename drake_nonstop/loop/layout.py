@@ -21,17 +21,14 @@ from drake_nonstop.systems.diagram_trace import (
 from drake_nonstop.systems.parameters import NumericParameters
 from drake_nonstop.systems.port_state import set_state_values, state_values
 from drake_nonstop.systems.tracing import object_array
+from drake_nonstop.systems.wiring import systems_in
 
 
 class LoopLayout:
     """The blocks of a loop, sorted, and how their states and parameters are stacked.
 
-    Args:
-        diagram: the loop.
-
     Attributes:
-        diagram: as given.
-        wires: of the diagram.
+        diagram, wires: the loop, and its wires.
         blocks: the diagram's own.
         numbers: of all systems in it, each block followed by what is in it.
         outside: the blocks that are not traced.
@@ -40,8 +37,7 @@ class LoopLayout:
         state_sizes: of each leaf: of its continuous state, and of its discrete groups.
         places: of each leaf's discrete states, in the loop's.
         attempting: the leaves that may ask to make an update themselves.
-        with_parameters: those with numeric parameters.
-        parameter_sizes: of what their traces take of these.
+        with_parameters, parameter_sizes: those with numeric parameters, and what traces take of it.
         knowing: those that know quantities beforehand, see `systems.diagram_trace.At.known`.
         of_users: the systems that are a user's own, of those that are evaluated or traced.
         read: the inputs that are given to blocks which make updates themselves: block and number.
@@ -53,8 +49,8 @@ class LoopLayout:
         self.blocks = diagram.GetSystems()
         self.outside = {block for block in self.blocks if not is_traceable(block)}
         self.held = [b for b in self.blocks if b in self.outside and b.num_input_ports() > 0]
-        everything = itertools.chain.from_iterable((b, *leaves(b)) for b in self.blocks)
-        self.numbers = {system: k for k, system in enumerate(dict.fromkeys(everything))}
+        everything = [part for block in self.blocks for part in systems_in(block)]
+        self.numbers = {system: k for k, system in enumerate(everything)}
         self.leaves: list[Any] = [
             leaf for block in self.blocks if block not in self.outside for leaf in leaves(block)
         ]
@@ -64,12 +60,8 @@ class LoopLayout:
 
         self.state_sizes = {leaf: _state_sizes(own(leaf)) for leaf in self.leaves}
         ends = np.cumsum([0, *map(sum, self.state_sizes.values())])
-        self.places = {
-            leaf: slice(start + sizes[0], end)
-            for (leaf, sizes), (start, end) in zip(
-                self.state_sizes.items(), itertools.pairwise(ends), strict=True
-            )
-        }
+        pairs = zip(self.state_sizes.items(), itertools.pairwise(ends), strict=True)
+        self.places = {leaf: slice(start + sizes[0], end) for (leaf, sizes), (start, end) in pairs}
         self.attempting = [leaf for leaf in self.leaves if hasattr(leaf, "traced_attempt")]
         self.with_parameters = [
             leaf for leaf in self.leaves if own(leaf).num_numeric_parameter_groups() > 0
@@ -104,19 +96,15 @@ class LoopLayout:
     @property
     def state_names(self) -> list[str]:
         """Of each state the path of its system in the diagram, and its number in that."""
-        return [
-            f"{self._path(leaf)}[{k}]"
-            for leaf, sizes in self.state_sizes.items()
-            for k in range(sum(sizes))
-        ]
+        root, names = self.diagram.GetSystemPathname(), []
+        for leaf, sizes in self.state_sizes.items():
+            path = leaf.GetSystemPathname().removeprefix(root).strip(":").replace("::", ".")
+            names += [f"{path}[{k}]" for k in range(sum(sizes))]
+        return names
 
     @property
     def parameter_names(self) -> list[str]:
-        """Of each parameter its block's name and its own, as `set_parameter` takes them.
-
-        An entry of an array has its number, too. Where a block's trace takes other numbers they
-        have numbers alone.
-        """
+        """As of `CompiledLoop`."""
         names = []
         for leaf, size in zip(self.with_parameters, self.parameter_sizes, strict=True):
             box = self.wires.block_of(leaf).get_name()
@@ -159,10 +147,6 @@ class LoopLayout:
             read = {s for s, values in symbols.items() if casadi.depends_on(shown, values)}
             found[k] = (leaf, "t") in read, [i for i, s in sources.items() if s in read]
         return found
-
-    def _path(self, leaf: System) -> str:
-        inside = leaf.GetSystemPathname().removeprefix(self.diagram.GetSystemPathname())
-        return inside.strip(":").replace("::", ".")
 
     def is_outside(self, block: System) -> bool:
         """Whether a block of the diagram is not traced."""

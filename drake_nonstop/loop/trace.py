@@ -36,10 +36,7 @@ class Step(NamedTuple):
 def runge_kutta3(rate: Callable[[Any, float], Any], state: Any, step: Step) -> Any:
     """The state after a step of the third-order Runge-Kutta method, of symbols or numbers.
 
-    Args:
-        rate: of a state, at an offset in s.
-        state: before the step.
-        step: is taken.
+    `rate` is that of a state at an offset in s.
     """
     begin, length, *_ = step
     first = rate(state, begin)
@@ -49,13 +46,10 @@ def runge_kutta3(rate: Callable[[Any, float], Any], state: Any, step: Step) -> A
 
 
 class LoopTrace:
-    """What a loop is traced to, of the symbols of its state, its parameters and the time.
-
-    Args:
-        layout: of the loop.
+    """What a loop is traced to.
 
     Attributes:
-        arguments: the stacked state and parameters, and the time of the sample, s.
+        arguments: symbols of its stacked state and parameters, and of the sample's time, s.
     """
 
     def __init__(self, layout: LoopLayout):
@@ -80,36 +74,28 @@ class LoopTrace:
     def updates(self, *, is_start: bool = False, found: casadi.SX | None = None) -> Traced:
         """The state after a sample's updates, and what blocks that may make some themselves read.
 
-        Then whether what is made in their place holds, and the data of a search.
-
-        Args:
-            is_start: whether they are those of the initialization.
-            found: a further argument: what a search has found. None: there is none.
+        Then whether what is made in their place holds, and the data of a search. `is_start` has
+        those of the initialization; `found`, a further argument, is what a search has found.
         """
         symbols = Symbols(self._layout.numbers)
-        states = self._layout.states(object_array(self.arguments[0]))
-        instant = self._instant(states, symbols.at(0.0))
+        before = self._layout.states(object_array(self.arguments[0]))
         updating = [leaf for leaf in self._layout.leaves if hasattr(leaf, "traced_update")]
+        early: tuple[str, ...] = ("updates_first",)
         if is_start:
             updating = [leaf for leaf in updating if getattr(leaf, "updates_at_start", False)]
-        first = {leaf for leaf in updating if getattr(leaf, "updates_first", False)}
-        if is_start:
-            first |= {leaf for leaf in updating if getattr(leaf, "starts_first", False)}
-        after = dict(states)
-        for leaf in first:
-            after[leaf] = _updated(leaf, instant, states, is_start)
+            early = ("updates_first", "starts_first")
+        first = [leaf for leaf in updating if any(getattr(leaf, name, False) for name in early)]
+        late = [leaf for leaf in updating if leaf not in first]
+        instant = self._instant(before, symbols.at(0.0))
+        after = before | {leaf: _updated(leaf, instant, before, is_start) for leaf in first}
         instant = self._instant(after, symbols.at(0.0))
-        last = dict(after)
-        for leaf in updating:
-            if leaf not in first:
-                last[leaf] = _updated(leaf, instant, after, is_start)
+        last = after | {leaf: _updated(leaf, instant, after, is_start) for leaf in late}
         given = np.zeros(FOUND_SIZE) if found is None else object_array(found)
         attempts = {
             leaf: leaf.traced_attempt(At(instant, leaf), given)
             for leaf in (self._layout.attempting if not is_start else ())
         }
-        for leaf, attempt in attempts.items():
-            last[leaf] = [last[leaf][0], *attempt.states]
+        last |= {leaf: [last[leaf][0], *attempt.states] for leaf, attempt in attempts.items()}
         inputs = (instant.input(*place) for place in self._layout.read)
         read = [values for values in inputs if values is not None]
         holds = np.array([attempt.holds for attempt in attempts.values()])
@@ -123,10 +109,7 @@ class LoopTrace:
     ) -> Traced:
         """The state after a sample's steps, and all signals that are shown on the way.
 
-        Args:
-            schedule: of the sample.
-            shown: the signals, and those of every step.
-            updates: of the sample, whose first result is the state; None: it is the argument.
+        `updates` are the sample's, whose first result is the state; None: it is the argument.
         """
         symbols = Symbols(self._layout.numbers) if updates is None else updates.symbols
 
@@ -148,10 +131,6 @@ class LoopTrace:
 
         A further argument has what a search has found, which blocks have made updates themselves,
         and their states after these.
-
-        Args:
-            schedule: as of `steps`.
-            shown: likewise.
         """
         found = casadi.SX.sym("f", FOUND_SIZE)
         updates = self.updates(found=found)
@@ -193,11 +172,11 @@ class LoopTrace:
         own = Symbols(self._layout.numbers)
         states = self._layout.states(object_array(state))
         results = make(self._instant(states, own.at(0.0)))
-        stacked = casadi.vertcat(state, parameters, time, *own.symbols)
+        stacked = casadi.vertcat(state, parameters, time, *own.symbols.values())
         function = casadi.Function("part", [stacked], results)
 
         def part(now: casadi.SX, offset: float, symbols: Symbols) -> list[casadi.SX]:
-            read = zip(own.readings, own.symbols, strict=True)
+            read = own.symbols.items()
             outside = [symbols.of(r._replace(offset=offset), s.numel()) for r, s in read]
             inputs = casadi.vertcat(now, parameters, time + offset, *itertools.chain(*outside))
             return function.call([inputs])
