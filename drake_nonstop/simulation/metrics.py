@@ -7,13 +7,13 @@ claims.
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from enum import Enum
+from functools import partial
 from importlib.metadata import PackageNotFoundError, version
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from drake_nonstop.mechanics.aircraft import stall_speed
 from drake_nonstop.optimization.diagnostics import BOUND
 from drake_nonstop.optimization.limits import LIMITS
 from drake_nonstop.simulation.outcome import find_warnings, judge
@@ -39,13 +39,13 @@ def compute_metrics(run: Run) -> dict[str, Any]:
     reference. What was not measured, such as the solve times of a layer that solves nothing or the
     delay of a reference without a governor, is None, and so is what is not finite, as of a run
     that a block's NaN ended. The group `aircraft` is that of the simulated
-    aircraft, see `AircraftQuantities`, and is missing where there are none. `outcome` is a
+    aircraft, see `RunQuantities`, and is missing where there are none. `outcome` is a
     `RunOutcome`, `reasons` and `warnings` are sentences.
     """
     quantities = RunQuantities(run)
     values: dict[str, Any] = {"scenario": run.scenario.name, "is_steered": run.is_steered}
     for metric in METRICS:
-        if metric.needs_aircraft and not quantities.has_aircraft:
+        if metric.is_of_aircraft and not quantities.has_aircraft:
             continue
         *groups, name = metric.path.split(".")
         group = values
@@ -94,16 +94,20 @@ def value_at(metrics: Mapping[str, Any] | None, path: str) -> Any:
     return value
 
 
-class Better(Enum):
-    """Which values of a metric are better."""
-
-    LOWER = -1
-    HIGHER = 1
-    NEITHER = 0
+# Which values of a metric are better.
+LOWER, NEITHER, HIGHER = -1, 0, 1
 
 
-@dataclass(frozen=True, kw_only=True)
-class RunText:
+class Quantity(NamedTuple):
+    """How a metric is named, shown and compared."""
+
+    label: str
+    unit: str = ""  # as shown
+    scale: float = 1.0  # from the stored value to the one shown
+    better: int = NEITHER
+
+
+class RunText(NamedTuple):
     """A metric's part of a line in the table of a run."""
 
     line: str  # the line's name
@@ -113,43 +117,43 @@ class RunText:
     hides_line_at_zero: bool = False
 
 
-@dataclass(frozen=True, kw_only=True)
-class TableColumn:
-    """A metric's column in tables that compare runs.
+class TableColumn(NamedTuple):
+    """A metric's column in tables that compare runs, with its heading of two lines.
 
-    `heading` is what a terminal shows, in two lines: columns that share the upper one stand
-    together.
+    Columns that share the upper line stand together.
     """
 
-    heading: tuple[str, str]
+    upper: str
+    lower: str
     has_change: bool = False  # one more column has the change against the first run
 
 
-@dataclass(frozen=True, kw_only=True)
-class Metric:
+class Metric(NamedTuple):
     """How a metric is measured, stored, shown and judged.
 
-    Adding one takes a row in `METRICS`: it is then in metrics.json, in the CSV of an ablation,
-    in the table of a sweep and, by its heading, a quantity of claims; with `run_text` and
-    `column` it is in the tables for a terminal, too.
+    Adding one takes a row in `_ROWS`: it is then in metrics.json, in the CSV of an ablation, in the
+    table of a sweep and, by its heading, a quantity of claims; with `text` and `column` it is in
+    the tables for a terminal, too.
     """
 
-    path: str  # in metrics.json, with dots; the last part ends in the unit of the stored value
     measure: Callable[[RunQuantities], Any]
-    label: str
-    unit: str = ""  # as shown
-    scale: float = 1.0  # from the stored value to the one shown
-    better: Better = Better.NEITHER
+    quantity: Quantity
+    text: RunText | None = None
+    column: TableColumn | None = None
     is_wall_time: bool = False  # measured with a clock: it differs from run to run
     is_list: bool = False  # of numbers or of sentences
-    needs_aircraft: bool = False  # left out of metrics.json where the run has none
-    run_text: RunText | None = None
-    column: TableColumn | None = None
+    path: str = ""  # in metrics.json, with dots
 
     @property
     def heading(self) -> str:
         """The label with the unit, such as "mean position error (mm)"."""
-        return f"{self.label} ({self.unit})" if self.unit else self.label
+        label, unit, *_ = self.quantity
+        return f"{label} ({unit})" if unit else label
+
+    @property
+    def is_of_aircraft(self) -> bool:
+        """Whether it is left out of metrics.json where a run has none."""
+        return self.path.startswith("aircraft.")
 
     def value(self, metrics: Mapping[str, Any] | None) -> Any:
         """The stored value in the metrics of a run; None where there is none."""
@@ -157,467 +161,295 @@ class Metric:
 
     def shown(self, value: Any) -> Any:
         """A stored value in the unit that is shown."""
-        return value if self.scale == 1 or value is None else self.scale * value
+        scale = self.quantity.scale
+        return value if scale == 1 or value is None else scale * value
 
 
-def _missed(limit: str) -> Callable[[RunQuantities], float | None]:
-    """How many updates miss the limit of that name; None: it is not counted."""
-    return lambda run: run.missed_limits.get(limit)
+def _missed_updates(run: RunQuantities, limit: str) -> float | None:
+    """How many updates miss a limit; None: it is not counted."""
+    return run.missed_limits.get(limit)
 
 
-METRICS = (
-    Metric(
-        path="outcome",
-        measure=lambda run: judge(run).outcome.value,
-        label="outcome",
-        run_text=RunText(line="outcome", text="{}"),
-        column=TableColumn(heading=("", "outcome")),
+# By their paths in metrics.json, with dots; the last part ends in the unit of the stored value.
+_ROWS: dict[str, Metric] = {
+    "outcome": Metric(
+        lambda run: judge(run).outcome.value,
+        Quantity("outcome"),
+        RunText("outcome", "{}"),
+        TableColumn("", "outcome"),
     ),
-    Metric(
-        path="reasons",
-        measure=lambda run: list(judge(run).reasons),
-        label="reasons",
-        is_list=True,
-        run_text=RunText(line="outcome", text="{}", separator=": "),
-    ),
-    Metric(
-        path="warnings",
-        measure=find_warnings,
-        label="warnings",
+    "reasons": Metric(
+        lambda run: list(judge(run).reasons),
+        Quantity("reasons"),
+        RunText("outcome", "{}", ": "),
         is_list=True,
     ),
-    Metric(
-        path="simulated_s",
-        measure=lambda run: run.simulated_time,
-        label="simulated time",
-        unit="s",
-        run_text=RunText(line="simulated", text="{:g} {unit}"),
+    "warnings": Metric(find_warnings, Quantity("warnings"), is_list=True),
+    "simulated_s": Metric(
+        lambda run: run.time[-1],
+        Quantity("simulated time", "s"),
+        RunText("simulated", "{:g} {unit}"),
     ),
-    Metric(
-        path="simulator.step_s",
-        measure=lambda run: run.run.step or run.run.scenario.simulator_config.max_step_size,
-        label="longest step",
-        unit="ms",
-        scale=1e3,
+    "simulator.step_s": Metric(
+        lambda run: run.run.step or run.scenario.simulator_config.max_step_size,
+        Quantity("longest step", "ms", 1e3),
     ),
-    Metric(
-        path="wall_s",
-        measure=lambda run: run.wall_time,
-        label="wall time",
-        unit="s",
-        better=Better.LOWER,
+    "wall_s": Metric(
+        lambda run: run.run.wall_time,
+        Quantity("wall time", "s", better=LOWER),
+        RunText("simulated", "{:.2f} {unit}", " in "),
         is_wall_time=True,
-        run_text=RunText(line="simulated", text="{:.2f} {unit}", separator=" in "),
     ),
-    Metric(
-        path="real_time_factor",
-        measure=lambda run: run.wall_time and run.simulated_time / run.wall_time,
-        label="real-time factor",
-        better=Better.HIGHER,
+    "real_time_factor": Metric(
+        lambda run: run.time[-1] / run.run.wall_time,
+        Quantity("real-time factor", better=HIGHER),
+        RunText("simulated", "({:.1f} x real time)", " "),
         is_wall_time=True,
-        run_text=RunText(line="simulated", text="({:.1f} x real time)", separator=" "),
     ),
-    Metric(
-        path="load.position_error_mean_m",
-        measure=lambda run: float(np.mean(run.position_error)),
-        label="mean position error",
-        unit="mm",
-        scale=1e3,
-        better=Better.LOWER,
-        run_text=RunText(line="load position error", text="mean {:.3g} {unit}"),
-        column=TableColumn(heading=("error (mm)", "mean"), has_change=True),
+    "load.position_error_mean_m": Metric(
+        lambda run: np.mean(run.position_error),
+        Quantity("mean position error", "mm", 1e3, LOWER),
+        RunText("load position error", "mean {:.3g} {unit}"),
+        TableColumn("error (mm)", "mean", has_change=True),
     ),
-    Metric(
-        path="load.position_error_max_m",
-        measure=lambda run: run.largest_position_error,
-        label="largest position error",
-        unit="mm",
-        scale=1e3,
-        better=Better.LOWER,
-        run_text=RunText(line="load position error", text="max {:.3g} {unit}"),
-        column=TableColumn(heading=("error (mm)", "max")),
+    "load.position_error_max_m": Metric(
+        lambda run: np.max(run.position_error),
+        Quantity("largest position error", "mm", 1e3, LOWER),
+        RunText("load position error", "max {:.3g} {unit}"),
+        TableColumn("error (mm)", "max"),
     ),
-    Metric(
-        path="load.position_error_final_m",
-        measure=lambda run: float(run.position_error[-1]),
-        label="final position error",
-        unit="mm",
-        scale=1e3,
-        better=Better.LOWER,
+    "load.position_error_final_m": Metric(
+        lambda run: run.position_error[-1], Quantity("final position error", "mm", 1e3, LOWER)
     ),
-    Metric(
-        path="load.reference_delay_max_s",
-        measure=lambda run: run.reference_delays and run.reference_delays[0],
-        label="largest delay of the reference",
-        unit="s",
-        better=Better.LOWER,
-        run_text=RunText(line="reference", text="late by up to {:.3g} {unit}"),
+    "load.reference_delay_max_s": Metric(
+        lambda run: run.reference_delays and run.reference_delays[0],
+        Quantity("largest delay of the reference", "s", better=LOWER),
+        RunText("reference", "late by up to {:.3g} {unit}"),
     ),
-    Metric(
-        path="load.reference_delay_final_s",
-        measure=lambda run: run.reference_delays and run.reference_delays[1],
-        label="final delay of the reference",
-        unit="s",
-        better=Better.LOWER,
-        run_text=RunText(line="reference", text="{:.3g} {unit} at the end"),
+    "load.reference_delay_final_s": Metric(
+        lambda run: run.reference_delays and run.reference_delays[1],
+        Quantity("final delay of the reference", "s", better=LOWER),
+        RunText("reference", "{:.3g} {unit} at the end"),
     ),
-    Metric(
-        path="load.orientation_error_mean_rad",
-        measure=lambda run: float(np.mean(run.orientation_error)),
-        label="mean orientation error",
-        unit="mrad",
-        scale=1e3,
-        better=Better.LOWER,
-        run_text=RunText(line="load orientation error", text="mean {:.3g} {unit}"),
-        column=TableColumn(heading=("tilt", "mrad")),
+    "load.orientation_error_mean_rad": Metric(
+        lambda run: np.mean(run.orientation_error),
+        Quantity("mean orientation error", "mrad", 1e3, LOWER),
+        RunText("load orientation error", "mean {:.3g} {unit}"),
+        TableColumn("tilt", "mrad"),
     ),
-    Metric(
-        path="load.orientation_error_max_rad",
-        measure=lambda run: run.largest_orientation_error,
-        label="largest orientation error",
-        unit="mrad",
-        scale=1e3,
-        better=Better.LOWER,
-        run_text=RunText(line="load orientation error", text="max {:.3g} {unit}"),
+    "load.orientation_error_max_rad": Metric(
+        lambda run: np.max(run.orientation_error),
+        Quantity("largest orientation error", "mrad", 1e3, LOWER),
+        RunText("load orientation error", "max {:.3g} {unit}"),
     ),
-    Metric(
-        path="carriers.n",
-        measure=lambda run: run.speeds.shape[1],
-        label="number of carriers",
+    "carriers.n": Metric(lambda run: run.speeds.shape[1], Quantity("number of carriers")),
+    "carriers.speed_min_m_s": Metric(
+        lambda run: run.slowest_speed,
+        Quantity("slowest speed", "m/s", better=HIGHER),
+        RunText("carrier speed", "{:.3f}"),
+        TableColumn("slow-", "est"),
     ),
-    Metric(
-        path="carriers.speed_min_m_s",
-        measure=lambda run: run.slowest_speed,
-        label="slowest speed",
-        unit="m/s",
-        better=Better.HIGHER,
-        run_text=RunText(line="carrier speed", text="{:.3f}"),
-        column=TableColumn(heading=("slow-", "est")),
+    "carriers.speed_max_m_s": Metric(
+        lambda run: np.max(run.speeds),
+        Quantity("peak speed", "m/s"),
+        RunText("carrier speed", "{:.3f} {unit}", " to "),
     ),
-    Metric(
-        path="carriers.speed_max_m_s",
-        measure=lambda run: run.peak_speed,
-        label="peak speed",
-        unit="m/s",
-        run_text=RunText(line="carrier speed", text="{:.3f} {unit}", separator=" to "),
+    "carriers.speed_final_m_s": Metric(
+        lambda run: run.speeds[-1].tolist(), Quantity("final speeds", "m/s"), is_list=True
     ),
-    Metric(
-        path="carriers.speed_final_m_s",
-        measure=lambda run: run.speeds[-1].tolist(),
-        label="final speeds",
-        unit="m/s",
-        is_list=True,
+    "carriers.speed_bound_m_s": Metric(
+        lambda run: run.speed_bounds[-1],
+        Quantity("bound on the speed", "m/s"),
+        RunText("carrier speed", "bound {:g} {unit}"),
     ),
-    Metric(
-        path="carriers.speed_bound_m_s",
-        measure=lambda run: float(run.speed_bounds[-1]),
-        label="bound on the speed",
-        unit="m/s",
-        run_text=RunText(line="carrier speed", text="bound {:g} {unit}"),
+    "carriers.time_below_bound_s": Metric(
+        lambda run: run.time_below_bound,
+        Quantity("time below the bound", "s", better=LOWER),
+        RunText("carrier speed", "below it for {:.3g} {unit}"),
+        TableColumn("below (s)", "time", has_change=True),
     ),
-    Metric(
-        path="carriers.time_below_bound_s",
-        measure=lambda run: run.time_below_bound,
-        label="time below the bound",
-        unit="s",
-        better=Better.LOWER,
-        run_text=RunText(line="carrier speed", text="below it for {:.3g} {unit}"),
-        column=TableColumn(heading=("below (s)", "time"), has_change=True),
+    "carriers.separation_min_m": Metric(
+        lambda run: run.carrier_separation,
+        Quantity("closest carriers", "m", better=HIGHER),
+        RunText("closest", "carriers {:g} {unit}", decimals=3),
+        TableColumn("apart (m)", "carr."),
     ),
-    Metric(
-        path="carriers.separation_min_m",
-        measure=lambda run: run.carrier_separation,
-        label="closest carriers",
-        unit="m",
-        better=Better.HIGHER,
-        run_text=RunText(line="closest", text="carriers {:g} {unit}", decimals=3),
-        column=TableColumn(heading=("apart (m)", "carr.")),
+    "carriers.normal_acceleration_max_m_s2": Metric(
+        lambda run: run.sharpest_turn[0], Quantity("largest normal acceleration", "m/s²")
     ),
-    Metric(
-        path="carriers.normal_acceleration_max_m_s2",
-        measure=lambda run: run.sharpest_turn[0],
-        label="largest normal acceleration",
-        unit="m/s²",
+    "carriers.acceleration_max_m_s2": Metric(
+        lambda run: run.largest_acceleration, Quantity("largest acceleration", "m/s²")
     ),
-    Metric(
-        path="carriers.acceleration_max_m_s2",
-        measure=lambda run: run.largest_acceleration,
-        label="largest acceleration",
-        unit="m/s²",
+    "carriers.climb_angle_max_rad": Metric(
+        lambda run: run.steepest_angle, Quantity("steepest climb or descent", "rad")
     ),
-    Metric(
-        path="carriers.climb_angle_max_rad",
-        measure=lambda run: run.steepest_angle,
-        label="steepest climb or descent",
-        unit="rad",
+    "carriers.turn_radius_min_m": Metric(
+        lambda run: run.sharpest_turn[1], Quantity("smallest turn radius", "m")
     ),
-    Metric(
-        path="carriers.turn_radius_min_m",
-        measure=lambda run: run.sharpest_turn[1],
-        label="smallest turn radius",
-        unit="m",
+    "cables.tension_min_N": Metric(
+        lambda run: np.min(run.tensions),
+        Quantity("least tension", "N", better=HIGHER),
+        RunText("tension", "{:.3g}"),
+        TableColumn("least", "N"),
     ),
-    Metric(
-        path="cables.tension_min_N",
-        measure=lambda run: run.least_tension,
-        label="least tension",
-        unit="N",
-        better=Better.HIGHER,
-        run_text=RunText(line="tension", text="{:.3g}"),
-        column=TableColumn(heading=("least", "N")),
+    "cables.tension_max_N": Metric(
+        lambda run: np.max(run.tensions),
+        Quantity("largest tension", "N"),
+        RunText("tension", "{:.3g} {unit}", " to "),
     ),
-    Metric(
-        path="cables.tension_max_N",
-        measure=lambda run: run.largest_tension,
-        label="largest tension",
-        unit="N",
-        run_text=RunText(line="tension", text="{:.3g} {unit}", separator=" to "),
+    "cables.slack_time_s": Metric(
+        lambda run: run.slack_time,
+        Quantity("slack", "s", better=LOWER),
+        RunText("tension", "slack for {:.3g} {unit}"),
+        TableColumn("slack", "s"),
     ),
-    Metric(
-        path="cables.slack_time_s",
-        measure=lambda run: run.slack_time,
-        label="slack",
-        unit="s",
-        better=Better.LOWER,
-        run_text=RunText(line="tension", text="slack for {:.3g} {unit}"),
-        column=TableColumn(heading=("slack", "s")),
+    "cables.separation_min_m": Metric(
+        lambda run: np.min(run.cable_separations),
+        Quantity("closest cables", "m", better=HIGHER),
+        RunText("closest", "cables {:g} {unit}", decimals=3),
+        TableColumn("apart (m)", "cables"),
     ),
-    Metric(
-        path="cables.separation_min_m",
-        measure=lambda run: float(np.min(run.cable_separations)),
-        label="closest cables",
-        unit="m",
-        better=Better.HIGHER,
-        run_text=RunText(line="closest", text="cables {:g} {unit}", decimals=3),
-        column=TableColumn(heading=("apart (m)", "cables")),
+    "aircraft.lift_share_max": Metric(
+        lambda run: np.max(run.aircraft_state.lift / run.aircraft.max_lift),
+        Quantity("largest share of the lift", better=LOWER),
+        RunText("aircraft", "up to {:.3g} of the largest lift"),
     ),
-    Metric(
-        path="aircraft.lift_share_max",
-        measure=lambda run: run.flight.largest_lift_share,
-        label="largest share of the lift",
-        better=Better.LOWER,
-        needs_aircraft=True,
-        run_text=RunText(line="aircraft", text="up to {:.3g} of the largest lift"),
+    "aircraft.airspeed_min_m_s": Metric(
+        lambda run: np.min(run.aircraft_state.airspeed),
+        Quantity("least airspeed", "m/s", better=HIGHER),
+        RunText("aircraft", "airspeed from {:.3g} {unit}"),
     ),
-    Metric(
-        path="aircraft.airspeed_min_m_s",
-        measure=lambda run: run.flight.least_airspeed,
-        label="least airspeed",
-        unit="m/s",
-        better=Better.HIGHER,
-        needs_aircraft=True,
-        run_text=RunText(line="aircraft", text="airspeed from {:.3g} {unit}"),
+    "aircraft.airspeed_above_bound_min_m_s": Metric(
+        lambda run: np.min(run.bounded_speeds - run.speed_bounds[:, None]),
+        Quantity("least airspeed above the bound", "m/s", better=HIGHER),
     ),
-    Metric(
-        path="aircraft.airspeed_above_bound_min_m_s",
-        measure=lambda run: run.least_speed_above_bound,
-        label="least airspeed above the bound",
-        unit="m/s",
-        better=Better.HIGHER,
-        needs_aircraft=True,
+    "aircraft.airspeed_over_stall_min": Metric(
+        lambda run: np.min(run.aircraft_state.airspeed / stall_speed(run.aircraft)),
+        Quantity("least airspeed over the stall speed", better=HIGHER),
+        RunText("aircraft", "({:.3g} x stall", " "),
     ),
-    Metric(
-        path="aircraft.airspeed_over_stall_min",
-        measure=lambda run: run.flight.least_airspeed_over_stall,
-        label="least airspeed over the stall speed",
-        better=Better.HIGHER,
-        needs_aircraft=True,
-        run_text=RunText(line="aircraft", text="({:.3g} x stall", separator=" "),
+    "aircraft.airspeed_over_loaded_stall_min": Metric(
+        lambda run: np.min(run.airspeeds_over_loaded_stall),
+        Quantity("least airspeed over the stall speed with cable and bank", better=HIGHER),
+        RunText("aircraft", "{:.3g} x stall with cable and bank)"),
     ),
-    Metric(
-        path="aircraft.airspeed_over_loaded_stall_min",
-        measure=lambda run: run.flight.least_airspeed_over_loaded_stall,
-        label="least airspeed over the stall speed with cable and bank",
-        better=Better.HIGHER,
-        needs_aircraft=True,
-        run_text=RunText(line="aircraft", text="{:.3g} x stall with cable and bank)"),
+    "aircraft.bank_max_rad": Metric(
+        lambda run: np.max(np.abs(run.aircraft_state.bank)),
+        Quantity("largest bank", "deg", math.degrees(1), LOWER),
+        RunText("aircraft", "bank up to {:.3g} {unit}"),
     ),
-    Metric(
-        path="aircraft.bank_max_rad",
-        measure=lambda run: run.flight.largest_bank,
-        label="largest bank",
-        unit="deg",
-        scale=math.degrees(1),
-        better=Better.LOWER,
-        needs_aircraft=True,
-        run_text=RunText(line="aircraft", text="bank up to {:.3g} {unit}"),
+    "aircraft.thrust_min_N": Metric(
+        lambda run: np.min(run.aircraft_state.thrust),
+        Quantity("least thrust", "N"),
+        RunText("thrust", "{:.3g}"),
     ),
-    Metric(
-        path="aircraft.thrust_min_N",
-        measure=lambda run: run.flight.least_thrust,
-        label="least thrust",
-        unit="N",
-        needs_aircraft=True,
-        run_text=RunText(line="thrust", text="{:.3g}"),
+    "aircraft.thrust_max_N": Metric(
+        lambda run: np.max(run.aircraft_state.thrust),
+        Quantity("largest thrust", "N"),
+        RunText("thrust", "{:.3g} {unit}", " to "),
     ),
-    Metric(
-        path="aircraft.thrust_max_N",
-        measure=lambda run: run.flight.largest_thrust,
-        label="largest thrust",
-        unit="N",
-        needs_aircraft=True,
-        run_text=RunText(line="thrust", text="{:.3g} {unit}", separator=" to "),
+    "aircraft.thrust_share_min": Metric(
+        lambda run: np.min(run.thrust_shares),
+        Quantity("least share of the thrust", "%", 100),
+        RunText("thrust", "{:.3g}", " ("),
     ),
-    Metric(
-        path="aircraft.thrust_share_min",
-        measure=lambda run: run.flight.thrust_shares[0],
-        label="least share of the thrust",
-        unit="%",
-        scale=100,
-        needs_aircraft=True,
-        run_text=RunText(line="thrust", text="{:.3g}", separator=" ("),
+    "aircraft.thrust_share_max": Metric(
+        lambda run: np.max(run.thrust_shares),
+        Quantity("largest share of the thrust", "%", 100, LOWER),
+        RunText("thrust", "{:.3g} {unit} of the largest)", " to "),
     ),
-    Metric(
-        path="aircraft.thrust_share_max",
-        measure=lambda run: run.flight.thrust_shares[1],
-        label="largest share of the thrust",
-        unit="%",
-        scale=100,
-        better=Better.LOWER,
-        needs_aircraft=True,
-        run_text=RunText(line="thrust", text="{:.3g} {unit} of the largest)", separator=" to "),
+    "aircraft.saturated_share": Metric(
+        lambda run: run.saturated_share,
+        Quantity("commands saturated", "% of the time", 100, LOWER),
+        RunText("thrust", "commands saturated for {:.3g} {unit}"),
     ),
-    Metric(
-        path="aircraft.saturated_share",
-        measure=lambda run: run.saturated_share,
-        label="commands saturated",
-        unit="% of the time",
-        scale=100,
-        better=Better.LOWER,
-        needs_aircraft=True,
-        run_text=RunText(line="thrust", text="commands saturated for {:.3g} {unit}"),
+    "aircraft.power_mean_W": Metric(
+        lambda run: np.mean(run.thrust_powers),
+        Quantity("mean power of an aircraft", "W", better=LOWER),
+        RunText("power of an aircraft", "{:.3g} {unit} of thrust"),
     ),
-    Metric(
-        path="aircraft.power_mean_W",
-        measure=lambda run: run.flight.mean_power,
-        label="mean power of an aircraft",
-        unit="W",
-        better=Better.LOWER,
-        needs_aircraft=True,
-        run_text=RunText(line="power of an aircraft", text="{:.3g} {unit} of thrust"),
+    "aircraft.energy_Wh_per_kg_km": Metric(
+        lambda run: run.energy_per_mass_and_distance,
+        Quantity("energy of the transport", "Wh/(kg km)", better=LOWER),
+        RunText("power of an aircraft", "all took {:.3g} {unit}"),
     ),
-    Metric(
-        path="aircraft.energy_Wh_per_kg_km",
-        measure=lambda run: run.flight.energy_per_mass_and_distance,
-        label="energy of the transport",
-        unit="Wh/(kg km)",
-        better=Better.LOWER,
-        needs_aircraft=True,
-        run_text=RunText(line="power of an aircraft", text="all took {:.3g} {unit}"),
+    "optimizer.updates": Metric(
+        lambda run: run.update_counts["updates"],
+        Quantity("updates"),
+        RunText("optimizer", "{} updates", hides_line_at_zero=True),
     ),
-    Metric(
-        path="optimizer.updates",
-        measure=lambda run: run.update_counts["updates"],
-        label="updates",
-        run_text=RunText(line="optimizer", text="{} updates", hides_line_at_zero=True),
+    "optimizer.kept": Metric(
+        lambda run: run.update_counts["kept"],
+        Quantity("updates kept"),
+        RunText("optimizer", "{} kept xi and A", ": "),
     ),
-    Metric(
-        path="optimizer.kept",
-        measure=lambda run: run.update_counts["kept"],
-        label="updates kept",
-        run_text=RunText(line="optimizer", text="{} kept xi and A", separator=": "),
+    "optimizer.solved": Metric(
+        lambda run: run.update_counts["solved"],
+        Quantity("updates solved"),
+        RunText("optimizer", "{} solved"),
     ),
-    Metric(
-        path="optimizer.solved",
-        measure=lambda run: run.update_counts["solved"],
-        label="updates solved",
-        run_text=RunText(line="optimizer", text="{} solved"),
+    "optimizer.relaxed": Metric(
+        lambda run: run.update_counts["relaxed"],
+        Quantity("updates relaxed", better=LOWER),
+        RunText("optimizer", "{} relaxed (not feasible)"),
+        TableColumn("re-", "laxed"),
     ),
-    Metric(
-        path="optimizer.relaxed",
-        measure=lambda run: run.update_counts["relaxed"],
-        label="updates relaxed",
-        better=Better.LOWER,
-        run_text=RunText(line="optimizer", text="{} relaxed (not feasible)"),
-        column=TableColumn(heading=("re-", "laxed")),
+    "optimizer.held": Metric(
+        lambda run: run.update_counts["held"],
+        Quantity("updates held", better=LOWER),
+        RunText("optimizer", "{} held (no solution)"),
     ),
-    Metric(
-        path="optimizer.held",
-        measure=lambda run: run.update_counts["held"],
-        label="updates held",
-        better=Better.LOWER,
-        run_text=RunText(line="optimizer", text="{} held (no solution)"),
-    ),
-    *(
-        Metric(
-            path=f"{group}.missed_limits.{name}",
-            measure=_missed(name),
-            label=f"updates that miss the limit of the {name.replace('_', ' ')}",
-            better=Better.LOWER,
-            needs_aircraft=group == "aircraft",
+    **{
+        f"{group}.missed_limits.{name}": Metric(
+            partial(_missed_updates, limit=name),
+            Quantity(f"updates that miss the limit of the {name.replace('_', ' ')}", better=LOWER),
         )
         for group, names in (
             ("optimizer", [limit.name for limit in LIMITS if not limit.is_of_aircraft]),
             ("aircraft", [BOUND, *(limit.name for limit in LIMITS if limit.is_of_aircraft)]),
         )
         for name in names
-    ),
-    Metric(
-        path="optimizer.solve_time_ms.p50",
-        measure=lambda run: run.solve_times["p50"],
-        label="solve, median",
-        unit="ms",
-        better=Better.LOWER,
+    },
+    "optimizer.solve_time_ms.p50": Metric(
+        lambda run: run.solve_time(0.5),
+        Quantity("solve, median", "ms", better=LOWER),
         is_wall_time=True,
     ),
-    Metric(
-        path="optimizer.solve_time_ms.p99",
-        measure=lambda run: run.solve_times["p99"],
-        label="solve, p99",
-        unit="ms",
-        better=Better.LOWER,
-        is_wall_time=True,
-        column=TableColumn(heading=("p99", "ms")),
-    ),
-    Metric(
-        path="optimizer.solve_time_ms.max",
-        measure=lambda run: run.solve_times["max"],
-        label="solve, max",
-        unit="ms",
-        better=Better.LOWER,
+    "optimizer.solve_time_ms.p99": Metric(
+        lambda run: run.solve_time(0.99),
+        Quantity("solve, p99", "ms", better=LOWER),
+        column=TableColumn("p99", "ms"),
         is_wall_time=True,
     ),
-    Metric(
-        path="optimizer.predicted_speed_margin_m_s",
-        measure=lambda run: run.predicted_margin,
-        label="computed margin of the speed",
-        unit="mm/s",
-        scale=1e3,
-        better=Better.LOWER,
+    "optimizer.solve_time_ms.max": Metric(
+        lambda run: run.solve_time(1.0),
+        Quantity("solve, max", "ms", better=LOWER),
+        is_wall_time=True,
     ),
-    Metric(
-        path="optimizer.predicted_speed_margin_of_bound",
-        measure=lambda run: run.share_of_bound(run.predicted_margin),
-        label="computed margin over the bound",
-        better=Better.LOWER,
+    "optimizer.predicted_speed_margin_m_s": Metric(
+        lambda run: run.predicted_margin,
+        Quantity("computed margin of the speed", "mm/s", 1e3, LOWER),
     ),
-    Metric(
-        path="optimizer.measured_speed_margin_m_s",
-        measure=lambda run: run.measured_margin,
-        label="largest shortfall of a speed",
-        unit="mm/s",
-        scale=1e3,
-        better=Better.LOWER,
+    "optimizer.predicted_speed_margin_of_bound": Metric(
+        lambda run: run.share_of_bound(run.predicted_margin),
+        Quantity("computed margin over the bound", better=LOWER),
     ),
-    Metric(
-        path="optimizer.measured_speed_margin_of_bound",
-        measure=lambda run: run.share_of_bound(run.measured_margin),
-        label="largest shortfall over the bound",
-        better=Better.LOWER,
+    "optimizer.measured_speed_margin_m_s": Metric(
+        lambda run: run.measured_margin,
+        Quantity("largest shortfall of a speed", "mm/s", 1e3, LOWER),
     ),
-    Metric(
-        path="optimizer.xi_final_rad_s",
-        measure=lambda run: float(run.final_parameters.frequency[0]),
-        label="final ξ",
-        unit="rad/s",
+    "optimizer.measured_speed_margin_of_bound": Metric(
+        lambda run: run.share_of_bound(run.measured_margin),
+        Quantity("largest shortfall over the bound", better=LOWER),
     ),
-    Metric(
-        path="optimizer.A_final_N",
-        measure=lambda run: float(run.final_parameters.amplitude[0]),
-        label="final A",
-        unit="N",
+    "optimizer.xi_final_rad_s": Metric(
+        lambda run: run.run.signal("parameters")[-1, 0], Quantity("final ξ", "rad/s")
     ),
-)
+    "optimizer.A_final_N": Metric(
+        lambda run: run.run.signal("parameters")[-1, 1], Quantity("final A", "N")
+    ),
+}
+METRICS = tuple(metric._replace(path=path) for path, metric in _ROWS.items())
 
 
 def metric_at(path: str) -> Metric:
@@ -632,11 +464,11 @@ def in_brief(sentences: Sequence[str]) -> str:
 
 
 def metrics_table(metrics: Mapping[str, Any]) -> str:
-    """The metrics of a run that have a `run_text`, some in each line, for a terminal."""
+    """The metrics of a run that have a `text`, some in each line, for a terminal."""
     lines: dict[str, str] = {}
     hidden = set()
     for metric in METRICS:
-        part, value = metric.run_text, metric.shown(metric.value(metrics))
+        part, value = metric.text, metric.shown(metric.value(metrics))
         if part is None or value is None or value == []:
             continue
         if metric.is_list:
@@ -646,6 +478,6 @@ def metrics_table(metrics: Mapping[str, Any]) -> str:
         if part.decimals is not None:
             value = round(value, part.decimals)
         start = f"{lines[part.line]}{part.separator}" if part.line in lines else ""
-        lines[part.line] = start + part.text.format(value, unit=metric.unit)
+        lines[part.line] = start + part.text.format(value, unit=metric.quantity.unit)
     shown = (item for item in lines.items() if item[0] not in hidden)
     return "\n".join(f"{name:{_NAME_WIDTH}}{text}" for name, text in shown)

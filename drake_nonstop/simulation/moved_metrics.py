@@ -46,14 +46,14 @@ class Move:
     finer: float | None  # of that with shorter steps
 
     def __str__(self) -> str:
-        return f"{self.metric.label}: {self.shown}"
+        return f"{self.metric.quantity.label}: {self.shown}"
 
     @property
     def shown(self) -> str:
         """Such as "0.262 N, and 0.696 N"."""
         values = [self.metric.shown(value) for value in (self.value, self.finer)]
-        unit = f" {self.metric.unit}" if self.metric.unit else ""
-        return ", ".join("none" if v is None else f"{v:.4g}{unit}" for v in values)
+        unit = self.metric.quantity.unit
+        return ", ".join("none" if v is None else f"{v:.4g} {unit}".rstrip() for v in values)
 
 
 def moved_metrics(

@@ -8,6 +8,8 @@ import math
 from dataclasses import dataclass
 from functools import partial
 
+import numpy as np
+
 from drake_nonstop.analysis.limit import DISTANCE_LIMITS, Limit, RunOutcome
 from drake_nonstop.mechanics.aircraft import stall_speed
 from drake_nonstop.optimization.limits import LIMITS as ASKED
@@ -31,7 +33,7 @@ LIMITS = (
         outcome=RunOutcome.LOAD_LOST,
         sentence="the load was {} from its reference",
         unit="m",
-        measure=lambda run: run.largest_position_error,
+        measure=lambda run: float(np.max(run.position_error)),
         share_of=lambda run: run.reach,
         whole="the reach",
         default=0.2,
@@ -42,7 +44,7 @@ LIMITS = (
         outcome=RunOutcome.LOAD_LOST,
         sentence="the load was turned by {} from its reference",
         unit="rad",
-        measure=lambda run: run.largest_orientation_error,
+        measure=lambda run: float(np.max(run.orientation_error)),
         default=0.8,
         aircraft_default=math.radians(15.0),
     ),
@@ -74,7 +76,7 @@ LIMITS = (
         path="limits.speed",
         sentence="not plausible: a carrier flew at {}",
         unit="m/s",
-        measure=lambda run: run.peak_speed,
+        measure=lambda run: float(np.max(run.speeds)),
     ),
     Limit(
         path="limits.acceleration",
@@ -86,8 +88,8 @@ LIMITS = (
         path="limits.tension",
         sentence="not plausible: a cable's tension rose to {}",
         unit="N",
-        measure=lambda run: run.largest_tension,
-        share_of=lambda run: run.load_weight,
+        measure=lambda run: float(np.max(run.tensions)),
+        share_of=lambda run: run.system.load_mass * run.system.gravity,
         whole="the weight",
     ),
     # What blocks are asked for. They command it; what is simulated follows with an error.
@@ -139,8 +141,7 @@ def _told(run: RunQuantities) -> str:
     """The sentence about the first stall."""
     stall, aircraft = run.first_stall, run.aircraft
     assert stall is not None
-    assert aircraft is not None
-    ends = run.run.steps["time"][-1] < run.run.scenario.simulation_duration
+    ends = run.time[-1] < run.scenario.simulation_duration
     end = ", where the run ended" if ends and not run.run.stopped else ""
     return (
         f"carrier {stall.carrier} stalled at t = {stall.time:.3f} s{end}: C_L was "

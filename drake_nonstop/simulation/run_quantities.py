@@ -10,18 +10,24 @@ from numpy.typing import NDArray
 
 from drake_nonstop.analysis.limit_along import LimitAlong
 from drake_nonstop.analysis.separations import Spacing, least_length
-from drake_nonstop.mechanics.aircraft import Aircraft, is_stalled
+from drake_nonstop.mechanics.aircraft import (
+    Aircraft,
+    airspeed_over_loaded_stall,
+    is_stalled,
+    thrust_power,
+    thrust_share,
+)
+from drake_nonstop.mechanics.planned_orbit import FlightNeeds
 from drake_nonstop.mechanics.rotation import (
     quaternion_conjugate,
     quaternion_product,
     rotation_matrix,
     rotation_vector,
 )
-from drake_nonstop.mechanics.signals import AircraftState, CarrierStates, Parameters, Pose
+from drake_nonstop.mechanics.signals import AircraftState, CarrierStates, LoadReference, Pose
 from drake_nonstop.model.system import SystemParameters, aircraft_in, overridden
 from drake_nonstop.optimization.diagnostics import Diagnostics
 from drake_nonstop.optimization.limits import Limit, Of, asked
-from drake_nonstop.simulation.aircraft_quantities import AircraftQuantities, has_aircraft
 from drake_nonstop.simulation.planned_shortfall import largest_shortfall
 from drake_nonstop.simulation.run import Run
 from drake_nonstop.simulation.signal_table import UnknownSignalError
@@ -32,7 +38,8 @@ _UPDATE_COUNTS = ("updates", "kept", "solved", "relaxed", "held")
 _CHUNK = 10_000  # rows that are computed at a time: their temporary arrays are small
 _SMALL_TURN = math.cos(0.2)  # of a velocity between two steps
 _TURN = 0.1  # s, over which a turn and an acceleration are measured
-_SOLVE_TIME_QUANTILES = {"p50": 0.5, "p99": 0.99, "max": 1.0}
+_MOVING = 1e-6  # m/s, of the load's reference; slower it rests
+_J_PER_KG_M = 1 / 3.6  # in Wh per kg and km
 
 
 class Stall(NamedTuple):
@@ -45,9 +52,12 @@ class Stall(NamedTuple):
 
 
 class RunQuantities(Spacing):
-    """The quantities of a run that metrics are made from, each computed once.
+    """The quantities of a run that metrics and figures are made from, each computed once.
 
-    k is the number of steps, n that of the carriers.
+    k is the number of steps, n that of the carriers. Quantities of aircraft are those of the
+    simulated ones, where the carriers are some. The power of an aircraft is that of its thrust,
+    T V, none where it windmills; the motor takes it from the battery with the aircraft's
+    efficiency.
     """
 
     def __init__(self, run: Run):
@@ -59,30 +69,20 @@ class RunQuantities(Spacing):
         """The instants (k,) of the steps, s."""
         return self.run.steps["time"]
 
-    @property
-    def simulated_time(self) -> float:
-        """The time of the last step, s."""
-        return float(self.time[-1])
-
-    @property
-    def wall_time(self) -> float | None:
-        """Of the simulation, s; None: unknown."""
-        return None if math.isnan(self.run.wall_time) else self.run.wall_time
-
     @cached_property
     def position_error(self) -> NDArray:
         """The load's distance (samples,) from its reference at 100 Hz, m."""
-        return np.linalg.norm(self._load_errors[0], axis=1)
+        return _norms(self._load_errors[0])
 
     @cached_property
     def orientation_error(self) -> NDArray:
         """The load's angle (samples,) to its reference at 100 Hz, rad."""
-        return np.linalg.norm(self._load_errors[1], axis=1)
+        return _norms(self._load_errors[1])
 
     @cached_property
     def reference_delays(self) -> tuple[float, float] | None:
         """How late a governor has the reference at most, and at the end, s; None: there is none."""
-        if self.run.scenario.reference_governor is None:
+        if self.scenario.reference_governor is None:
             return None
         if not any(name.endswith(".reference_delay") for name in self.run.signals):
             return 0.0, 0.0  # the trajectory is left as it is
@@ -110,61 +110,23 @@ class RunQuantities(Spacing):
 
     @cached_property
     def speed_bounds(self) -> NDArray:
-        """The ε (k,), m/s."""
-        return speed_bounds(self.run)
-
-    @property
-    def has_aircraft(self) -> bool:
-        """Whether the carriers are aircraft."""
-        return has_aircraft(self.run)
-
-    @cached_property
-    def flight(self) -> AircraftQuantities:
-        """How the aircraft flew, where the carriers are aircraft."""
-        return AircraftQuantities(self.run)
+        """The ε (k,), m/s, that was asked for; it may change during a live run."""
+        if "speed_bound" in self.run.steps:
+            return self.run.steps["speed_bound"][:, 0]
+        return np.full(len(self.time), self.scenario.speed_bound)
 
     @cached_property
     def saturated_share(self) -> float | None:
         """The share of the time with a command of any aircraft at its limit; None: unknown."""
         flags = self.run.steps.get("command_saturation")
-        if flags is None or self.simulated_time == 0:
+        if flags is None or self.time[-1] == 0:
             return None
-        return self.duration_of(np.any(flags > 0.5, axis=1)) / self.simulated_time
+        return self.duration_of(np.any(flags > 0.5, axis=1)) / float(self.time[-1])
 
     @cached_property
     def system(self) -> SystemParameters:
         """The simulated load, cables and carriers."""
-        return overridden(self.run.scenario.system, self.run.scenario.simulated)
-
-    @property
-    def load_weight(self) -> float:
-        """N."""
-        return self.system.load_mass * self.system.gravity
-
-    @cached_property
-    def largest_position_error(self) -> float:
-        """The largest distance of the load from its reference, m."""
-        return float(np.max(self.position_error))
-
-    @cached_property
-    def largest_orientation_error(self) -> float:
-        """The largest angle of the load to its reference, rad."""
-        return float(np.max(self.orientation_error))
-
-    @cached_property
-    def peak_speed(self) -> float:
-        """Of any carrier, m/s."""
-        return float(np.max(self.speeds))
-
-    @cached_property
-    def least_tension(self) -> float:
-        """Of any cable, N."""
-        return float(np.min(self.tensions))
-
-    @cached_property
-    def largest_tension(self) -> float:
-        """Of any cable, N."""
-        return float(np.max(self.tensions))
+        return simulated_system(self.run)
 
     @cached_property
     def slowest_speed(self) -> float:
@@ -173,18 +135,13 @@ class RunQuantities(Spacing):
         Where a velocity turns far in a step it changes linearly there. Elsewhere a chord would be
         slower than its arc, and the speed between two steps is within 0.5 % of theirs.
         """
-        velocities, speeds = self.carrier_velocities, self.speeds
-        least = float(np.min(speeds))
-        for start in range(0, len(speeds) - 1, _CHUNK):
-            ends = slice(start, start + _CHUNK), slice(start + 1, start + _CHUNK + 1)
-            after = velocities[ends[1]]
-            before = velocities[ends[0]][: len(after)]
+        least = float(np.min(self.speeds))
+        for velocities in _overlapping_chunks(self.carrier_velocities):
+            before, after, speeds = velocities[:-1], velocities[1:], _norms(velocities)
             products = (before * after).sum(axis=-1)
-            lengths = speeds[ends[0]][: len(after)] * speeds[ends[1]]
-            turns_far = products < _SMALL_TURN * lengths
+            turns_far = products < _SMALL_TURN * (speeds[:-1] * speeds[1:])
             if np.any(turns_far):
-                turning = np.stack([before[turns_far], after[turns_far]])
-                least = min(least, least_length(turning))
+                least = min(least, least_length(np.stack([before[turns_far], after[turns_far]])))
         return least
 
     @cached_property
@@ -193,11 +150,7 @@ class RunQuantities(Spacing):
 
         It is where the velocity is, or where the derivative of its slope is zero in between.
         """
-        velocities = self.carrier_velocities
-        return max(
-            _steepest_angle(velocities[i : i + _CHUNK + 1])
-            for i in range(0, max(1, len(velocities) - 1), _CHUNK)
-        )
+        return max(map(_steepest_angle, _overlapping_chunks(self.carrier_velocities)))
 
     @cached_property
     def largest_acceleration(self) -> float | None:
@@ -244,57 +197,117 @@ class RunQuantities(Spacing):
             forces = self.run.signal("carrier_forces")
         except KeyError:  # nothing in the loop makes it
             return None
-        return float(np.max(np.linalg.norm(forces.reshape(len(forces), -1, 3), axis=2)))
+        return float(np.max(_norms(forces.reshape(len(forces), -1, 3))))
 
     @cached_property
-    def aircraft(self) -> Aircraft | None:
+    def has_aircraft(self) -> bool:
+        """Whether the carriers are aircraft, whose state the run has."""
+        ports = {name.partition(".")[2] for name in self.run.signals}
+        return self.system.aircraft is not None and "aircraft_state" in ports
+
+    @cached_property
+    def aircraft(self) -> Aircraft:
         """The simulated aircraft, where the carriers are some."""
-        return aircraft_in(self.system)
+        aircraft = aircraft_in(self.system)
+        assert aircraft is not None
+        return aircraft
+
+    @cached_property
+    def aircraft_state(self) -> AircraftState:
+        """Lift coefficient with that of gusts, bank, thrust and airspeed, (k, n) each."""
+        return AircraftState.view(self.run.steps["aircraft_state"])
+
+    @cached_property
+    def aircraft_needs(self) -> FlightNeeds:
+        """What limits of aircraft hold for, (k, n) each, as it was flown; forces are not known.
+
+        The climb is that through the air, of winds that change linearly between samples.
+        """
+        rise, state = self.carrier_velocities[..., 2], self.aircraft_state
+        try:
+            winds = self.run.signal("wind")[:, 2::3].T
+        except UnknownSignalError:
+            winds = np.zeros((0, 0))
+        if np.any(winds):
+            winds = np.array([np.interp(self.time, self.run.time, wind) for wind in winds])
+            rise = rise - winds.T
+        return FlightNeeds(
+            airspeed=state.airspeed,
+            force=np.full(rise.shape, np.nan),
+            lift=state.lift,
+            bank=state.bank,
+            climb=np.arcsin((rise / np.maximum(state.airspeed, _MOVING)).clip(-1, 1)),
+            thrust=state.thrust,
+        )
+
+    @property
+    def airspeeds_over_loaded_stall(self) -> NDArray:
+        """The airspeeds (k, n) over the stall speed at the load factor, with cable and bank."""
+        lift, _, thrust, airspeed = self.aircraft_state
+        return airspeed_over_loaded_stall(self.aircraft, airspeed, lift, thrust)
+
+    @property
+    def thrust_shares(self) -> NDArray:
+        """The thrusts (k, n) over the largest at their airspeeds."""
+        return thrust_share(self.aircraft, self.aircraft_state.thrust, self.aircraft_state.airspeed)
+
+    @cached_property
+    def thrust_powers(self) -> NDArray:
+        """The powers of the aircrafts' thrust, (samples, n), at 100 Hz, W."""
+        state = AircraftState.view(self.run.signal("aircraft_state"))
+        return thrust_power(state.thrust, state.airspeed)
+
+    @property
+    def energy_per_mass_and_distance(self) -> float | None:
+        """From the batteries of all aircraft while the load's reference moves, Wh/(kg km).
+
+        Per mass of the load and length of its reference's path; None where it rests all the time.
+        """
+        speeds = _norms(LoadReference.view(self.run.signal("reference")).velocity)
+        moves = speeds > _MOVING
+        if not np.any(moves):
+            return None
+        power = self.thrust_powers[moves].sum(axis=1).mean() / self.aircraft.efficiency
+        return float(_J_PER_KG_M * power / (self.system.load_mass * speeds[moves].mean()))
 
     @cached_property
     def first_stall(self) -> Stall | None:
         """The first stall of an aircraft; None: there was none, or there are no aircraft."""
-        shown = self.run.steps.get("aircraft_state")
-        if self.aircraft is None or shown is None:
+        if not self.has_aircraft:
             return None
-        stalled = is_stalled(self.aircraft, shown)
+        stalled = is_stalled(self.aircraft, self.run.steps["aircraft_state"])
         if not np.any(stalled):
             return None
         k = int(np.argmax(np.any(stalled, axis=1)))
         i = int(np.argmax(stalled[k]))
-        state = AircraftState.view(shown[k])
         return Stall(
-            time=float(self.run.steps["time"][k]),
+            time=float(self.time[k]),
             carrier=i + 1,
-            lift=float(state.lift[i]),
-            airspeed=float(state.airspeed[i]),
+            lift=float(self.aircraft_state.lift[k, i]),
+            airspeed=float(self.aircraft_state.airspeed[k, i]),
         )
 
     @cached_property
     def bounded_speeds(self) -> NDArray:
         """The speeds (k, n), m/s, that ε bounds: of aircraft through the air, else over ground."""
-        return self.flight.state.airspeed if self.has_aircraft else self.speeds
+        return self.aircraft_state.airspeed if self.has_aircraft else self.speeds
 
     @cached_property
     def time_below_bound(self) -> float:
         """For how long a carrier was below ε, s."""
         return self.duration_of(np.any(self.bounded_speeds < self.speed_bounds[:, None], axis=1))
 
-    @cached_property
-    def least_speed_above_bound(self) -> float:
-        """The least of any carrier's speed, of `bounded_speeds`, minus ε, m/s."""
-        return float(np.min(self.bounded_speeds - self.speed_bounds[:, None]))
-
     def limited_by(self, limit: Limit) -> NDArray | None:
         """What a limit holds for (k, c), in its unit, of carriers or pairs; None: unknown."""
         if limit.of is Of.SEPARATION:
             pairs = np.array(np.triu_indices(self.carrier_positions.shape[1], 1))
-            return in_chunks(
+            return _in_chunks(
                 lambda at: _norms(at[:, pairs[0]] - at[:, pairs[1]]), self.carrier_positions
             )
         if limit.is_of_aircraft:
-            flight = self.flight if self.has_aircraft else None
-            return None if flight is None else limit.values(flight.aircraft, flight.needs)
+            if not self.has_aircraft:
+                return None
+            return limit.values(self.aircraft, self.aircraft_needs)
         return self.bounded_speeds if limit.of is Of.SPEED else self.tensions
 
     @property
@@ -302,7 +315,7 @@ class RunQuantities(Spacing):
         """The limits that the layer is asked for, of what the run has."""
         rows = [
             (limit, stated, self.limited_by(limit))
-            for limit, stated in asked(self.run.scenario.optimization_layer)
+            for limit, stated in asked(self.scenario.optimization_layer)
         ]
         return [LimitAlong(row, at, self.time, v) for row, at, v in rows if v is not None]
 
@@ -340,9 +353,9 @@ class RunQuantities(Spacing):
     def attachment_positions(self) -> NDArray:
         """Where the cables are attached to the load, (k, n, 3), in W, m."""
         load_states = self.run.steps["load_state"]
-        return in_chunks(lambda states: attachment_positions(self.run, states), load_states)
+        return _in_chunks(lambda states: attachment_positions(self.run, states), load_states)
 
-    @cached_property
+    @property
     def predicted_margin(self) -> float | None:
         """The margin (m/s) that was computed for the optimization layer, if one was."""
         margin = getattr(self.run.diagram, "speed_margin", None)
@@ -369,19 +382,10 @@ class RunQuantities(Spacing):
         diagnostics = Diagnostics.view(self.run.steps["diagnostics"][-1])
         return {name: _count(getattr(diagnostics, name)) for name in _UPDATE_COUNTS}
 
-    @cached_property
-    def solve_times(self) -> dict[str, float | None]:
-        """Quantiles of the wall time of an update, ms; None where nothing was solved."""
-        if not len(self.run.solve_times):
-            return dict.fromkeys(_SOLVE_TIME_QUANTILES)
-        shares = list(_SOLVE_TIME_QUANTILES.values())
-        quantiles = (1e3 * np.quantile(self.run.solve_times, shares)).tolist()
-        return dict(zip(_SOLVE_TIME_QUANTILES, quantiles, strict=True))
-
-    @cached_property
-    def final_parameters(self) -> Parameters:
-        """ξ (1,), rad/s, and A (1,), N."""
-        return Parameters.view(self.run.signal("parameters")[-1])
+    def solve_time(self, share: float) -> float | None:
+        """A quantile of the wall time of an update, ms; None where nothing was solved."""
+        times = self.run.solve_times
+        return 1e3 * float(np.quantile(times, share)) if len(times) else None
 
     def duration_of(self, condition: NDArray) -> float:
         """For how long (s) a condition (k,) holds; a step stands for half its two intervals."""
@@ -403,7 +407,7 @@ def load_errors(run: Run) -> tuple[NDArray, NDArray]:
     The orientation error is the rotation vector from the reference to the load, in L; its
     norm is the angle between the two.
     """
-    errors = in_chunks(_load_errors, run.signal("load_state"), run.signal("reference"))
+    errors = _in_chunks(_load_errors, run.signal("load_state"), run.signal("reference"))
     return errors[:, :3], errors[:, 3:]
 
 
@@ -417,7 +421,7 @@ def _load_errors(load_states: NDArray, references: NDArray) -> NDArray:
 
 def carrier_speeds(carrier_state: NDArray) -> NDArray:
     """Speeds (k, n) in m/s of carrier states (k, 6n)."""
-    return in_chunks(_norms, CarrierStates.view(carrier_state).velocities)
+    return _in_chunks(_norms, CarrierStates.view(carrier_state).velocities)
 
 
 def _norms(vectors: NDArray) -> NDArray:
@@ -435,27 +439,29 @@ def _steepest_angle(velocities: NDArray) -> float:
     shares = (numerator / np.where(denominator == 0, np.inf, denominator)).clip(0, 1)
     between = starts + shares[..., None] * changes
     candidates = np.concatenate([velocities, between])
-    level_speeds = np.linalg.norm(candidates[..., :2], axis=-1)
-    return float(np.max(np.arctan2(np.abs(candidates[..., 2]), level_speeds)))
+    return float(np.max(np.arctan2(np.abs(candidates[..., 2]), _norms(candidates[..., :2]))))
 
 
-def in_chunks(function: Callable[..., NDArray], *arrays: NDArray) -> NDArray:
+def _overlapping_chunks(values: NDArray) -> Iterator[NDArray]:
+    """The rows, a few at a time; the last of some is the first of the next."""
+    for start in range(0, max(1, len(values) - 1), _CHUNK):
+        yield values[start : start + _CHUNK + 1]
+
+
+def _in_chunks(function: Callable[..., NDArray], *arrays: NDArray) -> NDArray:
     """`function(*arrays)`, a few rows at a time; its rows depend on those of the arrays only."""
     starts = range(0, max(len(arrays[0]), 1), _CHUNK)
     parts = [function(*(array[i : i + _CHUNK] for array in arrays)) for i in starts]
     return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
-def speed_bounds(run: Run) -> NDArray:
-    """The ε (m/s) that was asked for at every step (steps,); it may change during a live run."""
-    if "speed_bound" in run.steps:
-        return run.steps["speed_bound"][:, 0]
-    return np.full(len(run.steps["time"]), run.scenario.speed_bound)
-
-
 def attachment_positions(run: Run, load_states: NDArray) -> NDArray:
     """The simulated attachment points (k, n, 3), in W, for load states (k, 13)."""
-    system = overridden(run.scenario.system, run.scenario.simulated)
     quaternions, positions = Pose.view(load_states)
     R_WL = rotation_matrix(quaternions)
-    return positions[:, None] + np.array(system.attachments) @ R_WL.swapaxes(1, 2)
+    return positions[:, None] + np.array(simulated_system(run).attachments) @ R_WL.swapaxes(1, 2)
+
+
+def simulated_system(run: Run) -> SystemParameters:
+    """The load, cables and carriers that were simulated."""
+    return overridden(run.scenario.system, run.scenario.simulated)

@@ -153,7 +153,7 @@ def robustness_settings(scenario: Scenario, seed: int) -> str:
 
 def robustness_table(cases: Sequence[Case]) -> str:
     """A line per case in aligned columns, for a terminal, and below it what is said of its run."""
-    errors_heading = f"e_p mean / final, {POSITION_ERROR_MEAN.unit}"
+    errors_heading = f"e_p mean / final, {POSITION_ERROR_MEAN.quantity.unit}"
     columns = errors_heading, "slowest - bound", "below", "slack"
     lines = ["{:42} {:>20} {:>16} {:>8} {:>8}  outcome".format("error", *columns)]
     for case in cases:
@@ -168,8 +168,8 @@ def robustness_table(cases: Sequence[Case]) -> str:
         )
         errors = f"{mean:.3g} / {final:.3g}"
         lines.append(
-            f"{case.name:42} {errors:>20} {case.speed_margin:+12.3f} {_SLOWEST_SPEED.unit} "
-            f"{below:6.3g} {_TIME_BELOW_BOUND.unit} {slack:6.3g} {_SLACK_TIME.unit}"
+            f"{case.name:42} {errors:>20} {case.speed_margin:+12.3f} m/s "
+            f"{below:6.3g} s {slack:6.3g} s"
             f"  {case.metrics.get('outcome', '-')}"
             f"{'' if case.ending == COMPLETED else f'  {case.ending}'}"
         )

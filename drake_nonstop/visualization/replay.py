@@ -15,11 +15,13 @@ from numpy.typing import NDArray
 from pydrake.geometry import Meshcat, MeshcatAnimation
 
 from drake_nonstop.mechanics.signals import SIGNAL_PERIOD, AircraftState
-from drake_nonstop.model.system import overridden
 from drake_nonstop.scenario.scene_config import SceneConfig
-from drake_nonstop.simulation.aircraft_quantities import AircraftQuantities, has_aircraft
 from drake_nonstop.simulation.run import Run
-from drake_nonstop.simulation.run_quantities import carrier_speeds
+from drake_nonstop.simulation.run_quantities import (
+    RunQuantities,
+    carrier_speeds,
+    simulated_system,
+)
 from drake_nonstop.simulation.signal_table import UnknownSignalError
 from drake_nonstop.visualization.canvas import RecordingCanvas
 from drake_nonstop.visualization.decimation import MOST_POINTS, extreme_samples
@@ -51,7 +53,7 @@ def record_replay(run: Run, *, frame_rate: float | None = None) -> str:
     Raises:
         ScenarioError: a field of the scenario's scene is out of range.
     """
-    system = overridden(run.scenario.system, run.scenario.simulated)
+    system = simulated_system(run)
     scene = Scene(system, run.scenario.scene)
     if frame_rate is None:
         frame_rate = _affordable_rate(len(run.time), len(system.attachments))
@@ -155,11 +157,11 @@ def _overlay(run: Run, config: SceneConfig, snapshots: list[Snapshot], frame_rat
     times = np.array([snapshot.time - start for snapshot in snapshots])
     bounds = np.array([float(snapshot.speed_bound) for snapshot in snapshots])
     end = np.searchsorted(run.time, snapshots[-1].time, side="right")
-    is_of_aircraft = has_aircraft(run)
-    if is_of_aircraft:
+    quantities = RunQuantities(run)
+    if quantities.has_aircraft:
         bounds = np.ones(len(times))
         state = AircraftState.view(run.signal("aircraft_state")[:end])
-        values = stall_shares(AircraftQuantities(run).aircraft, state).max(axis=1)
+        values = stall_shares(quantities.aircraft, state).max(axis=1)
         judged = "black: the aircraft nearest to its stall, by lift or airspeed; dashed: the stall"
     else:
         values = carrier_speeds(run.signal("carrier_state")[:end]).min(axis=1)
@@ -174,7 +176,7 @@ def _overlay(run: Run, config: SceneConfig, snapshots: list[Snapshot], frame_rat
     page = resources.files("drake_nonstop.visualization").joinpath("replay_overlay.html")
     return Template(page.read_text(encoding="utf-8")).substitute(
         title=html.escape(run.scenario.name),
-        legend=legend(config, has_aircraft=is_of_aircraft),
+        legend=legend(config, has_aircraft=quantities.has_aircraft),
         duration=f"{duration:g}",
         top=top,
         judged=_polyline(run.time[shown] - start, values[shown]),

@@ -10,15 +10,14 @@ from numpy.typing import NDArray
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RollPitchYaw
 
+from drake_nonstop.mechanics.aircraft import stall_speed, thrust_limits
 from drake_nonstop.mechanics.signals import CarrierStates, LoadState
-from drake_nonstop.simulation.aircraft_quantities import AircraftQuantities, has_aircraft
 from drake_nonstop.simulation.run import Run
 from drake_nonstop.simulation.run_quantities import (
     RunQuantities,
     attachment_positions,
     carrier_speeds,
     load_errors,
-    speed_bounds,
 )
 from drake_nonstop.visualization.decimation import extreme_samples
 from drake_nonstop.visualization.figure_style import LINE_STYLES, new_figure, titled
@@ -85,10 +84,10 @@ def _draw_load_orientation_error(run: Run) -> Figure:
 
 def _draw_carrier_speeds(run: Run) -> Figure:
     figure, axes = _single()
-    speeds = carrier_speeds(run.steps["carrier_state"])
-    _plot_each(axes, run.steps["time"], speeds, "carrier")
-    bounds = speed_bounds(run)
-    _plot(axes, run.steps["time"], bounds, color="green", linestyle="--", label="bound ε")
+    quantities = RunQuantities(run)
+    time, bounds = quantities.time, quantities.speed_bounds
+    _plot_each(axes, time, quantities.speeds, "carrier")
+    _plot(axes, time, bounds, color="green", linestyle="--", label="bound ε")
     axes.set_ylim(bottom=0)
     axes.set_xlabel("time (s)")
     axes.set_ylabel("carrier speed (m/s)")
@@ -106,18 +105,18 @@ def _draw_tensions(run: Run) -> Figure:
 
 
 def _draw_aircraft(run: Run) -> Figure:
-    aircraft = AircraftQuantities(run)
-    time, state = run.steps["time"], aircraft.state
+    quantities = RunQuantities(run)
+    time, state, aircraft = quantities.time, quantities.aircraft_state, quantities.aircraft
     figure, (lift, bank, thrust, airspeed) = _stacked(4)
     for axes, values, label in (
-        (lift, aircraft.lift_shares, "$C_L$ / $C_{L,max}$"),
+        (lift, state.lift / aircraft.max_lift, "$C_L$ / $C_{L,max}$"),
         (bank, np.degrees(state.bank), "bank (°)"),
         (thrust, state.thrust, "thrust (N)"),
-        (airspeed, aircraft.airspeeds_over_stall, "airspeed / stall speed"),
+        (airspeed, state.airspeed / stall_speed(aircraft), "airspeed / stall speed"),
     ):
         _plot_each(axes, time, values, "aircraft")
         axes.set_ylabel(label)
-    for limits in aircraft.thrust_limits:
+    for limits in thrust_limits(aircraft, state.airspeed):
         for i, limit in enumerate(limits.T):
             _plot(thrust, time, limit, color=f"C{i}", linewidth=0.7, linestyle=":")
     for axes in (lift, airspeed):
@@ -156,7 +155,7 @@ _FIGURES: tuple[Callable[[Run], Figure], ...] = (
 FIGURE_NAMES = tuple(draw.__name__.removeprefix("_draw_") for draw in _FIGURES)
 # Figures that some runs have, and whether a run is one of them.
 _SOME: dict[str, Callable[[Run], bool]] = {
-    "aircraft": has_aircraft,
+    "aircraft": lambda run: RunQuantities(run).has_aircraft,
     "limits": lambda run: bool(RunQuantities(run).limits),
 }
 

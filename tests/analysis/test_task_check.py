@@ -143,7 +143,7 @@ def test_a_load_that_turns_with_its_aircraft_is_judged_at_the_rates_of_its_layer
     np.testing.assert_allclose(predicted, flown, rtol=5e-3)
     found = check_speeds(task)
     assert found.is_feasible
-    least = RunQuantities(run).flight.least_airspeed
+    least = RunQuantities(run).aircraft_state.airspeed.min()
     assert found.least * found.speed_bound == pytest.approx(least, rel=0.01)
     assert {each.limit.field for each in found.limits} > {"max_lift_share", "max_bank"}
     strict = dataclasses.replace(task, limits=dataclasses.replace(task.limits, max_bank=0.05))

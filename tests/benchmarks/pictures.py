@@ -16,9 +16,8 @@ from PIL import Image
 from benchmarks.browser import open_browser
 from drake_nonstop.analysis.aircraft_margins import aircraft_margins
 from drake_nonstop.scenario.loading import load_scenario
-from drake_nonstop.simulation.aircraft_quantities import AircraftQuantities
 from drake_nonstop.simulation.run import Run
-from drake_nonstop.simulation.run_quantities import carrier_speeds, speed_bounds
+from drake_nonstop.simulation.run_quantities import RunQuantities, carrier_speeds
 from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.studies.figures import make_encounters_figure
 from drake_nonstop.studies.files import replacing_file
@@ -144,7 +143,8 @@ def _figure(runs: list[Run], views: list[NDArray], time: float) -> Figure:
         for i, speeds in enumerate(carrier_speeds(run.steps["carrier_state"][shown]).T):
             colour = run.scenario.scene.carrier_colours[i]
             bottom.plot(times, speeds, color=colour, linewidth=1.2)
-        bottom.plot(times, speed_bounds(run)[shown], "--", color="black", linewidth=1.0)
+        bounds = RunQuantities(run).speed_bounds
+        bottom.plot(times, bounds[shown], "--", color="black", linewidth=1.0)
         bottom.axvline(time, color="0.5", linewidth=1.0)
         bottom.set_xlim(_SPAN)
         bottom.set_ylim(0, 1.1 * max(carrier_speeds(r.steps["carrier_state"]).max() for r in runs))
@@ -156,8 +156,8 @@ def _figure(runs: list[Run], views: list[NDArray], time: float) -> Figure:
 def _hardest_instant(run: Run) -> float:
     """When an aircraft comes closest to its largest lift, s."""
     time = run.steps["time"]
-    shares = AircraftQuantities(run).lift_shares.max(axis=1)
-    return float(time[np.argmax(np.where(time >= _FLIGHT[0], shares, 0.0))])
+    lift = RunQuantities(run).aircraft_state.lift.max(axis=1)
+    return float(time[np.argmax(np.where(time >= _FLIGHT[0], lift, 0.0))])
 
 
 def _aircraft_figure(run: Run, view: NDArray, time: float) -> Figure:
@@ -168,13 +168,14 @@ def _aircraft_figure(run: Run, view: NDArray, time: float) -> Figure:
     scene = left.subplots()
     scene.imshow(view)
     scene.set_axis_off()
-    aircraft = AircraftQuantities(run)
+    quantities = RunQuantities(run)
+    state = quantities.aircraft_state
     shown = run.steps["time"] >= _FLIGHT[0]
     panels = right.subplots(3, 1, sharex=True)
     for axes, values, label in (
-        (panels[0], aircraft.lift_shares, "$C_L$ / $C_{L,max}$"),
-        (panels[1], np.degrees(aircraft.state.bank), "bank (°)"),
-        (panels[2], aircraft.state.thrust, "thrust (N)"),
+        (panels[0], state.lift / quantities.aircraft.max_lift, "$C_L$ / $C_{L,max}$"),
+        (panels[1], np.degrees(state.bank), "bank (°)"),
+        (panels[2], state.thrust, "thrust (N)"),
     ):
         for i, column in enumerate(values.T):
             colour = run.scenario.scene.carrier_colours[i]

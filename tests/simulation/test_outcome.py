@@ -397,7 +397,7 @@ def test_a_limit_of_aircraft_is_missed_by_what_they_flew(limit):
 def test_the_climb_that_is_limited_is_that_through_the_air():
     limit = next(limit for limit in ASKED if limit.name == "climb")
     risen = RunQuantities(aircraft_run(3.0, wind=(0.0, 0.0, 2.0)))
-    state = risen.flight.state
+    state = risen.aircraft_state
     rise = risen.carrier_velocities[..., 2] - 2.0
     assert risen.extreme_of(limit) == pytest.approx(np.abs(np.arcsin(rise / state.airspeed)).max())
 

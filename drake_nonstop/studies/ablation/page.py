@@ -114,7 +114,7 @@ def _draw(folder: Path, rows: Sequence[Row], curves: Mapping[str, Curves]) -> No
     figures = (
         make_overlay_figure(
             "Load position error",
-            f"position error ({POSITION_ERROR.unit})",
+            f"position error ({POSITION_ERROR.quantity.unit})",
             {
                 name: (c.sample_times, POSITION_ERROR.shown(c.position_error))
                 for name, c in drawn.items()

@@ -35,7 +35,7 @@ class Column:
     @property
     def heading(self) -> str:
         """The heading in one line, with the unit."""
-        return f"change ({self.metric.unit})" if self.is_change else self.metric.heading
+        return f"change ({self.metric.quantity.unit})" if self.is_change else self.metric.heading
 
     def cell(self, row: Row, base: Row) -> str:
         """The value of a row, in a few digits."""
@@ -48,7 +48,7 @@ class Column:
         change = change_of(row, base, self.metric) if self.is_change else None
         if change is None or abs(self.metric.shown(change)) < _SMALLEST_CHANGE:
             return None
-        direction = change * self.metric.better.value
+        direction = change * self.metric.quantity.better
         return None if direction == 0 else direction > 0
 
 
@@ -58,9 +58,9 @@ def _columns() -> tuple[Column, ...]:
     for metric in METRICS:
         if metric.column is None:
             continue
-        upper, lower = metric.column.heading
+        upper, lower, has_change = metric.column
         columns.append(Column(metric=metric, upper=upper, lower=lower))
-        if metric.column.has_change:
+        if has_change:
             columns.append(Column(metric=metric, upper=upper, lower="change", is_change=True))
     headings = [column.upper for column in columns]
     return tuple(sorted(columns, key=lambda column: headings.index(column.upper)))
