@@ -97,12 +97,12 @@ from drake_nonstop.systems.energy import (
 from drake_nonstop.analysis.limit import RunOutcome as RunOutcome
 from drake_nonstop.studies.results_folder import write_results as write_results
 from drake_nonstop.studies.ablation import ablate as ablate, read_grid as read_grid
-from drake_nonstop.studies.design import design as design
+from drake_nonstop.studies.design import design as design, Design as Design
 from drake_nonstop.studies.design_request import (
     read_request as read_request,
     DesignRequest as DesignRequest,
 )
-from drake_nonstop.studies.design import Design as Design, DesignedFormation as DesignedFormation
+from drake_nonstop.studies.designed_formation import DesignedFormation as DesignedFormation
 from drake_nonstop.studies.sweep import sweep as sweep
 from drake_nonstop.studies.sweep_spec import read_sweep as read_sweep, SweepSpec as SweepSpec
 from drake_nonstop.studies.run_all import SerialExecutor as SerialExecutor

@@ -12,7 +12,6 @@ from multiprocessing import get_context
 from drake_nonstop import compute_metrics, simulate
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.run import RunStopped
-from drake_nonstop.studies.design import DesignedFormation, design_one
 from drake_nonstop.studies.design_figures import (
     AT_LIMITS,
     KEPT,
@@ -20,8 +19,10 @@ from drake_nonstop.studies.design_figures import (
     RegionFlight,
     make_region_figure,
 )
-from drake_nonstop.studies.design_request import dump_request, read_request
+from drake_nonstop.studies.design_request import read_request
+from drake_nonstop.studies.designed_formation import DesignedFormation
 from drake_nonstop.studies.feasible_region import redesigned_region, redesigned_scenario
+from drake_nonstop.studies.formation_search import design_one
 
 REQUEST = [
     *("carriers=[4]", "cable_length=[200, 200]"),
@@ -62,7 +63,7 @@ def main(duration: float | None = None, processes: int = 2) -> None:
         kinds, speeds, masses, flown = ["co_rotating"], (0.0,), [10.0], (10.0,)
     panels, planned, scenarios = {}, [], []
     for kind in kinds:
-        found = design_one(dump_request(request), request.carriers[0], kind)
+        found = design_one(request, request.carriers[0], kind)
         formation = next(item for item in found if isinstance(item, DesignedFormation))
         regions = [redesigned_region(request, formation, masses, speed) for speed in speeds]
         panels[KINDS[kind]] = regions

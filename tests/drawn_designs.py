@@ -21,15 +21,10 @@ from drake_nonstop.optimization.formation_program import (
 )
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.run import StepCheck
-from drake_nonstop.studies.design import (
-    DesignedFormation,
-    Refusal,
-    design_one,
-    design_task,
-    flight_of,
-    reserve_of,
-)
-from drake_nonstop.studies.design_request import DesignRequest, dump_request, read_request
+from drake_nonstop.studies.design_request import DesignRequest, read_request
+from drake_nonstop.studies.designed_formation import DesignedFormation, Refusal
+from drake_nonstop.studies.formation_flight import design_task, flight_of, reserve_of
+from drake_nonstop.studies.formation_search import design_one
 
 LARGE_BANK = math.radians(20)
 
@@ -245,7 +240,7 @@ def _of_one(seed: int, kind: str) -> dict[str, Any]:
     request = draw(seed)
     (carriers,) = request.carriers
     row: dict[str, Any] = {"seed": seed, "kind": kind, "refusal": None, "flights": []}
-    for item in design_one(dump_request(request), carriers, kind):
+    for item in design_one(request, carriers, kind):
         if isinstance(item, DesignedFormation):
             about = {"length": item.variables.cable_length, "reserve": item.reserve}
             row["flights"].append({**about, **flown_beside_printed(item)})

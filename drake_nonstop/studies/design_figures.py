@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -12,13 +12,13 @@ from drake_nonstop.studies.feasible_region import FeasibleRegion
 from drake_nonstop.visualization.figure_style import COLOURS, new_figure
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 _MARKERS = {"leaning": "o", "co_rotating": "s"}
 KEPT, AT_LIMITS, LOST = "flight within limits", "flight at limits", "stall, collision or loss"
 _OUTCOMES = {KEPT: ("o", True), AT_LIMITS: ("o", False), LOST: ("X", True)}  # marker, filled
 _ASIDE = 0.02  # of the range of masses
-_DOT = {"markersize": 5.5, "markeredgewidth": 1.1}
 
 
 class RegionFlight(NamedTuple):
@@ -41,37 +41,38 @@ def make_pareto_figure(found: Design) -> Figure:
     left, right = figure.subplots(1, 2, sharey=True)
     numbers = sorted({formation.carriers for formation in found.formations})
     mass = found.request.load_mass
-    seen = set()
+    labels: dict[str, None] = {}
     for formation in found.formations:
         colour = COLOURS[numbers.index(formation.carriers) % len(COLOURS)]
-        kind, is_best = formation.kind, found.is_efficient(formation)
-        label = f"{formation.carriers} {kind.replace('_', '-')}"
         style = {
-            "marker": _MARKERS[kind],
+            "marker": _MARKERS[formation.kind],
             "color": colour,
-            "markerfacecolor": colour if is_best else "white",
+            "markerfacecolor": colour if found.is_efficient(formation) else "white",
             "linestyle": "none",
             "markersize": 5,
+            "zorder": 3,
         }
-        power = formation.power / mass
-        left.plot(
-            formation.reserve, power, label=label if label not in seen else None, zorder=3, **style
-        )
-        right.plot(formation.distances[0], power, zorder=3, **style)
-        seen.add(label)
+        power, name = formation.power / mass, formation.name
+        label = None if name in labels else name
+        left.plot(formation.reserve, power, label=label, **style)
+        right.plot(formation.distances[0], power, **style)
+        labels[name] = None
     best = sorted((f.reserve, f.power / mass) for f in found.formations if found.is_efficient(f))
     left.step(*np.transpose(best), where="pre", color="0.6", linewidth=1.0, zorder=1)
     left.set_xlabel("reserve of the margins (1: as asked, 0: at the limits)")
     left.set_ylabel("power per mass of the load (W/kg)")
     right.set_xlabel("carriers apart, at least (m)")
-    highest = max(formation.power for formation in found.formations) / mass
+    left.set_ylim(0, 1.08 * max(formation.power for formation in found.formations) / mass)
     for axes in (left, right):
-        axes.grid(alpha=0.3)
-        axes.set_ylim(0, 1.08 * highest)
-        for side in ("top", "right"):
-            axes.spines[side].set_visible(False)
-    figure.legend(loc="outside upper center", ncols=min(5, len(seen)), frameon=False, fontsize=8)
+        _open(axes)
+    figure.legend(loc="outside upper center", ncols=min(5, len(labels)), frameon=False, fontsize=8)
     return figure
+
+
+def _open(axes: Axes) -> None:
+    """Axes with a grid, and without the upper and the right spine."""
+    axes.grid(alpha=0.3)
+    axes.spines[["top", "right"]].set_visible(False)
 
 
 def make_region_figure(
@@ -94,26 +95,24 @@ def make_region_figure(
             axes.fill_between(region.masses, 0, region.winds, color=colour, alpha=0.10, linewidth=0)
         axes.set_title(title, fontsize="medium")
         axes.set_xlabel("mass of the load (kg)")
-        axes.grid(alpha=0.3)
-        for side in ("top", "right"):
-            axes.spines[side].set_visible(False)
+        _open(axes)
     row[0].set_ylabel("wind (m/s)")
-    titles = list(panels)
-    counts = [len(regions) for regions in panels.values()]
+
+    def dot(axes: Axes, x: Any, y: Any, outcome: str, colour: str, **style: Any) -> None:
+        marker, filled = _OUTCOMES[outcome]
+        style |= {"markerfacecolor": colour if filled else "white", "markersize": 5.5}
+        axes.plot(x, y, marker, color=colour, markeredgewidth=1.1, **style)
+
     masses = [mass for regions in panels.values() for region in regions for mass in region.masses]
+    most = max(map(len, panels.values()))
     aside = np.ptp(masses) * _ASIDE  # so that flights of the same load cover none of each other
     for flight in flown:
-        place = flight.mass + aside * (flight.region - (max(counts) - 1) / 2)
-        colour = COLOURS[flight.region % len(COLOURS)]
-        marker, filled = _OUTCOMES[flight.outcome]
-        face = colour if filled else "white"
-        row[titles.index(flight.panel)].plot(
-            place, flight.wind, marker, color=colour, markerfacecolor=face, zorder=3, **_DOT
-        )
+        place = flight.mass + aside * (flight.region - (most - 1) / 2)
+        axes, colour = row[list(panels).index(flight.panel)], COLOURS[flight.region % len(COLOURS)]
+        dot(axes, place, flight.wind, flight.outcome, colour, zorder=3)
     row[0].set_ylim(0, None)
-    for outcome in [name for name in _OUTCOMES if any(f.outcome == name for f in flown)]:
-        marker, filled = _OUTCOMES[outcome]
-        face = "0.3" if filled else "white"
-        row[0].plot([], [], marker, color="0.3", markerfacecolor=face, label=outcome, **_DOT)
+    for outcome in _OUTCOMES:
+        if any(flight.outcome == outcome for flight in flown):
+            dot(row[0], [], [], outcome, "0.3", label=outcome)
     figure.legend(loc="outside lower center", ncols=3, frameon=False, fontsize=8)
     return figure

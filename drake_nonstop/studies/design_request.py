@@ -23,7 +23,6 @@ from drake_nonstop.validation import (
     ScenarioError,
     StrictFields,
     fields_of,
-    is_number,
     one_line,
     read_text,
     require,
@@ -97,65 +96,60 @@ class DesignRequest(AircraftLimits, _Asked):
         Raises:
             ScenarioError: a field cannot be used.
         """
+
+        def need(condition: Any, name: str, remedy: str) -> None:
+            require(condition, f"request.{name}", getattr(self, name), remedy)
+
         require_fields("request", self)
         check_name(self.name)
-        require(self.carriers, "request.carriers", [], "give numbers of carriers, such as [3, 4]")
-        for n in self.carriers:
-            remedy = f"give numbers from 3 to {_MOST_CARRIERS}"
-            require(3 <= n <= _MOST_CARRIERS, "request.carriers", self.carriers, remedy)
-        _require_different("request.carriers", self.carriers)
-        require(self.kinds, "request.kinds", [], f"give some of {', '.join(KINDS)}")
+        need(self.carriers, "carriers", "give numbers of carriers, such as [3, 4]")
+        is_some = all(3 <= n <= _MOST_CARRIERS for n in self.carriers)
+        need(is_some, "carriers", f"give numbers from 3 to {_MOST_CARRIERS}")
+        need(self.kinds, "kinds", f"give some of {', '.join(KINDS)}")
         for kind in self.kinds:
             require_known(kind, KINDS, "request.kinds", self.kinds)
-        _require_different("request.kinds", self.kinds)
+        for name in ("carriers", "kinds"):
+            values = getattr(self, name)
+            need(len(set(values)) == len(values), name, "give each of them once")
         require_positive("request", separation=self.separation, thrust_reserve=self.thrust_reserve)
         require_non_negative("request", speed=self.speed)
         require_array("request.wind", self.wind, [3], "m/s, in W")
         way = require_array("request.displacement", self.displacement, [3], "m, in W")
         for name, (low, high, unit) in _RANGES.items():
             value = getattr(self, name)
-            size = float(np.linalg.norm(value)) if isinstance(value, list) else value
-            is_within = is_number(size) and low <= size <= high
-            require(is_within, f"request.{name}", value, f"give {low:g} to {high:g} {unit}")
-        lengths = require_array("request.cable_length", self.cable_length, [2], "m, in order")
-        is_range = 0 < lengths[0] <= lengths[1]
+            size = np.linalg.norm(value) if isinstance(value, list) else value
+            need(low <= size <= high, name, f"give {low:g} to {high:g} {unit}")
+        short, long = require_array("request.cable_length", self.cable_length, [2], "m, in order")
         remedy = "give the least and the largest, above zero, in this order"
-        require(is_range, "request.cable_length", self.cable_length, remedy)
+        need(0 < short <= long, "cable_length", remedy)
         least, most = _CABLES
-        remedy = f"give lengths from {least:g} to {most:g} m"
-        is_usable = least <= lengths[0] and lengths[1] <= most
-        require(is_usable, "request.cable_length", self.cable_length, remedy)
-        reach = 2 * (self.load_radius + lengths[1])
+        is_usable = least <= short and long <= most
+        need(is_usable, "cable_length", f"give lengths from {least:g} to {most:g} m")
+        reach = 2 * (self.load_radius + long)
         remedy = f"give at most {reach:.3g}, twice the reach of the longest cable"
-        require(self.separation <= reach, "request.separation", self.separation, remedy)
+        need(self.separation <= reach, "separation", remedy)
         remedy = "give a way other than none, or speed = 0 for a load that rests"
-        require(np.any(way) or self.speed == 0, "request.displacement", self.displacement, remedy)
+        need(np.any(way) or self.speed == 0, "displacement", remedy)
         if self.speed > 0:
             slow, fast = (float(np.linalg.norm(way)) / time for time in _WAY_TIMES[::-1])
             remedy = f"give {slow:.2g} to {fast:.2g}, for the length of the way, or 0 for none"
-            require(slow <= self.speed <= fast, "request.speed", self.speed, remedy)
+            need(slow <= self.speed <= fast, "speed", remedy)
         limits = FlightLimits()
-        for name, low, high in (
-            ("lift_share", 0.0, limits.lift_share),
-            ("bank", 0.0, limits.bank),
-            ("climb", 0.0, limits.climb),
-            ("thrust_reserve", 0.0, 0.5),
+        for name, high in (
+            ("lift_share", limits.lift_share),
+            ("bank", limits.bank),
+            ("climb", limits.climb),
+            ("thrust_reserve", 0.5),
         ):
-            value = getattr(self, name)
-            remedy = f"give a number above {low:g} and below {high:.3g}, the limit"
-            require(low < value < high, f"request.{name}", value, remedy)
+            remedy = f"give a number above 0 and below {high:.3g}, the limit"
+            need(0 < getattr(self, name) < high, name, remedy)
         remedy = f"give a number above {limits.speed_share:g}, the limit, up to 10"
-        is_usable = limits.speed_share < self.speed_share <= 10
-        require(is_usable, "request.speed_share", self.speed_share, remedy)
-        remedy = f"give 1 to {_MOST_STARTS}"
-        require(1 <= self.starts <= _MOST_STARTS, "request.starts", self.starts, remedy)
+        need(limits.speed_share < self.speed_share <= 10, "speed_share", remedy)
+        need(1 <= self.starts <= _MOST_STARTS, "starts", f"give 1 to {_MOST_STARTS}")
         require_seed("request.seed", self.seed)
         checked_inertia("request.load_inertia", self.inertia)
         aircraft = make_aircraft(
-            self.aircraft,
-            cable_length=float(lengths[1]),
-            gravity=GRAVITY,
-            field="request.aircraft",
+            self.aircraft, cable_length=float(long), gravity=GRAVITY, field="request.aircraft"
         )
         check_flight_limits("request", self, aircraft)
         return aircraft
@@ -174,11 +168,6 @@ class DesignRequest(AircraftLimits, _Asked):
         return self.aircraft.model or "aircraft of its own"
 
 
-def _require_different(field: str, values: list[Any]) -> None:
-    remedy = "give each of them once"
-    require(len(set(values)) == len(values), field, values, remedy)
-
-
 def read_request(file: str | Path | None = None, overrides: Sequence[str] = ()) -> DesignRequest:
     """The request in a YAML file, or the default one, with changes.
 
@@ -192,8 +181,7 @@ def read_request(file: str | Path | None = None, overrides: Sequence[str] = ()) 
     tree: dict[str, Any] = {}
     if file is not None:
         path = Path(file)
-        remedy = "give a .yaml file"
-        require(path.suffix in (".yaml", ".yml"), "REQUEST", file, remedy)
+        require(path.suffix in (".yaml", ".yml"), "REQUEST", file, "give a .yaml file")
         content = parse_plain(read_text(path, "REQUEST"), path.name)
         is_mapping = content is None or (isinstance(content, dict) and "_tag" not in content)
         require(is_mapping, path.name, content, "give a mapping of fields to values")
@@ -208,34 +196,22 @@ def _apply(tree: dict[str, Any], override: str) -> None:
     path, _, text = override.partition("=")
     require(text.strip(), f"--set {path}", "nothing", "give a value after the =")
     value = parse_plain(text, f"--set {path}", path)
-    *parents, last = path.split(".")
-    branch = tree
-    for key in parents:
-        require(key == "aircraft", "--set", path, "give a field, or aircraft.FIELD")
-        default = {"model": "rascal_110"} if "aircraft" not in tree else {}
-        branch = branch.setdefault(key, default)
-        require(isinstance(branch, dict), "--set", path, f"{key} has no parts; set it whole")
-    branch[last] = value
+    owner, dot, field = path.partition(".")
+    if dot:
+        require(owner == "aircraft", "--set", path, "give a field, or aircraft.FIELD")
+        tree = tree.setdefault(owner, {"model": "rascal_110"})
+        require(isinstance(tree, dict), "--set", path, f"{owner} has no parts; set it whole")
+    tree[field or path] = value
 
 
 def _from_tree(tree: dict[str, Any]) -> DesignRequest:
-    for key, value in tree.items():
-        require_known(key, list(_fields(DesignRequest)), f"request.{key}", value)
-    aircraft = tree.get("aircraft")
+    default = DesignRequest()
+    _check_types("request", tree, DesignRequest)
     if "aircraft" in tree:
         remedy = "give a mapping such as {model: rascal_110}"
-        require(isinstance(aircraft, dict), "request.aircraft", aircraft, remedy)
-        for key, value in aircraft.items():  # type: ignore[union-attr]
-            known = list(_fields(AircraftParameters))
-            require_known(key, known, f"request.aircraft.{key}", value)
-            require_type(f"request.aircraft.{key}", value, _fields(AircraftParameters)[key])
-        default = DesignRequest()
+        require(isinstance(tree["aircraft"], dict), "request.aircraft", tree["aircraft"], remedy)
+        _check_types("request.aircraft", tree["aircraft"], AircraftParameters)
         default.aircraft = AircraftParameters()
-    else:
-        default = DesignRequest()
-    for key, kind in _fields(DesignRequest).items():
-        if key in tree and key != "aircraft":
-            require_type(f"request.{key}", tree[key], kind)
     try:
         request: DesignRequest = yaml_load_typed(
             schema=DesignRequest, data=yaml_dump(tree), defaults=default
@@ -247,6 +223,13 @@ def _from_tree(tree: dict[str, Any]) -> DesignRequest:
         raise ScenarioError(f"request = {dump_plain(tree)[:60]}: {remedy}") from None
     request.check()
     return request
+
+
+def _check_types(path: str, tree: dict[str, Any], schema: type) -> None:
+    kinds = {field.name: field.type for field in fields_of(schema)}
+    for key, value in tree.items():
+        require_known(key, list(kinds), f"{path}.{key}", value)
+        require_type(f"{path}.{key}", value, kinds[key])
 
 
 def dump_request(request: DesignRequest) -> str:
@@ -264,13 +247,3 @@ def commented_request(request: DesignRequest) -> str:
         meaning = about.get(line.partition(":")[0], "")
         lines.append(f"{line}  # {meaning}" if meaning else line)
     return "\n".join(line.rstrip() for line in lines) + "\n"
-
-
-def read_request_text(text: str) -> DesignRequest:
-    """The request in YAML, as `dump_request` writes it."""
-    return _from_tree(parse_plain(text, "request"))
-
-
-def _fields(schema: type) -> dict[str, Any]:
-    """The types of a dataclass's fields, by name."""
-    return {field.name: field.type for field in fields_of(schema)}

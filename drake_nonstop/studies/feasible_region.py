@@ -7,22 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.optimization.formation_program import FormationProgram, FormationVariables
+from drake_nonstop.optimization.formation_program import FormationVariables
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.studies.design import (
-    DesignedFormation,
-    design_bounds,
-    design_task,
-    flight_of,
-    formation_scenario,
-    reserve_of,
-)
 from drake_nonstop.studies.design_request import DesignRequest
+from drake_nonstop.studies.designed_formation import DesignedFormation, formation_scenario
+from drake_nonstop.studies.formation_flight import flight_of
+from drake_nonstop.studies.formation_search import FormationSearch, variables_of
 
 _STRONGEST = 20.0  # m/s, of the winds that are tried
-_INSTANTS = 24  # of the way
 _TOLERANCE = 0.05  # of the reserve, at a border
-_WIND, _RESERVE = (FormationVariables._fields.index(name) for name in ("wind", "reserve"))
+_MASS, _WIND, _RESERVE = map(FormationVariables._fields.index, ("mass", "wind", "reserve"))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -45,50 +39,39 @@ class FeasibleRegion:
 
 
 class _Redesign:
-    """Formations like a given one for other loads, winds and speeds."""
+    """Formations like a given one for other loads and winds, at a speed."""
 
     def __init__(self, request: DesignRequest, formation: DesignedFormation, speed: float):
         moved = dataclasses.replace(request, speed=speed)
-        self.task = design_task(moved, formation.carriers)
-        self.way = design_task(moved, formation.carriers, _INSTANTS)
-        self.kind = formation.kind
-        self.program = FormationProgram(self.task, formation.kind, formation.phase_turns)
-        self.bounds = design_bounds(moved, formation.carriers, formation.kind)
+        shape = formation.carriers, formation.kind, formation.phase_turns
+        self.search = FormationSearch(moved, *shape)
+        self.program = self.search.program()
 
-    def reserve(self, values: NDArray) -> float:
-        x = FormationVariables(*map(float, values))
-        on_way = reserve_of(self.way, flight_of(self.way, self.kind, x))
-        return min(on_way, float(self.program.rows(values)[0].min()))
+    def solved(self, start: NDArray, aim: int, **bounds: tuple[float, float]) -> NDArray:
+        """The formation of the largest variable of a number, for the load of the start."""
+        lower, upper = self.search.lower.copy(), self.search.upper.copy()
+        lower[_MASS] = upper[_MASS] = start[_MASS]
+        for name, (least, most) in bounds.items():
+            index = FormationVariables._fields.index(name)
+            lower[index], upper[index] = least, most
+        values = self.program.solve(start, lower, upper, -np.eye(len(start))[aim])
+        return self.search.with_true_reserve(self.program, values)
 
     def in_wind(self, start: NDArray, wind: float) -> NDArray:
-        """The formation of the largest reserve in a wind, for the load of the start."""
-        lower, upper = self._bounds(start)
-        lower[_WIND] = upper[_WIND] = wind
-        found = self.program.solve(start, lower, upper, -np.eye(len(start))[_RESERVE])
-        found[_RESERVE] = self.reserve(found)
-        return found
+        """The formation of the largest reserve in a wind."""
+        return self.solved(start, _RESERVE, wind=(wind, wind))
 
     def in_most_wind(self, start: NDArray) -> NDArray | None:
-        """The formation that keeps its limits in the most wind, for the load of the start."""
+        """The formation that keeps its limits in the most wind."""
         for share in (1.0, 0.7, 0.3, 0.0):
-            begin = start if share == 1 else self.in_wind(start, share * start[_WIND])
+            found = start if share == 1 else self.in_wind(start, share * start[_WIND])
             least = 0.0
             for _ in range(3):  # between the instants of the program the reserve is less
-                lower, upper = self._bounds(start)
-                lower[_WIND], upper[_WIND] = 0.0, _STRONGEST
-                lower[_RESERVE] = upper[_RESERVE] = least
-                found = self.program.solve(begin, lower, upper, -np.eye(len(start))[_WIND])
-                reserve = self.reserve(found)
-                if abs(reserve) < _TOLERANCE:
+                found = self.solved(found, _WIND, wind=(0.0, _STRONGEST), reserve=(least, least))
+                if abs(found[_RESERVE]) < _TOLERANCE:
                     return found
-                begin, least = found, least - reserve
+                least -= found[_RESERVE]
         return None
-
-    def _bounds(self, start: NDArray) -> tuple[NDArray, NDArray]:
-        lower, upper = (bound.copy() for bound in self.bounds)
-        mass = FormationVariables._fields.index("mass")
-        lower[mass] = upper[mass] = start[mass]
-        return lower, upper
 
 
 def redesigned_region(
@@ -114,10 +97,9 @@ def redesigned_region(
     for one_way in (heavier, lighter):
         start = formation.variables
         for mass in one_way:
-            begin = start._replace(mass=mass, speed=speed)
-            values = redesign.in_most_wind(np.array(begin))
+            values = redesign.in_most_wind(np.array(start._replace(mass=mass, speed=speed)))
             if values is not None:
-                found[mass] = start = FormationVariables(*map(float, values))
+                found[mass] = start = variables_of(values)
     rows = [found.get(mass) for mass in masses]
     return FeasibleRegion(
         speed=speed,
@@ -140,14 +122,14 @@ def redesigned_scenario(
         wind: m/s.
     """
     redesign = _Redesign(request, formation, beside.speed)
-    x = FormationVariables(*map(float, redesign.in_wind(np.array(beside), wind)))
+    x = variables_of(redesign.in_wind(np.array(beside), wind))
     asked = dataclasses.replace(
         request,
         load_mass=x.mass,
         speed=x.speed,
-        wind=(wind * redesign.task.wind).tolist(),
+        wind=(wind * redesign.search.task.wind).tolist(),
     )
-    flight = flight_of(redesign.way, formation.kind, x)
+    flight = flight_of(redesign.search.way, formation.kind, x)
     shape = formation.kind, formation.carriers, formation.phase_turns
     scenario = formation_scenario(asked, *shape, x, flight)
     scenario.carrier_controller = formation.scenario.carrier_controller

@@ -101,22 +101,13 @@ def _require_replaceable(folder: Path, item: Path) -> None:
 
 @contextlib.contextmanager
 def replacing_file(path: Path) -> Iterator[BinaryIO]:
-    """A new file to write, which replaces `path` at the end; it is removed after an error."""
-    _remove_stale(path.parent)
-    name = ""
-    try:
-        with _changing:
-            descriptor, name = tempfile.mkstemp(path.suffix, _NEW, path.parent)
-            _unfinished[name] = os.getpid()
-        with os.fdopen(descriptor, "w+b") as file:
-            _try_to_lock(descriptor)
-            yield file
-            file.flush()
-            os.chmod(name, 0o644)
-            with _changing:
-                os.replace(name, path)
-    finally:
-        _drop(name)
+    """A new file to write, which replaces `path` at the end; it is removed after an error.
+
+    Raises:
+        ScenarioError: its folder cannot be written.
+    """
+    with replacing_files(path.parent, [path.name]) as new, (new / path.name).open("wb") as file:
+        yield file
 
 
 @contextlib.contextmanager
@@ -134,22 +125,25 @@ def replacing_files(folder: Path, contents: Iterable[str]) -> Iterator[Path]:
     contents = list(contents)
     name = ""
     try:
-        _remove_stale(folder)
+        for path in folder.glob(f"{_NEW}*"):  # what processes were writing that were killed
+            _is_removed(path, _YOUNGEST_STALE)
         with _changing:
             name = tempfile.mkdtemp(prefix=_NEW, dir=folder)
             _unfinished[name] = os.getpid()
-        with _opened(Path(name)) as descriptor:
-            _try_to_lock(descriptor)
-            new = Path(name)
-            yield new
+        with _opened(name) as descriptor:
+            with contextlib.suppress(OSError):  # without locks nothing counts as stale
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            yield Path(name)
             with _changing:
-                _replace(new, folder, contents)
+                _replace(Path(name), folder, contents)
     except OSError as error:
         raise ScenarioError(
             f"--out = {folder}: give a folder with room to write to ({_cause(error)})"
         ) from None
     finally:
-        _drop(name)
+        if name:
+            shutil.rmtree(name, ignore_errors=True)
+            _unfinished.pop(name, None)
 
 
 def _replace(new: Path, folder: Path, contents: Sequence[str]) -> None:
@@ -164,21 +158,6 @@ def _replace(new: Path, folder: Path, contents: Sequence[str]) -> None:
     for parent in sorted(parents, reverse=True):  # the inner ones first
         with contextlib.suppress(OSError):  # it has files
             parent.rmdir()
-
-
-def _drop(name: str) -> None:
-    """Removes what this process has begun to write, if it is there still."""
-    if name:
-        _remove(Path(name))
-        _unfinished.pop(name, None)
-
-
-def _remove(path: Path) -> None:
-    with contextlib.suppress(OSError):
-        if stat.S_ISDIR(path.lstat().st_mode):
-            shutil.rmtree(path, ignore_errors=True)
-        else:
-            path.unlink()
 
 
 @contextlib.contextmanager
@@ -213,7 +192,7 @@ def remove_unfinished() -> None:
         return
     for name, process in [*_unfinished.items()]:
         if process == os.getpid():
-            _remove(Path(name))
+            shutil.rmtree(name, ignore_errors=True)
     _remove_left([*_shared])
 
 
@@ -259,40 +238,18 @@ def _cause(error: OSError | ValueError) -> str:
     return (isinstance(error, OSError) and error.strerror) or str(error)
 
 
-def _remove_stale(folder: Path) -> None:
-    """Removes what processes were writing that were killed: nobody holds its lock."""
-    for path in folder.glob(f"{_NEW}*"):
-        with contextlib.suppress(OSError):  # it is somebody else's, or still being written
-            if time.time() - path.stat().st_ctime < _YOUNGEST_STALE:
-                continue
-            _remove_unlocked(path)
-
-
-def _is_removed(path: Path) -> bool:
-    """Whether it is removed, which it is not while it is being written."""
-    with contextlib.suppress(OSError):
-        _remove_unlocked(path)
+def _is_removed(path: Path, least_age: float = 0.0) -> bool:
+    """Whether it is there no more: unless somebody is writing it, or it is too young, s, it is."""
+    with contextlib.suppress(OSError):  # it is somebody else's, or still being written
+        if time.time() - path.stat().st_ctime >= least_age:
+            with _opened(path) as descriptor:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                shutil.rmtree(path) if path.is_dir() else path.unlink()
     return not os.path.lexists(path)
 
 
-def _remove_unlocked(path: Path) -> None:
-    """Removes what nobody is writing; raises OSError where somebody is, or it cannot be removed."""
-    with _opened(path) as descriptor:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        if path.is_dir():
-            shutil.rmtree(path)
-        else:
-            path.unlink()
-
-
-def _try_to_lock(descriptor: int) -> None:
-    """Locks what is being written; without locks in the file system nothing counts as stale."""
-    with contextlib.suppress(OSError):
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-
-
 @contextlib.contextmanager
-def _opened(path: Path) -> Iterator[int]:
+def _opened(path: Path | str) -> Iterator[int]:
     descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
     try:
         yield descriptor

@@ -14,8 +14,9 @@ from drake_nonstop.cli.main import main
 from drake_nonstop.optimization.formation_program import FormationVariables
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.studies import design
-from drake_nonstop.studies.design import Design, Refusal
+from drake_nonstop.studies.design import Design
 from drake_nonstop.studies.design_request import read_request
+from drake_nonstop.studies.designed_formation import Refusal
 
 SMALL = ["carriers=[3]", "kinds=[co_rotating]", "cable_length=[60, 60]", "starts=1"]
 
@@ -73,8 +74,7 @@ def test_what_cannot_be_is_said_and_another_request_has_a_folder_of_its_own(
         kind="leaning",
         carriers=3,
         phase_turns=1,
-        variables=FormationVariables(*np.ones(10)),
-        reserve=-1.0,
+        variables=FormationVariables(*np.ones(9), reserve=-1.0),
         missed="bank",
         remedy="less",
     )

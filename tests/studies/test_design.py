@@ -10,19 +10,12 @@ import pytest
 from helpers import nightly_beyond
 
 from drake_nonstop.analysis.aircraft_margins import aircraft_margins
+from drake_nonstop.optimization.formation_program import FormationVariables
 from drake_nonstop.optimization.limits import Of, limits_of
 from drake_nonstop.scenario.loading import dump_scenario, parse_scenario
 from drake_nonstop.studies import design as module
-from drake_nonstop.studies.design import (
-    Design,
-    DesignedFormation,
-    Refusal,
-    design_dictionary,
-    design_one,
-    design_table,
-    flight_of,
-    formation_needs,
-)
+from drake_nonstop.studies import formation_search
+from drake_nonstop.studies.design import Design, design_dictionary, design_one, design_table
 from drake_nonstop.studies.design_figures import (
     KEPT,
     LOST,
@@ -30,8 +23,23 @@ from drake_nonstop.studies.design_figures import (
     make_pareto_figure,
     make_region_figure,
 )
-from drake_nonstop.studies.design_request import dump_request, read_request, read_request_text
+from drake_nonstop.studies.design_request import dump_request, read_request
+from drake_nonstop.studies.designed_formation import (
+    DesignedFormation,
+    Refusal,
+    formation_scenario,
+)
 from drake_nonstop.studies.feasible_region import FeasibleRegion
+from drake_nonstop.studies.formation_flight import (
+    breaking_points,
+    design_task,
+    flight_of,
+    formation_needs,
+    load_motions,
+    missed_limits,
+    with_load,
+)
+from drake_nonstop.studies.formation_search import FormationSearch
 from drake_nonstop.validation import ScenarioError
 
 WINDY = [
@@ -43,7 +51,7 @@ WINDY = [
 def found_for(changes, kind="co_rotating"):
     request = read_request(None, changes)
     (carriers,) = request.carriers
-    items = design_one(dump_request(request), carriers, kind)
+    items = design_one(request, carriers, kind)
     formations = tuple(item for item in items if isinstance(item, DesignedFormation))
     refusals = tuple(item for item in items if isinstance(item, Refusal))
     return Design(request=request, formations=formations, refusals=refusals)
@@ -53,14 +61,14 @@ def found_for(changes, kind="co_rotating"):
 def windy():
     """Formations that are taken for steady, without a flight of each."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "_is_steady", lambda *_: True)
+        patch.setattr(formation_search, "_is_steady", lambda *_: True)
         return found_for(WINDY)
 
 
 @pytest.fixture
 def unflown(monkeypatch):
     """Takes formations for steady, without a flight of each."""
-    monkeypatch.setattr(module, "_is_steady", lambda *_: True)
+    monkeypatch.setattr(formation_search, "_is_steady", lambda *_: True)
 
 
 def test_formations_keep_the_margins_of_the_request(windy):
@@ -87,13 +95,13 @@ def test_scenarios_read_back_and_need_at_rest_what_was_found(windy):
     assert parse_scenario(text) == formation.scenario
     found = aircraft_margins(formation.scenario)
     assert found.is_flyable
-    task = module.design_task(windy.request, 4, 1).with_motions(1)
+    task = design_task(windy.request, 4, 1).with_motions(1)
     flight = flight_of(task, formation.kind, formation.variables)
     assert np.max(found.needs.lift) / found.max_lift == pytest.approx(flight.lift_share, rel=1e-3)
     assert np.max(np.abs(found.needs.bank)) == pytest.approx(flight.bank, rel=5e-3)
     assert np.max(found.needs.thrust) == pytest.approx(flight.thrust_max, rel=1e-3)
     assert found.drawn_power == pytest.approx(flight.power, rel=1e-3)
-    with_way = module.design_task(windy.request, 4, 24)
+    with_way = design_task(windy.request, 4, 24)
     assert flight_of(with_way, formation.kind, formation.variables).power == flight.power
     assert found.turn == pytest.approx(2 * math.pi / formation.variables.frequency, rel=1e-4)
 
@@ -104,15 +112,15 @@ def test_it_breaks_where_it_says(windy):
     wind, load, speed = formation.breaks
     assert (wind.what, load.what, speed.what) == ("wind", "load", "speed")
     assert (wind.value > 3, load.value > 10, speed.value > 1.25) == (True, True, True)
-    task = module.design_task(windy.request, 4, 24)
+    task = design_task(windy.request, 4, 24)
     for each, grown in (
         (wind, lambda value: formation.variables._replace(wind=value)),
-        (load, lambda value: module.with_load(formation.variables, value)),
+        (load, lambda value: with_load(formation.variables, value)),
         (speed, lambda value: formation.variables._replace(speed=value)),
     ):
         for factor, flies in ((0.98, True), (1.02, False)):
             flight = flight_of(task, formation.kind, grown(factor * each.value), phases=97)
-            missed = [limit.name for limit in module.missed_limits(task, flight)]
+            missed = [limit.name for limit in missed_limits(task, flight)]
             assert missed == ([] if flies else [each.limit])
 
 
@@ -121,17 +129,17 @@ def test_a_resting_formation_breaks_where_the_margins_of_its_scenario_end(windy)
     formation = windy.formations[0]
     shape = formation.kind, 4, formation.phase_turns
     resting = dataclasses.replace(windy.request, speed=0.0)
-    task = module.design_task(resting, 4)
+    task = design_task(resting, 4)
     x = formation.variables._replace(speed=0.0)
-    wind, load = module.breaking_points(task, formation.kind, x, formation.phase_turns)
+    wind, load = breaking_points(task, formation.kind, x, formation.phase_turns)
     for factor, flies in ((0.98, True), (1.02, False)):
         stronger = dataclasses.replace(resting, wind=(factor * wind.value * task.wind).tolist())
         flight = flight_of(task, formation.kind, x)
-        scenario = module.formation_scenario(stronger, *shape, x, flight)
+        scenario = formation_scenario(stronger, *shape, x, flight)
         assert aircraft_margins(scenario).is_flyable is flies
         mass = factor * load.value
         heavier = dataclasses.replace(resting, load_mass=mass)
-        scenario = module.formation_scenario(heavier, *shape, module.with_load(x, mass), flight)
+        scenario = formation_scenario(heavier, *shape, with_load(x, mass), flight)
         assert aircraft_margins(scenario).is_flyable is flies
 
 
@@ -141,12 +149,10 @@ def test_without_wind_it_breaks_in_one_against_the_way(windy):
     x = formation.variables._replace(wind=0.0, speed=2.5)
     against, behind = (
         next(
-            module.breaking_points(
-                dataclasses.replace(task, wind=sign * task.wind), formation.kind, x, 0
-            )
+            breaking_points(dataclasses.replace(task, wind=sign * task.wind), formation.kind, x, 0)
         )
         for sign in (1, -1)
-        for task in [module.design_task(dataclasses.replace(windy.request, wind=[0.0] * 3), 4, 24)]
+        for task in [design_task(dataclasses.replace(windy.request, wind=[0.0] * 3), 4, 24)]
     )
     assert against.what == "wind against the load's way"
     assert against.value < 0.9 * behind.value
@@ -206,13 +212,13 @@ def test_observers_have_the_largest_weight_at_which_a_flight_is_steady(windy, mo
         tried.append(scenario.carrier_controller.observer)
         return tried[-1] < 0.8
 
-    monkeypatch.setattr(module, "_is_steady", is_steady)
-    search = module._Search(windy.request, 4, "co_rotating")
+    monkeypatch.setattr(formation_search, "_is_steady", is_steady)
+    search = FormationSearch(windy.request, 4, "co_rotating")
     for _ in range(2):  # the second time it is known
         assert search._steadied(scenario, 10.0).carrier_controller.observer == 0.7
     assert tried == [1.0, 0.7]
-    monkeypatch.setattr(module, "_is_steady", lambda *_: False)
-    assert module._Search(windy.request, 4, "co_rotating")._steadied(scenario, 10.0) is None
+    monkeypatch.setattr(formation_search, "_is_steady", lambda *_: False)
+    assert FormationSearch(windy.request, 4, "co_rotating")._steadied(scenario, 10.0) is None
 
 
 def test_margins_that_are_missed_may_be_smaller(unflown):
@@ -232,10 +238,10 @@ def test_formations_that_do_not_fly_are_told_beside_those_that_do(unflown, monke
     """Those of one of three levels sway; with all of them the request is refused for that."""
     fault = "in a flight at rest the load's sway grows"
     steady = iter([False, False, False, True, True])  # three weights of the first, the others
-    monkeypatch.setattr(module, "_is_steady", lambda *_: next(steady))
+    monkeypatch.setattr(formation_search, "_is_steady", lambda *_: next(steady))
     changes = ["carriers=[3]", "cable_length=[60, 60]", "starts=1", "speed=0", "load_mass=5"]
     request = read_request(None, changes)
-    items = module.design_one(module.dump_request(request), 3, "co_rotating")
+    items = design_one(request, 3, "co_rotating")
     assert [type(item) for item in items] == [Refusal, DesignedFormation, DesignedFormation]
     assert items[0].fault == fault
     assert items[0].sentence == f"not at {items[0].reserve:.3g} of the margins: {fault}"
@@ -247,7 +253,7 @@ def test_formations_that_do_not_fly_are_told_beside_those_that_do(unflown, monke
 
 
 def test_remedies_of_small_numbers_are_told_to_three_digits():
-    assert [module._down(value) for value in (0.008, -0.001, 12.345, 0.0)] == [
+    assert [formation_search._down(value) for value in (0.008, -0.001, 12.345, 0.0)] == [
         *("0.00791", "-0.00098", "12.2", "0")
     ]
 
@@ -267,7 +273,7 @@ def test_a_load_that_is_too_heavy_is_refused_with_one_that_is_not(unflown):
 def test_ways_and_accelerations_are_those_of_the_trajectory():
     """On a septic from rest to rest over 50 m, at its largest speed of 2 m/s."""
     request = read_request(None, ["displacement=[0, 50, 0]", "speed=2"])
-    _, fastest, rising, falling, *_ = module.load_motions(request, 6)
+    _, fastest, rising, falling, *_ = load_motions(request, 6)
     time = 2.1875 * 50 / 2
     np.testing.assert_allclose(2 * fastest.velocity, [0, 2, 0])
     np.testing.assert_allclose(fastest.acceleration, 0, atol=1e-12)
@@ -275,35 +281,37 @@ def test_ways_and_accelerations_are_those_of_the_trajectory():
     largest = np.max(way.deriv(2)(np.linspace(0, 1, 10001))) * 50 / time**2
     np.testing.assert_allclose(4 * rising.acceleration, [0, largest, 0], rtol=1e-6)
     np.testing.assert_allclose(rising.acceleration, -falling.acceleration, rtol=1e-9)
-    still, *moving = module.load_motions(request, 13)
+    still, *moving = load_motions(request, 13)
     assert not np.any(np.concatenate(still))
     for instant, motion in zip(np.linspace(0, 1, 12), moving, strict=True):
         expected = [way.deriv(k)(instant) * 50 / time**k for k in (1, 2, 3, 4)]
         found = np.array(motion.at(2.0))
         np.testing.assert_allclose(found[:, 1], expected, atol=1e-9)
         assert not np.any(found[:, [0, 2]])
-    assert len(module.load_motions(request, 13)) == 13
-    assert len(module.load_motions(read_request(None, ["speed=0"]), 13)) == 1
+    assert len(load_motions(request, 13)) == 13
+    assert len(load_motions(read_request(None, ["speed=0"]), 13)) == 1
 
 
 def test_a_way_is_flown_beside_the_wind():
     """What is needed at a constant speed is what is needed at rest in the wind against it."""
     request = read_request(None, ["carriers=[4]", "wind=[0, 1, 0]", "speed=2"])
-    x = module.FormationVariables(0.2, 0.1, 0.12, 0.1, 0.6, 150.0, 10.0, 1.0, 2.0, 0.0)
-    task = module.design_task(request, 4)
+    x = FormationVariables(0.2, 0.1, 0.12, 0.1, 0.6, 150.0, 10.0, 1.0, 2.0, 0.0)
+    task = design_task(request, 4)
     steady = task.motions[1]._replace(jerk=np.zeros(3))
     task = dataclasses.replace(task, motions=(steady,))
     (fastest,) = formation_needs(task, "leaning", x)
-    against = module.design_task(read_request(None, ["wind=[-2, 1, 0]", "speed=0"]), 4)
+    against = design_task(read_request(None, ["wind=[-2, 1, 0]", "speed=0"]), 4)
     resting, *_ = formation_needs(against, "leaning", x._replace(wind=math.sqrt(5)))
     for one, other in zip(fastest, resting, strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-9)
 
 
-def test_drawn_requests_are_within_their_ranges():
+def test_drawn_requests_are_within_their_ranges_and_read_back(tmp_path):
+    file = tmp_path / "request.yaml"
     for seed in range(40):
         request = drawn_designs.draw(seed)
-        assert request == read_request_text(dump_request(request))
+        file.write_text(dump_request(request))
+        assert request == read_request(file)
         assert 2 <= request.load_mass <= 20
         assert 20 <= request.cable_length[0] <= request.cable_length[1] <= 300
         assert np.linalg.norm(request.wind) <= 6.001
@@ -348,16 +356,16 @@ def test_a_request_that_cannot_be_used_is_refused_in_a_sentence(change, sentence
 def test_a_limit_of_aircraft_that_is_asked_for_is_missed_beyond_it(windy, kept):
     formation = windy.formations[0]
     for limit in limits_of(Of.FLIGHT):
-        free = module.design_task(windy.request, 4)
+        free = design_task(windy.request, 4)
         at = dataclasses.replace(free, limits=free.limits._replace(asked=((limit, 1.0),)))
         (flown,) = flight_of(at, "co_rotating", formation.variables).asked
         value = flown * (1.001 if kept else 0.999)
         if value > limit.largest:
             continue
         request = dataclasses.replace(windy.request, **{limit.field: value})
-        task = module.design_task(request, 4)
+        task = design_task(request, 4)
         flight = flight_of(task, "co_rotating", formation.variables)
-        missed = [each.text for each in module.missed_limits(task, flight)]
+        missed = [each.text for each in missed_limits(task, flight)]
         assert any(text.startswith(limit.words) for text in missed) == (not kept)
 
 
@@ -389,7 +397,7 @@ def test_what_cannot_be_judged_of_a_formation_is_its_refusal(unflown, monkeypatc
     def refuse(*_, **__):
         raise ScenarioError("fastest mode = 894 rad/s: give softer cables")
 
-    monkeypatch.setattr(module, "find_formation", refuse)
+    monkeypatch.setattr(formation_search, "find_formation", refuse)
     found = found_for(["carriers=[3]", "cable_length=[60, 60]", "starts=1", "speed=0"])
     assert {refusal.fault for refusal in found.refusals} == {
         "it cannot be judged: fastest mode = 894 rad/s: give softer cables"

@@ -1,0 +1,340 @@
+"""What the aircraft of a designed formation need at rest and on the load's way, and what they miss.
+
+By the exact inverse of their dynamics, at phases of a turn and instants of the way.
+"""
+
+import math
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drake_nonstop.analysis.aircraft_margins import FlightLimits, aircraft_needs
+from drake_nonstop.mechanics.aircraft import (
+    airspeed_over_loaded_stall,
+    drawn_power,
+    stall_speed,
+    thrust_limits,
+    thrust_share,
+)
+from drake_nonstop.mechanics.formation_orbit import CarriedLoad, FormationShape, carrier_orbit
+from drake_nonstop.mechanics.planned_orbit import FlightNeeds
+from drake_nonstop.optimization.formation_program import (
+    ASKED_MARGIN,
+    LEANING,
+    DesignLimits,
+    FormationProgram,
+    FormationTask,
+    FormationVariables,
+    LoadMotion,
+)
+from drake_nonstop.optimization.limits import Of, asked
+from drake_nonstop.studies.design_request import GRAVITY, DesignRequest
+
+PEAK = 2.1875  # the largest speed of a septic move, over its mean
+MOST_RESERVE = 2.0  # that is looked for
+KEY_INSTANTS, INSTANTS = 6, 24  # of the way
+_COARSE, _FINE = 24, 90  # phases of a turn
+_DOUBLINGS, _HALVINGS = 8, 20
+_OF_RANGE = " of its range"
+OTHER_MARGINS = {  # by the names of the program's rows
+    "share": "the least force of a cable",
+    "apart_reach": "the distance of carriers beside the length of their cables",
+    "cables": "the distance of cables",
+}
+
+
+class FlightExtremes(NamedTuple):
+    """What the aircraft of a formation need, over all carriers, phases and the load's way."""
+
+    lift_share: float  # of C_Lmax, the largest
+    airspeed_min: float  # m/s
+    airspeed_max: float  # m/s
+    over_stall: float  # of the airspeed, over the stall speed without a cable, the least
+    over_loaded_stall: float  # over the one with cable and bank
+    bank: float  # rad, the largest, to either side
+    climb: float  # rad, the largest, up or down
+    thrust_min: float  # N
+    thrust_max: float  # N
+    thrust_share_min: float  # of the largest thrust at that airspeed
+    thrust_share_max: float
+    thrust_above: float  # of the range of thrust, left above, the least
+    thrust_below: float  # left below
+    power: float  # W, that an aircraft draws from its battery, the mean at rest
+    asked: tuple[float, ...] = ()  # of each limit that is asked for, what is closest to it
+
+
+class Break(NamedTuple):
+    """How far one thing may grow, alone, and the limit that is then missed first."""
+
+    what: str  # wind, with its direction, load or speed
+    unit: str
+    value: float  # the largest that was looked at, where it misses no limit
+    limit: str  # "": there is none
+
+    @property
+    def text(self) -> str:
+        """Such as "load 14.2 kg (bank)"."""
+        reached = f"{self.value:.3g} {self.unit}"
+        return (
+            f"{self.what} {reached} ({self.limit})"
+            if self.limit
+            else (f"{self.what} not up to {reached}")
+        )
+
+
+class Missed(NamedTuple):
+    """A quantity beyond what is asked of it."""
+
+    beyond: float  # of the margin
+    name: str
+    text: str  # with its value
+
+
+def load_motions(request: DesignRequest, count: int) -> tuple[LoadMotion, ...]:
+    """The load at rest and, where it moves, at the instants of its way that matter most.
+
+    Args:
+        request: with a displacement.
+        count: of instants; 6: at rest, the fastest, those of the largest accelerations, and two
+            between; else at rest, and evenly from the first instant to the last, where the snap is
+            the largest.
+    """
+    still = LoadMotion(np.zeros(3), np.zeros(3))
+    if request.speed == 0:
+        return (still,)
+    way = np.array(request.displacement)
+    distance = float(np.linalg.norm(way))
+    if count == KEY_INSTANTS:
+        steep = math.sqrt(0.05)  # from the middle, where the acceleration is the largest
+        instants = [0.5 + share * steep for share in (0.0, -1.0, 1.0, -0.5, 0.5)]
+    else:
+        instants = [k / (count - 2) for k in range(count - 1)]
+    motions = [still]
+    for t in instants:  # of s(t) = 35 t⁴ − 84 t⁵ + 70 t⁶ − 20 t⁷
+        u, side = t * (1 - t), 1 - 2 * t
+        rates = 140 * u**3, 420 * u**2 * side, 840 * u * (1 - 5 * u), 840 * side * (1 - 10 * u)
+        times = [PEAK**order * distance ** (order - 1) for order in range(1, 5)]
+        motion = [way / distance * rate / time for rate, time in zip(rates, times, strict=True)]
+        motions.append(LoadMotion(*motion))
+    return tuple(motions)
+
+
+def design_task(request: DesignRequest, carriers: int, count: int = KEY_INSTANTS) -> FormationTask:
+    """The task of the program, with a number of instants on the way, as of `load_motions`."""
+    own = FlightLimits()
+    wind = np.array(request.wind)
+    along = wind if np.any(wind) else -np.array(request.displacement)
+    size = float(np.linalg.norm(along))
+    return FormationTask(
+        aircraft=request.check(),
+        load=CarriedLoad(
+            mass=request.load_mass,
+            drag=request.load_drag,
+            gravity=GRAVITY,
+            carriers=carriers,
+            radius=request.load_radius,
+            compliance=1 / request.cable_stiffness,
+        ),
+        wind=along / size if size > 0 else np.array([1.0, 0.0, 0.0]),
+        motions=load_motions(request, count),
+        limits=DesignLimits(
+            lift_share=own.lift_share,
+            speed_share=own.speed_share,
+            bank=own.bank,
+            climb=own.climb,
+            carrier_distance=own.carrier_distance,
+            lift_margin=own.lift_share - request.lift_share,
+            speed_margin=request.speed_share - own.speed_share,
+            bank_margin=own.bank - request.bank,
+            climb_margin=own.climb - request.climb,
+            thrust_margin=request.thrust_reserve,
+            separation=request.separation,
+            asked=tuple(asked(request, Of.FLIGHT)),
+        ),
+    )
+
+
+def design_bounds(request: DesignRequest, carriers: int, kind: str) -> tuple[NDArray, NDArray]:
+    """The least and the largest `FormationVariables` (10,) that are looked for.
+
+    The load's mass and speed and the wind are those of the request.
+    """
+    fixed = [request.load_mass, float(np.linalg.norm(request.wind)), request.speed]
+    least, most = request.cable_length
+    lower, upper = [0.05, 0.0, 0.0, 0.0, 0.05], [2.0, 0.0, 0.0, 0.0, 5.0]
+    if kind == LEANING:
+        lower[1:3] = [0.01, 0.01]
+        upper[:4] = [1.5, 1.0, 1.0, 0.6 if carriers > 3 else 0.0]
+    return np.array([*lower, least, *fixed, -1e3]), np.array([*upper, most, *fixed, MOST_RESERVE])
+
+
+def formation_needs(
+    task: FormationTask, kind: str, x: FormationVariables, phases: int = _FINE
+) -> Iterator[FlightNeeds]:
+    """What all aircraft need at phases of a turn, for each motion."""
+    n, is_leaning = task.load.carriers, kind == LEANING
+    turn, places = (2 * np.pi * np.arange(k) / k for k in (phases, n))
+    azimuths, angles = turn, np.zeros(phases)
+    if is_leaning:
+        azimuths, angles = np.repeat(places, phases), np.tile(turn, n)
+    share = x.mass * GRAVITY / n
+    rates = (x.frequency, 0.0) if is_leaning else (0.0, x.frequency)
+    shape = FormationShape(*[*(share * force for force in x[:4]), *rates, x.cable_length])
+    aircraft = task.aircraft._replace(cable_length=x.cable_length)
+    for motion in task.motions:
+        velocity, acceleration, jerk, snap = motion.at(x.speed)
+        air = velocity - x.wind * task.wind
+        orbit = carrier_orbit(
+            shape,
+            task.load._replace(mass=x.mass),
+            azimuths,
+            angles,
+            air_velocity=air,
+            acceleration=acceleration,
+            jerk=jerk,
+            snap=snap,
+        )
+        yield aircraft_needs(aircraft, orbit, -air)  # type: ignore[arg-type]
+
+
+def flight_of(
+    task: FormationTask, kind: str, x: FormationVariables, phases: int = _FINE
+) -> FlightExtremes:
+    """The extremes of what the aircraft need; the power is that of the first motion."""
+    aircraft = task.aircraft
+    found = list(formation_needs(task, kind, x, phases))
+    needs = FlightNeeds(*map(np.concatenate, zip(*found, strict=True)))
+    airspeed, thrust = needs.airspeed, needs.thrust
+    least, most = thrust_limits(aircraft, airspeed)
+    at_rest = found[0]
+    shares = thrust_share(aircraft, thrust, airspeed)
+    over_stall = airspeed_over_loaded_stall(aircraft, airspeed, needs.lift, thrust)
+    extremes: list[Any] = [
+        np.max(needs.lift) / float(aircraft.max_lift),
+        np.min(airspeed),
+        np.max(airspeed),
+        np.min(airspeed) / float(stall_speed(aircraft)),
+        np.min(over_stall),
+        np.max(np.abs(needs.bank)),
+        np.max(np.abs(needs.climb)),
+        np.min(thrust),
+        np.max(thrust),
+        np.min(shares),
+        np.max(shares),
+        np.min((most - thrust) / (most - least)),
+        np.min((thrust - least) / (most - least)),
+        np.mean(drawn_power(aircraft, at_rest.thrust, at_rest.airspeed)),
+    ]
+    values = [(limit, limit.values(aircraft, needs)) for limit, _ in task.limits.asked]
+    closest = tuple(float(each[limit.worst(each)]) for limit, each in values)
+    extremes = [*map(float, extremes), closest]
+    return FlightExtremes(*extremes)
+
+
+def missed_limits(
+    task: FormationTask, flight: FlightExtremes, reserve: float = 0.0
+) -> list[Missed]:
+    """What is beyond the limits, the farthest first; with a reserve of 1 beyond the margins."""
+    rows = []
+    count = len(flight.asked)
+    for k, (name, value, limit, margin, side, unit) in enumerate(_rows_of(task, flight)):
+        wanted_reserve = 1.0 if k < count else reserve  # what is asked for is no margin
+        least = limit - side * wanted_reserve * margin
+        beyond = side * (value - least) / margin
+        if beyond > 1e-4:
+            bound = "at most" if side > 0 else "at least"
+            found, wanted = (f"{number:.3g} {unit}".rstrip() for number in (value, least))
+            text = f"{name} {found} ({bound} {wanted.removesuffix(_OF_RANGE)})"
+            rows.append(Missed(beyond, name, text))
+    return sorted(rows, reverse=True)
+
+
+def reserve_of(task: FormationTask, flight: FlightExtremes) -> float:
+    """The least margin over what is asked of it: 1 where all are kept, 0 at a limit."""
+    return min(
+        side * (limit - value) / margin
+        for _, value, limit, margin, side, _ in _rows_of(task, flight)
+    )
+
+
+def _rows_of(
+    task: FormationTask, flight: FlightExtremes
+) -> Iterator[tuple[str, float, float, float, int, str]]:
+    """Of each quantity: its name, value, limit and margin, the limit's side, and the unit.
+
+    Those of the limits that are asked for come first.
+    """
+    limits = task.limits
+    for (row, stated), value in zip(limits.asked, flight.asked, strict=True):
+        margin = ASKED_MARGIN * stated
+        yield row.words, value, stated - row.side * margin, margin, -row.side, row.unit
+    yield "C_L / C_Lmax", flight.lift_share, limits.lift_share, limits.lift_margin, 1, ""
+    stall = limits.speed_share, limits.speed_margin
+    yield "airspeed / stall speed", flight.over_stall, *stall, -1, ""
+    for name, *angles in (
+        ("bank", flight.bank, limits.bank, limits.bank_margin),
+        ("climb or descent", flight.climb, limits.climb, limits.climb_margin),
+    ):
+        value, limit, margin = map(math.degrees, angles)
+        yield name, value, limit, margin, 1, "deg"
+    for name, value in (("largest", flight.thrust_above), ("least", flight.thrust_below)):
+        margin = 100 * limits.thrust_margin
+        yield f"thrust left to the {name}", 100 * value, 0.0, margin, -1, "%" + _OF_RANGE
+
+
+def breaking_points(
+    task: FormationTask, kind: str, x: FormationVariables, phase_turns: int, phases: int = _COARSE
+) -> Iterator[Break]:
+    """How far the wind, the load and its speed may grow, each alone, before a limit is missed.
+
+    The forces of the pattern stay as they are, in N. The wind grows in its direction, or where
+    there is none against the load's way. The distances of carriers and of cables, and the least
+    force of a cable, are those at rest.
+
+    Args:
+        task: of the instants of the way at which the limits are looked at.
+        kind: one of `KINDS`.
+        x: the formation.
+        phase_turns: κ.
+        phases: of a turn.
+    """
+    program = FormationProgram(task.with_motions(1), kind, phase_turns, phases=phases)
+    beside = np.flatnonzero(np.isin(program.row_names, list(OTHER_MARGINS)))
+
+    def missed(what: str, value: float) -> list[str]:
+        grown = with_load(x, value) if what == "mass" else x._replace(**{what: value})
+        flight = flight_of(task, kind, grown, phases=phases)
+        found = [each.name for each in missed_limits(task, flight)]
+        rows = program.rows(np.array(grown))[0][beside]
+        if np.min(rows) < 0:
+            found.append(OTHER_MARGINS[str(program.row_names[beside[np.argmin(rows)]])])
+        return found
+
+    is_resting = len(task.motions) == 1
+    wind = "wind" if is_resting or x.wind != 0 else "wind against the load's way"
+    for what, name, unit, first in (
+        ("wind", wind, "m/s", max(1.0, 2 * x.wind)),
+        ("mass", "load", "kg", 1.5 * x.mass),
+        ("speed", "speed", "m/s", max(1.0, 2 * x.speed)),
+    )[: 2 if is_resting else 3]:
+        low, high = getattr(x, what), first
+        for _ in range(_DOUBLINGS):
+            last = missed(what, high)
+            if last:
+                break
+            low, high = high, 2 * high
+        for _ in range(_HALVINGS if last else 0):
+            middle = (low + high) / 2
+            found = missed(what, middle)
+            low, high, last = (low, middle, found) if found else (middle, high, last)
+            if high - low < 1e-3 * high:
+                break
+        yield Break(name, unit, low, last[0] if last else "")
+
+
+def with_load(x: FormationVariables, mass: float) -> FormationVariables:
+    """The same forces in N, rates and cables, under a load of another mass in kg."""
+    ratio = x.mass / mass
+    return x._replace(mass=mass, **{name: ratio * getattr(x, name) for name in x._fields[:4]})

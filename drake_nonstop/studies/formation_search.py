@@ -1,0 +1,362 @@
+"""The search for formations of one number of carriers and kind."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drake_nonstop.analysis.aircraft_margins import aircraft_margins
+from drake_nonstop.analysis.formation import find_formation
+from drake_nonstop.analysis.task import task_of
+from drake_nonstop.mechanics.aircraft import stall_speed
+from drake_nonstop.mechanics.signals import POSE_SIZE
+from drake_nonstop.model.pattern import EllipticCarouselConfig
+from drake_nonstop.optimization.formation_program import (
+    LEANING,
+    FormationProgram,
+    FormationVariables,
+)
+from drake_nonstop.scenario.overrides import as_override, changed
+from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.simulation.run import RunStopped, StepCheck
+from drake_nonstop.studies.design_request import DesignRequest
+from drake_nonstop.studies.designed_formation import (
+    DesignedFormation,
+    Refusal,
+    formation_scenario,
+)
+from drake_nonstop.studies.formation_flight import (
+    INSTANTS,
+    KEY_INSTANTS,
+    MOST_RESERVE,
+    OTHER_MARGINS,
+    FlightExtremes,
+    breaking_points,
+    design_bounds,
+    design_task,
+    flight_of,
+    missed_limits,
+    reserve_of,
+)
+from drake_nonstop.studies.run_all import fly
+from drake_nonstop.systems.tracing import TracedFunction
+from drake_nonstop.validation import ScenarioError, message_of
+
+_CANDIDATES = 150  # of a search's starts, of which the best are taken
+_COARSE, _FINE = 8, 24  # phases of a turn
+_ROUND = 1.01  # of the reserve, since extremes lie between phases
+_CLOSE = 0.02  # of reserves that are the same
+_LEAST_POWER = 1.0  # W, that others are compared with: in an updraught aircraft need none
+_OBSERVERS = (1.0, 0.7, 0.4)  # weights that are tried
+# A flight at rest has three parts of 14 s or a turn. From the second to the third one an error, m,
+# that is larger than the least may grow by 1.15.
+_STEADY_PARTS, _STEADY_TIME, _STEADY_GROWTH, _STEADY_ERROR = 3, 14.0, 1.15, 1e-4
+_EASED = 0.97  # of a margin that is kept, which is asked for instead
+
+
+def design_one(
+    request: DesignRequest, carriers: int, kind: str
+) -> list[DesignedFormation | Refusal]:
+    """The formations of one number of carriers and kind, or why there is none."""
+    return FormationSearch(request, carriers, kind).formations()
+
+
+class FormationSearch:
+    """The search of one number of carriers and kind.
+
+    Args:
+        request: what is asked for.
+        carriers: n.
+        kind: leaning or co_rotating.
+        turns: κ; None: the usual one.
+    """
+
+    def __init__(self, request: DesignRequest, carriers: int, kind: str, turns: int | None = None):
+        self.request, self.n, self.kind = request, carriers, kind
+        self.task, self.way = (
+            design_task(request, carriers, count) for count in (KEY_INSTANTS, INSTANTS)
+        )
+        self.random = np.random.default_rng([request.seed, carriers, kind == LEANING])
+        if turns is None:
+            turns = 0 if kind != LEANING else 1 if carriers == 3 else carriers - 2
+        self.turns = turns
+        self.lower, self.upper = design_bounds(request, carriers, kind)
+        self.most_reserve = -np.eye(len(self.lower))[-1]
+        self._trace: TracedFunction | None = None
+        self._observer: float | None = None  # the weight, once it is known
+
+    def program(
+        self, motions: int = KEY_INSTANTS, phases: int = _FINE, turns: int | None = None
+    ) -> FormationProgram:
+        """The program of the first motions, at phases of a turn."""
+        task, turns = self.task.with_motions(motions), self.turns if turns is None else turns
+        program = FormationProgram(task, self.kind, turns, phases=phases, trace=self._trace)
+        self._trace = program.trace
+        return program
+
+    def formations(self) -> list[DesignedFormation | Refusal]:
+        """Those at rising reserves, each of the least power, or why there is none."""
+        start = self._best_of_starts()
+        program = self.program()
+        best = self._of_most_reserve(program, start, everywhere=True)
+        if best[-1] < 1:
+            return [self._refusal(program, best)]
+        found: list[DesignedFormation | Refusal] = []
+        levels = [_ROUND, (1 + best[-1]) / 2, best[-1]]
+        if best[-1] < 1 + 4 * _CLOSE:
+            levels = [best[-1]]
+        start = best
+        for k, level in enumerate(reversed(levels)):
+            least = level - (_CLOSE / 2 if level == best[-1] else 0.0)
+            values = self._of_least_power(program, start, least)
+            if values[-1] < 1:
+                if k > 0:
+                    continue  # of less power there is none
+                values = start
+            start = values
+            try:
+                found.append(self._described(values))
+            except ScenarioError as error:
+                found.append(self._refused(values, f"it cannot be judged: {message_of(error)}"))
+        return found
+
+    def _best_of_starts(self) -> NDArray:
+        """The variables of the largest reserve, from several starts, at coarse phases.
+
+        With any κ, which is taken.
+        """
+        coarse, resting = self.program(2, _COARSE), self.program(1, 6)
+        drawn = [self._drawn() for _ in range(_CANDIDATES)]
+        drawn.sort(key=lambda values: -resting.rows(values)[0].min())
+        found: list[NDArray] = []
+        for start in drawn[: self.request.starts]:
+            start[-1] = resting.rows(start)[0].min()
+            found.append(self._of_most_reserve(coarse, start))
+            if found[-1][-1] >= MOST_RESERVE - _CLOSE:
+                break
+        best = max(found, key=lambda values: values[-1])
+        if self.kind != LEANING or self.n < 5 or best[-1] >= MOST_RESERVE - _CLOSE:
+            return best
+        sizes = {"radial": 1.0, "tangential": 2.0, "vertical": 1.0}
+        for turns in EllipticCarouselConfig().suitable_turns(self.n, **sizes):
+            if turns != self.turns:
+                values = self._of_most_reserve(self.program(2, _COARSE, turns), best)
+                if values[-1] > best[-1] + _CLOSE:
+                    best, self.turns = values, turns
+        return best
+
+    def _drawn(self) -> NDArray:
+        """A start, by the closed forms of circles of a constant speed."""
+        random, task = self.random, self.task
+        least, most = self.request.cable_length
+        length = math.exp(random.uniform(math.log(least), math.log(most)))
+        ratio = task.load.mass / self.n / float(task.aircraft.mass)
+        speed = float(stall_speed(task.aircraft)) * math.sqrt(1 + ratio) * random.uniform(1.2, 2.0)
+        values = np.concatenate([np.zeros(5), [length], self.lower[6:9], [0.0]])
+        if self.kind == LEANING:
+            half_cone = random.uniform(0.03, 0.3)
+            lean = half_cone * random.uniform(1.1, 2.0)
+            size = math.tan(half_cone) / math.cos(lean)
+            values[:4] = math.tan(lean), size * math.cos(lean), size, size * math.sin(lean)
+            if self.n == 3:
+                values[2] = values[1]
+            radius = length * math.sin(half_cone)
+        else:
+            half_cone = random.uniform(0.2, 1.1)
+            values[0] = math.tan(half_cone)
+            radius = self.request.load_radius + length * math.sin(half_cone)
+        values[4] = speed / radius
+        return np.clip(values, self.lower, self.upper)
+
+    def _of_most_reserve(
+        self, program: FormationProgram, start: NDArray, *, everywhere: bool = False
+    ) -> NDArray:
+        values = program.solve(start, self.lower, self.upper, self.most_reserve)
+        return self.with_true_reserve(program, values, everywhere=everywhere)
+
+    def _of_least_power(self, program: FormationProgram, start: NDArray, least: float) -> NDArray:
+        """The variables of the least power at a reserve; where it is missed on the way, at more."""
+        lower, nothing = self.lower.copy(), np.zeros(len(self.lower))
+        lower[-1] = least
+        values = start
+        for _ in range(2):
+            power = max(program.rows(start)[2], _LEAST_POWER)
+            values = program.solve(start, lower, self.upper, nothing, power_weight=1 / power)
+            values = self.with_true_reserve(program, values)
+            lower[-1] += least - values[-1]
+            if values[-1] > least - _CLOSE / 4 or lower[-1] > MOST_RESERVE:
+                break
+        return values
+
+    def with_true_reserve(
+        self, program: FormationProgram, values: NDArray, *, everywhere: bool = True
+    ) -> NDArray:
+        """With the reserve as it is, at the program's instants or everywhere on the way."""
+        values = values.copy()
+        reserve = float(program.rows(values)[0].min())
+        if everywhere:
+            flight = flight_of(self.way, self.kind, variables_of(values))
+            reserve = min(reserve, reserve_of(self.task, flight))
+        values[-1] = min(MOST_RESERVE, reserve)
+        return values
+
+    def _described(self, values: NDArray) -> DesignedFormation | Refusal:
+        """The formation of these variables, or why it is none after all."""
+        x = variables_of(values)
+        flight = flight_of(self.way, self.kind, x)
+        scenario = formation_scenario(self.request, self.kind, self.n, self.turns, x, flight)
+        margins = aircraft_margins(scenario)
+        if not margins.is_flyable:
+            return self._refused(values, ", ".join(margin.sentence for margin in margins.missed))
+        formation = find_formation(task_of(scenario), count=4)
+        if not formation.is_stable:
+            rate = formation.worst.rate
+            return self._refused(values, f"a deviation of the load grows by {rate:.2g} 1/s")
+        steadied = self._steadied(scenario, margins.turn)
+        if steadied is None:
+            return self._refused(values, "in a flight at rest the load's sway grows")
+        distances = float(margins.carrier_distance.min()), float(margins.cable_distance.min())
+        return DesignedFormation(
+            kind=self.kind,
+            carriers=self.n,
+            phase_turns=self.turns,
+            variables=x,
+            flight=flight,
+            distances=distances,
+            cables=margins.ranges.cables,
+            growth=max(instant.rate for instant in formation.instants),
+            breaks=tuple(breaking_points(self.way, self.kind, x, self.turns)),
+            scenario=steadied,
+        )
+
+    def _steadied(self, scenario: Scenario, turn: float) -> Scenario | None:
+        """With the largest weight of the aircraft's observers at which the load's sway fades.
+
+        They hold the carriers on their references, and then nothing but the load's controller damps
+        it. The first formation is flown at rest for that; the others have the same weight.
+        """
+        weights = _OBSERVERS if self._observer is None else (self._observer,)
+        for weight in weights:
+            tried = changed(scenario, [as_override("carrier_controller.observer", weight)])
+            if self._observer is not None or _is_steady(tried, turn):
+                self._observer = weight
+                return tried
+        return None
+
+    def _refusal(self, program: FormationProgram, best: NDArray) -> Refusal:
+        flight = flight_of(self.way, self.kind, variables_of(best))
+        missed = [each.text for each in missed_limits(self.task, flight, 1.0)]
+        apart = float(program.separations(best)[0].min())
+        if apart < 0.999 * self.request.separation:
+            missed.append(f"carriers {apart:.3g} m apart (at least {self.request.separation:g} m)")
+        if not missed:
+            name = program.closest_row(best)
+            share = f"{best[-1]:.3g} of its margin (at least 1)"
+            missed = [f"{OTHER_MARGINS.get(name, name)} with {share}"]
+        remedy = self._remedy(program, best) or self._smaller_margins(flight, apart, best[-1])
+        return self._refused(best, missed=", ".join(missed), remedy=remedy)
+
+    def _refused(
+        self, best: NDArray, fault: str = "", *, missed: str = "", remedy: str = ""
+    ) -> Refusal:
+        return Refusal(
+            kind=self.kind,
+            carriers=self.n,
+            phase_turns=self.turns,
+            variables=variables_of(best),
+            missed=missed,
+            remedy=remedy,
+            fault=fault,
+        )
+
+    def _remedy(self, program: FormationProgram, best: NDArray) -> str:
+        """What alone would help, each tried: longer cables, a lighter load, less wind or speed."""
+        request = self.request
+        for field, sign, limit in (
+            ("cable_length", 1, max(500.0, 2 * request.cable_length[1])),
+            ("mass", -1, 0.02 * request.load_mass),
+            ("wind", -1, 0.0),
+            ("speed", -1, 0.0),
+        ):
+            index = FormationVariables._fields.index(field)
+            if best[index] == limit:
+                continue
+            lower, upper = self.lower.copy(), self.upper.copy()
+            (upper if sign > 0 else lower)[index] = limit
+            eased = program.solve(best, lower, upper, self.most_reserve)
+            eased = self.with_true_reserve(program, eased)
+            if eased[-1] < _ROUND:
+                continue
+            lower[-1] = _ROUND
+            cost = np.zeros(len(lower))
+            cost[index] = sign / max(best[index], 1.0)
+            found = program.solve(eased, lower, upper, cost)
+            if self.with_true_reserve(program, found)[-1] < 1:
+                found = eased
+            value = float(found[index])
+            if field == "cable_length":
+                return f"request.cable_length = [{request.cable_length[0]:g}, {_up(value)}]"
+            if field == "mass":
+                return f"request.load_mass = {_down(value)} or less"
+            if field == "wind":
+                share = value / best[index]
+                wind = [float(_down(share * part)) + 0.0 for part in request.wind]
+                return f"request.wind = {wind} or weaker"
+            return f"request.speed = {_down(value)} or less"
+        return ""
+
+    def _smaller_margins(self, flight: FlightExtremes, apart: float, reserve: float) -> str:
+        """The margins that the best formation keeps, in place of those that it misses."""
+        if reserve < _CLOSE:
+            return ""
+        limits = self.task.limits
+        fields = []
+        for name, value, limit, side in (
+            ("lift_share", flight.lift_share, limits.lift_share, 1),
+            ("speed_share", flight.over_stall, limits.speed_share, -1),
+            ("bank", flight.bank, limits.bank, 1),
+            ("climb", flight.climb, limits.climb, 1),
+            ("thrust_reserve", min(flight.thrust_above, flight.thrust_below), 0.0, -1),
+            ("separation", apart, 0.0, -1),
+        ):
+            eased = limit + _EASED * (value - limit)
+            if side * (eased - getattr(self.request, name)) > 0:
+                fields.append(f"request.{name} = {eased:.4g}")
+        return " and ".join(fields)
+
+
+def variables_of(values: NDArray) -> FormationVariables:
+    """The variables (10,) by their names."""
+    return FormationVariables(*values.tolist())
+
+
+def _is_steady(scenario: Scenario, turn: float) -> bool:
+    """Whether the load's error does not grow from one turn (s) to the next, in a flight at rest."""
+    part = max(_STEADY_TIME, turn)
+    changes = [
+        f"simulation_duration={_STEADY_PARTS * part}",
+        "load_trajectory.displacement=[0.0, 0.0, 0.0]",
+    ]
+    try:
+        run = fly(changed(scenario, changes), check_step=StepCheck.NOTHING)
+    except RunStopped:
+        return False
+    if run.stopped:
+        return False
+    positions = run.signal("load_state")[:, POSE_SIZE - 3 : POSE_SIZE]
+    errors = np.linalg.norm(positions - positions[0], axis=1)
+    count = len(errors) // _STEADY_PARTS
+    before, last = np.max(errors[-2 * count : -count]), np.max(errors[-count:])
+    return bool(last < max(_STEADY_GROWTH * before, _STEADY_ERROR))
+
+
+def _up(value: float) -> str:
+    return f"{math.ceil(value * 1.01):d}"
+
+
+def _down(value: float) -> str:
+    """One percent nearer to zero, of three digits that do not round away from it."""
+    if value == 0:
+        return "0"
+    digit = 10.0 ** (math.floor(math.log10(abs(value))) - 2)
+    return f"{math.copysign(math.floor(0.99 * abs(value) / digit) * digit, value):.3g}"
