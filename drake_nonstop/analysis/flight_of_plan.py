@@ -115,5 +115,5 @@ def flight_of_plan(task: Task, speeds: SpeedCheck, limits: FlightLimits) -> Flig
         FlightRanges.of(aircraft, needs, forces, task.flown.attachments),
         float(np.mean(np.any(missed, axis=0))),
         limits.saturated_share,
-        task.gust,
+        task.air.gust,
     )

@@ -180,7 +180,7 @@ def find_formation(task: Task, plan: Plan | None = None, *, count: int = 8) -> F
         plan: of ξ and A; None: they are the nominal ones.
         count: of the instants on the way, at the middles of equal parts of it.
     """
-    deviations, gains = task.deviations(), task.effective_gains
+    deviations, gains = task.deviations(), task.response.measured_gains
     part = task.duration / count
     times = part * (np.arange(count) + 0.5)
     instants = tuple(
@@ -227,7 +227,7 @@ def growth_complaint(task: Task, duration: float, *, in_samples: bool = False) -
     """
     if not duration * task.limits.frequency >= 2 * math.pi:
         return ""
-    deviations, gains = task.deviations(), task.effective_gains
+    deviations, gains = task.deviations(), task.response.measured_gains
 
     def rate(of_amplitude: float) -> float:
         parameters = task.nominal * np.array([1.0, of_amplitude])
@@ -282,7 +282,7 @@ def find_formation_remedies(
 
     def is_stable(task: Task, gains: Mapping[str, Any] | None = None, of_amplitude: float = 1.0):
         deviations = task.deviations()
-        used = task.effective_gains if gains is None else gains
+        used = task.response.measured_gains if gains is None else gains
 
         def planned(times: NDArray) -> NDArray:
             values = task.planned(plan, times)
@@ -326,7 +326,7 @@ def _largest_amplitude(task: Task, is_stable: _IsStable) -> float | None:
 
 
 def _other_gains(task: Task, is_stable: _IsStable) -> list[str]:
-    gains = task.effective_gains
+    gains = task.response.measured_gains
     if gains is None or not any(np.any(gain) for gain in gains.values()):
         return []
     for factor in _GAIN_FACTORS:

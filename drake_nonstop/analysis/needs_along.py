@@ -37,7 +37,7 @@ class NeedsAlong:
     def __init__(self, task: Task, times: NDArray):
         assert task.flown.aircraft is not None
         self._aircraft, self._plant = task.flown.aircraft, task.flown
-        self._believed = task.flown if task.is_above_load else task.model
+        self._believed = task.carried
         above = _height_of_carriers(self._believed)
         winds = [task.wind_at(time, above) for time in times]
         load = asked_load(self._believed, self._plant)

@@ -116,7 +116,7 @@ def _loop_of(
     task: Task, gains: Mapping[str, Any] | None
 ) -> tuple[Model, Model, Carriers, Feedback] | None:
     """What the loop consists of, with these gains; None: it is not known."""
-    carriers, feedback = task.carriers, task.feedback
+    carriers, feedback = task.response.carriers, task.response.feedback
     if carriers is None or feedback is None or not math.isfinite(task.flown.cable_stiffness):
         return None
     if gains is not None:

@@ -1,7 +1,7 @@
 """What a scenario asks of its load and its carriers, for analyses that do not simulate it."""
 
 import dataclasses
-import math
+import typing
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,30 +12,22 @@ from numpy.typing import NDArray
 from pydrake.systems.framework import Context, Diagram, System
 
 from drake_nonstop.analysis.load_stability import LoadDeviations
-from drake_nonstop.analysis.planned_turn import PlannedTurnAlong, constant_turn, predicted_turn
-from drake_nonstop.blocks.carrier_controller import CarrierPidConfig, FeedforwardCarrierPidConfig
-from drake_nonstop.blocks.carrier_trajectory import MeasuredCarrierTrajectoryConfig
-from drake_nonstop.blocks.load_feedback import (
-    DesiredAttitudeFeedbackConfig,
-    DesiredStateFeedbackConfig,
-)
-from drake_nonstop.blocks.load_trajectory import PlannedTurn
-from drake_nonstop.blocks.turn_rate_optimizer import TurnRateOptimizerConfig
 from drake_nonstop.diagrams.nonstop import make_nonstop
-from drake_nonstop.loop.margin_of_loop import carriers_of, feedback_of
+from drake_nonstop.loop.loop_response import LoopResponse, loop_response, reference_ahead
+from drake_nonstop.mechanics.reference_preview import ReferencePreview
 from drake_nonstop.mechanics.rigid_load import STILL_AIR
 from drake_nonstop.mechanics.signals import PLANNED_SIZE, LoadReference, PlannedParameters
 from drake_nonstop.mechanics.stretched_time import stretched_reference
-from drake_nonstop.mechanics.tethered_loop import Carriers
-from drake_nonstop.mechanics.wind import MeanWind, risen_share
-from drake_nonstop.mechanics.wrench import NO_FEEDBACK
+from drake_nonstop.mechanics.wind import MeanWind
+from drake_nonstop.mechanics.wrench import feedforward_wrench
+from drake_nonstop.model.descriptions import RESPONSE, WIND, TurnRate, Wind, described
 from drake_nonstop.model.system import Model, given_fields, overridden
 from drake_nonstop.optimization.horizon_problem import HorizonConfig, timed
 from drake_nonstop.optimization.plan import Plan
 from drake_nonstop.optimization.problem_config import LimitsConfig, with_fields_of
 from drake_nonstop.optimization.speed_margin import with_margin
-from drake_nonstop.optimization.turn_of_loops import Feedback
 from drake_nonstop.scenario.schema import Scenario, check
+from drake_nonstop.systems import wiring
 from drake_nonstop.systems.block import is_of_package
 from drake_nonstop.validation import require
 
@@ -48,6 +40,45 @@ _ANALYSED = (  # the boxes between the load's state and its cables
     "cables",
     "load_plant",
 )
+_UPDATES = 300  # of a prediction of ξ, at most
+
+
+class TurnAlong:
+    """The turn of a load about the vertical, at ξ that is linear between some times.
+
+    Args:
+        trajectory: the block that makes the reference of the planned ξ.
+        rates: (k,), rad/s, ξ.
+        times: (k,), s, from 0 on; after the last one ξ stays.
+    """
+
+    def __init__(self, trajectory: System, rates: NDArray, times: NDArray):
+        self.trajectory, self._context = trajectory, trajectory.CreateDefaultContext()
+        self._rates, self._times = rates, times
+        lengths, means = np.diff(times), (rates[1:] + rates[:-1]) / 2
+        self._slopes = np.append(np.diff(rates) / lengths, 0.0)
+        self._angles = np.concatenate([[0.0], np.cumsum(lengths * means)])
+
+    def planned(self, time: float) -> tuple[float, float, float]:
+        """The yaw θ in rad, ξ in rad/s and its rate in rad/s², at a time in s."""
+        k = int(np.searchsorted(self._times, time, side="right")) - 1
+        since, rate, slope = time - self._times[k], self._rates[k], self._slopes[k]
+        angle = self._angles[k] + since * (rate + since / 2 * slope)
+        return float(angle), float(rate + since * slope), float(slope)
+
+    def reference(self, time: float) -> NDArray:
+        """The load's reference (22,) at a time in s."""
+        return self.reference_at(time, *self.planned(time))
+
+    def reference_at(self, time: float, angle: float, rate: float, slope: float = 0.0) -> NDArray:
+        """Likewise with a yaw in rad, and its rates in rad/s and rad/s²."""
+        planned = np.zeros(PLANNED_SIZE)
+        parts = PlannedParameters.view(planned)
+        parts.angle[:], parts.frequency[:], parts.frequency_rate[:] = angle, rate, slope
+        self._context.SetTime(time)
+        self.trajectory.GetInputPort("planned").FixValue(self._context, planned)
+        found: NDArray = self.trajectory.GetOutputPort("reference").Eval(self._context).copy()
+        return found
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -62,20 +93,11 @@ class Task:
         changes_parameters: whether the scenario's layer may change ξ and A.
         reference: the load's (22,) at a time in s.
         duration: s.
-        gains: of the wrench controller, as of `LoadDeviations.growth`; None: they are not known.
-        carriers: their controllers and references; None: they are not known.
-        feedback: the wrench controller's, with its samples; None: it is not known.
-        feeds_back: whether the controllers get the load's state.
-        measures_attitude: as of `LoadDeviations`.
-        is_above_load: as of `LoadDeviations`.
-        carrier_stiffness: as of `LoadDeviations`, N/m.
-        mean_wind: everywhere, without gusts, once it has risen.
-        believed: (3,), m/s, in W, the wind that the controllers believe; None: that at the load.
-        gust: standard deviation of the wind at a carrier, m/s.
-        rise: when the wind begins to rise, s, and how long it takes, s; 0: at once.
+        response: what the blocks of the loop say of themselves.
+        air: the wind; where its block says nothing, there is none.
         counts_wind: whether the speeds that the layer bounds are those through the air.
         horizon: of plans of ξ and A.
-        turn: the load's, as a `TurnRateOptimizer` is predicted to change it; None: there is none.
+        turn: the load's, as its layer is predicted to change it; None: it does not.
     """
 
     name: str
@@ -85,34 +107,21 @@ class Task:
     changes_parameters: bool
     reference: Callable[[float], NDArray]
     duration: float
-    gains: Mapping[str, Any] | None
-    carriers: Carriers | None
-    feedback: Feedback | None
-    feeds_back: bool
-    measures_attitude: bool
-    is_above_load: bool
-    carrier_stiffness: float
-    mean_wind: MeanWind
-    believed: NDArray | None
-    gust: float
-    rise: tuple[float, float]
+    response: LoopResponse
+    air: Wind
     counts_wind: bool
     horizon: HorizonConfig
-    turn: PlannedTurnAlong | None = None
+    turn: TurnAlong | None = None
 
     @cached_property
     def wind(self) -> NDArray:
         """At the load at the start (3,), m/s, in W, without gusts, once it has risen."""
-        return self.mean_wind.at(LoadReference.view(self.reference(0.0)).position)
+        return self.air.mean.at(LoadReference.view(self.reference(0.0)).position)
 
     def wind_at(self, time: float, above: float = 0.0) -> NDArray:
         """The wind (3,) at a time in s, so many m above the load's reference; m/s, in W."""
-        start, rise_time = self.rise
-        share = float(time >= start)
-        if rise_time > 0:
-            share = float(risen_share(np.array(time), start=start, rise_time=rise_time))
         position = LoadReference.view(self.reference(time)).position + np.array([0, 0, above])
-        return share * self.mean_wind.at(position)
+        return self.air.at(np.array([time]), position)
 
     def counted_wind(self, time: float) -> NDArray:
         """The wind (3,) as far as it counts for the speed bound, m/s, in W."""
@@ -120,9 +129,18 @@ class Task:
 
     def planned_wind(self, time: float) -> NDArray:
         """What a layer takes for it."""
-        if self.believed is None or not self.counts_wind:
+        if self.air.believed is None or not self.counts_wind:
             return self.counted_wind(time)
-        return self.believed
+        return self.air.believed
+
+    @property
+    def carried(self) -> Model:
+        """The model whose load the carriers' references are above: what the controllers believe.
+
+        References above the measured load come to follow the simulated one, whose height is fed
+        back.
+        """
+        return self.flown if self.response.references.is_above_load else self.model
 
     @property
     def nominal(self) -> NDArray:
@@ -145,18 +163,13 @@ class Task:
             values[:] = [plan.values(time) for time in times]
         return values
 
-    @property
-    def effective_gains(self) -> Mapping[str, Any] | None:
-        """The gains on what is measured: none where nothing is fed back; None: not known."""
-        return self.gains if self.feeds_back else NO_FEEDBACK
-
     def deviations(self) -> LoadDeviations:
         """Those of the load."""
         return LoadDeviations(
             self.flown,
-            carrier_stiffness=self.carrier_stiffness,
-            is_above_load=self.is_above_load,
-            measures_attitude=self.measures_attitude,
+            carrier_stiffness=self.response.carrier_stiffness,
+            is_above_load=self.response.references.is_above_load,
+            measures_attitude=self.response.measurement.measures_attitude,
         )
 
     def slowed(self, factor: float) -> "Task":
@@ -203,79 +216,81 @@ def task_of(scenario: Scenario, loop: Diagram | None = None) -> Task:
     """
     check(scenario)
     scenario = scenario.sampled()
-    model = Model(scenario.system, scenario.pattern, scenario.control_period)
     if loop is None:
         loop = make_nonstop(scenario, at_equilibrium=False)
-    margin = getattr(loop, "speed_margin", None)
-    layer = with_margin(scenario.optimization_layer, margin)
+    layer = with_margin(scenario.optimization_layer, getattr(loop, "speed_margin", None))
     scenario = dataclasses.replace(scenario, optimization_layer=layer)
     blocks = {block.get_name(): block for block in loop.GetSystems()}
     trajectory = blocks["load_trajectory"]
-    if isinstance(trajectory, PlannedTurn) and scenario.reference_governor is None:
-        turn = constant_turn(trajectory, layer.frequency)
-        task = _task(scenario, model, turn.reference, blocks)
-        if not isinstance(layer, TurnRateOptimizerConfig):
+    if wiring.input_names(trajectory) == ["planned"]:
+        turn = TurnAlong(trajectory, np.array([layer.frequency]), np.zeros(1))
+        task = _task(scenario, turn.reference, blocks)
+        turns = described(blocks.get("optimization_layer"))
+        if turns is None:
             return task
-        turn = predicted_turn(trajectory, layer, model, task.planned_wind, task.duration)
+        turn = _predicted_turn(task, turns, turn)
         return dataclasses.replace(task, reference=turn.reference, turn=turn)
-    names = [trajectory.get_output_port(i).get_name() for i in range(trajectory.num_output_ports())]
-    require(
-        "reference" in names and trajectory.num_input_ports() == 0,
-        "load_trajectory",
-        type(trajectory).__name__,
-        "give one without inputs, whose motion is known beforehand",
-    )
-    return _task(scenario, model, _reference_of(trajectory), blocks)
+    ahead = reference_ahead(trajectory)
+    remedy = "give one without inputs, whose motion is known beforehand"
+    require(ahead is not None, "load_trajectory", type(trajectory).__name__, remedy)
+    return _task(scenario, typing.cast(ReferencePreview, ahead), blocks)
 
 
-def task_of_loop(scenario: Scenario, nonstop: Diagram, context: Context) -> Task | None:
+def _predicted_turn(task: Task, turns: TurnRate, turn: TurnAlong) -> TurnAlong:
+    """The turn of a load at the ξ that its layer makes, update by update.
+
+    Args:
+        task: what is flown, at a constant ξ.
+        turns: the layer.
+        turn: the load's at constant ξ.
+    """
+    period = max(turns.period, task.duration / _UPDATES)
+    rate, angle, rates = turns.frequency, 0.0, []
+    times = period * np.arange(int(task.duration / period) + 1)
+    for time in times:
+        motion, air = turn.reference_at(time, angle, rate), task.planned_wind(time)
+        wrenches = feedforward_wrench(task.model.load, motion, air)
+        rate = turns.updated(period, rate, motion, *wrenches, air)
+        rates.append(rate)
+        angle += period * rate
+    return TurnAlong(turn.trajectory, np.array(rates), times)
+
+
+def task_at(scenario: Scenario, nonstop: Diagram, context: Context) -> Task:
     """The task of a loop that has been built, with the load's reference as it is in a context.
-
-    None where a block of the user's own stands between the load's state and its cables: what it
-    does is not known.
 
     Args:
         scenario: what the loop was made from, with its numbers drawn.
         nonstop: the loop, which exports `reference` and `parameters`.
         context: of the loop.
     """
-    blocks = {block.get_name(): block for block in nonstop.GetSystems()}
-    if any(name in blocks and not is_of_package(blocks[name]) for name in _ANALYSED):
-        return None
-    gains = getattr(blocks.get("wrench_controller"), "gains", None)
-    if gains is None or not all(map(nonstop.HasOutputPort, ("reference", "parameters"))):
-        return None
     reference, (frequency, amplitude) = (
         nonstop.GetOutputPort(name).Eval(context).copy() for name in ("reference", "parameters")
     )
-    model = Model(scenario.system, scenario.pattern, scenario.control_period)
-    task = _task(scenario, model, lambda time: reference, blocks)
+    blocks = {block.get_name(): block for block in nonstop.GetSystems()}
+    task = _task(scenario, lambda time: reference, blocks)
     limits = dataclasses.replace(task.limits, frequency=frequency, amplitude=amplitude)
+    if described(blocks.get("wind"), WIND) is None and nonstop.HasOutputPort("load_wind"):
+        wind = nonstop.GetOutputPort("load_wind").Eval(context)
+        task = dataclasses.replace(task, air=Wind(MeanWind(wind.copy())))
     return dataclasses.replace(task, limits=limits)
 
 
 def _task(
-    scenario: Scenario,
-    model: Model,
-    reference: Callable[[float], NDArray],
-    blocks: Mapping[str, System],
+    scenario: Scenario, reference: Callable[[float], NDArray], blocks: Mapping[str, System]
 ) -> Task:
-    given = given_fields(scenario.simulated)
-    flown = model
-    if given:
+    model = flown = Model(scenario.system, scenario.pattern, scenario.control_period)
+    if given := given_fields(scenario.simulated):
         flown = Model(
             overridden(scenario.system, scenario.simulated),
             scenario.pattern,
             scenario.control_period,
             field="simulated",
-            overridden=[
-                name for name, value in vars(scenario.simulated).items() if value is not None
-            ],
+            overridden=given,
         )
-    layer, feedback = scenario.optimization_layer, scenario.load_feedback
+    layer = scenario.optimization_layer
     limits = with_fields_of(LimitsConfig, layer)  # of one without bounds, the default ones
     horizon = with_fields_of(HorizonConfig, layer)
-    believed = getattr(scenario.wind, "believed", None)
     return Task(
         name=scenario.name,
         model=model,
@@ -284,37 +299,19 @@ def _task(
         changes_parameters=hasattr(layer, "frequency_bounds") and not model.pattern.is_constant,
         reference=reference,
         duration=scenario.simulation_duration,
-        gains=getattr(blocks.get("wrench_controller"), "gains", None),
-        carriers=carriers_of(model, blocks, []),
-        feedback=feedback_of(model, blocks, []),
-        feeds_back=not isinstance(feedback, DesiredStateFeedbackConfig),
-        measures_attitude=not isinstance(feedback, DesiredAttitudeFeedbackConfig),
-        is_above_load=isinstance(scenario.carrier_trajectory, MeasuredCarrierTrajectoryConfig),
-        carrier_stiffness=_carrier_stiffness(scenario.carrier_controller),
-        mean_wind=MeanWind.of(scenario.wind, getattr(scenario.wind, "velocity", STILL_AIR)),
-        believed=None if believed is None else np.array(believed, dtype=float),
-        gust=getattr(scenario.wind, "gust", 0.0),
-        rise=(getattr(scenario.wind, "start_time", 0.0), getattr(scenario.wind, "rise_time", 0.0)),
+        response=loop_response(model, blocks),
+        air=described(blocks.get("wind"), WIND) or Wind(),
         counts_wind=model.aircraft is not None and getattr(layer, "wind", True),
         horizon=timed(horizon, limits.frequency, scenario.control_period),
     )
 
 
-def _reference_of(block: System) -> Callable[[float], NDArray]:
-    context, port = block.CreateDefaultContext(), block.GetOutputPort("reference")
-
-    def reference(time: float) -> NDArray:
-        context.SetTime(time)
-        values: NDArray = port.Eval(context).copy()
-        return values
-
-    return reference
-
-
-def _carrier_stiffness(controller: Any) -> float:
-    """N/m, by which a controller holds its carrier against a constant force."""
-    is_given = isinstance(controller, (CarrierPidConfig, FeedforwardCarrierPidConfig))
-    return controller.position_gain or math.inf if is_given else math.inf
+def is_known(nonstop: Diagram) -> bool:
+    """Whether all that stands between a loop's load and its cables says what it does."""
+    blocks = {block.get_name(): block for block in nonstop.GetSystems()}
+    own = [blocks[name] for name in _ANALYSED if name in blocks and not is_of_package(blocks[name])]
+    is_told = all(RESPONSE in vars(type(block)) for block in own)
+    return is_told and described(blocks.get("wrench_controller")) is not None
 
 
 def _changed(model: Model, **fields: Any) -> Model:

@@ -1,5 +1,6 @@
 """The controller half of box "Carrier Controller + Dynamics"."""
 
+import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any, ClassVar
@@ -14,6 +15,7 @@ from drake_nonstop.blocks.fixed_wing_controller import (
 from drake_nonstop.mechanics.carrier import loaded_pid_forces, pid_forces
 from drake_nonstop.mechanics.tuning import pid_gains
 from drake_nonstop.model.block import Block
+from drake_nonstop.model.descriptions import CarrierControl
 from drake_nonstop.model.system import Model
 from drake_nonstop.validation import StrictFields, require_non_negative, require_positive
 
@@ -78,10 +80,10 @@ class _PositionPid(Block):
         """The gains that it was made with."""
         return self.gains_of(self.model, self.config)
 
-    @property
-    def has_feedforward(self) -> bool:
-        """Whether there is feedforward m_c a_d."""
-        return _ACCELERATION in self.reads
+    def describe_response(self) -> CarrierControl:
+        stiffness = getattr(self.config, "position_gain", 0.0) or math.inf
+        has_feedforward = _ACCELERATION in self.reads
+        return CarrierControl(**self.gains, has_feedforward=has_feedforward, stiffness=stiffness)
 
 
 class _WithFeedforward(_PositionPid):
@@ -226,6 +228,9 @@ class LoadedCarrierPid(Block):
     def gains(self) -> dict[str, Any]:
         """The gains that it was made with."""
         return asdict(self.config) | {"integral_gain": 0.0}
+
+    def describe_response(self) -> CarrierControl:
+        return CarrierControl(**self.gains, bears_cables=True)
 
 
 VARIANTS = (

@@ -34,6 +34,7 @@ from drake_nonstop.model.block_parameters import (
     aircraft_of,
     required_aircraft,
 )
+from drake_nonstop.model.descriptions import CarrierMotion
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import BlockType
 from drake_nonstop.systems.documentation import documented
@@ -76,6 +77,9 @@ class CarrierDynamics(Block):
 
     def state(self, model: Model) -> NDArray:
         return model.initial_carrier_state
+
+    def describe_response(self) -> CarrierMotion:
+        return CarrierMotion()
 
     def CalcKineticEnergy(self, context: Context) -> float:
         """½ m_c Σ ‖v_i‖², J; the context is the block's own. Without weight none is potential."""
@@ -133,6 +137,9 @@ class LoadedCarrierDynamics(Block):
 
     state = CarrierDynamics.state
     SetCarrierState = CarrierDynamics.SetCarrierState
+
+    def describe_response(self) -> CarrierMotion:
+        return CarrierMotion(bears_cables=True)
 
     def CalcKineticEnergy(self, context: Context) -> float:
         """½ m_c Σ ‖v_i‖², J; the context is the block's own."""

@@ -18,6 +18,7 @@ from drake_nonstop.mechanics.force_rates import second_and_third_force_rates
 from drake_nonstop.mechanics.signal_layouts import SAMPLE_TIME
 from drake_nonstop.model.block import Block
 from drake_nonstop.model.block_parameters import LOAD, rigid_load
+from drake_nonstop.model.descriptions import CarrierReferences
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.requirements import LoopBlocks
 from drake_nonstop.systems.traced_block import BetweenSamples
@@ -59,6 +60,9 @@ class _TrajectoryAboveReference(Block):
     def hold_order(self) -> int:
         """Of the references' motion between samples, as `_HOLDS`; 0: there are no samples."""
         return _HOLDS[self.config.hold] if self.model.control_period > 0 else 0
+
+    def describe_response(self) -> CarrierReferences:
+        return CarrierReferences(self.hold_order)
 
     @classmethod
     def check(cls, model: Model, config: Any) -> None:
@@ -228,6 +232,9 @@ class MeasuredCarrierTrajectory(Block):
         return np.concatenate(carrier_motion(load_state, forces, rates, **cables))
 
     inputs = _TrajectoryAboveReference.inputs
+
+    def describe_response(self) -> CarrierReferences:
+        return CarrierReferences(None, is_above_load=True)
 
     def between_samples(self, model: Model, config: Any) -> BetweenSamples:
         return _moving(1)

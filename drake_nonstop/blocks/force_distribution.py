@@ -19,6 +19,7 @@ from drake_nonstop.mechanics.rotation import rotation_matrix
 from drake_nonstop.mechanics.signals import LoadState
 from drake_nonstop.model.block import Block
 from drake_nonstop.model.block_parameters import BlockParameters
+from drake_nonstop.model.descriptions import PseudoInverse
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import weakly
 from drake_nonstop.validation import StrictFields, is_number, require, require_non_negative
@@ -59,6 +60,9 @@ class CableForceDistribution(Block):
 
     def block_parameters(self, model: Model, config: Any) -> BlockParameters:
         return self.parameters_of(model, config, (), system=model.offset_parameter)
+
+    def describe_response(self) -> PseudoInverse:
+        return PseudoInverse()
 
 
 @dataclass(kw_only=True)

@@ -15,6 +15,7 @@ from drake_nonstop.mechanics.coloured_noise import (
 )
 from drake_nonstop.mechanics.signals import WRENCH_SIZE
 from drake_nonstop.model.block import Block
+from drake_nonstop.model.descriptions import Gusts, LoadWrench
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import LeafBlock, number
 from drake_nonstop.validation import (
@@ -44,6 +45,9 @@ class NoDisturbance(Block):
     def equations() -> NDArray:
         return np.zeros(WRENCH_SIZE)
 
+    def describe_response(self) -> LoadWrench:
+        return LoadWrench()
+
 
 @dataclass(kw_only=True)
 class DisturbanceForceConfig(StrictFields):
@@ -63,11 +67,6 @@ class DisturbanceForce(LeafBlock):
     The gust is that of `mechanics.coloured_noise` with 32 waves on each axis, up to ωτ = 30: a
     function of time alone, so that runs repeat to the bit whatever the integrator's steps are.
 
-    Attributes:
-        wrench: (6,), the constant part.
-        gust_force: N, standard deviation on each axis.
-        wave_frequencies: rad/s, of the waves that the gust consists of.
-
     Raises:
         ScenarioError: a field is out of range.
     """
@@ -84,28 +83,32 @@ class DisturbanceForce(LeafBlock):
         require_positive(_BOX, gust_time=config.gust_time)
         require_period(f"{_BOX}.gust_time", config.gust_time)
         require_seed(f"{_BOX}.seed", config.seed)
-        self.wrench = np.concatenate([torque, force])
+        self._wrench = np.concatenate([torque, force])
         self._start_time = config.start_time
         random = np.random.default_rng(config.seed)
         bands: dict[str, Any] = {"count": 32, "highest": 30.0}
         self._waves = random_waves(random, 3, config.gust_time, **bands)
-        self.wave_frequencies = wave_frequencies(config.gust_time, **bands)
-        self.gust_force = config.gust_force
+        self._gust = config.gust_force
+        frequencies = wave_frequencies(config.gust_time, **bands)
+        self._gusts = Gusts(np.repeat([0.0, self._gust], 3), frequencies)
         ticket = self.time_ticket()
         self.DeclareVectorOutputPort("disturbance_wrench", WRENCH_SIZE, self._calc, {ticket})
+
+    def describe_response(self) -> LoadWrench:
+        return LoadWrench(self._wrench, self._gusts)
 
     def _calc(self, context: Context, output: BasicVector) -> None:
         time = context.get_time()
         wrench = np.zeros(WRENCH_SIZE)
         if number(time) >= self._start_time:
-            force = coloured_noise(time, self._waves, self.gust_force)
-            wrench = self.wrench + np.concatenate([np.zeros(3), force])
+            force = coloured_noise(time, self._waves, self._gust)
+            wrench = self._wrench + np.concatenate([np.zeros(3), force])
         output.SetFromVector(wrench)
 
     def known_over(self, ports: Sequence[str], times: NDArray) -> list[NDArray]:
         """What each of the ports, `disturbance_wrench`, shows at times (k,) in s, (k, 6)."""
-        forces = coloured_noise(times[:, None, None], self._waves, self.gust_force)
-        wrenches = self.wrench + np.column_stack([np.zeros((len(times), 3)), forces])
+        forces = coloured_noise(times[:, None, None], self._waves, self._gust)
+        wrenches = self._wrench + np.column_stack([np.zeros((len(times), 3)), forces])
         wrenches[times < self._start_time] = 0.0
         return [wrenches for _ in ports]
 

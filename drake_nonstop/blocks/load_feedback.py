@@ -20,7 +20,9 @@ from drake_nonstop.mechanics.signals import (
     LoadState,
     TrackingError,
 )
+from drake_nonstop.mechanics.tethered_loop import Estimator
 from drake_nonstop.model.block import Block
+from drake_nonstop.model.descriptions import LoadMeasurement
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import BlockType, LeafBlock, number
 from drake_nonstop.systems.documentation import documented
@@ -56,6 +58,9 @@ class IdealFeedback(Selector, metaclass=BlockType):
         """Makes the block; it takes a `model` and a `config` (None: the default values)."""
         super().__init__(stacking({"load_state": LOAD_STATE_SIZE}, "measured_load_state"))
 
+    def describe_response(self) -> LoadMeasurement:
+        return LoadMeasurement()
+
 
 @dataclass(kw_only=True)
 class DesiredStateFeedbackConfig(StrictFields):
@@ -75,6 +80,9 @@ class DesiredStateFeedback(Block):
     @staticmethod
     def equations(reference: NDArray) -> NDArray:
         return reference[:LOAD_STATE_SIZE]
+
+    def describe_response(self) -> LoadMeasurement:
+        return LoadMeasurement(is_measured=np.zeros(TRACKING_ERROR_SIZE))
 
 
 @dataclass(kw_only=True)
@@ -109,6 +117,12 @@ class DesiredAttitudeFeedback(Selector, metaclass=BlockType):
         output.selections = [output.selections[i] for i in np.concatenate(chosen)]
         params.outputs = [output]
         super().__init__(params)
+
+    def describe_response(self) -> LoadMeasurement:
+        is_measured = np.ones(TRACKING_ERROR_SIZE)
+        errors = TrackingError.view(is_measured)
+        errors.orientation[:] = errors.angular_velocity[:] = 0
+        return LoadMeasurement(is_measured=is_measured)
 
 
 @dataclass(kw_only=True)
@@ -203,6 +217,10 @@ class NoisyFeedback(LeafBlock):
         return self.delay_periods, self.period, bool(self.deviations.any())
 
     updates_at_start = True
+
+    def describe_response(self) -> LoadMeasurement:
+        delay = self.delay_periods * self.period
+        return LoadMeasurement(self.deviations, delay=delay, period=self.period)
 
     def traced_output(self, port: str, at: Any) -> NDArray:
         return self._measured(at)
@@ -339,6 +357,10 @@ class EstimatedFeedback(NoisyFeedback):
         """The measurement's, and the gains."""
         gains = self.rotation_gain.tobytes(), self.translation_gain.tobytes()
         return super().trace_key, *gains
+
+    def describe_response(self) -> LoadMeasurement:
+        estimator = Estimator.of(self.rotation_gain, self.translation_gain, self.period)
+        return super().describe_response()._replace(estimator=estimator)
 
     def traced_output(self, port: str, at: Any) -> NDArray:
         is_due = at.time[0] > at.state(self._first + 1)[0] + _DUE * self.period

@@ -67,6 +67,10 @@ class RecedingHorizonOptimizerConfig(HorizonConfig, LimitsConfig):
     max_iterations: int = 2  # quadratic programs of a plan
     time_limit: float = float("inf")  # s, of wall time, beyond which the plan that exists goes on
 
+    def instant_spacing(self, control_period: float) -> float:
+        """As of `LimitsConfig`."""
+        return timed(self, self.frequency, control_period).knot_spacing / self.instants
+
 
 class RecedingHorizonOptimizer(SpeedBoundLayer):
     """Plans ξ and A over a horizon such that every carrier stays at or above ε.

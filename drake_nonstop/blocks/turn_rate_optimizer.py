@@ -2,10 +2,10 @@
 
 import time
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from pydrake.systems.framework import Context
 
 from drake_nonstop.blocks import load_trajectory, phase
@@ -16,6 +16,7 @@ from drake_nonstop.model.block_parameters import (
     Rules,
     required_aircraft,
 )
+from drake_nonstop.model.descriptions import TurnRate
 from drake_nonstop.model.system import OFFSET, Model
 from drake_nonstop.optimization.flight_limits import FlightLimits
 from drake_nonstop.optimization.problem_config import (
@@ -128,6 +129,14 @@ class TurnRateOptimizer(PeriodicLayer):
         """The bound, which a context can change."""
         rules = Rules(check=self.check, fixed=_FIXED)
         return BlockParameters(model, config=config, own=("speed_bound",), rules=rules)
+
+    def describe_response(self) -> TurnRate:
+        def updated(period: float, rate: float, motion: NDArray, *others: NDArray) -> float:
+            config = replace(self._config, period=period)
+            update = turn_update(config, float(config.speed_bound), rate, motion, *others)
+            return self._solver.solve(update).rate
+
+        return TurnRate(self._config.frequency, self._config.period, updated)
 
     def updated(self, context: Context) -> Mapping[str, ArrayLike]:
         """The states after an update."""

@@ -19,12 +19,12 @@ from drake_nonstop.mechanics.coloured_noise import (
     wave_frequencies,
 )
 from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, WIND_SIZE, CarrierStates, LoadState
-from drake_nonstop.mechanics.wind import LOWEST_HEIGHT, power_law, risen_share
+from drake_nonstop.mechanics.wind import LOWEST_HEIGHT, MeanWind
 from drake_nonstop.model.block import Block
+from drake_nonstop.model.descriptions import Gusts, Wind
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import LeafBlock
 from drake_nonstop.systems.in_context import shown
-from drake_nonstop.systems.tracing import chosen
 from drake_nonstop.validation import (
     StrictFields,
     is_number,
@@ -61,6 +61,9 @@ class StillAir(Block):
     def equations(*, n: int) -> tuple[NDArray, NDArray, NDArray]:
         return np.zeros(3 * n), np.zeros(3), np.zeros(3)
 
+    def describe_wind(self) -> Wind:
+        return Wind()
+
 
 @dataclass(kw_only=True)
 class _MeanWindFields(StrictFields):  # no config may be below another: YAML could not tell them
@@ -82,41 +85,22 @@ class _MeanWind(LeafBlock):
 
     Args:
         config: the block's.
-
-    Attributes:
-        believed: (3,), m/s, in W, what the controllers believe; None: the mean wind at the load.
-        jumps: whether the mean wind comes at once after the start.
     """
 
     makes = StillAir.makes
 
     def __init__(self, config: _MeanWindFields):
         super().__init__()
-        self._velocity = _checked_velocity("velocity", config.velocity)
+        mean = MeanWind(_checked_velocity("velocity", config.velocity))
         times = {"start_time": config.start_time, "rise_time": config.rise_time}
         require_non_negative(_BOX, **times)
-        self._start, self._rise_time = config.start_time, config.rise_time
-        self._is_constant = not any(times.values())
-        self.jumps = config.start_time > 0 == config.rise_time
-        self.believed: NDArray | None = None
+        believed: NDArray | None = None
         if config.believed is not None:
-            self.believed = _checked_velocity("believed", config.believed)
+            believed = _checked_velocity("believed", config.believed)
+        self._wind = Wind(mean, believed, config.start_time, config.rise_time)
 
-    def mean_at(self, positions: NDArray) -> NDArray:
-        """The mean wind (k, 3) at positions (k, 3), once it has risen; m/s, in W."""
-        return np.tile(self._velocity, (len(positions), 1))
-
-    @property
-    def _rises_at_once(self) -> bool:
-        return not self._is_constant and self._rise_time == 0
-
-    def _share(self, time: NDArray) -> Any:
-        """What share of the mean wind there is at a time (1,), of numbers or symbols."""
-        if self._is_constant:
-            return 1.0
-        if self._rises_at_once:
-            return chosen(time[0] >= self._start, np.ones(1), np.zeros(1))
-        return risen_share(time, start=self._start, rise_time=self._rise_time)
+    def describe_wind(self) -> Wind:
+        return self._wind
 
 
 def _checked_velocity(name: str, value: Any) -> NDArray:
@@ -135,21 +119,21 @@ class SteadyWind(_MeanWind):
 
     def __init__(self, model: Model, config: SteadyWindConfig | None = None):
         super().__init__(config or SteadyWindConfig())
-        self.is_sampled = self._is_constant
-        sources = {self.nothing_ticket() if self._is_constant else self.time_ticket()}
+        self.is_sampled = is_constant = self._wind.is_constant
+        sources = {self.nothing_ticket() if is_constant else self.time_ticket()}
         self.DeclareVectorOutputPort("wind", 3 * model.n, self._calc, sources)
         self.DeclareVectorOutputPort("load_wind", WIND_SIZE, self._calc, sources)
         self.DeclareVectorOutputPort("wind_estimate", WIND_SIZE, self._calc_estimate, sources)
 
     def _calc(self, context: Context, output: BasicVector) -> None:
-        mean = self._share(np.array([context.get_time()])) * self._velocity
-        output.SetFromVector(np.tile(mean, output.size() // WIND_SIZE))
+        positions = np.zeros((output.size() // WIND_SIZE, 3))  # none counts
+        output.SetFromVector(self._wind.at(np.array([context.get_time()]), positions).ravel())
 
     def _calc_estimate(self, context: Context, output: BasicVector) -> None:
-        if self.believed is None:
+        if self._wind.believed is None:
             self._calc(context, output)
         else:
-            output.SetFromVector(self.believed)
+            output.SetFromVector(self._wind.believed)
 
 
 @dataclass(kw_only=True)
@@ -191,11 +175,9 @@ class _Profile(_MeanWind):
         is_height = is_number(config.ground_height) and abs(config.ground_height) <= _HIGHEST_GROUND
         remedy = f"give a number of {_HIGHEST_GROUND:g} m at most"
         require(is_height, f"{_BOX}.ground_height", config.ground_height, remedy)
-        self._law = {
-            "reference_height": config.reference_height,
-            "exponent": config.exponent,
-        }
-        self._ground = config.ground_height
+        law = config.exponent, config.reference_height, config.ground_height
+        mean = MeanWind(self._wind.mean.velocity, *law)
+        self._wind = self._wind._replace(mean=mean)
         carriers = self.DeclareVectorInputPort("carrier_state", 6 * model.n)
         load = self.DeclareVectorInputPort("load_state", LOAD_STATE_SIZE)
         for name, heights in zip(self.makes, (carriers, load, load), strict=True):
@@ -203,26 +185,20 @@ class _Profile(_MeanWind):
             size = 3 * model.n if name == "wind" else WIND_SIZE
             self.DeclareVectorOutputPort(name, size, shown(self, name), sources)
 
-    def mean_at(self, positions: NDArray) -> NDArray:
-        """The mean wind (k, 3) at positions (k, 3), once it has risen; m/s, in W."""
-        return self._velocity * power_law(positions[:, 2:] - self._ground, **self._law)
-
     @property
     def trace_key(self) -> Any:
         """The mean wind, and what is believed of it."""
-        believed = None if self.believed is None else self.believed.tobytes()
-        rise = self._velocity.tobytes(), self._start, self._rise_time
-        return *rise, believed, self._ground, *self._law.values()
+        (velocity, *law), believed, *rise = self._wind[:4]
+        return velocity.tobytes(), *law, None if believed is None else believed.tobytes(), *rise
 
     def traced_output(self, port: str, at: Any) -> NDArray:
-        if port == "wind_estimate" and self.believed is not None:
-            return self.believed
+        if port == "wind_estimate" and self._wind.believed is not None:
+            return self._wind.believed
         if port == "wind":
             positions = CarrierStates.view(at.input("carrier_state")).positions
         else:
             positions = LoadState.view(at.input("load_state")).position[None]
-        mean = self._share(at.time) * self.mean_at(positions).ravel()
-        return mean + self._gusts_at(port, at)
+        return self._wind.at(at.time, positions).ravel() + self._gusts_at(port, at)
 
     def _gusts_at(self, port: str, at: Any) -> Any:
         """The gusts on top of what a port shows."""
@@ -266,10 +242,6 @@ class GustyWind(_Profile):
     bit whatever the integrator's steps are. A carrier's gusts follow from the seed and its number.
     They are there from the start on; a mean wind may rise later.
 
-    Attributes:
-        load_deviations: (3,), m/s, in W, standard deviations of the load's gusts.
-        wave_frequencies: rad/s, of the waves that gusts consist of.
-
     Raises:
         ScenarioError: a field is out of range.
     """
@@ -302,12 +274,14 @@ class GustyWind(_Profile):
             random = np.random.default_rng([config.seed, number])
             return random_waves(random, 3, correlation_time, count=_WAVES, highest=_HIGHEST)
 
-        self.wave_frequencies = wave_frequencies(correlation_time, count=_WAVES, highest=_HIGHEST)
+        frequencies = wave_frequencies(correlation_time, count=_WAVES, highest=_HIGHEST)
         shares = np.array([1.0, 1.0, config.vertical_share])
         carriers = [waves(i + 1) for i in range(model.n)]
         self._waves = Waves._make(map(np.concatenate, zip(*carriers, strict=True)))
         self._deviations = np.tile(config.gust * shares, model.n)
-        self._load_waves, self.load_deviations = waves(0), config.load_gust * shares
+        self._load_waves = waves(0)
+        gusts = Gusts(config.load_gust * shares, frequencies)
+        self._wind = self._wind._replace(gust=config.gust, load_gusts=gusts)
 
     def _gusts_at(self, port: str, at: Any) -> Any:
         return 0.0 if port == "wind_estimate" else at.known(port, self.GetOutputPort(port).size())
@@ -315,7 +289,8 @@ class GustyWind(_Profile):
     def quantities_over(self, ports: Sequence[str], times: NDArray) -> list[NDArray]:
         """The gusts on top of what ports show, (k, size), at times (k,) in s; m/s, in W."""
         waves = {"wind": self._waves, "load_wind": self._load_waves}
-        deviations = {"wind": self._deviations, "load_wind": self.load_deviations}
+        assert self._wind.load_gusts is not None
+        deviations = {"wind": self._deviations, "load_wind": self._wind.load_gusts.deviations}
         times = times[:, None, None]
         return [coloured_noise(times, waves[port], deviations[port]) for port in ports]
 

@@ -95,6 +95,9 @@ class _WrenchPid(Block):
         """What `law` returns of the model's load."""
         return self.law(self.model.load, **_numbers(self.model, self.config))
 
+    def describe_response(self) -> dict[str, Any]:
+        return self.gains
+
 
 def _numbers(model: Model, config: Any) -> dict[str, Any]:
     """The fields of a config, with numbers for those that are `AUTO`."""

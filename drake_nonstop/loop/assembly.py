@@ -12,7 +12,7 @@ from pydrake.systems.framework import Diagram, DiagramBuilder, System
 
 from drake_nonstop.blocks.reference_governor import ReferenceGovernorConfig, governed
 from drake_nonstop.loop.box import Box, block_class, block_of, import_path, kept_parameters
-from drake_nonstop.loop.margin_of_loop import computed_margin
+from drake_nonstop.loop.loop_response import speed_margin_for, warn_of_margin
 from drake_nonstop.loop.sample_and_hold import SAMPLE_AND_HOLD, hold_of
 from drake_nonstop.mechanics.reference_preview import ReferencePreview
 from drake_nonstop.mechanics.signal_layouts import Layout
@@ -25,7 +25,6 @@ from drake_nonstop.model.system import (
     given_fields,
     overridden,
 )
-from drake_nonstop.optimization.problem_config import AUTO, LimitsConfig
 from drake_nonstop.optimization.speed_margin import SpeedMargin, with_margin
 from drake_nonstop.systems import wiring
 from drake_nonstop.systems.block import LOOP, is_of_package
@@ -103,9 +102,11 @@ def make_parts(
         box = boxes.get(name)
         if box is not None and entry is None:
             continue
-        if name == LAYER and _wants_margin(entry):
+        if name == LAYER and getattr(entry, "wants_margin", False):
             duration = scenario.simulation_duration
-            margin = computed_margin(believed, simulated, entry, blocks, duration)
+            found = speed_margin_for(believed, simulated, entry, blocks, duration)
+            warn_of_margin(found)
+            margin = found.margin
             entry = with_margin(entry, margin)
         is_simulated = box is not None and box.is_simulated
         model = watched[name] = WatchedModel(simulated if is_simulated else believed)
@@ -178,12 +179,6 @@ def _models(scenario: LoopConfig) -> tuple[Model, Model]:
         overridden=given_fields(scenario.simulated),
     )
     return believed, simulated
-
-
-def _wants_margin(entry: Any) -> bool:
-    """Whether a layer's entry has a margin computed for it."""
-    is_auto = isinstance(entry, LimitsConfig) and entry.tightening == AUTO
-    return is_auto and entry.speed_margin == 0 < entry.speed_bound
 
 
 def _require_motion(loop: LoopBlocks) -> None:

@@ -66,6 +66,15 @@ class _BoundAndLimits(StrictFields):
 class LimitsConfig(AircraftLimits, _BoundAndLimits):
     """The bound, the nominal ξ and A, and what limits them and the carriers' flight."""
 
+    @property
+    def wants_margin(self) -> bool:
+        """Whether a speed margin is computed for it."""
+        return self.tightening == AUTO and self.speed_margin == 0 < self.speed_bound
+
+    def instant_spacing(self, control_period: float) -> float:
+        """Between the instants of the constraints, s, where controllers have a period in s."""
+        return 0.0
+
 
 @dataclass(kw_only=True)
 class NonstopProblemConfig(LimitsConfig):
@@ -83,6 +92,10 @@ class NonstopProblemConfig(LimitsConfig):
     change_time: float = 2.0  # s, in which a bound or a switch set during a run takes effect
     solver: str = "search"  # "search", "grid", "snopt", "ipopt" or "nlopt"
     global_search: bool = True  # compare what snopt, ipopt or nlopt finds with the search
+
+    def instant_spacing(self, control_period: float) -> float:
+        """As of `LimitsConfig`."""
+        return self.period / max(self.look_ahead_points - 1, 1)
 
 
 def stated_speed_bound(field: str, value: Any, aircraft: Aircraft | None) -> Any:

@@ -9,7 +9,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,7 @@ from drake_nonstop.mechanics.sampled_loop import (
 )
 from drake_nonstop.mechanics.signals import LoadReference, resting_reference
 from drake_nonstop.mechanics.tethered_loop import Carriers, Inputs, Orbit
+from drake_nonstop.model.descriptions import Gusts
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.horizon_problem import HorizonConfig, HorizonProblem, timed
 from drake_nonstop.optimization.problem_config import LimitsConfig, amplitude_range, with_fields_of
@@ -77,13 +78,6 @@ class Motion:
         return turned
 
 
-class Gust(NamedTuple):
-    """Coloured noise on the load, a sum of waves of equal size on each axis."""
-
-    deviations: NDArray  # (6,), N m and N, in W, standard deviations
-    frequencies: NDArray  # rad/s, of the waves
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Disturbance:
     """What acts on the load besides cables and weight, in W.
@@ -91,12 +85,12 @@ class Disturbance:
     Attributes:
         believed: (k, 3), N, at the instants of the motion: forces that the controllers know of.
         unknown: (6,), [torque; force], N m and N, steady and not known to them.
-        gusts: independent of one another.
+        gusts: (6,) each, in N m and N, independent of one another.
     """
 
     believed: NDArray
     unknown: NDArray
-    gusts: tuple[Gust, ...] = ()
+    gusts: tuple[Gusts, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -488,7 +482,7 @@ def _of_jump(g: NDArray, task: _Task, orbit: Orbit) -> NDArray:
     steps = (g.reshape(len(g), -1, n, g.shape[-1]) @ columns).reshape(-1, n, columns.shape[1])
     sizes = np.linalg.norm(columns.reshape(n, 3, -1), axis=1)
     chords = np.minimum(sizes**2 / (8 * max(limits.speed_bound, _LEAST_SPEED)), sizes)
-    kept = limits.overshoot if isinstance(limits, HorizonConfig) else 0.0
+    kept = getattr(limits, "overshoot", 0.0)
     return np.max(overshoot(steps) + chords - kept * sizes, axis=1, initial=0.0)
 
 

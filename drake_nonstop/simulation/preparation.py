@@ -10,7 +10,7 @@ from pydrake.systems.framework import Context, Diagram
 
 from drake_nonstop.analysis.aircraft_margins import margins_of_loop
 from drake_nonstop.analysis.formation import growth_complaint
-from drake_nonstop.analysis.task import task_of_loop
+from drake_nonstop.analysis.task import is_known, task_at
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.loop.equilibrium import block_named
 from drake_nonstop.scenario.proportions import out_of_proportion
@@ -99,9 +99,9 @@ def _growth_complaint(
 ) -> str:
     """What to say of a formation that is unstable at the start, in a flight of a time in s."""
     with contextlib.suppress(ScenarioError):  # what is no formation
-        task = task_of_loop(scenario, *innermost(nonstop, context, RUN_SIGNALS))
-        if task is not None:
-            return growth_complaint(task, time, in_samples=in_samples)
+        loop, context = innermost(nonstop, context, RUN_SIGNALS)
+        if is_known(loop):
+            return growth_complaint(task_at(scenario, loop, context), time, in_samples=in_samples)
     return ""
 
 

@@ -129,7 +129,7 @@ def test_cables_carry_the_simulated_load(mass):
 def test_the_attitude_of_a_task_is_measured_where_its_feedback_does(is_measured):
     feedback = "IdealFeedback" if is_measured else "DesiredAttitudeFeedback"
     task = task_of(load_scenario("quintic", [f"load_feedback={feedback}"]))
-    assert task.measures_attitude == is_measured
+    assert task.response.measurement.measures_attitude == is_measured
 
 
 def test_what_is_named_against_an_unstable_formation_makes_it_stable(unstable, monkeypatch):

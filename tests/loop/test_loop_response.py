@@ -13,7 +13,7 @@ from pydrake.systems.analysis import Simulator
 from drake_nonstop.analysis.linearized_loop import LinearizedLoop
 from drake_nonstop.blocks.carrier_controller import CarrierPid
 from drake_nonstop.diagrams.nonstop import make_blocks, make_nonstop
-from drake_nonstop.loop.margin_of_loop import feedback_of, margin_of_loop
+from drake_nonstop.loop.loop_response import loop_response, speed_margin_for
 from drake_nonstop.loop.plant_states import PlantStates
 from drake_nonstop.mechanics.sampled_loop import noise_deviation, responses
 from drake_nonstop.mechanics.signals import CarrierStates, LoadState
@@ -70,7 +70,7 @@ def margin_with(*overrides, name="three_carriers", simulated_drag=None):
         system = dataclasses.replace(scenario.system, load_drag=simulated_drag)
         plant = Model(system, scenario.pattern, scenario.control_period)
     blocks = make_blocks(changed(scenario, ["optimization_layer=ConstantParameters"]))
-    return margin_of_loop(model, plant, scenario.optimization_layer, blocks, 4.0)
+    return speed_margin_for(model, plant, scenario.optimization_layer, blocks, 4.0)
 
 
 @pytest.fixture(scope="module")
@@ -390,8 +390,9 @@ def test_the_lag_of_a_filter_that_believes_in_noise_of_rates_is_said():
     for given, count in (("load_feedback=EstimatedFeedback", 0), (slow, 1)):
         scenario = load_scenario("three_carriers", [*RESTING, given])
         model = Model(scenario.system, scenario.pattern, scenario.control_period)
-        said = []
-        assert feedback_of(model, make_blocks(scenario), said).estimator is not None
+        response = loop_response(model, make_blocks(scenario))
+        assert response.feedback.estimator is not None
+        said = response.left_out
         assert len([sentence for sentence in said if "lag" in sentence]) == count == len(said)
 
 

@@ -1,0 +1,125 @@
+"""What blocks say of themselves, for analyses that do not simulate them.
+
+A block says it by a method, `describe_response()` or `describe_wind()`, which returns one of the
+descriptions below. Of a block without the method its response is not known.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drake_nonstop.mechanics.signals import TRACKING_ERROR_SIZE, TrackingError
+from drake_nonstop.mechanics.tethered_loop import Estimator
+from drake_nonstop.mechanics.wind import MeanWind, risen_share
+from drake_nonstop.systems.block import is_of_package
+from drake_nonstop.systems.tracing import chosen
+
+RESPONSE, WIND = "describe_response", "describe_wind"
+
+
+def described(block: Any, method: str = RESPONSE) -> Any:
+    """What a block says of itself by a method; None: nothing is known.
+
+    A class of the user's own has to say it itself: what it inherits may not hold for it.
+    """
+    is_own = is_of_package(block) or method in vars(type(block))
+    return getattr(block, method)() if is_own and hasattr(block, method) else None
+
+
+class CarrierControl(NamedTuple):
+    """A `carrier_controller` u = K_p e + K_d ė + K_i ∫e, with the error e of a carrier."""
+
+    position_gain: float  # K_p, N/m
+    velocity_gain: float  # K_d, N s/m
+    integral_gain: float = 0.0  # K_i, N/(m s)
+    has_feedforward: bool = False  # of the references' accelerations
+    bears_cables: bool = False  # whether weight and desired cable forces are feedforward
+    stiffness: float = math.inf  # N/m, by which carriers give way along their cables
+
+
+class CarrierMotion(NamedTuple):
+    """The `carrier_dynamics` of points m_c p̈ = u."""
+
+    bears_cables: bool = False  # whether weight and cables pull at the carriers, too
+
+
+class CarrierReferences(NamedTuple):
+    """The references of a `carrier_trajectory`."""
+
+    # Of their motion within a sample: 1 along the velocity, 2 with accelerations, 3 with jerks; 0:
+    # they are continuous; None: it is not known.
+    hold: int | None
+    is_above_load: bool = False  # whether they follow the measured load instead of its reference
+
+
+class PseudoInverse(NamedTuple):
+    """A `force_distribution` by the pseudo-inverse of the grasp matrix, and the pattern."""
+
+
+class LoadMeasurement(NamedTuple):
+    """What a `load_feedback` does with the errors [e_R, e_p, e_ω, e_v] of the load; SI."""
+
+    deviations: NDArray = np.zeros(TRACKING_ERROR_SIZE)  # standard deviations of its noise
+    is_measured: NDArray = np.ones(TRACKING_ERROR_SIZE)  # 0 for what is taken as desired, else 1
+    delay: float = 0.0  # s
+    period: float = 0.0  # s, between samples; 0: it is continuous
+    estimator: Estimator | None = None  # behind the measurement
+
+    @property
+    def measures_attitude(self) -> bool:
+        """Whether the controllers get the load's attitude; if not, the desired one."""
+        return bool(np.any(TrackingError.view(self.is_measured).orientation))
+
+
+class Gusts(NamedTuple):
+    """Coloured noise, a sum of waves of equal size on each axis."""
+
+    deviations: NDArray  # standard deviation on each axis, in W
+    frequencies: NDArray  # rad/s, of the waves
+
+
+class LoadWrench(NamedTuple):
+    """The wrench [torque; force] of a `load_disturbance`, in W."""
+
+    steady: NDArray = np.zeros(6)  # N m and N
+    gusts: Gusts | None = None  # likewise
+
+
+class Wind(NamedTuple):
+    """The wind of a block of that box."""
+
+    mean: MeanWind = MeanWind(np.zeros(3))  # once it has risen
+    believed: NDArray | None = None  # (3,), m/s, in W; None: the mean wind at the load
+    start: float = 0.0  # s, when it begins to rise
+    rise_time: float = 0.0  # s; 0: it comes at once
+    gust: float = 0.0  # m/s, standard deviation at a carrier, on a horizontal axis
+    load_gusts: Gusts | None = None  # m/s
+
+    @property
+    def is_constant(self) -> bool:
+        """Whether the mean wind is there from the beginning on."""
+        return self.start == 0 == self.rise_time
+
+    def at(self, time: Any, positions: NDArray) -> NDArray:
+        """The mean wind (..., 3) at a time (1,) in s and positions (..., 3); m/s, in W.
+
+        Of numbers or symbols.
+        """
+        share: Any = 1.0
+        if self.rise_time > 0:
+            share = risen_share(time, start=self.start, rise_time=self.rise_time)
+        elif self.start > 0:
+            share = chosen(time[0] >= self.start, np.ones(1), np.zeros(1))
+        return share * self.mean.at(positions)
+
+
+class TurnRate(NamedTuple):
+    """An `optimization_layer` that changes the ξ at which a load turns with its carriers."""
+
+    frequency: float  # rad/s, ξ at the start
+    period: float  # s, between updates
+    # Returns the next ξ, of a period in s, the last ξ, and the load's reference (22,), wrench (6,),
+    # rate of the wrench (6,) and wind (3,).
+    updated: Any
