@@ -179,7 +179,7 @@ class CompiledRun:
                 self._expected = self._rows_of(self._compared, min(samples, _COMPARED))
             signals, steps = self._flight.start()
             self._compare(signals[None])
-            self._recording.add([0.0], signals[None], [0.0], steps[None])
+            self._recording.add(np.zeros(1), signals[None], np.zeros(1), steps[None])
             self._recorded = 0, self._flight.state
             monitor.has_ended = self._is_over(steps[None]) is not None
             ends = monitor.ends(0.0, self._state) or monitor.has_ended

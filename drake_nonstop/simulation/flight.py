@@ -20,7 +20,7 @@ from drake_nonstop.scenario.schema import COMPILED, DIAGRAM, Scenario, check
 from drake_nonstop.simulation.compiled_run import CompiledRun, compiled_loop_of
 from drake_nonstop.simulation.diagram_run import DiagramRun, Engine
 from drake_nonstop.simulation.interruption import ALL, Interruption
-from drake_nonstop.simulation.monitor import Monitor, SampleInstants
+from drake_nonstop.simulation.monitor import Monitor
 from drake_nonstop.simulation.preparation import (
     LoopMaker,
     cause_of_divergence,
@@ -35,7 +35,6 @@ from drake_nonstop.simulation.recording import (
     RUN_SIGNALS,
     Recording,
     RecordingError,
-    control_period_of,
     require_room,
 )
 from drake_nonstop.simulation.run import Run, RunInterrupted, RunStopped, StepAction, StepCheck
@@ -107,7 +106,6 @@ class Flight:
         builder = DiagramBuilder()
         builder.AddSystem(nonstop)
         self._recording = Recording(builder, nonstop)
-        builder.AddNamedSystem("sample_instants", SampleInstants(control_period_of(nonstop)))
         remedy = "give functions that take the builder, the loop's diagram and the scenario"
         self._visualizers = [
             called("viewers", remedy, viewer, builder, nonstop, scenario)

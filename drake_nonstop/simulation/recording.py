@@ -1,17 +1,9 @@
-"""The signals of a run while it goes on: in memory, and in temporary files once they are many."""
+"""Which signals of a run are recorded, and what records them while it goes on."""
 
 import contextlib
-import fcntl
-import math
-import mmap
-import os
 import shutil
 import tempfile
-import time
-from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
-from typing import Any
-from weakref import WeakValueDictionary, finalize
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,15 +14,13 @@ from pydrake.systems.framework import (
     DiagramBuilder,
     OutputPort,
     PortDataType,
-    System,
-    TriggerType,
     ValueProducer,
 )
-from pydrake.systems.primitives import LogVectorOutput, Multiplexer, VectorLog
+from pydrake.systems.primitives import Multiplexer
 
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold
 from drake_nonstop.diagrams.nonstop import BOXES, SIGNALS
-from drake_nonstop.mechanics.signal_layouts import HELD, Entry, Layout, by_name, numbered_entries
+from drake_nonstop.mechanics.signal_layouts import HELD, Entry, Layout, numbered_entries
 from drake_nonstop.mechanics.signals import (
     LOAD_REFERENCE_SIZE,
     LOAD_STATE_SIZE,
@@ -38,8 +28,9 @@ from drake_nonstop.mechanics.signals import (
     SIGNAL_PERIOD,
 )
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.simulation.monitor import AT_SAMPLE, other_instants
+from drake_nonstop.simulation.monitor import AT_SAMPLE, SampleInstants
 from drake_nonstop.simulation.run import WALL_TIME
+from drake_nonstop.simulation.signal_rows import DOUBLE, SignalRows, TemporaryFolder
 from drake_nonstop.systems.block import LOOP, LeafBlock, title
 from drake_nonstop.systems.wiring import (
     maker_of,
@@ -76,62 +67,57 @@ RUN_SIGNALS = {
 }
 
 AT_INSTANT = AT_SAMPLE * SIGNAL_PERIOD  # s, from a sample's time to what counts as its instant
-_DOUBLE = 8  # bytes
-_PREFIX = "drake-nonstop-run-"  # of the temporary folders' names
-_LEAST_AGE = 60.0  # s, of an abandoned folder: a younger one may be about to be locked
 
 
 class RecordingError(RuntimeError):
     """The temporary folder cannot take the signals of a run."""
 
 
-class StoredSignals(Mapping[str, NDArray]):
-    """The signals of a long run, by name, in temporary files.
-
-    Each is mapped to memory when it is asked for, as an array that cannot be written to. The
-    files are removed with the last such mapping of a run; an array stays valid without them.
+class _Log(LeafBlock):
+    """The rows of some ports, which each context has; `publish` adds one.
 
     Args:
-        folder: where the files are.
-        files: file and shape of each signal.
-        rest: what follows of each signal and could not be written.
+        sizes: of the ports, by their names.
     """
 
-    def __init__(
-        self,
-        folder: "_TemporaryFolder",
-        files: Mapping[str, tuple[Path, tuple[int, ...]]],
-        rest: Mapping[str, NDArray],
-    ):
-        self._folder = folder
-        self._files = files
-        self._rest = rest
-        # Each takes a file descriptor as long as it is used: one for a signal is enough.
-        self._maps: WeakValueDictionary[str, mmap.mmap] = WeakValueDictionary()
+    def __init__(self, sizes: Mapping[str, int]):
+        super().__init__()
+        self._values = self.DeclareVectorInputPort("values", sum(sizes.values()))
+        self._rows = self.DeclareCacheEntry(
+            description="rows",
+            value_producer=ValueProducer(
+                allocate=lambda: AbstractValue.Make(SignalRows(sizes)), calc=ValueProducer.NoopCalc
+            ),
+            prerequisites_of_calc={self.nothing_ticket()},
+        ).cache_index()
 
-    def __getitem__(self, name: str) -> NDArray:
-        path, shape = self._files[name]
-        mapped = self._maps.get(name)
-        if mapped is None:
-            with path.open("rb") as file:
-                mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-            self._maps[name] = mapped
-        stored = np.frombuffer(mapped, count=math.prod(shape)).reshape(shape)
-        if not self._rest:
-            return stored
-        whole = np.concatenate([stored, self._rest[name]])
-        whole.flags.writeable = False
-        return whole
+    def publish(self, context: Context) -> None:
+        """Adds the values of now."""
+        self._in(context).add(np.array([context.get_time()]), self._values.Eval(context))
 
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._files)
+    def rows(self, context: Context) -> SignalRows:
+        """Those of a context of the whole diagram."""
+        return self._in(self.GetMyContextFromRoot(context))
 
-    def __len__(self) -> int:
-        return len(self._files)
+    def _in(self, context: Context) -> SignalRows:
+        entry = self.get_cache_entry(self._rows).get_mutable_cache_entry_value(context)
+        rows: SignalRows = entry.GetMutableValueOrThrow()
+        return rows
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Pickles and deep copies are dictionaries of arrays in memory."""
-        return dict, ({name: np.array(values) for name, values in self.items()},)
+
+class _LogOfInstants(_Log):
+    """A log with a row for the start, and for the first step to each of the signals' instants."""
+
+    def __init__(self, sizes: Mapping[str, int]):
+        super().__init__(sizes)
+        self.DeclareInitializationPublishEvent(self.publish)
+        self.DeclarePerStepPublishEvent(self._publish_instant)
+
+    def _publish_instant(self, context: Context) -> None:
+        times, time_ = self._in(context).times, context.get_time()
+        is_instant = abs(time_ / SIGNAL_PERIOD - round(time_ / SIGNAL_PERIOD)) < AT_SAMPLE
+        if is_instant and not (times and abs(time_ - times[-1]) < AT_INSTANT):
+            self.publish(context)
 
 
 class LogSignals:
@@ -145,18 +131,22 @@ class LogSignals:
     Attributes:
         nonstop: the diagram whose signals they are.
         entries: what the columns of the signals are, by their names "block.port".
+        sampled: the names of the diagram's ports that are recorded at 100 Hz.
+        stepped: the names of those that are recorded at every step.
     """
+
+    _sampling: type[_Log] = _LogOfInstants
 
     def __init__(self, builder: DiagramBuilder, nonstop: Diagram):
         sampled, stepped = _recorded_ports(nonstop)
         self.nonstop = nonstop
-        self._steps = _Log(builder, stepped, TriggerType.kPerStep)
-        sizes = {name: port.size() for name, port in sampled.items()}
-        self._samples = builder.AddSystem(_SampledLog(sizes, control_period_of(nonstop)))
-        builder.Connect(_multiplexed(builder, sampled), self._samples.get_input_port())
-        self._signal_names = _signal_names(nonstop, sampled)
-        self.entries = _entries(nonstop, sampled, self._signal_names)
-        self._step_names = {STEP_TIME: _Log.TIMES} | {name: name for name in stepped}
+        self.sampled, self.stepped = [*sampled], [*stepped]
+        self._steps = _add_log(builder, stepped, _Log)
+        self._steps.DeclarePerStepPublishEvent(self._steps.publish)
+        self._samples = _add_log(builder, sampled, self._sampling)
+        builder.AddSystem(SampleInstants(control_period_of(nonstop)))
+        self._signal_names, self.entries = _names_and_entries(nonstop, sampled)
+        self._step_names = {STEP_TIME: SignalRows.TIMES} | {name: name for name in stepped}
 
     @staticmethod
     def AddToBuilder(builder: DiagramBuilder, nonstop: Diagram) -> "LogSignals":  # noqa: N802
@@ -193,94 +183,34 @@ class LogSignals:
             ScenarioError: there is nothing in the logs of the context, or it is another one's.
         """
         try:
-            self._samples.GetMyContextFromRoot(context)
+            samples, steps = (log.rows(context).columns() for log in (self._samples, self._steps))
         except (RuntimeError, TypeError):
             raise ScenarioError(
                 f"context = {type(context).__name__} of another diagram: give that of the whole "
                 "diagram with the logs, such as simulator.get_context()"
             ) from None
-        samples = _last_flight(self._samples.columns(context))
-        steps = _last_flight(_columns(self._steps.sizes, self._steps.log_of(context)))
-        times = samples[_Log.TIMES]
+        times = samples[SignalRows.TIMES]
         remedy = "advance a Simulator with this context first"
         require(len(times) > 0, "logs", "no samples", remedy)
         instants = np.round(times / SIGNAL_PERIOD)
         is_instant = np.abs(times - SIGNAL_PERIOD * instants) < AT_INSTANT
+        samples[SignalRows.TIMES] = np.where(is_instant, SIGNAL_PERIOD * instants, times)
+        samples, steps = _last_flight(samples), _last_flight(steps)
         return (
-            np.where(is_instant, SIGNAL_PERIOD * instants, times),
+            samples[SignalRows.TIMES],
             {name: samples[port] for name, port in self._signal_names.items()},
             {name: steps[port] for name, port in self._step_names.items()},
         )
 
 
-class _Rows:
-    """Values of a port and their times, as a `VectorLog` has them."""
-
-    def __init__(self) -> None:
-        self._times: list[float] = []
-        self._values: list[NDArray] = []
-
-    def add(self, time: float, values: NDArray) -> None:
-        self._times.append(time)
-        self._values.append(values.copy())
-
-    def num_samples(self) -> int:
-        return len(self._times)
-
-    def sample_times(self) -> NDArray:
-        return np.array(self._times)
-
-    def data(self) -> NDArray:
-        """(size, samples)."""
-        return np.array(self._values).T
-
-
-class _SampledLog(LeafBlock):
-    """A log of some ports at the start and at the signals' instants, which each context has.
-
-    Those among them at which the controllers sample are theirs to the last bit, see
-    `other_instants`.
-
-    Args:
-        sizes: of the ports, by their names.
-        control_period: s, of the controllers; 0: they have no samples.
-    """
-
-    def __init__(self, sizes: Mapping[str, int], control_period: float):
-        super().__init__()
-        self._sizes = sizes
-        self._values = self.DeclareVectorInputPort("values", sum(sizes.values()))
-        self._rows = self.DeclareCacheEntry(
-            description="rows",
-            value_producer=ValueProducer(
-                allocate=lambda: AbstractValue.Make(_Rows()), calc=ValueProducer.NoopCalc
-            ),
-            prerequisites_of_calc={self.nothing_ticket()},
-        ).cache_index()
-        self.DeclareInitializationPublishEvent(self._publish)
-        period, offsets = other_instants(control_period)
-        for offset in offsets:
-            self.DeclarePeriodicPublishEvent(period, offset, self._publish)
-        if (period, offsets) != (SIGNAL_PERIOD, [SIGNAL_PERIOD]):
-            self.DeclarePeriodicPublishEvent(control_period, control_period, self._publish_instant)
-
-    def _publish_instant(self, context: Context) -> None:
-        """At a sample of the controllers, which may be none of the signals' instants."""
-        samples = context.get_time() / SIGNAL_PERIOD
-        if abs(samples - round(samples)) < AT_SAMPLE:
-            self._publish(context)
-
-    def _publish(self, context: Context) -> None:
-        self._of(context).add(context.get_time(), self._values.Eval(context))
-
-    def _of(self, context: Context) -> _Rows:
-        entry = self.get_cache_entry(self._rows).get_mutable_cache_entry_value(context)
-        rows: _Rows = entry.GetMutableValueOrThrow()
-        return rows
-
-    def columns(self, context: Context) -> dict[str, NDArray]:
-        """The rows, by the ports' names, in a context of the whole diagram."""
-        return _columns(self._sizes, self._of(self.GetMyContextFromRoot(context)))
+def _add_log(builder: DiagramBuilder, ports: Mapping[str, OutputPort], kind: type[_Log]) -> _Log:
+    """Adds a log of ports: one sink, since one for each would slow every step down."""
+    sizes = {name: port.size() for name, port in ports.items()}
+    multiplexer, log = builder.AddSystem(Multiplexer([*sizes.values()])), kind(sizes)
+    for i, port in enumerate(ports.values()):
+        builder.Connect(port, multiplexer.get_input_port(i))
+    builder.Connect(multiplexer.get_output_port(), builder.AddSystem(log).get_input_port())
+    return log
 
 
 def control_period_of(nonstop: Diagram) -> float:
@@ -289,55 +219,28 @@ def control_period_of(nonstop: Diagram) -> float:
     return next((hold.period for hold in holds), 0.0)
 
 
-def _multiplexed(builder: DiagramBuilder, ports: Mapping[str, OutputPort]) -> OutputPort:
-    """One port of all: a sink per signal would slow every step of the diagram down."""
-    multiplexer = builder.AddSystem(Multiplexer([port.size() for port in ports.values()]))
-    for i, port in enumerate(ports.values()):
-        builder.Connect(port, multiplexer.get_input_port(i))
-    return multiplexer.get_output_port()
-
-
-def _columns(sizes: Mapping[str, int], log: "VectorLog | _Rows") -> dict[str, NDArray]:
-    """The rows of a log in memory, by the ports' names."""
-    rows = log.data().T if log.num_samples() > 0 else np.zeros((0, sum(sizes.values())))
-    columns = {name: part.copy() for name, part in by_name(sizes, rows).items()}
-    return {_Log.TIMES: log.sample_times().copy()} | columns
-
-
-def _makers(nonstop: Diagram, sampled: Mapping[str, OutputPort]) -> dict[str, System]:
-    """The blocks that make the signals of ports, by the ports' names."""
-    *_, loop = nested(nonstop, RUN_SIGNALS) if all(s in sampled for s in RUN_SIGNALS) else [nonstop]
-    return {port: maker_of(loop if loop.HasOutputPort(port) else nonstop, port) for port in sampled}
-
-
-def _signal_names(nonstop: Diagram, sampled: Mapping[str, OutputPort]) -> dict[str, str]:
-    """The ports of a diagram by their names "block.port", with the block that makes the signal."""
-    names = {}
-    for port, maker in _makers(nonstop, sampled).items():
-        names[f"{title(maker).replace('.', '_')}.{port}"] = port
-    return names
-
-
-def _entries(
-    nonstop: Diagram, sampled: Mapping[str, OutputPort], names: Mapping[str, str]
-) -> dict[str, tuple[Entry, ...]]:
-    """What the columns of the signals are, by the names "block.port".
+def _names_and_entries(
+    nonstop: Diagram, sampled: Mapping[str, OutputPort]
+) -> tuple[dict[str, str], dict[str, tuple[Entry, ...]]]:
+    """Ports by their names "block.port", with the block that makes the signal, and their columns.
 
     A block's own `signal_layouts` come first, then the layouts of the figure's signals.
     """
-    makers = _makers(nonstop, sampled)
-    found = {}
-    for name, port in names.items():
-        own = getattr(makers[port], "signal_layouts", {}).get(port)
-        layout, size = own or SIGNALS.get(port.removeprefix(HELD)), sampled[port].size()
+    *_, loop = nested(nonstop, RUN_SIGNALS) if all(s in sampled for s in RUN_SIGNALS) else [nonstop]
+    names, found = {}, {}
+    for port, output in sampled.items():
+        maker = maker_of(loop if loop.HasOutputPort(port) else nonstop, port)
+        name, size = f"{title(maker).replace('.', '_')}.{port}", output.size()
+        own = getattr(maker, "signal_layouts", {}).get(port)
+        layout = own or SIGNALS.get(port.removeprefix(HELD))
         entries = layout.entries(port, size) if isinstance(layout, Layout) else None
-        found[name] = entries or numbered_entries(port, size)
-    return found
+        names[name], found[name] = port, entries or numbered_entries(port, size)
+    return names, found
 
 
 def _last_flight(columns: dict[str, NDArray]) -> dict[str, NDArray]:
     """The rows since time was set back last; of those of one instant the last."""
-    times = columns[_Log.TIMES]
+    times = columns[SignalRows.TIMES]
     changes = np.diff(times)
     start = np.flatnonzero(changes < 0)[-1] + 1 if np.any(changes < 0) else 0
     kept = np.append(changes != 0, True)[: len(times)]
@@ -345,7 +248,7 @@ def _last_flight(columns: dict[str, NDArray]) -> dict[str, NDArray]:
     return {name: values[kept] for name, values in columns.items()}
 
 
-class Recording:
+class Recording(LogSignals):
     """The logs of a long run, which go to files: of one context, sampled when that is asked for.
 
     Signals that are `recorded_where_read` are not among them where no block reads them.
@@ -353,28 +256,16 @@ class Recording:
     Args:
         builder: has the diagram already; the logs are added to it.
         nonstop: the diagram, as `make_nonstop` builds it.
-
-    Attributes:
-        sampled: the names of the diagram's ports that are recorded at 100 Hz.
-        stepped: likewise, at every step.
     """
 
-    def __init__(self, builder: DiagramBuilder, nonstop: Diagram):
-        sampled, stepped = _recorded_ports(nonstop)
-        self.nonstop = nonstop
-        self.sampled, self.stepped = [*sampled], [*stepped]
-        self._steps = _Log(builder, stepped, TriggerType.kPerStep)
-        self._samples = _Log(builder, sampled, TriggerType.kForced)
-        self._signal_names = _signal_names(nonstop, sampled)
-        self.entries = _entries(nonstop, sampled, self._signal_names)
-        self._step_names = {STEP_TIME: _Log.TIMES} | {name: name for name in stepped}
-        self._folder: _TemporaryFolder | None = None
-        self._is_full = False  # the folder
+    _sampling = _Log
 
     def start(self, context: Context) -> None:
         """To be called before the run, with the context of what the builder built."""
-        self._samples.start(context)
-        self._steps.start(context)
+        self._context = self._samples.GetMyContextFromRoot(context)
+        self._taken = self._samples.rows(context), self._steps.rows(context)
+        self._folder: TemporaryFolder | None = None
+        self._is_full = False  # the folder
 
     def take_sample(self) -> None:
         """Takes a sample of all signals.
@@ -382,16 +273,10 @@ class Recording:
         Raises:
             RecordingError: the temporary folder cannot take them.
         """
-        self._samples.publish()
+        self._samples.publish(self._context)
         self._store_many()
 
-    def add(
-        self,
-        times: Sequence[float] | NDArray,
-        samples: NDArray,
-        step_times: Sequence[float] | NDArray,
-        steps: NDArray,
-    ) -> None:
+    def add(self, times: NDArray, samples: NDArray, step_times: NDArray, steps: NDArray) -> None:
         """Adds rows that no Simulator publishes: those of `sampled`, and those of `stepped`.
 
         Rows that are no sample, where the control period is shorter than the signals', are left
@@ -407,26 +292,26 @@ class Recording:
             RecordingError: the temporary folder cannot take them.
         """
         kept: list[int] = []
-        count = self._samples.rows
+        count = len(self._taken[0])
         for k, instant in enumerate(times):
             if instant > (count + len(kept) - AT_SAMPLE) * SIGNAL_PERIOD:
                 kept.append(k)
-        self._samples.add(np.asarray(times)[kept], samples[kept])
-        self._steps.add(np.asarray(step_times), steps)
+        self._taken[0].add(times[kept], samples[kept])
+        self._taken[1].add(step_times, steps)
         self._store_many()
 
     @property
     def has_steps(self) -> bool:
         """Whether a step has been recorded."""
-        return self._steps.rows > 0
+        return len(self._taken[1]) > 0
 
     def drop_last_step(self) -> None:
         """Drops the last row of `stepped`, which a Simulator that goes on publishes again."""
-        self._steps.drop_last()
+        self._taken[1].drop_last()
 
     def _store_many(self) -> None:
         """Moves the signals to files where they are many."""
-        if self._samples.memory + self._steps.memory > MEMORY_LIMIT:
+        if sum(rows.memory for rows in self._taken) > MEMORY_LIMIT:
             try:
                 self._store()
             except OSError as error:
@@ -443,177 +328,36 @@ class Recording:
         if self._folder is not None and not self._is_full:
             with contextlib.suppress(OSError):  # what it cannot take stays in memory
                 self._store()
+        samples, steps = self._taken
         # Of their number, without the rounding of the events' times.
-        times = SIGNAL_PERIOD * np.arange(self._samples.rows)
+        times = SIGNAL_PERIOD * np.arange(len(samples))
         return (
             times,
-            self._samples.signals(self._signal_names, self._folder),
-            self._steps.signals(self._step_names, self._folder),
+            samples.signals(self._signal_names, self._folder),
+            steps.signals(self._step_names, self._folder),
         )
 
     def _store(self) -> None:
         """Moves what is in memory to the files."""
         try:
             if self._folder is None:
-                self._folder = _TemporaryFolder()
-            self._samples.store(self._folder.path / "samples")
-            self._steps.store(self._folder.path / "steps")
+                self._folder = TemporaryFolder()
+            for rows, name in zip(self._taken, ("samples", "steps"), strict=True):
+                rows.store(self._folder.path / name)
         except OSError:
             self._is_full = True
             raise
 
 
-class _Log:
-    """A log of some ports: the first rows may be in files, one for each port, the others not."""
-
-    TIMES = ""  # no port has this name
-
-    def __init__(self, builder: DiagramBuilder, ports: dict[str, OutputPort], trigger: TriggerType):
-        self.sizes = {name: port.size() for name, port in ports.items()}
-        self._row_size = _row_size(ports)
-        self._sink = LogVectorOutput(
-            _multiplexed(builder, ports), builder, {trigger}, publish_period=0.0
-        )
-        self._log: VectorLog
-        self._context: Context
-        self._added: list[tuple[NDArray, NDArray]] = []  # times and rows that no Simulator made
-        self._added_rows = 0
-        self._stored = 0  # rows in files
-        self._files: dict[str, Path] = {}
-
-    def start(self, context: Context) -> None:
-        self._context = self._sink.GetMyContextFromRoot(context)
-        self._log = self.log_of(context)
-
-    def log_of(self, context: Context) -> VectorLog:
-        """The log of the context of the whole diagram."""
-        return self._sink.FindLog(context)
-
-    def publish(self) -> None:
-        self._sink.ForcedPublish(self._context)
-
-    def add(self, times: NDArray, rows: NDArray) -> None:
-        """Adds rows that come before those of a Simulator."""
-        if len(times):
-            self._added.append((times, rows))
-            self._added_rows += len(times)
-
-    def drop_last(self) -> None:
-        """Drops the last of the rows that were added."""
-        if not self._added:
-            self._stored -= 1  # it is in the files, which are cut there
-            return
-        times, rows = self._added.pop()
-        self._added_rows -= len(times)
-        self.add(times[:-1], rows[:-1])
-
-    @property
-    def memory(self) -> int:
-        """Bytes of signals in memory."""
-        return self._rows_in_memory * self._row_size
-
-    @property
-    def _rows_in_memory(self) -> int:
-        return self._added_rows + self._log.num_samples()
-
-    @property
-    def rows(self) -> int:
-        return self._stored + self._rows_in_memory
-
-    def _columns(self) -> dict[str, NDArray]:
-        """The rows in memory, by the ports' names."""
-        logged = _columns(self.sizes, self._log)
-        if not self._added:
-            return logged
-        times, rows = (np.concatenate(parts) for parts in zip(*self._added, strict=True))
-        added = {self.TIMES: times} | by_name(self.sizes, rows)
-        return {name: np.concatenate([added[name], values]) for name, values in logged.items()}
-
-    def store(self, folder: Path) -> None:
-        """Appends the rows in memory to the files in a folder, or none of them at an error."""
-        folder.mkdir(exist_ok=True)
-        columns = self._columns()
-        rows = len(columns[self.TIMES])
-        for i, (name, values) in enumerate(columns.items()):
-            self._files[name] = folder / str(i)
-            with self._files[name].open("ab") as file:
-                # An earlier try may have failed half-way.
-                file.truncate(self._stored * _DOUBLE * math.prod(values.shape[1:]))
-                file.write(values.data)
-        self._stored += rows
-        self._added, self._added_rows = [], 0
-        self._log.Clear()
-
-    def signals(
-        self, names: Mapping[str, str], folder: "_TemporaryFolder | None"
-    ) -> Mapping[str, NDArray]:
-        """All rows, (rows, size) of each port and (rows,) of the times.
-
-        Args:
-            names: of the ports, by the names of the signals.
-            folder: what `store` was given a folder in.
-        """
-        columns = self._columns()
-        in_memory = {name: columns[port] for name, port in names.items()}
-        if folder is None or self._stored == 0:
-            return in_memory
-        files = {
-            name: (self._files[port], (self._stored, *columns[port].shape[1:]))
-            for name, port in names.items()
-        }
-        return StoredSignals(folder, files, in_memory if self._rows_in_memory else {})
-
-
-class _TemporaryFolder:
-    """A folder that is removed with this object.
-
-    The folder of a process that was killed is removed by a later one: a folder whose process
-    lives is locked.
-    """
-
-    def __init__(self) -> None:
-        _remove_abandoned()
-        self.path = Path(tempfile.mkdtemp(prefix=_PREFIX))
-        lock = os.open(self.path, os.O_RDONLY)
-        with contextlib.suppress(OSError):  # not all file systems have locks
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        finalize(self, _remove, self.path, lock, os.getpid())
-
-
-def _remove(folder: Path, lock: int, process: int) -> None:
-    if os.getpid() == process:  # and not a fork of it
-        shutil.rmtree(folder, ignore_errors=True)
-        os.close(lock)
-
-
-def _remove_abandoned() -> None:
-    """Removes this user's folders of processes that are no more."""
-    for folder in Path(tempfile.gettempdir()).glob(f"{_PREFIX}*"):
-        with contextlib.suppress(OSError):  # it is another user's, or locked, or gone
-            status = folder.lstat()
-            if status.st_uid != os.getuid() or time.time() - status.st_mtime < _LEAST_AGE:
-                continue
-            lock = os.open(folder, os.O_RDONLY | os.O_NOFOLLOW)
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                shutil.rmtree(folder)
-            finally:
-                os.close(lock)
-
-
 def expected_size(nonstop: Diagram, scenario: Scenario) -> float:
-    """About how many bytes the signals of a run take.
-
-    Error-controlled steps may be shorter, and their signals more.
-
-    Args:
-        nonstop: the scenario's diagram, as `make_nonstop` builds it.
-        scenario: what is to be run.
-    """
+    """About how many bytes the signals of a run take, where no step has to be shorter."""
     step = scenario.simulator_config.max_step_size
-    sampled, stepped = _recorded_ports(nonstop)
+    samples, steps = (
+        DOUBLE * (1 + sum(port.size() for port in ports.values()))
+        for ports in _recorded_ports(nonstop)
+    )
     return scenario.simulation_duration * (
-        _row_size(sampled) / SIGNAL_PERIOD + _row_size(stepped) / min(step, SIGNAL_PERIOD)
+        samples / SIGNAL_PERIOD + steps / min(step, SIGNAL_PERIOD)
     )
 
 
@@ -623,26 +367,17 @@ def least_size(scenario: Scenario) -> float:
     It is known before there is a diagram: what loops of the default blocks export is counted.
     """
     columns = 140 + 35 * len(scenario.system.attachments)
-    return scenario.simulation_duration / SIGNAL_PERIOD * columns * _DOUBLE / 2
+    return scenario.simulation_duration / SIGNAL_PERIOD * columns * DOUBLE / 2
 
 
 def require_room(nonstop: Diagram, scenario: Scenario) -> None:
-    """Checks that the temporary folder has room for the signals of a run that needs it.
-
-    Args:
-        nonstop: the scenario's diagram, as `make_nonstop` builds it.
-        scenario: what is to be run.
-
-    Raises:
-        ScenarioError: it does not.
-    """
+    """Raises ScenarioError where the temporary folder has no room for a run that needs it."""
     size = expected_size(nonstop, scenario)
     room = shutil.disk_usage(tempfile.gettempdir()).free
-    longest = (
-        0.9 * max(room, MEMORY_LIMIT) / (size / scenario.simulation_duration)
-    )  # s; 0.9: it is rounded
+    most = max(room, MEMORY_LIMIT)
+    longest = 0.9 * most / size * scenario.simulation_duration  # s; 0.9: it is rounded
     require(
-        size <= max(room, MEMORY_LIMIT),
+        size <= most,
         "simulation_duration",
         f"{scenario.simulation_duration:g}",
         f"give at most {longest:.2g} s, or set TMPDIR to a folder with more room: the signals take "
@@ -679,13 +414,8 @@ def _recorded_ports(nonstop: Diagram) -> tuple[dict[str, OutputPort], dict[str, 
 def recorded_sizes(nonstop: Diagram) -> tuple[dict[str, int], dict[str, int]]:
     """The sizes of the signals of a run, by "block.port", and of its steps, by their ports."""
     sampled, stepped = _recorded_ports(nonstop)
-    names = _signal_names(nonstop, sampled)
+    names, _ = _names_and_entries(nonstop, sampled)
     return (
         {name: sampled[port].size() for name, port in names.items()},
         {name: port.size() for name, port in stepped.items()},
     )
-
-
-def _row_size(ports: Mapping[str, OutputPort]) -> int:
-    """Bytes of an instant's values, and of its time."""
-    return _DOUBLE * (1 + sum(port.size() for port in ports.values()))

@@ -169,7 +169,7 @@ def test_logs_are_freed_with_their_diagram_and_not_before():
         simulator = Simulator(builder.Build())
         gc.collect()
         simulator.AdvanceTo(0.03)
-        times = block().columns(simulator.get_context())[""]
+        times = block().rows(simulator.get_context()).columns()[""]
         np.testing.assert_allclose(times, [0, 0.01, 0.02, 0.03], atol=1e-15)
         return block
 

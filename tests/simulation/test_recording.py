@@ -34,9 +34,10 @@ from drake_nonstop import (
     simulate,
 )
 from drake_nonstop.diagrams.nonstop import make_nonstop
-from drake_nonstop.simulation import recording
+from drake_nonstop.simulation import recording, signal_rows
 from drake_nonstop.simulation.metrics import compute_metrics
-from drake_nonstop.simulation.recording import Recording, StoredSignals, require_room
+from drake_nonstop.simulation.recording import Recording, require_room
+from drake_nonstop.simulation.signal_rows import StoredSignals
 from drake_nonstop.studies.results_folder import write_results
 
 
@@ -208,18 +209,18 @@ def test_a_full_disk_ends_the_run_in_one_sentence_and_loses_nothing(
     temporary, monkeypatch, failing
 ):
     expected = in_memory()
-    store, calls = recording._Log.store, []
+    store, calls = signal_rows.SignalRows.store, []
 
-    def store_until_full(log, folder):
-        calls.append(log)
+    def store_until_full(rows, folder):
+        calls.append(rows)
         if len(calls) == failing:
             folder.mkdir(exist_ok=True)
             (folder / "1").open("ab").write(b"a part")
         if len(calls) >= failing:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        store(log, folder)
+        store(rows, folder)
 
-    monkeypatch.setattr(recording._Log, "store", store_until_full)
+    monkeypatch.setattr(signal_rows.SignalRows, "store", store_until_full)
     with pytest.raises(RunStopped, match="cannot take the signals") as caught:
         flown(limit=2e4)
     assert f"{temporary} cannot take the signals (No space left on device)" in str(caught.value)
@@ -233,8 +234,8 @@ def test_a_full_disk_ends_the_run_in_one_sentence_and_loses_nothing(
 
 HOLDS_A_FOLDER = """
 import sys, time
-from drake_nonstop.simulation.recording import _TemporaryFolder
-folder = _TemporaryFolder()
+from drake_nonstop.simulation.signal_rows import TemporaryFolder
+folder = TemporaryFolder()
 print(folder.path, flush=True)
 time.sleep(60)
 """
@@ -246,7 +247,7 @@ def held_by_a_fork():
     process = os.fork()
     if process == 0:
         try:
-            folder = recording._TemporaryFolder()
+            folder = signal_rows.TemporaryFolder()
             os.write(writer, str(folder.path).encode())
             signal.pause()
         finally:
@@ -259,14 +260,14 @@ def held_by_a_fork():
 
 def test_folders_of_killed_forks_are_removed_and_no_others(temporary):
     (abandoned, killed), (held, living) = held_by_a_fork(), held_by_a_fork()
-    young = Path(tempfile.mkdtemp(prefix=recording._PREFIX))
+    young = Path(tempfile.mkdtemp(prefix=signal_rows._PREFIX))
     try:
         os.kill(killed, signal.SIGKILL)
         os.waitpid(killed, 0)
         hour_ago = time.time() - 3600
         for folder in (abandoned, held):
             os.utime(folder, (hour_ago, hour_ago))
-        own = recording._TemporaryFolder()
+        own = signal_rows.TemporaryFolder()
         assert not abandoned.exists()
         assert all(path.exists() for path in (held, young, own.path))
     finally:
@@ -295,7 +296,7 @@ def test_folders_of_killed_processes_are_removed_and_no_others(temporary):
         hour_ago = time.time() - 3600
         for folder in folders:
             os.utime(folder, (hour_ago, hour_ago))
-        own = recording._TemporaryFolder()
+        own = signal_rows.TemporaryFolder()
         assert not folders[0].exists()
         assert folders[1].exists()
         assert own.path.exists()
@@ -307,7 +308,7 @@ def test_folders_of_killed_processes_are_removed_and_no_others(temporary):
 
 
 def test_a_forked_process_leaves_the_files_to_the_first_one(temporary):
-    folder = recording._TemporaryFolder()
+    folder = signal_rows.TemporaryFolder()
     child = multiprocessing.get_context("fork").Process(target=_let_go, args=([folder],))
     child.start()
     child.join()
