@@ -3,7 +3,7 @@
 import numpy as np
 
 from drake_nonstop import parse_scenario
-from drake_nonstop.mechanics.aircraft import needed_force, required_command
+from drake_nonstop.mechanics.aircraft import flight_needs, needed_force
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.systems.traced_block import TracedBlock
 
@@ -48,7 +48,7 @@ def controller(model):
         wanted = acceleration.reshape(n, 3) + 2.25 * position_error + 2.7 * velocity_error
         force = needed_force(aircraft, wanted, pull.reshape(n, 3))
         velocity = state[3 * n :].reshape(n, 3)
-        return np.concatenate(required_command(aircraft, force, velocity, 0 * velocity))
+        return np.concatenate(flight_needs(aircraft, force, velocity).command)
 
     return TracedBlock(
         command,

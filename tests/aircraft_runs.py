@@ -3,7 +3,7 @@
 import numpy as np
 
 from drake_nonstop import Run
-from drake_nonstop.mechanics.aircraft import needed_force, required_command
+from drake_nonstop.mechanics.aircraft import flight_needs, needed_force
 from drake_nonstop.model.aircraft import AircraftParameters
 from drake_nonstop.model.system import SystemParameters, aircraft_in
 from drake_nonstop.scenario.schema import Scenario
@@ -51,9 +51,8 @@ def aircraft_run(duration=11.0, wind=(0.0, 0.0, 0.0), velocity=(0.0, 0.0, 0.0)):
     )
     aircraft = aircraft_in(system)
     winds = np.broadcast_to(np.array(wind), positions.shape)
-    told = required_command(
-        aircraft, needed_force(aircraft, accelerations, forces), velocities, winds
-    )
+    needed = needed_force(aircraft, accelerations, forces)
+    told = flight_needs(aircraft, needed, velocities - winds).command
     airspeeds = np.linalg.norm(velocities - winds, axis=2)
     state = np.hstack([*told, airspeeds])
     load = np.zeros((len(time), 13))

@@ -20,19 +20,18 @@ from drake_nonstop.blocks.fixed_wing_controller import FixedWingControllerConfig
 from drake_nonstop.diagrams.nonstop import make_nonstop, replaced
 from drake_nonstop.mechanics.aircraft import (
     Aircraft,
-    air_frame,
+    FlightNeeds,
     airspeed_over_loaded_stall,
     drawn_power,
+    flight_needs,
     needed_force,
-    required_command,
     stall_speed,
     thrust_limits,
     thrust_power,
     thrust_share,
 )
 from drake_nonstop.mechanics.cable import forces_under_other_wrench, wrenches_of
-from drake_nonstop.mechanics.planned_orbit import FlightNeeds
-from drake_nonstop.mechanics.resting_orbit import CarrierOrbits, resting_orbits
+from drake_nonstop.mechanics.planned_orbit import CarrierOrbits, resting_orbits
 from drake_nonstop.mechanics.rigid_load import RigidLoad
 from drake_nonstop.mechanics.signals import LoadReference, Parameters, Pose
 from drake_nonstop.mechanics.wind import MeanWind
@@ -75,16 +74,7 @@ def aircraft_needs(aircraft: Aircraft, motion: CarrierOrbits, wind: NDArray) -> 
         wind: at the carriers (k, n, 3), m/s, in W.
     """
     force = needed_force(aircraft, motion.accelerations, motion.cable_forces)
-    told = required_command(aircraft, force, motion.velocities, wind)
-    frame = air_frame(motion.velocities - wind)
-    return FlightNeeds(
-        airspeed=frame.airspeed[..., 0],
-        force=np.linalg.norm(force, axis=-1),
-        lift=told.lift,
-        bank=told.bank,
-        climb=np.arcsin(frame.forward[..., 2].clip(-1, 1)),
-        thrust=told.thrust,
-    )
+    return flight_needs(aircraft, force, motion.velocities - wind)
 
 
 def _range(values: NDArray) -> tuple[float, float]:

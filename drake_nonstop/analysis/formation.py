@@ -136,7 +136,7 @@ def cable_loads(
     """
     pattern = model.pattern
     held, R_LW = held_forces(model, reference, wind)
-    values, _ = internal_force(
+    values, *_ = internal_force(
         parameters, _ANGLES[:, None], phases=pattern.phases, orders=pattern.orders
     )
     forces = (held + values @ pattern.basis.T).reshape(len(_ANGLES), model.n, 3) @ R_LW

@@ -144,7 +144,7 @@ class LoadDeviations:
             internal = np.concatenate(
                 internal_force(
                     parameters, np.array([angle]), phases=pattern.phases, orders=pattern.orders
-                )
+                )[:2]
             )
             *_, jacobian = self._rates(
                 np.zeros(_SIZE), internal, reference, calm, packed, self._constants
@@ -252,7 +252,7 @@ class LoadDeviations:
                 load, state, reference, integrals, wind, feedforward=1.0, **given
             )
             forces, rates = cable_forces_and_rates(state, wrench, rate, internal, **distribution)
-            motion = carrier_motion(
+            positions, velocities = carrier_motion(
                 state if self._is_above_load else reference,
                 forces,
                 rates,
@@ -260,7 +260,7 @@ class LoadDeviations:
                 rest_length=length,
                 compliance=compliance,
             )
-            return forces, *motion
+            return forces, positions, velocities
 
         forces, _, _ = commanded(reference[:LOAD_STATE_SIZE], np.zeros(WRENCH_SIZE))
         tensions = np.sqrt((forces * forces).sum(axis=1, keepdims=True))

@@ -7,16 +7,15 @@ from numpy.typing import NDArray
 
 from drake_nonstop.analysis.aircraft_margins import asked_load
 from drake_nonstop.analysis.task import Task
+from drake_nonstop.mechanics.aircraft import FlightNeeds, flight_needs, needed_force
 from drake_nonstop.mechanics.cable import forces_under_other_wrench, wrenches_of
-from drake_nonstop.mechanics.nonstop import orbit_axes
 from drake_nonstop.mechanics.planned_orbit import (
-    FlightNeeds,
     FlightTerms,
+    OrbitMotion,
     PlannedOrbit,
     flight_along_reference,
-    flight_needs,
-    flight_products,
-    planned_cable_forces,
+    orbit_motion,
+    pattern_directions,
 )
 from drake_nonstop.mechanics.rigid_load import RigidLoad
 from drake_nonstop.mechanics.signals import PlannedParameters
@@ -30,7 +29,7 @@ class NeedsAlong:
     the measured one, of the simulated load; the cables hold the simulated one.
 
     Args:
-        task: with aircraft, and an internal force of the first harmonic.
+        task: with aircraft.
         times: (k,), s, of the plans.
     """
 
@@ -41,50 +40,55 @@ class NeedsAlong:
         above = _height_of_carriers(self._believed)
         winds = [task.wind_at(time, above) for time in times]
         load = asked_load(self._believed, self._plant)
-        self._terms = _terms_of(task, self._believed, load, times, winds)
-        self._axes = orbit_axes(self._believed.pattern.basis, self._believed.pattern.phases)
+        self._terms = terms_along(task, self._believed, load, times, winds)
         self._wrenches: NDArray | None = None
         if self._believed is not self._plant:
-            held = _terms_of(task, self._plant, self._plant.load, times, winds).forces
+            held = terms_along(task, self._plant, self._plant.load, times, winds).forces
             self._wrenches = wrenches_of(held, self._plant.attachments)
 
     def needs(self, planned: NDArray) -> FlightNeeds:
         """What they need, (k, n) each, of the plan's values (k, 8), in the mean wind up there."""
-        products = flight_products(
-            self._aircraft,
-            self._terms,
-            self._axes,
-            _orbit_of(planned),
-            rest_length=self._believed.cable_length,
-            compliance=self._believed.cable_compliance,
-            cable_forces=self.cable_forces(planned),
-        )
-        return flight_needs(self._aircraft, products)
+        motion, up = self._motion(planned), self._terms.up[:, None]
+        force = needed_force(self._aircraft, motion.accelerations, motion.forces, up)
+        return flight_needs(self._aircraft, force, motion.velocities, up)
 
     def cable_forces(self, planned: NDArray) -> NDArray:
         """The forces (k, n, 3) of the cables on the load, N, in L, of the plan's values (k, 8)."""
-        forces = planned_cable_forces(self._terms, self._axes, _orbit_of(planned))
+        return self._motion(planned).forces
+
+    def _motion(self, planned: NDArray) -> OrbitMotion:
+        """The carriers' motion, and the forces of the simulated cables."""
+        motion = motion_above(self._believed, self._terms, planned)
         if self._wrenches is None:
-            return forces
-        return forces_under_other_wrench(
-            forces,
+            return motion
+        forces = forces_under_other_wrench(
+            motion.forces,
             self._plant.attachments,
             self._wrenches,
             rest_length=self._plant.cable_length,
             stiffness=self._plant.cable_stiffness,
         )
+        return motion._replace(forces=forces)
 
 
-def _orbit_of(planned: NDArray) -> PlannedOrbit:
-    parts = PlannedParameters.view(planned)
-    return PlannedOrbit(*(getattr(parts, name)[:, 0] for name in PlannedOrbit._fields))
+def motion_above(model: Model, terms: FlightTerms, planned: NDArray) -> OrbitMotion:
+    """The motion of a model's carriers at k instants, of a plan's values (k, 8) there."""
+    parts, pattern = PlannedParameters.view(planned), model.pattern
+    orbit = PlannedOrbit(*(getattr(parts, name)[:, 0] for name in PlannedOrbit._fields))
+    return orbit_motion(
+        terms,
+        pattern_directions(pattern.basis, pattern.phases, pattern.orders, orbit.angle),
+        orbit,
+        rest_length=model.cable_length,
+        compliance=model.cable_compliance,
+    )
 
 
-def _terms_of(
+def terms_along(
     task: Task, model: Model, load: RigidLoad, times: NDArray, winds: Sequence[NDArray]
 ) -> FlightTerms:
     """What the orbits of a model depend on besides the plan, at times (k,), s, with their winds."""
-    flat = [
+    rows = [
         flight_along_reference(
             load,
             task.reference(time),
@@ -95,7 +99,7 @@ def _terms_of(
         )
         for time, wind in zip(times, winds, strict=True)
     ]
-    return FlightTerms.view(np.array(flat))
+    return FlightTerms.view(np.array(rows))
 
 
 def _height_of_carriers(model: Model) -> float:

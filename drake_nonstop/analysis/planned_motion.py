@@ -80,7 +80,7 @@ class PlannedMotion(Spacing):
         winds = [task.wind_at(time) for time in times]
         held = map(partial(held_forces, self._model), references, winds)
         without_waves, R_LW = map(np.array, zip(*held, strict=True))
-        values, _ = internal_force(
+        values, *_ = internal_force(
             planned[:, 1:3], planned[:, :1], phases=pattern.phases, orders=pattern.orders
         )
         forces = without_waves + values @ pattern.basis.T

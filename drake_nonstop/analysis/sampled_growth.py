@@ -18,8 +18,6 @@ from drake_nonstop.analysis.task import Task
 from drake_nonstop.mechanics.grasp import cable_forces_and_rates
 from drake_nonstop.mechanics.internal_force import (
     internal_force,
-    internal_force_acceleration,
-    internal_force_jerk,
 )
 from drake_nonstop.mechanics.rotation import rotation_matrix
 from drake_nonstop.mechanics.sampled_loop import largest_growth
@@ -129,21 +127,19 @@ def _orbit(task: Task, reference: NDArray, angle: float, parameters: NDArray) ->
     model, state = task.model, reference[:LOAD_STATE_SIZE]
     wrench, rate = feedforward_wrench(model.load, reference, task.wind)
     pattern = model.pattern
-    internal = np.concatenate(
-        internal_force(parameters, np.array([angle]), phases=pattern.phases, orders=pattern.orders)
+    *internal, second, third = internal_force(
+        parameters, np.array([angle]), phases=pattern.phases, orders=pattern.orders
     )
-    second = internal_force_acceleration(parameters, internal, orders=pattern.orders)
     forces, rates = cable_forces_and_rates(
         state,
         wrench,
         rate,
-        internal,
+        np.concatenate(internal),
         pseudo_inverse=model.pseudo_inverse,
         basis=pattern.basis,
         offset=pattern.offset,
     )
     turned = rotation_matrix(LoadReference.view(reference).quaternion)
-    third = internal_force_jerk(parameters, internal, orders=pattern.orders)
     return Orbit(
         forces @ turned,
         rates @ turned,

@@ -11,15 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.analysis.limit_along import LimitAlong
-from drake_nonstop.analysis.needs_along import NeedsAlong
+from drake_nonstop.analysis.needs_along import NeedsAlong, motion_above, terms_along
 from drake_nonstop.analysis.task import Task
-from drake_nonstop.mechanics.carrier import carrier_motion
-from drake_nonstop.mechanics.grasp import cable_forces_and_rates
-from drake_nonstop.mechanics.internal_force import internal_force
 from drake_nonstop.mechanics.nonstop import polynomial_values, speed_squares
 from drake_nonstop.mechanics.planned_orbit import OrbitTerms
-from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE
-from drake_nonstop.mechanics.wrench import feedforward_wrench
+from drake_nonstop.mechanics.rotation import rotation_matrix
+from drake_nonstop.mechanics.signals import PLANNED_SIZE, PlannedParameters
 from drake_nonstop.optimization.horizon_problem import HorizonConfig, HorizonData, HorizonProblem
 from drake_nonstop.optimization.horizon_solver import HorizonSolver
 from drake_nonstop.optimization.limits import Of, asked
@@ -172,9 +169,7 @@ def feasible_speeds(
 ) -> NDArray:
     """The least speed (k, x, a), m/s, over an orbit, of constant ξ (k, x) and A (k, a) at times."""
     terms = _terms_along(problem, task, times)
-    angles = 2 * np.pi * np.arange(_PHASES) / _PHASES
-    shape = (10, 3, _PHASES, len(times), task.model.n)
-    polynomials = orbit_polynomials(terms, problem.axes, angles).reshape(shape)
+    polynomials = orbit_polynomials(terms, problem.axes, _PHASES)
     least = []
     for amplitude in amplitudes.T:  # one by one: all of them at once take much memory
         values = polynomial_values(polynomials, amplitude[:, None])
@@ -222,33 +217,17 @@ def set_over_time(
 
 def constant_speeds(task: Task, times: NDArray) -> NDArray:
     """The carriers' speeds (k, n), m/s, at times (k,), with the nominal ξ and A; any pattern."""
-    model, pattern = task.model, task.model.pattern
-    speeds = []
-    for time in times:
-        reference = task.reference(time)
-        state = reference[:LOAD_STATE_SIZE]
-        wrench, rate = feedforward_wrench(model.load, reference, task.wind_at(time))
-        angle = np.array([task.limits.frequency * time])
-        internal = internal_force(task.nominal, angle, phases=pattern.phases, orders=pattern.orders)
-        forces, rates = cable_forces_and_rates(
-            state,
-            wrench,
-            rate,
-            np.concatenate(internal),
-            pseudo_inverse=model.pseudo_inverse,
-            basis=pattern.basis,
-            offset=pattern.offset,
-        )
-        _, velocities = carrier_motion(
-            reference,
-            forces,
-            rates,
-            attachments=model.attachments,
-            rest_length=model.cable_length,
-            compliance=model.cable_compliance,
-        )
-        speeds.append(np.linalg.norm(velocities - task.counted_wind(time), axis=1))
-    return np.array(speeds)
+    model, winds = task.model, [task.wind_at(time) for time in times]
+    terms = terms_along(task, model, model.load, times, winds)
+    planned = np.zeros((len(times), PLANNED_SIZE))
+    parts = PlannedParameters.view(planned)
+    parts.frequency[:], parts.amplitude[:] = task.nominal
+    parts.angle[:] = task.limits.frequency * times[:, None]
+    velocities = motion_above(model, terms, planned).velocities
+    if not task.counts_wind:
+        poses = np.array([task.reference(time)[:4] for time in times])
+        velocities = velocities + np.array(winds)[:, None] @ rotation_matrix(poses)
+    return np.linalg.norm(velocities, axis=-1)
 
 
 def find_speed_remedies(task: Task, found: SpeedCheck) -> list[SpeedRemedy]:

@@ -8,12 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.cable import compliance_of
-from drake_nonstop.mechanics.carrier import (
-    carrier_acceleration,
-    carrier_jerk,
-    carrier_motion,
-    motion_after,
-)
+from drake_nonstop.mechanics.carrier import carrier_motion, motion_after
 from drake_nonstop.mechanics.force_rates import second_and_third_force_rates
 from drake_nonstop.mechanics.signal_layouts import SAMPLE_TIME
 from drake_nonstop.model.block import Block
@@ -112,11 +107,8 @@ class _TrajectoryAboveReference(Block):
             pseudo_inverse=pseudo_inverse,
             basis=basis,
         )
-        return (
-            np.concatenate(carrier_motion(reference, forces, rates, **cables)),
-            carrier_acceleration(reference, forces, rates, higher_rates[0], **cables),
-            carrier_jerk(reference, forces, rates, *higher_rates, **cables),
-        )
+        motion = carrier_motion(reference, forces, rates, *higher_rates, **cables)
+        return np.concatenate(motion[:2]), motion[2], motion[3]
 
     def inputs(self, model: Model) -> tuple[str, ...]:
         return self.reads[:-1]

@@ -5,12 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.mechanics.internal_force import (
-    internal_force,
-    internal_force_acceleration,
-    internal_force_jerk,
-    planned_internal_force,
-)
+from drake_nonstop.mechanics.internal_force import internal_force, planned_internal_force
 from drake_nonstop.mechanics.signals import Phase
 from drake_nonstop.model.block import Block
 from drake_nonstop.validation import StrictFields
@@ -37,10 +32,8 @@ class InternalForceTrajectory(Block):
         parameters: NDArray, phase: NDArray, *, phases: NDArray, orders: NDArray
     ) -> tuple[NDArray, NDArray]:
         angle = Phase.view(phase).angle
-        known = np.concatenate(internal_force(parameters, angle, phases=phases, orders=orders))
-        functions = internal_force_acceleration, internal_force_jerk
-        higher = np.concatenate([f(parameters, known, orders=orders) for f in functions])
-        return known, higher
+        rates = internal_force(parameters, angle, phases=phases, orders=orders)
+        return np.concatenate(rates[:2]), np.concatenate(rates[2:])
 
 
 @dataclass(kw_only=True)

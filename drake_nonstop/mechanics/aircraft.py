@@ -80,6 +80,22 @@ class AirFrame(NamedTuple):
         return np.cos(angle) * self.up + np.sin(angle) * self.right
 
 
+class FlightNeeds(NamedTuple):
+    """What aircraft need; of any one shape."""
+
+    airspeed: NDArray  # m/s
+    force: NDArray  # N, ‖F‖
+    lift: NDArray  # C_L
+    bank: NDArray  # rad, positive to the right
+    climb: NDArray  # rad, of the path through the air
+    thrust: NDArray  # N
+
+    @property
+    def command(self) -> AircraftCommand:
+        """What makes the force."""
+        return AircraftCommand(self.lift, self.bank, self.thrust)
+
+
 def air_frame(air_velocity: NDArray) -> AirFrame:
     """The directions of a velocity through the air V_a = v − w (..., 3), m/s, in W.
 
@@ -141,15 +157,17 @@ def aircraft_acceleration(
     return force / aircraft.mass - aircraft.gravity * _UP
 
 
-def needed_force(aircraft: Aircraft, acceleration: NDArray, cable_force: NDArray) -> NDArray:
-    """What lift, drag and thrust have to sum up to (..., 3), N, in W: m (v̇ + g e₃) + f."""
-    return aircraft.mass * (acceleration + aircraft.gravity * _UP) + cable_force
+def needed_force(
+    aircraft: Aircraft, acceleration: NDArray, cable_force: NDArray, up: NDArray = _UP
+) -> NDArray:
+    """What lift, drag and thrust have to sum up to (..., 3), N: m (v̇ + g e₃) + f."""
+    return aircraft.mass * (acceleration + aircraft.gravity * up) + cable_force
 
 
-def required_command(
-    aircraft: Aircraft, force: NDArray, velocity: NDArray, wind: NDArray
-) -> AircraftCommand:
-    """C_L, bank and thrust, each (...,), with which `air_force` is the given one: its inverse.
+def flight_needs(
+    aircraft: Aircraft, force: NDArray, air_velocity: NDArray, up: NDArray = _UP
+) -> FlightNeeds:
+    """What aircraft need for `air_force` to be the given one: its inverse.
 
     With F_x = F·x and N = ‖F − F_x x‖ the bank is atan2(F·y, F·z′), and
 
@@ -157,22 +175,30 @@ def required_command(
 
     are solved for C_L by a fixed number of iterations of Newton's method, from the solution for
     sin α = α. Limits are not applied; a force that needs an angle of attack beyond ±0.6 rad, far
-    beyond stall, gives the command at that angle.
+    beyond stall, gives the lift and thrust at that angle.
 
     Args:
         aircraft: the parameters.
-        force: F (..., 3), N, in W, see `needed_force`.
-        velocity: v (..., 3), m/s, in W.
-        wind: w (..., 3), m/s, in W.
+        force: F (..., 3), N, see `needed_force`.
+        air_velocity: V_a (..., 3), m/s.
+        up: e₃ (..., 3), in the frame of both.
     """
-    frame = air_frame(velocity - wind)
-    along = (force * frame.forward).sum(axis=-1)
-    sideward = (force * frame.right).sum(axis=-1)
-    upward = (force * frame.up).sum(axis=-1)
+    airspeed = np.sqrt((air_velocity * air_velocity).sum(axis=-1) + _LEAST)
+    climb_sine = (air_velocity * up).sum(axis=-1) / airspeed
+    climb_cosine = np.sqrt(1 - climb_sine * climb_sine + _LEAST)
+    along = (force * air_velocity).sum(axis=-1) / airspeed
+    sideward = (cross(force, air_velocity) * up).sum(axis=-1) / (airspeed * climb_cosine)
+    upward = ((force * up).sum(axis=-1) - climb_sine * along) / climb_cosine
     across = np.sqrt(sideward * sideward + upward * upward + _LEAST)
-    bank = 2 * np.arctan(sideward / (across + upward + _LEAST))
-    lift, thrust = lift_and_thrust(aircraft, along, across, frame.airspeed[..., 0])
-    return AircraftCommand(lift, bank, thrust)
+    lift, thrust = lift_and_thrust(aircraft, along, across, airspeed)
+    return FlightNeeds(
+        airspeed,
+        np.sqrt((force * force).sum(axis=-1) + _LEAST),
+        lift,
+        2 * np.arctan(sideward / (across + upward + _LEAST)),
+        np.arctan(climb_sine / climb_cosine),
+        thrust,
+    )
 
 
 def lift_and_thrust(
@@ -180,7 +206,7 @@ def lift_and_thrust(
 ) -> tuple[NDArray, NDArray]:
     """C_L and thrust (...,) that make given forces along and across the flight through the air.
 
-    As told for `required_command`.
+    See `flight_needs`.
 
     Args:
         aircraft: the parameters.
@@ -232,6 +258,15 @@ def stall_speed(aircraft: Aircraft) -> NDArray | float:
     """V_s = √(2 m g/(ρ S C_Lmax)), m/s, without a cable's force."""
     weight = aircraft.mass * aircraft.gravity
     return np.sqrt(2 * weight / (aircraft.air_density * aircraft.wing_area * aircraft.max_lift))
+
+
+def stall_factor(aircraft: Aircraft, lift_share: float) -> float | NDArray:
+    """κ_s = ½ ρ S s C_Lmax (N s²/m²): ‖F‖ ≤ κ_s V² keeps C_L within a share s of C_Lmax.
+
+    Within some percent: ‖F‖ holds all of the thrust less the drag, and C_L not that part of the
+    thrust which lifts.
+    """
+    return aircraft.air_density / 2 * aircraft.wing_area * lift_share * aircraft.max_lift
 
 
 def airspeed_over_loaded_stall(
@@ -380,11 +415,10 @@ def trimmed_states(
     velocities = carrier_state[len(wind) :].reshape(-1, 3)
     air = wind.reshape(-1, 3)
     force = needed_force(aircraft, acceleration.reshape(-1, 3), cable_forces.reshape(-1, 3))
-    told = required_command(aircraft, force, velocities, air)
-    airspeed = air_frame(velocities - air).airspeed[..., 0]
-    thrust = limited_thrust(aircraft, told.thrust, airspeed)
-    lift = limited_lift(aircraft, told.lift)
-    return np.concatenate(FlightStates(carrier_state, lift, told.bank, thrust, wind))
+    needs = flight_needs(aircraft, force, velocities - air)
+    thrust = limited_thrust(aircraft, needs.thrust, needs.airspeed)
+    lift = limited_lift(aircraft, needs.lift)
+    return np.concatenate(FlightStates(carrier_state, lift, needs.bank, thrust, wind))
 
 
 def _lift_in_gusts(

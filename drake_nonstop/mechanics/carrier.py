@@ -1,125 +1,92 @@
 """The carriers: their desired motion, their controllers and their dynamics."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.cable import positive_part
 from drake_nonstop.mechanics.rotation import cross, norm, rotation_matrix
-from drake_nonstop.mechanics.signals import LoadReference, LoadState
+from drake_nonstop.mechanics.signals import LoadReference
+
+
+def cable_vectors(
+    forces: Sequence[NDArray],
+    *,
+    rest_length: float | NDArray,
+    compliance: float | NDArray,
+    axis: int = -1,
+) -> list[NDArray]:
+    """The vectors from attachments to carriers that pull with f, and their rates.
+
+    With T = ‖f‖, a = f·ḟ/T², b = (ḟ·ḟ + f·f̈)/T² − 3 a² and c = (3 ḟ·f̈ + f·f⃛)/T² they are
+
+        ℓ q = (L₀/T) f + f/K_c,   of the stretched length ℓ = L₀ + T/K_c along q = f/T,
+        (L₀/T) (ḟ − a f) + ḟ/K_c,   (L₀/T) (f̈ − 2 a ḟ − b f) + f̈/K_c,
+        (L₀/T) (f⃛ − 3 a f̈ − 3 b ḟ − (c − 9 a b − 12 a³) f) + f⃛/K_c.
+
+    With 1/K_c = 0 the first two are those of the paper (eqs. 1, 22); own derivation.
+
+    Args:
+        forces: f, N, and as many of its rates as are asked for, up to the third; of one shape.
+        rest_length: L₀, m.
+        compliance: 1/K_c, m/N.
+        axis: of the components.
+    """
+
+    def dot(a: NDArray, b: NDArray) -> NDArray:
+        return (a * b).sum(axis=axis, keepdims=True)
+
+    f, *rates = forces
+    square = dot(f, f)
+    swings = [f]
+    if len(rates) > 0:
+        r = rates[0]
+        a = dot(f, r) / square
+        swings.append(r - a * f)
+    if len(rates) > 1:
+        s = rates[1]
+        b = (dot(r, r) + dot(f, s)) / square - 3 * a * a
+        swings.append(s - 2 * a * r - b * f)
+    if len(rates) > 2:
+        t = rates[2]
+        c = (3 * dot(r, s) + dot(f, t)) / square
+        swings.append(t - 3 * a * s - 3 * b * r - (c - 9 * a * b - 12 * a * a * a) * f)
+    share = rest_length / np.sqrt(square)
+    return [share * swing + compliance * pull for swing, pull in zip(swings, forces, strict=True)]
 
 
 def carrier_motion(
-    load_state: NDArray,
-    forces: NDArray,
-    rates: NDArray,
-    *,
+    load_motion: NDArray,
+    *forces: NDArray,
     attachments: NDArray,
     rest_length: float | NDArray,
     compliance: float | NDArray,
-) -> tuple[NDArray, NDArray]:
-    """Positions and velocities (n, 3) each, in W, of carriers that pull with f_i (eqs. 1, 22).
+) -> list[NDArray]:
+    """Positions (n, 3), in W, of carriers that pull with f_i, and as many rates as forces have.
 
-    `load_state` (13,) gives the load's pose and twist in W; any longer array that begins
-    in the same way will do, such as a reference. `forces` and `rates` are f and ḟ (n, 3)
-    in W, `attachments` (n, 3) in L, `compliance` is 1/K_c (m/N). With q = f/‖f‖,
-    T = ‖f‖, Π = I − q qᵀ and the stretched length ℓ = L₀ + T/K_c,
+    p = p_L + R b + ℓ q, see `cable_vectors`. The load's angular jerk is taken as zero.
 
-        p = p_L + R b + ℓ q,   v = ṗ_L + ω × R b + (ℓ/T) Π ḟ + (qᵀḟ/K_c) q.
-
-    With compliance 0 these are the paper's equations; the last term, of a cable that stretches,
-    is an own derivation.
+    Args:
+        load_motion: of the load in W, a reference (22,); for positions and velocities a state (13,)
+            will do.
+        *forces: f (n, 3), N, in W, and up to three of its rates.
+        attachments: b (n, 3), m, in L.
+        rest_length: L₀, m.
+        compliance: 1/K_c, m/N.
     """
-    load = LoadState.view(load_state)
+    load = LoadReference.view(load_motion)
+    omega, alpha = load.angular_velocity, load.angular_acceleration
     levers = attachments @ rotation_matrix(load.quaternion).T
-    tension = norm(forces)
-    direction = forces / tension
-    length = rest_length + compliance * tension
-    tension_rate = (direction * rates).sum(axis=1, keepdims=True)
-    swing = length / tension * (rates - tension_rate * direction)
-    return (
-        load.position + levers + length * direction,
-        load.velocity
-        + cross(load.angular_velocity, levers)
-        + swing
-        + compliance * tension_rate * direction,
-    )
-
-
-def carrier_acceleration(
-    reference: NDArray,
-    forces: NDArray,
-    rates: NDArray,
-    second_rates: NDArray,
-    *,
-    attachments: NDArray,
-    rest_length: float | NDArray,
-    compliance: float | NDArray,
-) -> NDArray:
-    """Accelerations (n, 3), in W, of the motion of `carrier_motion`.
-
-    `reference` (22,) is the load's, `forces`, `rates` and `second_rates` are f, ḟ and f̈ (n, 3),
-    all in W; the others as there. With T = ‖f‖, a = f·ḟ/T² and b = (ḟ·ḟ + f·f̈)/T² − 3 a²,
-
-        p̈ = p̈_L + ω̇ × R b + ω × (ω × R b) + (L₀/T) (f̈ − 2 a ḟ − b f) + f̈/K_c.
-
-    Own derivation.
-    """
-    load = LoadReference.view(reference)
-    levers = attachments @ rotation_matrix(load.quaternion).T
-    tension = norm(forces)
-    squared = tension * tension
-    shrinking = (forces * rates).sum(axis=1, keepdims=True) / squared
-    both = (rates * rates + forces * second_rates).sum(axis=1, keepdims=True) / squared
-    bending = both - 3 * shrinking * shrinking
-    swing = second_rates - 2 * shrinking * rates - bending * forces
-    return (
-        load.acceleration
-        + cross(load.angular_acceleration, levers)
-        + cross(load.angular_velocity, cross(load.angular_velocity, levers))
-        + rest_length / tension * swing
-        + compliance * second_rates
-    )
-
-
-def carrier_jerk(
-    reference: NDArray,
-    forces: NDArray,
-    rates: NDArray,
-    second_rates: NDArray,
-    third_rates: NDArray,
-    *,
-    attachments: NDArray,
-    rest_length: float | NDArray,
-    compliance: float | NDArray,
-) -> NDArray:
-    """Jerks (n, 3), in W, of the motion of `carrier_motion`; the load's angular jerk is zero.
-
-    Arguments as of `carrier_acceleration`, and `third_rates` f⃛ (n, 3) in W. With T, a and b as
-    there, c = (3 ḟ·f̈ + f·f⃛)/T² and r = R b_i,
-
-        p⃛ = p⃛_L + 2 ω̇ × (ω × r) + ω × (ω̇ × r) + ω × (ω × (ω × r))
-             + (L₀/T) (f⃛ − 3 a f̈ − 3 b ḟ − (c − 9 a b − 12 a³) f) + f⃛/K_c.
-
-    Own derivation.
-    """
-    load = LoadReference.view(reference)
-    levers = attachments @ rotation_matrix(load.quaternion).T
-    turning = cross(load.angular_velocity, levers)
-    tension = norm(forces)
-    squared = tension * tension
-    a = (forces * rates).sum(axis=1, keepdims=True) / squared
-    b = (rates * rates + forces * second_rates).sum(axis=1, keepdims=True) / squared - 3 * a * a
-    c = (3 * rates * second_rates + forces * third_rates).sum(axis=1, keepdims=True) / squared
-    swing = third_rates - 3 * a * second_rates - 3 * b * rates
-    swing = swing - (c - 9 * a * b - 12 * a * a * a) * forces
-    return (
-        load.jerk
-        + 2 * cross(load.angular_acceleration, turning)
-        + cross(load.angular_velocity, cross(load.angular_acceleration, levers))
-        + cross(load.angular_velocity, cross(load.angular_velocity, turning))
-        + rest_length / tension * swing
-        + compliance * third_rates
-    )
+    turning = cross(omega, levers)
+    of_load = [load.position + levers, load.velocity + turning]
+    if len(forces) > 2:
+        bending = cross(alpha, levers) + cross(omega, turning)
+        of_load.append(load.acceleration + bending)
+    if len(forces) > 3:
+        of_load.append(load.jerk + 2 * cross(alpha, turning) + cross(omega, bending))
+    cables = cable_vectors(forces, rest_length=rest_length, compliance=compliance)
+    return [end + cable for end, cable in zip(of_load, cables, strict=False)]
 
 
 def motion_after(

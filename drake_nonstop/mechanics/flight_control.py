@@ -15,9 +15,9 @@ from drake_nonstop.mechanics.aircraft import (
     AirFrame,
     air_force,
     air_frame,
+    flight_needs,
     limited_thrust,
     needed_force,
-    required_command,
     stall_speed,
 )
 from drake_nonstop.mechanics.cable import positive_part, within
@@ -75,7 +75,8 @@ def flight_command(
 
     def undisturbed(force: NDArray, velocities: NDArray) -> AircraftCommand:
         frame = air_frame(velocities - wind)
-        return required_command(aircraft, force - _in_world(frame, disturbance), velocities, wind)
+        own = force - _in_world(frame, disturbance)
+        return flight_needs(aircraft, own, velocities - wind).command
 
     feedback = position_gain * (reference.positions - state.positions) + velocity_gain * (
         reference.velocities - state.velocities

@@ -1,7 +1,8 @@
-"""Second and third rates of the desired cable forces, of a load that moves along its reference."""
+"""The wrench and the cable forces of a load that moves along its reference, and their rates."""
 
 import math
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,58 @@ from drake_nonstop.mechanics.signals import (
 )
 
 _UNKNOWN = np.zeros(REFERENCE_HIGHER_RATES_SIZE)
+
+
+class _Along(NamedTuple):
+    """Rates of a motion along a reference, each a list by their order."""
+
+    turns: list[NDArray]  # (3, 3), R_LW
+    omegas: list[NDArray]  # (3,), the angular velocity's components in L
+    wrenches: list[NDArray]  # (6,), the components in L of the wrench [torque; force]
+
+
+def _along(load: RigidLoad, reference: NDArray, wind: NDArray, higher_rates: NDArray) -> _Along:
+    desired = LoadReference.view(reference)
+    R_WL = rotation_matrix(desired.quaternion)
+    higher = ReferenceHigherRates.view(higher_rates)
+    zero = 0 * desired.jerk
+    # d(R_LW)/dt = −S(ω) R_LW, so that dᴸω/dt = R_LW ω̇.
+    alphas = [desired.angular_acceleration, higher.angular_jerk, zero, zero]
+    turns, omegas = [R_WL.T], [R_WL.T @ desired.angular_velocity]
+    for order in range(3):
+        spins = [-skew(omega) for omega in omegas]
+        omegas.append(_product_rate(np.matmul, turns, alphas, order))
+        turns.append(_product_rate(np.matmul, spins, turns, order))
+    omegas.append(_product_rate(np.matmul, turns, alphas, 3))
+
+    drag = load.drag
+    weight = load.mass * load.gravity * np.array([0.0, 0.0, 1.0])
+    force_rates = [
+        load.mass * desired.acceleration + weight + drag * (desired.velocity - wind),
+        load.mass * desired.jerk + drag * desired.acceleration,
+        load.mass * higher.snap + drag * desired.jerk,
+        drag * higher.snap,
+    ]
+    momenta = [load.inertia @ omega for omega in omegas]
+    wrenches = []
+    for order in range(4):
+        torque = momenta[order + 1] + _product_rate(cross, omegas, momenta, order)
+        torque = torque + load.angular_drag * omegas[order]
+        force = _product_rate(np.matmul, turns, force_rates, order)
+        wrenches.append(np.concatenate([torque, force]))
+    return _Along(turns, omegas, wrenches)
+
+
+def wrenches_along(
+    load: RigidLoad, reference: NDArray, wind: NDArray = STILL_AIR
+) -> tuple[NDArray, NDArray, NDArray]:
+    """The wrench [torque; force] (6,), in L, that moves a load along its reference, and two rates.
+
+    The rates are those of its components in L. Arguments, and what is taken as zero, as of
+    `second_and_third_force_rates`.
+    """
+    first, second, third, _ = _along(load, reference, wind, _UNKNOWN).wrenches
+    return first, second, third
 
 
 def second_and_third_force_rates(
@@ -45,50 +98,19 @@ def second_and_third_force_rates(
     is taken as zero: the rates of its snap and of its angular jerk, in W. So are the second and
     third rates of what the feedback adds to w. Without rotation f̈ then is exact. Own derivation.
     """
-    desired = LoadReference.view(reference)
-    R_WL = rotation_matrix(desired.quaternion)
-    higher = ReferenceHigherRates.view(reference_higher_rates)
-    zero = 0 * desired.jerk
-    # R_LW and ω in L, and their rates: d(R_LW)/dt = −S(ω) R_LW, so that dᴸω/dt = R_LW ω̇.
-    alphas = [desired.angular_acceleration, higher.angular_jerk, zero, zero]
-    turns, omegas = [R_WL.T], [R_WL.T @ desired.angular_velocity]
-    for order in range(3):
-        spins = [-skew(omega) for omega in omegas]
-        omegas.append(_product_rate(np.matmul, turns, alphas, order))
-        turns.append(_product_rate(np.matmul, spins, turns, order))
-    omegas.append(_product_rate(np.matmul, turns, alphas, 3))
-
-    drag = load.drag
-    weight = load.mass * load.gravity * np.array([0.0, 0.0, 1.0])
-    force_rates = [
-        load.mass * desired.acceleration + weight + drag * (desired.velocity - wind),
-        load.mass * desired.jerk + drag * desired.acceleration,
-        load.mass * higher.snap + drag * desired.jerk,
-        drag * higher.snap,
-    ]
-    momenta = [load.inertia @ omega for omega in omegas]
-
-    def wrench_rate(order: int) -> NDArray:
-        """That of the wrench's components in L, [torque; force]."""
-        torque = (
-            momenta[order + 1]
-            + _product_rate(cross, omegas, momenta, order)
-            + load.angular_drag * omegas[order]
-        )
-        return np.concatenate([torque, _product_rate(np.matmul, turns, force_rates, order)])
-
-    forces_L = forces @ R_WL
-    rates_L = rates @ R_WL - cross(omegas[0], forces_L)
+    along = _along(load, reference, wind, reference_higher_rates)
+    R_LW = along.turns[0]
+    forces_L = forces @ R_LW.T
+    rates_L = rates @ R_LW.T - cross(along.omegas[0], forces_L)
+    internal = InternalForceHigherRates.view(internal_force_higher_rates)
     second_L, third_L = (
-        (pseudo_inverse @ wrench_rate(order) + basis @ internal_rate).reshape(-1, 3)
-        for order, internal_rate in enumerate(
-            InternalForceHigherRates.view(internal_force_higher_rates), start=2
-        )
+        (pseudo_inverse @ wrench + basis @ internal_rate).reshape(-1, 3)
+        for wrench, internal_rate in zip(along.wrenches[2:], internal, strict=True)
     )
     of_forces = [forces_L, rates_L, second_L, third_L]
     return (
-        _product_rate(np.matmul, of_forces, turns, 2),
-        _product_rate(np.matmul, of_forces, turns, 3),
+        _product_rate(np.matmul, of_forces, along.turns, 2),
+        _product_rate(np.matmul, of_forces, along.turns, 3),
     )
 
 

@@ -5,12 +5,13 @@ shares out evenly over the cables, and the motion of each carrier follows from i
 phase alone: in closed form, without the grasp matrix.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.mechanics.carrier import carrier_acceleration, carrier_motion
+from drake_nonstop.mechanics.carrier import carrier_motion
+from drake_nonstop.mechanics.rotation import components, cross
 from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE, POSE_SIZE
 
 _UP = np.array([0.0, 0.0, 1.0])
@@ -74,7 +75,7 @@ def carrier_orbit(
         f = F/n + (C + A_r cos φ) r + A_t sin φ t − B cos φ e₃,
         F = M (g e₃ + p̈_L) + B_L (ṗ_L − w),
 
-    and with its two rates `carrier_motion` and `carrier_acceleration` follow: F changes with the
+    and with its two rates `carrier_motion` follows: F changes with the
     load's acceleration, jerk and snap, in a constant wind. The forces beside F/n have no wrench
     where φ_i = θ + κ β_i with a κ that suits n, see `EllipticCarouselConfig`; carrier i is at
     ψ = β_i = 2π i/n + Ω t.
@@ -94,36 +95,35 @@ def carrier_orbit(
     outward = np.concatenate([cosine, sine, zero], axis=1)
     onward = np.concatenate([-sine, cosine, zero], axis=1)
     cosine, sine = np.cos(phases)[:, None], np.sin(phases)[:, None]
-    rate, turn = shape.frequency, shape.yaw_rate
-
-    along, along_rate = shape.spread + shape.radial * cosine, -rate * shape.radial * sine
-    across, across_rate = shape.tangential * sine, rate * shape.tangential * cosine
-    along_second, across_second = -rate * rate * shape.radial * cosine, -rate * rate * across
-    lift = shape.vertical * cosine
-    held = load.mass * (load.gravity * _UP + acceleration) + load.drag * air_velocity
-    held_rate = load.mass * jerk + load.drag * acceleration
-    held_second = load.mass * snap + load.drag * jerk
-    forces = held / load.carriers + along * outward + across * onward - lift * _UP
-    rates = (
-        held_rate / load.carriers
-        + (along_rate - turn * across) * outward
-        + (across_rate + turn * along) * onward
-        + rate * shape.vertical * sine * _UP
+    # The parts along r, t and e₃, and their rates as these turn.
+    rate, omega = shape.frequency, shape.yaw_rate * _UP
+    swing = np.concatenate(
+        [shape.radial * cosine, shape.tangential * sine, -shape.vertical * cosine], axis=1
     )
-    second_rates = (
-        held_second / load.carriers
-        + (along_second - 2 * turn * across_rate - turn * turn * along) * outward
-        + (across_second + 2 * turn * along_rate - turn * turn * across) * onward
-        + rate * rate * lift * _UP
+    swing_rate = rate * np.concatenate(
+        [-shape.radial * sine, shape.tangential * cosine, shape.vertical * sine], axis=1
     )
+    pull = swing + shape.spread * np.array([1.0, 0.0, 0.0])
+    pull_rate = swing_rate + cross(omega, pull)
+    pull_second_rate = cross(omega, swing_rate) + cross(omega, pull_rate) - rate * rate * swing
+    held = (
+        load.mass * (load.gravity * _UP + acceleration) + load.drag * air_velocity,
+        load.mass * jerk + load.drag * acceleration,
+        load.mass * snap + load.drag * jerk,
+    )
+    forces = [
+        part / load.carriers + x * outward + y * onward + z * _UP
+        for part, (x, y, z) in zip(
+            held, map(components, (pull, pull_rate, pull_second_rate)), strict=True
+        )
+    ]
     still = np.eye(POSE_SIZE)[0]
     rest = np.zeros(LOAD_REFERENCE_SIZE - POSE_SIZE - 3)
-    reference = np.concatenate([still, turn * _UP, rest])
-    cables: dict[str, Any] = {
-        "attachments": load.radius * outward,
-        "rest_length": shape.cable_length,
-        "compliance": load.compliance,
-    }
-    positions, velocities = carrier_motion(reference, forces, rates, **cables)
-    own = carrier_acceleration(reference, forces, rates, second_rates, **cables)
-    return CarrierMotion(positions, velocities, own + acceleration, forces)
+    positions, velocities, own = carrier_motion(
+        np.concatenate([still, omega, rest]),
+        *forces,
+        attachments=load.radius * outward,
+        rest_length=shape.cable_length,
+        compliance=load.compliance,
+    )
+    return CarrierMotion(positions, velocities, own + acceleration, forces[0])

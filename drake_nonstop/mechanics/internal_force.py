@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.grasp import grasp_matrix
-from drake_nonstop.mechanics.signals import InternalForce, Parameters, PlannedParameters
+from drake_nonstop.mechanics.signals import Parameters, PlannedParameters
 
 
 def hamiltonian_cycle(attachments: NDArray) -> NDArray:
@@ -107,31 +107,16 @@ def even_phases(count: int) -> NDArray:
 
 def internal_force(
     parameters: NDArray, phase: NDArray, *, phases: NDArray, orders: float | NDArray = 1
-) -> tuple[NDArray, NDArray]:
-    """λ and λ̇ (m,) each, of `parameters` [ξ, A] (2,) at the phase θ (1,), rad (eq. 23).
+) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+    """λ, λ̇, λ̈ and λ⃛ (..., m) each, of `parameters` [ξ, A] (..., 2) at the phase θ (..., 1), rad.
 
-    λ_k = A cos(h_k θ + φ_k) and λ̇_k = −A h_k ξ sin(h_k θ + φ_k), for constant ξ and A, with the
-    orders h (m,) of the harmonics.
+    λ_k = A cos(h_k θ + φ_k) (eq. 23), with the orders h (m,) of the harmonics, and its rates for
+    constant ξ and A.
     """
     frequency, amplitude = Parameters.view(parameters)
-    angles = orders * phase + phases
-    return amplitude * np.cos(angles), -amplitude * (orders * frequency) * np.sin(angles)
-
-
-def internal_force_acceleration(
-    parameters: NDArray, internal_force: NDArray, *, orders: float | NDArray = 1
-) -> NDArray:
-    """λ̈ = −(h ξ)² λ (m,), for constant ξ and A, of [ξ, A] (2,) and [λ; λ̇] (2m,)."""
-    frequency = orders * Parameters.view(parameters).frequency
-    return -frequency * frequency * InternalForce.view(internal_force).values
-
-
-def internal_force_jerk(
-    parameters: NDArray, internal_force: NDArray, *, orders: float | NDArray = 1
-) -> NDArray:
-    """λ⃛ = −(h ξ)² λ̇ (m,), for constant ξ and A, of [ξ, A] (2,) and [λ; λ̇] (2m,)."""
-    frequency = orders * Parameters.view(parameters).frequency
-    return -frequency * frequency * InternalForce.view(internal_force).rates
+    zero = np.zeros(1)
+    plan = PlannedParameters(phase, frequency, amplitude, zero, zero, zero, zero, zero)
+    return _rates_along(plan, phases, orders)
 
 
 def planned_internal_force(
@@ -145,9 +130,14 @@ def planned_internal_force(
         λ̈ = (Ä − A ω²) cos φ − (2 Ȧ ω + A ω̇) sin φ,
         λ⃛ = (A⃛ − 3 Ȧ ω² − 3 A ω ω̇) cos φ − (3 Ä ω + 3 Ȧ ω̇ + A ω̈ − A ω³) sin φ.
 
-    With all rates zero they are those of `internal_force` at constant ξ and A. Own derivation.
+    Own derivation.
     """
-    plan = PlannedParameters.view(planned)
+    return _rates_along(PlannedParameters.view(planned), phases, orders)
+
+
+def _rates_along(
+    plan: PlannedParameters, phases: NDArray, orders: float | NDArray
+) -> tuple[NDArray, NDArray, NDArray, NDArray]:
     angles = orders * plan.angle + phases
     cosine, sine = np.cos(angles), np.sin(angles)
     speed, speed_rate = orders * plan.frequency, orders * plan.frequency_rate
@@ -169,13 +159,13 @@ def planned_internal_force(
     )
 
 
-def ellipse_axes(basis: NDArray, phases: NDArray) -> tuple[NDArray, NDArray]:
-    """The conjugate axes (n, 3) each, in L, of the ellipses along which the forces N₀ λ move.
+def orbit_axes(basis: NDArray, phases: NDArray) -> tuple[NDArray, NDArray]:
+    """The axes p and q (n, 3), in L, of the forces N₀ λ = A (p cos hθ + q sin hθ).
 
-    Of columns of one order h, cable i's internal force at A = 1 is a_i cos hθ − b_i sin hθ; where
-    a_i and b_i are parallel the ellipse is a line, and that carrier stops twice a turn.
+    They are conjugate axes of the ellipse along which each cable's force moves, for columns of one
+    order h; where they are parallel the ellipse is a line, and that carrier stops twice a turn.
     """
     return (
         (basis @ np.cos(phases)).reshape(-1, 3),
-        (basis @ np.sin(phases)).reshape(-1, 3),
+        -(basis @ np.sin(phases)).reshape(-1, 3),
     )

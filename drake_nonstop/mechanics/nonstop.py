@@ -9,7 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.mechanics.internal_force import ellipse_axes, internal_force
+from drake_nonstop.mechanics.carrier import cable_vectors
+from drake_nonstop.mechanics.internal_force import internal_force
+from drake_nonstop.mechanics.planned_orbit import OrbitTerms
 from drake_nonstop.mechanics.rotation import absolute, cross, quaternion_rate
 from drake_nonstop.mechanics.signals import LoadState, Parameters, Phase
 
@@ -134,147 +136,31 @@ def quadratic_change_cost(
     )
 
 
-def orbit_axes(basis: NDArray, phases: NDArray) -> tuple[NDArray, NDArray]:
-    """The axes p and q (n, 3), in L: the internal force N₀ λ is A (p cos θ + q sin θ)."""
-    cosine_axes, sine_axes = ellipse_axes(basis, phases)
-    return cosine_axes, -sine_axes
+TENSION = 0  # the number of the polynomial of T² among those of `speed_polynomials`
+POLYNOMIALS_SHAPE = (10, 3, -1)  # of p flat `speed_polynomials`
 
 
-class AxisProducts(NamedTuple):
-    """The products of vectors of n carriers with one vector of the orbit's plane: p, q or u.
-
-    The vectors are f₀, d, v_b and ω of `planned_orbit.OrbitTerms`, e = d + ω × f₀, and cross
-    products with ω.
-    """
-
-    f: NDArray  # (n,), of f₀, as all
-    e: NDArray
-    v: NDArray  # of v_b
-    d: NDArray
-    vw: NDArray  # of v_b × ω
-    ew: NDArray  # of e × ω
-    w: NDArray  # of ω
-
-
-class SpeedProducts(NamedTuple):
-    """The scalar products of `speed_products`, by the letters of their vectors; w is ω."""
-
-    ff: NDArray  # (n,), f₀·f₀, as all
-    fd: NDArray
-    fv: NDArray
-    ee: NDArray
-    ev: NDArray
-    vv: NDArray
-    pp: NDArray
-    pq: NDArray
-    qq: NDArray
-    w_pq: NDArray  # ω·(p × q)
-    ww: NDArray
-    with_p: AxisProducts
-    with_q: AxisProducts
-
-    @classmethod
-    def view(cls, values: NDArray) -> "SpeedProducts":
-        """The parts of an array (25, …)."""
-        size = len(AxisProducts._fields)
-        with_p, with_q = values[-2 * size : -size], values[-size:]
-        axes = AxisProducts(*with_p), AxisProducts(*with_q)
-        return cls._make([*values[: -2 * size], *axes])
-
-
-class OrbitProducts(NamedTuple):
-    """The scalar products that make the speeds, as polynomials in A.
-
-    They are named by their vectors: f, r = d + ω × f, v_b as v, and u' as "rate".
-    """
-
-    f_f: Any  # the squared tension
-    r_r: Any
-    rate_rate: Any
-    f_rate: Any
-    f_v: Any
-    f_r: Any
-    r_rate: Any
-    v_r: Any
-    v_rate: Any
-    v_v: Any
-
-
-POLYNOMIALS_SHAPE = (len(OrbitProducts._fields), 3, -1)  # of p flat `speed_polynomials`
-
-
-def speed_products(
-    forces: NDArray,
-    rates: NDArray,
-    velocities: NDArray,
-    omega: NDArray,
-    cosine_axes: NDArray,
-    sine_axes: NDArray,
-) -> NDArray:
-    """The scalar products (25, n) from which `speed_polynomials` are built: a `SpeedProducts`.
-
-    Of f₀, d, v_b, ω (see `planned_orbit.OrbitTerms`), p and q (see `orbit_axes`), in any one frame.
-    """
-
-    def dot(a: NDArray, b: NDArray) -> NDArray:
-        return (a * b).sum(axis=1)
-
-    f, d, v, p, q = forces, rates, velocities, cosine_axes, sine_axes
-    w = omega + 0 * f
-    e = d + cross(omega, f)
-    with_axes = AxisProducts(f, e, v, d, cross(v, omega), cross(e, omega), w)
-    products = SpeedProducts(
-        ff=dot(f, f),
-        fd=dot(f, d),
-        fv=dot(f, v),
-        ee=dot(e, e),
-        ev=dot(e, v),
-        vv=dot(v, v),
-        pp=dot(p, p),
-        pq=dot(p, q),
-        qq=dot(q, q),
-        w_pq=dot(w, cross(p, q)),
-        ww=dot(w, w),
-        with_p=AxisProducts(*(dot(vector, p) for vector in with_axes)),
-        with_q=AxisProducts(*(dot(vector, q) for vector in with_axes)),
-    )
-    return np.stack([*products[:-2], *products.with_p, *products.with_q])
-
-
-def speed_polynomials(cosine: NDArray, sine: NDArray, products: NDArray) -> NDArray:
+def speed_polynomials(terms: OrbitTerms, directions: NDArray, direction_rates: NDArray) -> NDArray:
     """The coefficients (10, 3, …) of the arguments of `speed_squares`, as polynomials in A.
 
-    `products` (25, …) are those of `speed_products`, `cosine` and `sine` those of the
-    phase θ; they broadcast. The polynomials are those of `OrbitProducts`, in its order; each has
-    the coefficients of 1, A and A². Products with ω × f are rewritten by f·(ω × f) = 0 and
-    |ω × u|² = |ω|²|u|² − (ω·u)². Own derivation.
+    `directions` u and `direction_rates` u′ = ∂u/∂θ (…, n, 3) are those of the phase; with the
+    `terms` they broadcast. Of f = f₀ + A u, r = d + ω × f, u′ and v = v_b the polynomials are f·f,
+    r·r, u′·u′, f·u′, f·v, f·r = f·d, r·u′, v·r, v·u′ and v·v; each has the coefficients of 1, A and
+    A².
     """
-    known = SpeedProducts.view(products)
-    with_p, with_q = known.with_p, known.with_q
-    with_u = AxisProducts(*(cosine * p + sine * q for p, q in zip(with_p, with_q, strict=True)))
-    f_rate = cosine * with_q.f - sine * with_p.f
-    e_rate = cosine * with_q.e - sine * with_p.e
-    v_rate = cosine * with_q.v - sine * with_p.v
-    mean, half = (known.pp + known.qq) / 2, (known.pp - known.qq) / 2
-    cosine_twice, sine_twice = cosine * cosine - sine * sine, 2 * cosine * sine
-    swing = cosine_twice * half + sine_twice * known.pq
-    uu, rate_rate = mean + swing, mean - swing
-    zero = np.zeros(uu.shape)
-    polynomials = OrbitProducts(
-        f_f=(known.ff, 2 * with_u.f, uu),
-        r_r=(known.ee, 2 * with_u.ew, known.ww * uu - with_u.w * with_u.w),
-        rate_rate=(rate_rate, zero, zero),
-        f_rate=(f_rate, cosine_twice * known.pq - sine_twice * half, zero),
-        f_v=(known.fv, with_u.v, zero),
-        f_r=(known.fd, with_u.d, zero),
-        r_rate=(e_rate, known.w_pq, zero),
-        v_r=(known.ev, with_u.vw, zero),
-        v_rate=(v_rate, zero, zero),
-        v_v=(known.vv, zero, zero),
-    )
-    return np.stack(
-        [np.stack([coefficient + zero for coefficient in polynomial]) for polynomial in polynomials]
-    )
+    one = np.ones(np.broadcast_shapes(terms.forces.shape, directions.shape))
+    omega, zero = terms.angular_velocity[..., None, :], 0.0 * one
+    f = one * terms.forces, one * directions
+    r = one * (terms.rates + cross(omega, terms.forces)), one * cross(omega, directions)
+    u, v, d = ((one * part, zero) for part in (direction_rates, terms.velocities, terms.rates))
+
+    def product(a: tuple[NDArray, NDArray], b: tuple[NDArray, NDArray]) -> NDArray:
+        mixed = 2 * a[0] * a[1] if a is b else a[0] * b[1] + a[1] * b[0]
+        coefficients = a[0] * b[0], mixed, a[1] * b[1]
+        return np.stack([coefficient.sum(axis=-1) for coefficient in coefficients])
+
+    pairs = [(f, f), (r, r), (u, u), (f, u), (f, v), (f, d), (r, u), (v, r), (v, u), (v, v)]
+    return np.stack([product(a, b) for a, b in pairs])
 
 
 def polynomial_values(polynomials: NDArray, amplitude: NDArray) -> NDArray:
@@ -286,10 +172,9 @@ def polynomial_values(polynomials: NDArray, amplitude: NDArray) -> NDArray:
 def speed_squares(values: Any, *, rest_length: Any, compliance: Any) -> tuple[Any, ...]:
     """c, b and a with ‖v‖² = c + 2 b s + a s² for s = A ξ, and the squared tension T².
 
-    `values` (10, …) are those of the polynomials of `speed_polynomials` at A, in the order of
-    `OrbitProducts` (unpacked, which is faster than by attributes), and the results
-    are of the shape of one of them: arrays, or plain numbers, which for a single speed are ten
-    times faster. With g = ℓ/T and h = (1/K_c − g)/T², the velocity of eq. 22 is
+    `values` (10, …) are those of the polynomials of `speed_polynomials` at A, and the results are
+    of the shape of one of them: arrays, or plain numbers, which for a single speed are ten times
+    faster. With g = ℓ/T and h = (1/K_c − g)/T², the velocity of eq. 22 is
     v_b + g (r + s u') + h f fᵀ(r + s u'): affine in s. Own derivation.
     """
     tension_squared, r_r, rate_rate, f_rate, f_v, f_r, r_rate, v_r, v_rate, v_v = values
@@ -318,15 +203,11 @@ def orbit_positions(
 
     Both (3, …) in L, m and m/rad: the components come first, and what follows broadcasts.
     `forces` f₀ (N) are those of `planned_orbit.OrbitTerms`, `levers` (m) of the attachments,
-    `directions` u and `direction_rates` u' = ∂u/∂θ as in `planned_orbit`, `amplitude` is A (N). The
-    position is lever + ℓ f/‖f‖ with f = f₀ + A u and ℓ = L₀ + ‖f‖/K_c.
+    `directions` u and `direction_rates` u' = ∂u/∂θ as in `planned_orbit`, `amplitude` is A (N).
     """
-    force = forces + amplitude * directions
-    force_rate = amplitude * direction_rates
-    tension_squared = (force * force).sum(axis=0)
-    reach = rest_length / np.sqrt(tension_squared) + compliance
-    along = (compliance - reach) / tension_squared * (force * force_rate).sum(axis=0)
-    return levers + reach * force, reach * force_rate + along * force
+    pulls = forces + amplitude * directions, amplitude * direction_rates
+    cables, rates = cable_vectors(pulls, rest_length=rest_length, compliance=compliance, axis=0)
+    return levers + cables, rates
 
 
 def nearest_squares(gaps: NDArray, gap_rates: NDArray, half_step: float) -> NDArray:

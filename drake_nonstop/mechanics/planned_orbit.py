@@ -1,29 +1,23 @@
-"""Carriers along a planned orbit: their speeds and distances, and what aircraft need.
+"""Carriers along an orbit: their speeds and distances, and what aircraft need.
 
 The orbit above a moving load is flown at a phase θ, with ξ and A that change. All vectors are
 components in the load's frame L, in which the pattern is constant; wind enters by the velocity
 through the air alone, v_b − Rᵀw. In steps, each usable alone and most of numbers or symbols:
 
-- `orbit_along_reference`: of a load on its reference, what speeds and distances depend on besides
-  phase, ξ and A, an `OrbitTerms`; `flight_terms` (wrench and load motion given) or
-  `flight_along_reference` (both of a reference): what aircraft depend on, a `FlightTerms`;
-- `planned_speeds` and `planned_gaps`: with these the squared speeds, tensions and distances;
-- `flight_products`: with these and a `PlannedOrbit`, the six scalar products of the velocity
-  through the air V_a, the needed force F = m (v̇ + g e₃) + f and the vertical that decide all needs,
-  `FlightProducts`;
-- `flight_needs`: airspeed, ‖F‖, C_L, bank, climb and thrust of such products, `FlightNeeds`, by the
-  exact inverse `lift_and_thrust`. Stall alone needs ‖F‖ and V only, see `stall_factor`.
+- `flight_terms` (wrench and load motion given), `turning_terms` or `flight_along_reference`: what
+  carriers depend on besides phase, ξ and A, a `FlightTerms`; `orbit_along_reference`: what counts
+  of it for speeds and distances, an `OrbitTerms`;
+- `orbit_motion`: with these and a `PlannedOrbit`, the carriers' motion and their cables' forces;
+- `planned_speeds`, `planned_gaps` and `planned_needs`: what of it is bounded;
+- `speed_polynomials`, `speed_squares`: speeds at constant ξ and A by polynomials in A.
 
-With u = p cos θ + q sin θ and u′ = ∂u/∂θ, p and q from `mechanics.nonstop.orbit_axes`,
+With u = p cos θ + q sin θ, p and q from `orbit_axes`, or any other u(θ), and u′ = ∂u/∂θ,
 
-    f = f₀ + A u,   ᴸḟ = d + Ȧ u + A ξ u′,   ᴸf̈ = d₂ + (Ä − A ξ²) u + (2 Ȧ ξ + A ξ̇) u′,
-    r = ᴸḟ + ω × f,   s = ᴸf̈ + 2 ω × ᴸḟ + α × f + ω × (ω × f),
+    f = f₀ + A u,   ᴸḟ = d + Ȧ u + A ξ u′,   ᴸf̈ = d₂ + Ä u + (2 Ȧ ξ + A ξ̇) u′ + A ξ² u″,
+    r = ᴸḟ + ω × f,   s = ᴸf̈ + ω × ᴸḟ + α × f + ω × r
 
-and a = f·r/T², b = (r·r + f·s)/T² − 3 a², T = ‖f‖,
-
-    V_a = v_b + (L₀/T) (r − a f) + r/K_c,   v̇ = a_b + (L₀/T) (s − 2 a r − b f) + s/K_c,
-
-as `carrier_motion` and `carrier_acceleration`. Own derivation.
+are the cables' forces and their rates; of f, r and s follow by `cable_vectors` the rates of the
+vectors from the attachments to the carriers. Own derivation.
 """
 
 from collections.abc import Sequence
@@ -32,20 +26,23 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.mechanics.aircraft import Aircraft, lift_and_thrust
-from drake_nonstop.mechanics.force_rates import second_and_third_force_rates
+from drake_nonstop.mechanics.aircraft import Aircraft, FlightNeeds, flight_needs, needed_force
+from drake_nonstop.mechanics.carrier import cable_vectors
+from drake_nonstop.mechanics.force_rates import wrenches_along
+from drake_nonstop.mechanics.internal_force import internal_force
 from drake_nonstop.mechanics.rigid_load import STILL_AIR, RigidLoad
-from drake_nonstop.mechanics.rotation import cross, rotation_matrix
+from drake_nonstop.mechanics.rotation import cross, quaternion_product, rotation_matrix
 from drake_nonstop.mechanics.signals import (
-    LOAD_STATE_SIZE,
-    WRENCH_SIZE,
     LoadReference,
+    Pose,
     Wrench,
+    resting_reference,
 )
 from drake_nonstop.mechanics.wrench import feedforward_wrench
 
 _UP = np.array([0.0, 0.0, 1.0])
-_LEAST = 1e-12  # beside squares that may vanish
+Axes = tuple[NDArray, NDArray]  # p and q (n, 3), of `orbit_axes`
+Directions = tuple[NDArray, NDArray, NDArray]  # u, u′ and u″ (k, n, 3)
 
 
 class OrbitTerms(NamedTuple):
@@ -106,6 +103,14 @@ class FlightTerms(NamedTuple):
         return _columns(self[:5], self[5:])
 
 
+def _columns(of_carriers: Sequence[NDArray], of_load: Sequence[NDArray]) -> NDArray:
+    """Vectors (k, n, 3) of carriers and (k, 3) of the load, one below the other, (..., k, n)."""
+    columns = [np.moveaxis(vectors, -1, 0) for vectors in of_carriers]
+    shape = columns[0].shape
+    columns += [np.broadcast_to(vectors.T[:, :, None], shape) for vectors in of_load]
+    return np.concatenate(columns)
+
+
 class PlannedOrbit(NamedTuple):
     """Phase, ξ and A with their rates at k instants."""
 
@@ -116,62 +121,20 @@ class PlannedOrbit(NamedTuple):
     amplitude_rate: NDArray  # (k,), N/s, Ȧ
     amplitude_second_rate: NDArray  # (k,), N/s², Ä
 
-
-class FlightProducts(NamedTuple):
-    """The products that decide what an aircraft needs; of any one shape."""
-
-    v_v: NDArray  # V_a·V_a, m²/s², the squared airspeed
-    f_f: NDArray  # F·F, N²
-    f_v: NDArray  # F·V_a
-    f_up: NDArray  # F·e₃
-    v_up: NDArray  # V_a·e₃
-    triple: NDArray  # e₃·(F × V_a)
+    @classmethod
+    def constant(cls, angle: NDArray, frequency: Any, amplitude: Any) -> "PlannedOrbit":
+        """The orbits of constant ξ and A, numbers or (k,)."""
+        one, zero = np.ones(angle.shape), np.zeros(angle.shape)
+        return cls(angle, frequency * one, zero, amplitude * one, zero, zero)
 
 
-class FlightNeeds(NamedTuple):
-    """What aircraft need; of any one shape."""
+class OrbitMotion(NamedTuple):
+    """The motion of n carriers at k instants, in L."""
 
-    airspeed: NDArray  # m/s
-    force: NDArray  # N, ‖F‖
-    lift: NDArray  # C_L
-    bank: NDArray  # rad, positive to the right
-    climb: NDArray  # rad, of the path through the air
-    thrust: NDArray  # N
-
-
-def _terms_along_reference(
-    load: RigidLoad, reference: NDArray, wind: NDArray, **constants: NDArray
-) -> FlightTerms:
-    """The terms of a load on its reference, with the wrench that moves it along."""
-    state = reference[:LOAD_STATE_SIZE]
-    wrenches = *feedforward_wrench(load, reference, wind), np.zeros(WRENCH_SIZE)
-    return flight_terms(state, reference, *wrenches, wind, **constants)
-
-
-def orbit_along_reference(
-    load: RigidLoad,
-    reference: NDArray,
-    wind: NDArray = STILL_AIR,
-    *,
-    pseudo_inverse: NDArray,
-    offset: NDArray,
-    attachments: NDArray,
-) -> NDArray:
-    """The flat `OrbitTerms` (9n + 3,) of a load on its `reference` (22,), of numbers or symbols.
-
-    The wrench is that which moves the load along its reference in the steady `wind` (3,), m/s, in
-    W; the velocities are those through this air. The reference's angular jerk is taken as zero.
-    `pseudo_inverse` (3n, 6), `offset` (3n,) in N and `attachments` (n, 3) are in L.
-    """
-    terms = _terms_along_reference(
-        load,
-        reference,
-        wind,
-        pseudo_inverse=pseudo_inverse,
-        offset=offset,
-        attachments=attachments,
-    )
-    return np.concatenate([part.ravel() for part in terms.of_speeds])
+    forces: NDArray  # (k, n, 3), N, of the cables on the load
+    cables: NDArray  # (k, n, 3), m, from the attachments to the carriers
+    velocities: NDArray  # (k, n, 3), m/s, through the air
+    accelerations: NDArray  # (k, n, 3), m/s²
 
 
 def flight_terms(
@@ -186,52 +149,71 @@ def flight_terms(
     offset: NDArray,
     attachments: NDArray,
 ) -> FlightTerms:
-    """The terms of a load with a given motion and wrench, of numbers or symbols.
+    """The terms of a load with a given motion and wrench, at one instant or more.
 
     Args:
-        state: of the load (13,), or what begins with one; turns the load-frame forces.
-        motion: (22,), with the accelerations, that the carriers follow, such as a reference.
-        wrench: (6,), in W, and its first two rates.
-        wrench_rate: (6,).
-        wrench_second_rate: (6,).
+        state: of the load (..., 13), or what begins with one; turns the load-frame forces.
+        motion: (..., 22), with the accelerations, that the carriers follow, such as a reference.
+        wrench: (..., 6), in W, and its first two rates.
+        wrench_rate: (..., 6).
+        wrench_second_rate: (..., 6).
         wind: w (3,), m/s, in W.
         pseudo_inverse: (3n, 6), in L.
         offset: (3n,), N, in L.
         attachments: (n, 3), m, in L.
     """
     own, moving = LoadReference.view(state), LoadReference.view(motion)
-    R_LW = rotation_matrix(own.quaternion).T
-    omega = R_LW @ own.angular_velocity
-    alpha = R_LW @ moving.angular_acceleration
-
-    def rotated(values: NDArray) -> tuple[NDArray, NDArray]:
-        parts = Wrench.view(values)
-        return R_LW @ parts.torque, R_LW @ parts.force
-
-    parts = [rotated(values) for values in (wrench, wrench_rate, wrench_second_rate)]
-    of_components: list[list[NDArray]] = [[], [], []]
-    for value, rate, second_rate in zip(*parts, strict=True):
+    R_WL = rotation_matrix(own.quaternion)
+    omega = _rotated(own.angular_velocity, R_WL)
+    alpha = _rotated(moving.angular_acceleration, R_WL)
+    parts = []
+    for vectors in zip(*map(Wrench.view, (wrench, wrench_rate, wrench_second_rate)), strict=True):
+        value, rate, second_rate = (_rotated(vector, R_WL) for vector in vectors)
         own_rate = rate - cross(omega, value)
-        own_second = second_rate - cross(omega, rate) - cross(omega, own_rate) - cross(alpha, value)
-        for found, component in zip(of_components, (value, own_rate, own_second), strict=True):
-            found.append(component)
-    forces, rates, second_rates = (pseudo_inverse @ np.concatenate(c) for c in of_components)
-    turn = R_LW @ rotation_matrix(moving.quaternion)
-    levers = attachments @ turn.T
-    turning = R_LW @ moving.angular_velocity
-    swing = cross(turning, levers)
-    velocities = R_LW @ (moving.velocity - wind) + swing
-    accelerations = R_LW @ moving.acceleration + cross(alpha, levers) + cross(turning, swing)
+        second_rate = second_rate - cross(omega, rate) - cross(omega, own_rate)
+        parts.append((value, own_rate, second_rate - cross(alpha, value)))
+    wrenches = [np.concatenate(part, axis=-1) for part in zip(*parts, strict=True)]
+    return _terms(R_WL, omega, moving, wrenches, wind, pseudo_inverse, offset, attachments)
+
+
+def _terms(
+    R_WL: NDArray,
+    omega: NDArray,
+    moving: LoadReference,
+    wrenches: Sequence[NDArray],
+    wind: NDArray,
+    pseudo_inverse: NDArray,
+    offset: NDArray,
+    attachments: NDArray,
+) -> FlightTerms:
+    """The terms of a wrench (..., 6), in L, and the first two rates of these components."""
+    alpha, turning = (
+        _rotated(vector, R_WL) for vector in (moving.angular_acceleration, moving.angular_velocity)
+    )
+    forces, rates, second_rates = (
+        (part @ pseudo_inverse.T + constant).reshape(*part.shape[:-1], -1, 3)
+        for part, constant in zip(wrenches, (offset, 0.0, 0.0), strict=True)
+    )
+    levers = attachments @ (rotation_matrix(moving.quaternion).swapaxes(-1, -2) @ R_WL)
+    omega_b, alpha_b = turning[..., None, :], alpha[..., None, :]
+    swing = cross(omega_b, levers)
     return FlightTerms(
-        (forces + offset).reshape(-1, 3),
-        rates.reshape(-1, 3),
-        second_rates.reshape(-1, 3),
-        velocities,
-        accelerations,
+        forces,
+        rates,
+        second_rates,
+        _rotated(moving.velocity - wind, R_WL)[..., None, :] + swing,
+        _rotated(moving.acceleration, R_WL)[..., None, :]
+        + cross(alpha_b, levers)
+        + cross(omega_b, swing),
         omega,
         alpha,
-        R_LW @ _UP,
+        _rotated(_UP, R_WL),
     )
+
+
+def _rotated(vector: NDArray, R_WL: NDArray) -> NDArray:
+    """A vector (..., 3) in W, in L."""
+    return (vector[..., None, :] @ R_WL)[..., 0, :]
 
 
 def flight_along_reference(
@@ -245,32 +227,21 @@ def flight_along_reference(
 ) -> NDArray:
     """The flat `FlightTerms` (15n + 9,) of a load on its `reference` (22,), of numbers or symbols.
 
-    The wrench is that which moves the load along its reference in the steady `wind` (3,), m/s,
-    in W. The reference's angular jerk and snap are taken as zero. Others as of `flight_terms`.
+    The wrench is that which moves the load along its reference in the steady `wind` (3,), m/s, in
+    W; the velocities are those through this air. The reference's angular jerk and snap are taken as
+    zero. Others as of `flight_terms`.
     """
-    terms = _terms_along_reference(
-        load,
-        reference,
-        wind,
-        pseudo_inverse=pseudo_inverse,
-        offset=offset,
-        attachments=attachments,
-    )
-    R_WL = rotation_matrix(LoadReference.view(reference).quaternion)
-    omega, alpha = terms.angular_velocity, terms.angular_acceleration
-    turning = cross(omega, terms.forces)
-    seconds, _ = second_and_third_force_rates(
-        load,
-        reference,
-        terms.forces @ R_WL.T,
-        (terms.rates + turning) @ R_WL.T,
-        np.zeros(2),
-        wind,
-        pseudo_inverse=pseudo_inverse,
-        basis=np.zeros((len(pseudo_inverse), 1)),
-    )
-    of_turning = 2 * cross(omega, terms.rates) + cross(alpha, terms.forces) + cross(omega, turning)
-    return terms._replace(second_rates=seconds @ R_WL - of_turning).flat
+    moving = LoadReference.view(reference)
+    R_WL = rotation_matrix(moving.quaternion)
+    omega = _rotated(moving.angular_velocity, R_WL)
+    wrenches = wrenches_along(load, reference, wind)
+    return _terms(R_WL, omega, moving, wrenches, wind, pseudo_inverse, offset, attachments).flat
+
+
+def orbit_along_reference(*args: NDArray | RigidLoad, **geometry: NDArray) -> NDArray:
+    """The flat `OrbitTerms` (9n + 3,) of what `flight_along_reference` is given."""
+    terms = FlightTerms.view(flight_along_reference(*args, **geometry))  # type: ignore[arg-type]
+    return np.concatenate([part.ravel() for part in terms.of_speeds])
 
 
 def turning_terms(
@@ -280,16 +251,13 @@ def turning_terms(
     wind: NDArray,
     rates: NDArray,
     angles: NDArray,
-    *,
-    pseudo_inverse: NDArray,
-    offset: NDArray,
-    attachments: NDArray,
+    **geometry: NDArray,
 ) -> FlightTerms:
     """The terms of a load that turns about the vertical with its carriers, at k rates and angles.
 
     They are `flight_terms` of the motion with another yaw and yaw rate, at a constant force in W
-    but for its rate, and a constant torque in L. With A = 0, which does not count, the products
-    then are those of aircraft that keep their places above the load; the squared airspeed is
+    but for its rate, and a constant torque in L. With A = 0, which does not count, the motion
+    then is that of aircraft that keep their places above the load; the squared airspeed is
     quadratic in the rate. Own derivation.
 
     Args:
@@ -299,45 +267,83 @@ def turning_terms(
         wind: w (3,), m/s, in W.
         rates: (k,), rad/s, of the turn.
         angles: (k,), rad, by which the load has turned on from its present yaw.
-        pseudo_inverse: (3n, 6), in L.
-        offset: (3n,), N, in L.
-        attachments: (n, 3), m, in L.
+        **geometry: as of `flight_terms`.
     """
-    own, n = LoadReference.view(motion), len(attachments)
-    start = rotation_matrix(own.quaternion)
-    cosine, sine, zero = np.cos(angles), np.sin(angles), 0 * angles
-    turned = np.stack([cosine, -sine, zero, sine, cosine, zero, zero, zero, zero + 1], axis=-1)
-    R_WL = turned.reshape(-1, 3, 3) @ start
-    up = start.T @ _UP
-    omega = rates[:, None] * up
-    force, force_rate, velocity, acceleration = (
-        vector @ R_WL
-        for vector in (
-            Wrench.view(wrench).force,
-            Wrench.view(wrench_rate).force,
-            own.velocity - wind,
-            own.acceleration,
+    moved = _turned(motion, rates, angles)
+    omega = LoadReference.view(moved).angular_velocity
+    R_WL = rotation_matrix(LoadReference.view(motion).quaternion)
+    torque_L = _rotated(Wrench.view(wrench).torque, R_WL)
+    torque = (rotation_matrix(LoadReference.view(moved).quaternion) @ torque_L[:, None])[..., 0]
+    torque_rate, none = cross(omega, torque), 0 * torque
+    wrenches = [
+        np.concatenate([part, force + none], axis=1)
+        for part, force in (
+            (torque, Wrench.view(wrench).force),
+            (torque_rate, Wrench.view(wrench_rate).force),
+            (cross(omega, torque_rate), none),
         )
-    )
-    own_rate = force_rate - cross(omega, force)
-    own_second = -cross(omega, force_rate) - cross(omega, own_rate)
-    torque = Wrench.view(wrench).torque @ start + 0 * force
-    by_torque, by_force = pseudo_inverse[:, :3], pseudo_inverse[:, 3:]
+    ]
+    value, rate, second_rate = wrenches
+    return flight_terms(moved, moved, value, rate, second_rate, wind, **geometry)
 
-    def in_cables(torque: NDArray, force: NDArray) -> NDArray:
-        return (torque @ by_torque.T + force @ by_force.T).reshape(-1, n, 3)
 
-    turning = omega[:, None]
-    swing = cross(turning, attachments)
-    return FlightTerms(
-        in_cables(torque, force) + offset.reshape(n, 3),
-        in_cables(0 * torque, own_rate),
-        in_cables(0 * torque, own_second),
-        velocity[:, None] + swing,
-        acceleration[:, None] + cross(turning, swing),
-        omega,
-        0 * omega,
-        up + 0 * omega,
+def _turned(motion: NDArray, rates: NDArray, angles: NDArray) -> NDArray:
+    """The motions (k, 22) of a load at other yaws that turns steadily about the vertical."""
+    half, zero = angles[:, None] / 2, np.zeros((len(angles), 1))
+    moved = np.tile(motion, (len(angles), 1))
+    own = LoadReference.view(moved)
+    turn = np.concatenate([np.cos(half), zero, zero, np.sin(half)], axis=1)
+    own.quaternion[:] = quaternion_product(turn, own.quaternion)
+    own.angular_velocity[:], own.angular_acceleration[:] = rates[:, None] * _UP, 0.0
+    return moved
+
+
+def orbit_directions(axes: Axes, angle: NDArray) -> Directions:
+    """u, u′ and u″ at phases (k,), rad."""
+    p, q = axes
+    cosine, sine = np.cos(angle)[:, None, None], np.sin(angle)[:, None, None]
+    u = cosine * p + sine * q
+    return u, cosine * q - sine * p, -u
+
+
+def pattern_directions(
+    basis: NDArray, phases: NDArray, orders: NDArray, angle: NDArray
+) -> Directions:
+    """u, u′ and u″ at phases (k,), rad, of a pattern N₀ (3n, m), φ (m,), h (m,) of any orders."""
+    rates = internal_force(np.ones(2), angle[:, None], phases=phases, orders=orders)
+    u, along, bending = ((rate @ basis.T).reshape(len(angle), -1, 3) for rate in rates[:3])
+    return u, along, bending
+
+
+def orbit_motion(
+    terms: FlightTerms,
+    directions: Directions,
+    orbit: PlannedOrbit,
+    *,
+    rest_length: Any,
+    compliance: Any,
+) -> OrbitMotion:
+    """The carriers' motion at k instants, of numbers or symbols.
+
+    Args:
+        terms: at k instants, or at one (1, ...).
+        directions: at the instants.
+        orbit: at the instants.
+        rest_length: L₀, m.
+        compliance: 1/K_c, m/N.
+    """
+    _, xi, xi_rate, A, A_rate, A_second = (values[:, None, None] for values in orbit)
+    u, along, bending = directions
+    omega, alpha = terms.angular_velocity[:, None], terms.angular_acceleration[:, None]
+    force = terms.forces + A * u
+    rate = terms.rates + A_rate * u + (A * xi) * along
+    second_rate = terms.second_rates + A_second * u + (2 * A_rate * xi + A * xi_rate) * along
+    second_rate = second_rate + (A * xi * xi) * bending
+    r = rate + cross(omega, force)
+    s = second_rate + cross(omega, rate) + cross(alpha, force) + cross(omega, r)
+    cables = cable_vectors([force, r, s], rest_length=rest_length, compliance=compliance)
+    return OrbitMotion(
+        force, cables[0], terms.velocities + cables[1], terms.accelerations + cables[2]
     )
 
 
@@ -350,7 +356,7 @@ class PlannedSpeeds(NamedTuple):
 
 def planned_speeds(
     terms: OrbitTerms,
-    axes: tuple[NDArray, NDArray],
+    axes: Axes,
     angle: NDArray,
     frequency: NDArray,
     amplitude: NDArray,
@@ -363,7 +369,7 @@ def planned_speeds(
 
     Args:
         terms: at k instants.
-        axes: p and q (n, 3), in L, of `mechanics.nonstop.orbit_axes`.
+        axes: p and q.
         angle: θ (k,), rad.
         frequency: ξ (k,), rad/s.
         amplitude: A (k,), N.
@@ -371,18 +377,21 @@ def planned_speeds(
         rest_length: L₀, m.
         compliance: 1/K_c, m/N.
     """
-    A, xi, rate = amplitude[:, None], frequency[:, None], amplitude_rate[:, None]
-    f, u, along = _planned_forces(terms.forces, axes, angle, amplitude)
-    rates, v_b = _by_component(terms.rates), _by_component(terms.velocities)
-    omega = _instants_last(terms.angular_velocity)
-    r = rates + _cross(omega, f) + rate * u + (A * xi) * along
-    v, tension_square, *_ = _velocity(v_b, f, r, rest_length, compliance)
-    return PlannedSpeeds(_dot(v, v), tension_square)
+    none = np.zeros((1, 1, 3))
+    flight = FlightTerms(*terms[:2], none, terms.velocities, none, terms[3], none[0], none[0])
+    zero = np.zeros(1)
+    orbit = PlannedOrbit(angle, frequency, zero, amplitude, amplitude_rate, zero)
+    cables = {"rest_length": rest_length, "compliance": compliance}
+    motion = orbit_motion(flight, orbit_directions(axes, angle), orbit, **cables)
+    return PlannedSpeeds(
+        (motion.velocities * motion.velocities).sum(axis=-1),
+        (motion.forces * motion.forces).sum(axis=-1),
+    )
 
 
 def planned_gaps(
     forces: NDArray,
-    axes: tuple[NDArray, NDArray],
+    axes: Axes,
     angle: NDArray,
     amplitude: NDArray,
     *,
@@ -392,8 +401,6 @@ def planned_gaps(
     compliance: Any,
 ) -> NDArray:
     """The squared distances (k, m), m², between carriers at k instants.
-
-    A carrier is at its attachment plus (L₀/T + 1/K_c) f, see `planned_speeds`.
 
     Args:
         forces: f₀ (k, n, 3), N, of `OrbitTerms`.
@@ -405,151 +412,107 @@ def planned_gaps(
         rest_length: L₀, m.
         compliance: 1/K_c, m/N.
     """
-    f, _, _ = _planned_forces(forces, axes, angle, amplitude)
-    places = (rest_length / np.sqrt(_dot(f, f)) + compliance) * f + attachments.T[:, None]
+    force = forces + amplitude[:, None, None] * orbit_directions(axes, angle)[0]
+    (cables,) = cable_vectors([force], rest_length=rest_length, compliance=compliance)
     first, second = pairs
-    gaps = places[..., first] - places[..., second]
-    return _dot(gaps, gaps)
+    places = attachments + cables
+    gaps = places[:, first] - places[:, second]
+    return (gaps * gaps).sum(axis=-1)
 
 
-def flight_products(
+def planned_needs(
     aircraft: Aircraft,
     terms: FlightTerms,
-    axes: tuple[NDArray, NDArray],
+    axes: Axes,
     orbit: PlannedOrbit,
     *,
     rest_length: Any,
     compliance: Any,
-    cable_forces: Any = None,
-) -> FlightProducts:
-    """The products (k, n) at k instants, of numbers or symbols.
+) -> FlightNeeds:
+    """What aircraft need (k, n) at k instants, of numbers or symbols; see `orbit_motion`."""
+    cables = {"rest_length": rest_length, "compliance": compliance}
+    motion = orbit_motion(terms, orbit_directions(axes, orbit.angle), orbit, **cables)
+    up = terms.up[:, None]
+    force = needed_force(aircraft, motion.accelerations, motion.forces, up)
+    return flight_needs(aircraft, force, motion.velocities, up)
+
+
+class CarrierOrbits(NamedTuple):
+    """The motion of n carriers, and their cables, at k instants, in W."""
+
+    positions: NDArray  # (k, n, 3), m
+    velocities: NDArray  # (k, n, 3), m/s
+    accelerations: NDArray  # (k, n, 3), m/s²
+    cable_forces: NDArray  # (k, n, 3), N, of the cables on the load
+    cable_ends: NDArray  # (k, n, 3), m, at the load
+
+
+def resting_orbits(
+    load: RigidLoad,
+    pose: NDArray,
+    times: NDArray,
+    parameters: NDArray,
+    *,
+    yaw_rate: float,
+    load_wind: NDArray,
+    attachments: NDArray,
+    pseudo_inverse: NDArray,
+    basis: NDArray,
+    phases: NDArray,
+    orders: NDArray,
+    offset: NDArray,
+    rest_length: float,
+    compliance: float,
+) -> CarrierOrbits:
+    """The carriers' motion at `times` (k,), s, with the phase θ = ξ t, above a resting load.
+
+    The load turns about the vertical through its centre of mass at the constant rate Ω and rests
+    otherwise. With w the wind at the load, the cables hold it against its weight and the wind's
+    drag, F = m g e₃ − B_L w, and turn it by the torque ω × J ω + C_L ω in L.
 
     Args:
-        aircraft: its mass and gravity count.
-        terms: at k instants, or at one (1, ...).
-        axes: p and q (n, 3), in L, of `mechanics.nonstop.orbit_axes`.
-        orbit: at the instants.
-        rest_length: L₀, m.
-        compliance: 1/K_c, m/N.
-        cable_forces: (k, n, 3), N, in L, on the load, that pull at the aircraft in place of the
-            planned ones; None: those.
+        load: the load.
+        pose: of the load at t = 0 in W (7,), or what begins with one.
+        times: s.
+        parameters: [ξ (rad/s), A (N)] (2,).
+        yaw_rate: Ω, rad/s.
+        load_wind: w (3,), m/s, in W.
+        attachments: b (n, 3), m, in L.
+        pseudo_inverse: G₀† (3n, 6), in L.
+        basis: N₀ (3n, m), in L.
+        phases: φ (m,), rad.
+        orders: h (m,), of the harmonics.
+        offset: f̃⁰ (3n,), N, in L.
+        rest_length: L₀ of the cables, m.
+        compliance: 1/K_c of the cables, m/N.
     """
-    _, xi, xi_rate, A, A_rate, A_second = (values[:, None] for values in orbit)
-    force, u, along = _planned_forces(terms.forces, axes, orbit.angle, orbit.amplitude)
-    d, d_2, v_b, a_b = (_by_component(vectors) for vectors in terms[1:5])
-    omega, alpha, up = (_instants_last(vectors) for vectors in terms[5:])
-    rate = d + A_rate * u + (A * xi) * along
-    second_rate = d_2 + (A_second - A * xi * xi) * u + (2 * A_rate * xi + A * xi_rate) * along
-    r, s = _turned(omega, alpha, force, rate, second_rate)
-    velocity, square, swing, a = _velocity(v_b, force, r, rest_length, compliance)
-    b = (_dot(r, r) + _dot(force, s)) / square - 3 * a * a
-    acceleration = a_b + swing * (s - 2 * a * r - b * force) + compliance * s
-    needed = aircraft.mass * (acceleration + aircraft.gravity * up) + force
-    if cable_forces is not None:
-        needed = needed + _by_component(cable_forces) - force
-    return FlightProducts(
-        _dot(velocity, velocity),
-        _dot(needed, needed),
-        _dot(needed, velocity),
-        _dot(needed, up),
-        _dot(velocity, up),
-        _dot(_cross(needed, velocity), up),
+    reference = resting_reference()
+    own = LoadReference.view(reference)
+    own.quaternion[:], own.angular_velocity[2] = Pose.view(pose).quaternion, yaw_rate
+    turn = np.full(len(times), yaw_rate), yaw_rate * times
+    terms = turning_terms(
+        reference,
+        *feedforward_wrench(load, reference, load_wind),
+        STILL_AIR,
+        *turn,
+        pseudo_inverse=pseudo_inverse,
+        offset=offset,
+        attachments=attachments,
     )
-
-
-def planned_cable_forces(
-    terms: FlightTerms, axes: tuple[NDArray, NDArray], orbit: PlannedOrbit
-) -> NDArray:
-    """The cables' f (k, n, 3), N, in L; arguments as of `flight_products`."""
-    force, _, _ = _planned_forces(terms.forces, axes, orbit.angle, orbit.amplitude)
-    return np.moveaxis(force, 0, -1)
-
-
-def flight_needs(aircraft: Aircraft, products: FlightProducts) -> FlightNeeds:
-    """What aircraft need, of products of numbers or symbols of one shape (...,).
-
-    As `required_command` for the same F and V_a, to round-off.
-    """
-    airspeed = np.sqrt(products.v_v + _LEAST)
-    force = np.sqrt(products.f_f + _LEAST)
-    along = products.f_v / airspeed
-    across = np.sqrt(products.f_f - along * along + _LEAST)
-    climb_sine = products.v_up / airspeed
-    climb_cosine = np.sqrt(1 - climb_sine * climb_sine + _LEAST)
-    sideward = products.triple / (airspeed * climb_cosine)
-    upward = (products.f_up - climb_sine * along) / climb_cosine
-    lift, thrust = lift_and_thrust(aircraft, along, across, airspeed)
-    return FlightNeeds(
-        airspeed,
-        force,
-        lift,
-        2 * np.arctan(sideward / (across + upward + _LEAST)),
-        np.arctan(climb_sine / climb_cosine),
-        thrust,
+    (frequency, amplitude), angles = parameters, parameters[0] * times
+    motion = orbit_motion(
+        terms,
+        pattern_directions(basis, phases, orders, angles),
+        PlannedOrbit.constant(angles, frequency, amplitude),
+        rest_length=rest_length,
+        compliance=compliance,
     )
-
-
-def stall_factor(aircraft: Aircraft, lift_share: float) -> float | NDArray:
-    """κ_s = ½ ρ S s C_Lmax (N s²/m²): ‖F‖ ≤ κ_s V² keeps C_L within a share s of C_Lmax.
-
-    Within some percent: ‖F‖ holds all of the thrust less the drag, and C_L not that part of the
-    thrust which lifts.
-    """
-    return aircraft.air_density / 2 * aircraft.wing_area * lift_share * aircraft.max_lift
-
-
-def _planned_forces(
-    forces: NDArray, axes: tuple[NDArray, NDArray], angle: NDArray, amplitude: NDArray
-) -> tuple[NDArray, NDArray, NDArray]:
-    """f, u and u' (3, k, n): sums over components are several times faster in this order."""
-    p, q = (axis.T[:, None] for axis in axes)
-    cosine, sine = np.cos(angle)[:, None], np.sin(angle)[:, None]
-    u, along = cosine * p + sine * q, cosine * q - sine * p
-    return _by_component(forces) + amplitude[:, None] * u, u, along
-
-
-def _velocity(
-    attachments: NDArray, force: NDArray, rate: NDArray, rest_length: Any, compliance: Any
-) -> tuple[NDArray, NDArray, NDArray, NDArray]:
-    """Of carriers whose attachments have these velocities (3, k, n), with T², L₀/T and a (k, n)."""
-    square = _dot(force, force)
-    swing = rest_length / np.sqrt(square)
-    a = _dot(force, rate) / square
-    return attachments + (swing + compliance) * rate - (swing * a) * force, square, swing, a
-
-
-def _turned(
-    omega: NDArray, alpha: NDArray, force: NDArray, rate: NDArray, second_rate: NDArray
-) -> tuple[NDArray, NDArray]:
-    """The rates in W, in L, of a vector whose components in L have these (3, ...)."""
-    turning = _cross(omega, force)
-    second = second_rate + 2 * _cross(omega, rate) + _cross(alpha, force) + _cross(omega, turning)
-    return rate + turning, second
-
-
-def _columns(of_carriers: Sequence[NDArray], of_load: Sequence[NDArray]) -> NDArray:
-    """Vectors (k, n, 3) of carriers and (k, 3) of the load, one below the other, (..., k, n)."""
-    columns = [np.moveaxis(vectors, -1, 0) for vectors in of_carriers]
-    shape = columns[0].shape
-    columns += [np.broadcast_to(vectors.T[:, :, None], shape) for vectors in of_load]
-    return np.concatenate(columns)
-
-
-def _by_component(vectors: NDArray) -> NDArray:
-    """Vectors (..., 3) with their components first, (3, ...)."""
-    return np.ascontiguousarray(np.moveaxis(vectors, -1, 0))
-
-
-def _instants_last(vectors: NDArray) -> NDArray:
-    """Vectors (k, 3) as (3, k, 1), which broadcasts to (3, k, n)."""
-    return vectors.T[:, :, None]
-
-
-def _dot(a: NDArray, b: NDArray) -> NDArray:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-def _cross(a: NDArray, b: NDArray) -> NDArray:
-    return np.stack(
-        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+    R_LW = rotation_matrix(_turned(reference, *turn)[:, :4]).swapaxes(1, 2)
+    ends = Pose.view(pose).position + attachments @ R_LW
+    return CarrierOrbits(
+        positions=ends + motion.cables @ R_LW,
+        velocities=motion.velocities @ R_LW,
+        accelerations=motion.accelerations @ R_LW,
+        cable_forces=motion.forces @ R_LW,
+        cable_ends=ends,
     )

@@ -13,11 +13,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.mechanics.carrier import carrier_acceleration, carrier_jerk
+from drake_nonstop.mechanics.carrier import cable_vectors
 from drake_nonstop.mechanics.rigid_load import RigidLoad
 from drake_nonstop.mechanics.rotation import skew
 from drake_nonstop.mechanics.sampled_loop import SampledLoop, sampled_loop
-from drake_nonstop.mechanics.signals import resting_reference
 
 LOAD_ERRORS = 12  # [e_R, e_p, e_ω, e_v]
 _INTEGRALS = 6
@@ -391,14 +390,8 @@ def bending(orbit: Orbit, rest_length: float) -> tuple[NDArray, NDArray]:
     parts = [np.repeat(part, 6, axis=0).astype(complex) for part in orbit[:4]]
     for part, first in zip(parts[:2], (0, 3), strict=True):
         part.reshape(n, 6, 3)[:, first : first + 3] += _COMPLEX_STEP * np.eye(3)
-    rest = resting_reference()
-    cables: dict[str, Any] = {
-        "attachments": np.zeros((6 * n, 3)),
-        "rest_length": rest_length,
-        "compliance": 0.0,
-    }
-    found = carrier_acceleration(rest, *parts[:3], **cables), carrier_jerk(rest, *parts, **cables)
+    found = cable_vectors(parts, rest_length=rest_length, compliance=0.0)
     acceleration, jerk = (
-        np.swapaxes(part.imag.reshape(n, 6, 3), 1, 2) / _COMPLEX_STEP.imag for part in found
+        np.swapaxes(part.imag.reshape(n, 6, 3), 1, 2) / _COMPLEX_STEP.imag for part in found[2:]
     )
     return acceleration, jerk

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from drake_nonstop.mechanics.grasp import grasp_matrix
 from drake_nonstop.mechanics.internal_force import (
     carousel,
-    ellipse_axes,
     elliptic_carousel,
     even_phases,
     hamiltonian_cycle,
+    orbit_axes,
     spread,
     without_wrench,
 )
@@ -402,7 +402,7 @@ def _ellipses(pattern: InternalForcePattern) -> list[NDArray]:
     found = []
     for order in np.unique(pattern.orders):
         columns = pattern.orders == order
-        axes = ellipse_axes(pattern.basis[:, columns], pattern.phases[columns])
+        axes = orbit_axes(pattern.basis[:, columns], pattern.phases[columns])
         found.append(np.stack(axes, axis=1))
     return found
 

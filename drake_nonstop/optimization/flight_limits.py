@@ -4,8 +4,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from drake_nonstop.mechanics.aircraft import Aircraft
-from drake_nonstop.mechanics.planned_orbit import FlightNeeds
+from drake_nonstop.mechanics.aircraft import Aircraft, FlightNeeds
 from drake_nonstop.optimization.limits import Of, asked
 from drake_nonstop.optimization.problem_config import limit_tightening
 

@@ -18,16 +18,14 @@ from pydrake.solvers import MathematicalProgram, SnoptSolver, SolverOptions
 
 from drake_nonstop.mechanics.aircraft import (
     Aircraft,
-    air_frame,
     drawn_power,
+    flight_needs,
     needed_force,
-    required_command,
     stall_speed,
     thrust_limits,
 )
 from drake_nonstop.mechanics.cable import positive_part
 from drake_nonstop.mechanics.formation_orbit import CarriedLoad, FormationShape, carrier_orbit
-from drake_nonstop.mechanics.planned_orbit import FlightNeeds
 from drake_nonstop.optimization.limits import Limit
 from drake_nonstop.systems.tracing import TracedFunction
 
@@ -181,40 +179,31 @@ def _trace(task: FormationTask, kind: str) -> TracedFunction:
         )
         velocity = orbit.velocities + air_velocity
         force = needed_force(aircraft, orbit.accelerations, orbit.cable_forces)
-        told = required_command(aircraft, force, velocity, np.zeros(3))
-        frame = air_frame(velocity)
-        airspeed = frame.airspeed[..., 0]
+        needed = flight_needs(aircraft, force, velocity)
+        airspeed = needed.airspeed
         least, most = thrust_limits(aircraft, airspeed)
-        needed = FlightNeeds(
-            airspeed=airspeed,
-            force=np.sqrt((force * force).sum(axis=-1)),
-            lift=told.lift,
-            bank=told.bank,
-            climb=np.arcsin(frame.forward[..., 2]),
-            thrust=told.thrust,
-        )
         asked = [
             margin
             for limit, value in task.limits.asked
             for margin in limit.margins(aircraft, needed, value)
         ]
         # Beyond the command's largest angle, where the command alone would not change.
-        along = (force * frame.forward).sum(axis=-1)
+        along = (force * velocity).sum(axis=-1) / airspeed
         across = np.sqrt((force * force).sum(axis=-1) - along * along + 1e-9)
         pressure = aircraft.air_density / 2 * airspeed * airspeed * aircraft.wing_area
         most_lift = aircraft.lift_at_zero_angle + aircraft.lift_slope * _LARGEST_ANGLE
         beyond = positive_part(across / pressure - most_lift)
         return np.concatenate(
             [
-                (told.lift + beyond) / aircraft.max_lift,
+                (needed.lift + beyond) / aircraft.max_lift,
                 airspeed / stall_speed(aircraft),
-                told.bank,
-                frame.forward[..., 2],
-                (most - told.thrust) / (most - least),
-                (told.thrust - least) / (most - least),
+                needed.bank,
+                velocity[:, 2] / airspeed,
+                (most - needed.thrust) / (most - least),
+                (needed.thrust - least) / (most - least),
                 orbit.cable_forces[:, 2] / share,
-                told.thrust,
-                drawn_power(aircraft, told.thrust, airspeed),
+                needed.thrust,
+                drawn_power(aircraft, needed.thrust, airspeed),
                 orbit.positions.ravel(),
                 *asked,
             ]

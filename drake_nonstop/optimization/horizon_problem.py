@@ -24,17 +24,16 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.mechanics import nonstop
+from drake_nonstop.mechanics.internal_force import orbit_axes
 from drake_nonstop.mechanics.planned_orbit import (
     FlightTerms,
     OrbitTerms,
     PlannedOrbit,
     PlannedSpeeds,
     flight_along_reference,
-    flight_needs,
-    flight_products,
     orbit_along_reference,
     planned_gaps,
+    planned_needs,
     planned_speeds,
 )
 from drake_nonstop.mechanics.reference_preview import ReferencePreview
@@ -320,7 +319,7 @@ class HorizonProblem:
             "rest_length": self.rest_length,
             "compliance": self.compliance,
         }
-        self.axes = nonstop.orbit_axes(model.pattern.basis, model.pattern.phases)
+        self.axes = orbit_axes(model.pattern.basis, model.pattern.phases)
         low, high = self._bounds[:, 1]
         self.amplitudes = np.linspace(low, high, config.terminal_amplitudes)
         spacing = config.knot_spacing
@@ -434,15 +433,7 @@ class HorizonProblem:
         Of flat `FlightTerms` (k, 15n + 9), with limits of flight.
         """
         angles, count = self._orbit_angles, len(flat_flight)
-        shape = np.ones(count * len(angles))
-        orbit = PlannedOrbit(
-            np.tile(angles, count),
-            frequency * shape,
-            0 * shape,
-            amplitude * shape,
-            0 * shape,
-            0 * shape,
-        )
+        orbit = PlannedOrbit.constant(np.tile(angles, count), frequency, amplitude)
         terms = FlightTerms.view(np.repeat(flat_flight, len(angles), axis=0))
         margins = self._flight_margins(terms, self.axes, orbit)
         worst: NDArray = np.min(margins, axis=(0, 2)).reshape(count, -1).min(axis=1)
@@ -454,8 +445,8 @@ class HorizonProblem:
         """The margins (k, n) of aircraft's limits, of numbers or symbols."""
         aircraft = self.model.aircraft
         assert aircraft is not None
-        products = flight_products(aircraft, terms, axes, orbit, **self._cables)
-        return self._flight_limits.margins(aircraft, flight_needs(aircraft, products))
+        needs = planned_needs(aircraft, terms, axes, orbit, **self._cables)
+        return self._flight_limits.margins(aircraft, needs)
 
     def data(
         self,

@@ -326,9 +326,9 @@ def _difference_rows(largest: NDArray, count: int, fixed: int) -> _DifferenceRow
 
 def _constant_parameters(problem: HorizonProblem, data: HorizonData) -> NDArray:
     """The [ξ, A] (2,) nearest to the nominal ones that suit all instants and phases."""
-    angles = 2 * np.pi * np.arange(_SEARCH_PHASES) / _SEARCH_PHASES
     every = problem.config.instants
-    polynomials = orbit_polynomials(OrbitTerms.view(data.flat_terms[::every]), problem.axes, angles)
+    terms = OrbitTerms.view(data.flat_terms[::every])
+    polynomials = orbit_polynomials(terms, problem.axes, _SEARCH_PHASES)
     low, high = (bound[:, 0] * problem.nominal for bound in problem.bounds)
     search = SearchProblem(
         polynomials=polynomials.reshape(*polynomials.shape[:2], -1),

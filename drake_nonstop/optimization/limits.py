@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.mechanics.aircraft import Aircraft, thrust_limits
-from drake_nonstop.mechanics.planned_orbit import FlightNeeds, stall_factor
+from drake_nonstop.mechanics.aircraft import Aircraft, FlightNeeds, stall_factor, thrust_limits
 
 
 class Of(Enum):

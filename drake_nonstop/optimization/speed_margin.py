@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.mechanics.carrier import carrier_acceleration, carrier_jerk, carrier_motion
-from drake_nonstop.mechanics.planned_orbit import OrbitTerms
+from drake_nonstop.mechanics.carrier import cable_vectors
+from drake_nonstop.mechanics.planned_orbit import OrbitTerms, orbit_directions
 from drake_nonstop.mechanics.rotation import rotation_matrix
 from drake_nonstop.mechanics.sampled_loop import (
     bounded_response,
@@ -26,7 +26,7 @@ from drake_nonstop.mechanics.sampled_loop import (
     step_response,
     waves_deviation,
 )
-from drake_nonstop.mechanics.signals import LoadReference, resting_reference
+from drake_nonstop.mechanics.signals import LoadReference
 from drake_nonstop.mechanics.tethered_loop import Carriers, Inputs, Orbit
 from drake_nonstop.model.descriptions import Gusts
 from drake_nonstop.model.system import Model
@@ -225,6 +225,8 @@ class _Task:
             "rest_length": model.cable_length,
             "compliance": model.cable_compliance,
         }
+        angles = 2 * np.pi * np.arange(_PHASES) / _PHASES
+        self._directions = orbit_directions(self.axes, angles)
 
     def parameters_for(self, speed: float) -> tuple[NDArray, bool]:
         """[ξ, A] (2,) nearest to the nominal ones that keep a speed (m/s) over the task.
@@ -255,58 +257,33 @@ class _Task:
 
         Rates of forces are those in the load's frame, which turns slowly beside the orbits.
         """
-        forces, rates, u, along = self._forces(parameters)
-        xi, A = parameters
-        shape = forces.shape
-
-        def flat(values: NDArray) -> NDArray:
-            return np.broadcast_to(values, shape).reshape(-1, 3)
-
+        forces, (xi, A) = self._forces(parameters), parameters
+        u, along, _ = self._directions
         second = self.second_rates[:, None] - A * xi**2 * u
         third = self.third_rates[:, None] - A * xi**3 * along
-        parts = [flat(part) for part in (forces, rates, second, third)]
-        rest, cables = resting_reference(), self._cables_of(len(parts[0]))
-        acceleration = carrier_acceleration(rest, *parts[:3], **cables)
-        jerk = carrier_jerk(rest, *parts, **cables)
-        return _Derivatives(
-            self._velocities(forces, rates),
-            acceleration.reshape(shape) + self.accelerations[:, None, None],
-            jerk.reshape(shape) + self.jerks[:, None, None],
+        of_load = (
+            self.terms.velocities[:, None],
+            *(part[:, None, None] for part in (self.accelerations, self.jerks)),
         )
+        _, *rates = cable_vectors([*forces, second, third], **self.cables)
+        return _Derivatives(*map(np.add, rates, of_load))
 
-    def speeds(self, parameters: NDArray, extra: NDArray | None = None) -> NDArray:
+    def speeds(self, parameters: NDArray, extra: NDArray | float = 0.0) -> NDArray:
         """The carriers' speeds (k, h, n), m/s, for constant [ξ, A] (2,).
 
-        `extra`, (n, 3) or (k, n, 3), adds to their forces.
+        `extra`, (n, 3) or (k, 1, n, 3), adds to their forces.
         """
-        forces, rates, *_ = self._forces(parameters, extra)
-        found: NDArray = np.linalg.norm(self._velocities(forces, rates), axis=-1)
+        _, rates = cable_vectors(self._forces(parameters, extra), **self.cables)
+        found: NDArray = np.linalg.norm(rates + self.terms.velocities[:, None], axis=-1)
         return found
 
-    def _velocities(self, forces: NDArray, rates: NDArray) -> NDArray:
-        flat = [part.reshape(-1, 3) for part in (forces, rates)]
-        _, swing = carrier_motion(resting_reference(), *flat, **self._cables_of(len(flat[0])))
-        velocities: NDArray = swing.reshape(forces.shape) + self.terms.velocities[:, None]
-        return velocities
-
-    def _cables_of(self, count: int) -> dict[str, Any]:
-        """Of so many carriers, above one point."""
-        return self.cables | {"attachments": np.zeros((count, 3))}
-
-    def _forces(
-        self, parameters: NDArray, extra: NDArray | None = None
-    ) -> tuple[NDArray, NDArray, NDArray, NDArray]:
-        """Forces and their rates (k, h, n, 3), and the directions (h, n, 3) of A and of A ξ."""
+    def _forces(self, parameters: NDArray, extra: NDArray | float = 0.0) -> tuple[NDArray, NDArray]:
+        """Forces and their rates (k, h, n, 3)."""
         xi, A = parameters
-        angles = 2 * np.pi * np.arange(_PHASES) / _PHASES
-        p, q = self.axes
-        cosine, sine = np.cos(angles)[:, None, None], np.sin(angles)[:, None, None]
-        u, along = cosine * p + sine * q, cosine * q - sine * p  # (h, n, 3)
-        added = np.zeros((1, self.model.n, 3)) if extra is None else extra.reshape(-1, *p.shape)
-        f = self.terms.forces[:, None] + added[:, None] + A * u
+        u, along, _ = self._directions
+        f = self.terms.forces[:, None] + extra + A * u
         omega = self.terms.angular_velocity[:, None, None]
-        r = self.terms.rates[:, None] + np.cross(omega, f) + A * xi * along
-        return f, r, u, along
+        return f, self.terms.rates[:, None] + np.cross(omega, f) + A * xi * along
 
     def faster(self, parameters: NDArray, speed: float) -> NDArray:
         """How much faster than a speed (m/s) carriers are at phases (h, n), m/s, at least 0.
@@ -324,15 +301,9 @@ class _Task:
     def orbit(self, parameters: NDArray, angle: float) -> Orbit:
         """The orbits' phase at an angle (rad) above the load as at the start, at rest."""
         xi, A = parameters
-        p, q = self.axes
-        u, along = (
-            math.cos(angle) * p + math.sin(angle) * q,
-            math.cos(angle) * q - math.sin(angle) * p,
-        )
+        u, along, _ = (part[0] for part in orbit_directions(self.axes, np.array([angle])))
         forces, rates = self.terms.forces[0] + A * u, A * xi * along
-        rest = resting_reference()
-        none = np.zeros((self.model.n, 3))
-        _, swing = carrier_motion(rest, forces, rates, attachments=none, **self.cables)
+        _, swing = cable_vectors([forces, rates], **self.cables)
         return Orbit(forces, rates, -(A * xi**2) * u, -(A * xi**3) * along, swing)
 
 
@@ -493,12 +464,8 @@ def _velocity_jumps(task: _Task, orbit: Orbit) -> NDArray:
     """
     model = task.model
     rates = (model.pseudo_inverse[:, 3:] * model.load_mass).reshape(model.n, 3, 3)
-    tension = np.linalg.norm(orbit.forces, axis=1)
-    jumps = []
-    for f, T, rate in zip(orbit.forces, tension, rates, strict=True):
-        across = np.eye(3) - np.outer(f, f) / T**2
-        jumps.append((model.cable_length / T * across + model.cable_compliance * np.eye(3)) @ rate)
-    return np.concatenate(jumps)
+    jumps = [cable_vectors([orbit.forces, rates[..., axis]], **task.cables)[1] for axis in range(3)]
+    return np.stack(jumps, axis=-1).reshape(-1, 3)
 
 
 def _late(motion: Motion, feedback: Feedback) -> NDArray:
@@ -539,9 +506,9 @@ def _of_disturbance(g: NDArray, disturbance: Disturbance, task: _Task, period: f
 
 
 def _borne(task: _Task, forces: NDArray) -> NDArray:
-    """What the cables bear more (k, n, 3), in the load's frame, of forces (k, 3) on it, in W."""
+    """What the cables bear more (k, 1, n, 3), in the load's frame, of forces (k, 3) on it, in W."""
     borne = -task.motion.in_load_frame(forces)
-    return (borne @ task.model.pseudo_inverse[:, 3:].T).reshape(-1, task.model.n, 3)
+    return (borne @ task.model.pseudo_inverse[:, 3:].T).reshape(-1, 1, task.model.n, 3)
 
 
 def _of_model_error(task: _Task, parameters: NDArray, speeds: NDArray) -> NDArray:
@@ -555,7 +522,7 @@ def _of_model_error(task: _Task, parameters: NDArray, speeds: NDArray) -> NDArra
     force = task.limits.model_error * model.load_mass * model.gravity
     squares = np.zeros(speeds.shape)
     for axis in force * np.eye(3):
-        extra = model.pseudo_inverse[:, 3:] @ axis
+        extra = (model.pseudo_inverse[:, 3:] @ axis).reshape(-1, 3)
         falls = [speeds - task.speeds(parameters, sign * extra) for sign in (1, -1)]
         squares += np.max(falls, axis=0, initial=0.0) ** 2
     return np.sqrt(squares).max(axis=0)

@@ -10,10 +10,9 @@ from drake_nonstop.mechanics.nonstop import (
     orbit_positions,
     polynomial_values,
     speed_polynomials,
-    speed_products,
     speed_squares,
 )
-from drake_nonstop.mechanics.planned_orbit import OrbitTerms
+from drake_nonstop.mechanics.planned_orbit import OrbitTerms, orbit_directions
 from drake_nonstop.optimization.separation import SeparationConstraint
 
 _MOST_DISTANCES = 2**18  # at a time: bounds the memory
@@ -55,14 +54,13 @@ class TerminalSet(NamedTuple):
         )
 
 
-def orbit_polynomials(terms: OrbitTerms, axes: tuple[NDArray, NDArray], angles: NDArray) -> NDArray:
-    """`speed_polynomials` (10, 3, h, k n) of k instants at phases (h,), in rad."""
-    count, n = terms.forces.shape[:2]
-    forces, rates, velocities = (part.reshape(-1, 3) for part in terms[:3])
-    p, q = (np.tile(axis, (count, 1)) for axis in axes)
-    omega = np.repeat(terms.angular_velocity, n, axis=0)
-    products = speed_products(forces, rates, velocities, omega, p, q)
-    return speed_polynomials(np.cos(angles)[:, None], np.sin(angles)[:, None], products[:, None])
+def orbit_polynomials(
+    terms: OrbitTerms, axes: tuple[NDArray, NDArray], phase_count: int
+) -> NDArray:
+    """`speed_polynomials` (10, 3, h, k, n) of k instants at h phases of a turn."""
+    angles = 2 * np.pi * np.arange(phase_count) / phase_count
+    u, along, _ = orbit_directions(axes, angles)
+    return speed_polynomials(terms, u[:, None], along[:, None])
 
 
 def product_limits(
@@ -87,10 +85,8 @@ def product_limits(
         The least and the most s (k, a) in N/s, inf without a limit; the least and the largest
         squared tension (k, a) in N².
     """
-    count, n = terms.forces.shape[:2]
-    angles = 2 * np.pi * np.arange(phase_count) / phase_count
-    polynomials = orbit_polynomials(terms, axes, angles).reshape(10, 3, phase_count, count, n, 1)
-    values = polynomial_values(polynomials, amplitudes)
+    polynomials = orbit_polynomials(terms, axes, phase_count)
+    values = polynomial_values(polynomials[..., None], amplitudes)
     c, b, a, tension_squares = speed_squares(values, rest_length=rest_length, compliance=compliance)
 
     def upper_roots(speed: NDArray | float) -> tuple[NDArray, NDArray]:

@@ -8,12 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.mechanics import nonstop
+from drake_nonstop.mechanics.internal_force import orbit_axes
 from drake_nonstop.mechanics.planned_orbit import (
     FlightTerms,
+    OrbitTerms,
     PlannedOrbit,
-    flight_needs,
-    flight_products,
     flight_terms,
+    orbit_directions,
+    planned_needs,
 )
 from drake_nonstop.mechanics.rigid_load import STILL_AIR, RigidLoad, load_acceleration
 from drake_nonstop.mechanics.rotation import rotation_matrix
@@ -92,7 +94,7 @@ class TracedProblem:
         self._instants = instants
         last = np.full(turn_count, len(instants) - 1)
         self._instant_of_row = np.append(np.arange(points), last)
-        axes = nonstop.orbit_axes(model.pattern.basis, model.pattern.phases)
+        axes = orbit_axes(model.pattern.basis, model.pattern.phases)
         self._axes = _without_round_off(axes[0]), _without_round_off(axes[1])
         self.constraints = ConstraintMargins(config, len(self._instant_of_row) * model.n)
         self.flight_limits = FlightLimits(config)
@@ -242,25 +244,16 @@ class TracedProblem:
         """The `SpeedTerms`."""
         data = UpdateData.view(vector)
         instants, levers = self._trace_instants(data)
-        orbits = [nonstop.speed_products(*terms.of_speeds, *self._axes) for terms in instants]
-        products = np.stack(orbits, axis=1)
+        parts = zip(*(terms.of_speeds for terms in instants), strict=True)
+        rows = OrbitTerms(*(np.stack(part)[self._instant_of_row] for part in parts))
+        u, along, _ = orbit_directions(self._axes, self._angles_of_rows(x, data))
+        polynomials = nonstop.speed_polynomials(rows, u, along)
         angle = nonstop.phase_of(x, data.previous, data.phase)
-        ahead = angle + Parameters.view(data.previous).frequency * self._instants
-        cosine, sine = np.cos(ahead[: self._points]), np.sin(ahead[: self._points])
-        first = ahead[-1:] + data.orbit_turn
-        turn_cosine, turn_sine = np.cos(self._turns), np.sin(self._turns)
-        polynomials = nonstop.speed_polynomials(
-            np.concatenate([cosine, np.cos(first) * turn_cosine - np.sin(first) * turn_sine])[
-                :, None
-            ],
-            np.concatenate([sine, np.sin(first) * turn_cosine + np.cos(first) * turn_sine])[
-                :, None
-            ],
-            products[:, self._instant_of_row],
-        )
-        angles = angle + self.model.pattern.phases
         return SpeedTerms(
-            polynomials.reshape(nonstop.POLYNOMIALS_SHAPE), instants[-1].forces, levers, angles
+            polynomials.reshape(nonstop.POLYNOMIALS_SHAPE),
+            instants[-1].forces,
+            levers,
+            angle + self.model.pattern.phases,
         )
 
     def _trace_margins(self, x: NDArray, vector: NDArray) -> NDArray:
@@ -293,16 +286,15 @@ class TracedProblem:
         aircraft, beliefs = self.model.aircraft, Beliefs.view(data.beliefs)
         assert aircraft is not None
         aircraft = aircraft._replace(cable_length=beliefs.rest_length, gravity=beliefs.gravity)
-        none = np.zeros(1)
-        products = flight_products(
+        needs = planned_needs(
             aircraft,
             FlightTerms.view(flat_terms),
             self._axes,
-            PlannedOrbit(angles, frequency, none, amplitude, none, none),
+            PlannedOrbit.constant(angles, frequency, amplitude),
             rest_length=beliefs.rest_length,
             compliance=beliefs.compliance,
         )
-        return self.flight_limits.margins(aircraft, flight_needs(aircraft, products))
+        return self.flight_limits.margins(aircraft, needs)
 
     def _trace_cost(self, x: NDArray, vector: NDArray) -> NDArray:
         data = UpdateData.view(vector)

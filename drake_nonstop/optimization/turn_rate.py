@@ -10,11 +10,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.mechanics import nonstop
+from drake_nonstop.mechanics.internal_force import orbit_axes
 from drake_nonstop.mechanics.planned_orbit import (
     PlannedOrbit,
-    flight_needs,
-    flight_products,
+    planned_needs,
     turning_terms,
 )
 from drake_nonstop.model.system import Model
@@ -100,7 +99,7 @@ class TurnRateSolver:
         assert model.aircraft is not None
         self._model, self._aircraft, self._limits = model, model.aircraft, limits
         self._angles = 2 * np.pi * np.arange(phases) / phases
-        self._axes = nonstop.orbit_axes(model.pattern.basis, model.pattern.phases)
+        self._axes = orbit_axes(model.pattern.basis, model.pattern.phases)
 
     def margins(self, update: TurnUpdate, rates: NDArray) -> tuple[NDArray, NDArray]:
         """The worst margin (1 + limits, k) of the airspeed and of each limit, at rates (k,).
@@ -119,15 +118,14 @@ class TurnRateSolver:
             offset=model.pattern.offset,
             attachments=model.attachments,
         )
-        products = flight_products(
+        needs = planned_needs(
             self._aircraft,
             terms,
             self._axes,
-            PlannedOrbit(*(np.zeros(1) for _ in PlannedOrbit._fields)),
+            PlannedOrbit.constant(np.zeros(1), 0.0, 0.0),
             rest_length=model.cable_length,
             compliance=model.cable_compliance,
         )
-        needs = flight_needs(self._aircraft, products)
         squares = needs.airspeed * needs.airspeed
         unit = update.speed_bound or 1.0
         found = [

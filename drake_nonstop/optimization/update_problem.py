@@ -277,7 +277,7 @@ class UpdateProblem:
         def worst_margins(amplitudes: NDArray) -> NDArray:
             worst = np.full(len(amplitudes), np.inf)
             if constraints.limit_tensions:
-                p0, p1, p2 = nonstop.OrbitProducts(*polynomials).f_f[:, :, None]
+                p0, p1, p2 = polynomials[nonstop.TENSION][:, :, None]
                 A = amplitudes
                 for margins in constraints.of_tensions(p0 + A * (p1 + A * p2)):
                     worst = np.minimum(worst, margins.min(axis=0))

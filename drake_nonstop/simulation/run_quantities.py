@@ -12,12 +12,12 @@ from drake_nonstop.analysis.limit_along import LimitAlong
 from drake_nonstop.analysis.separations import Spacing, least_length
 from drake_nonstop.mechanics.aircraft import (
     Aircraft,
+    FlightNeeds,
     airspeed_over_loaded_stall,
     is_stalled,
     thrust_power,
     thrust_share,
 )
-from drake_nonstop.mechanics.planned_orbit import FlightNeeds
 from drake_nonstop.mechanics.rotation import (
     quaternion_conjugate,
     quaternion_product,

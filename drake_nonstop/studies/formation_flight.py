@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from drake_nonstop.analysis.aircraft_margins import FlightLimits, aircraft_needs
 from drake_nonstop.mechanics.aircraft import (
+    FlightNeeds,
     airspeed_over_loaded_stall,
     drawn_power,
     stall_speed,
@@ -19,7 +20,6 @@ from drake_nonstop.mechanics.aircraft import (
     thrust_share,
 )
 from drake_nonstop.mechanics.formation_orbit import CarriedLoad, FormationShape, carrier_orbit
-from drake_nonstop.mechanics.planned_orbit import FlightNeeds
 from drake_nonstop.optimization.formation_program import (
     ASKED_MARGIN,
     LEANING,

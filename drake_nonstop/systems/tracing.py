@@ -384,7 +384,7 @@ def _traced(
             ends = np.cumsum([0, *input_sizes])
             columns = slice(int(ends[jacobian_of]), int(ends[jacobian_of + 1]))
             expressions.append(casadi.densify(casadi.jacobian(stacked, symbol)[:, columns]))
-        return casadi.Function("mechanics", [symbol], expressions)
+        return casadi.Function("mechanics", [symbol], casadi.cse(expressions))
 
     return _cached(make, list(input_sizes), jacobian_of, key)
 

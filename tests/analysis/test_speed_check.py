@@ -44,6 +44,15 @@ def test_a_wind_adds_its_square_to_the_mean_of_squared_airspeeds():
     np.testing.assert_allclose(squares[1] - squares[0], 5.0, rtol=1e-6)
 
 
+def test_a_wind_that_does_not_count_changes_no_speeds_over_ground():
+    speeds = []
+    for wind in ([], ["wind=!SteadyWind {velocity: [2, -1, 0]}"]):
+        task = task_of(load_scenario("quintic", ["system.load_drag=0", *wind]))
+        assert not task.counts_wind
+        speeds.append(constant_speeds(task, np.linspace(0, task.duration, 5)))
+    np.testing.assert_allclose(speeds[1], speeds[0], rtol=1e-12)
+
+
 def test_the_set_over_time_is_shown_over_a_range_even_where_there_is_one_value():
     bounds = "optimization_layer.frequency_bounds=[2, 2]"
     task = task_of(load_scenario("quintic", [bounds, "simulation_duration=1"]))

@@ -13,9 +13,9 @@ from drake_nonstop.mechanics.aircraft import (
     angle_of_attack,
     drag_coefficient,
     drawn_power,
+    flight_needs,
     flight_rate,
     needed_force,
-    required_command,
     shown_state,
     stall_speed,
     thrust_limits,
@@ -59,7 +59,7 @@ def straight(speed):
 
 def steady(aircraft, velocity, acceleration=(0.0, 0.0, 0.0), pull=NO_PULL, wind=NO_PULL):
     force = needed_force(aircraft, np.array(acceleration), pull)
-    return required_command(aircraft, force, np.asarray(velocity), wind)
+    return flight_needs(aircraft, force, np.asarray(velocity) - wind).command
 
 
 def test_figures_of_the_sources():
@@ -121,7 +121,7 @@ def test_leaning_formation_of_straight_cables():
     assert across == pytest.approx((WEIGHT + held) / np.cos(bank), rel=1e-12)
 
 
-def test_required_command_is_the_inverse(rng):
+def test_needs_are_the_inverse(rng):
     shape = (200,)
     velocity = rng.uniform(-5, 5, (*shape, 3)) + np.array([14.0, 0.0, 0.0])
     wind = rng.uniform(-3, 3, (*shape, 3))
@@ -134,7 +134,7 @@ def test_required_command_is_the_inverse(rng):
     across = pressure * lift + thrust * np.sin((lift - 0.25) / 5)
     keep = across > 0
     force = air_force(RASCAL, air, lift, bank, thrust)
-    found = required_command(RASCAL, force, velocity, wind)
+    found = flight_needs(RASCAL, force, air)
     for name, given in (("lift", lift), ("bank", bank), ("thrust", thrust)):
         np.testing.assert_allclose(getattr(found, name)[keep], given[keep], atol=2e-9)
     assert keep.sum() > 100
@@ -143,7 +143,7 @@ def test_required_command_is_the_inverse(rng):
 @pytest.mark.parametrize("force", [[1e4, 1e4, 1e4], [0.0, 0.0, 0.0], [-500.0, 0.0, 3000.0]])
 def test_a_force_that_cannot_be_gives_finite_commands(force):
     for speed in (0.0, 0.1, 5.0):
-        found = required_command(RASCAL, np.array(force), straight(speed), NO_PULL)
+        found = flight_needs(RASCAL, np.array(force), straight(speed))
         assert np.all(np.isfinite(found))
 
 

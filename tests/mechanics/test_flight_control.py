@@ -7,7 +7,7 @@ from mechanics.test_aircraft import RASCAL
 from drake_nonstop.mechanics.aircraft import (
     air_force,
     air_frame,
-    required_command,
+    flight_needs,
     stall_speed,
     thrust_limits,
 )
@@ -89,8 +89,8 @@ def test_the_lead_is_each_lag_times_the_rate_of_the_command_along_the_reference(
     orbits = Orbits()
 
     def exact(time):
-        needed = required_command(RASCAL, orbits.needed(time), orbits.motion(time, 1), WIND)
-        return np.concatenate(needed)
+        needs = flight_needs(RASCAL, orbits.needed(time), orbits.motion(time, 1) - WIND)
+        return np.concatenate(needs.command)
 
     rate = (exact(0.7 + 1e-4) - exact(0.7 - 1e-4)) / 2e-4
     lags = np.repeat([RASCAL.lift_lag, RASCAL.bank_lag, RASCAL.thrust_lag], 2)

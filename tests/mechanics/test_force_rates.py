@@ -7,15 +7,13 @@ import pytest
 from helpers import GAINS, INERTIA, SHAPES, difference
 from pydrake.common.eigen_geometry import Quaternion
 
-from drake_nonstop.mechanics.carrier import carrier_acceleration, carrier_jerk, carrier_motion
+from drake_nonstop.mechanics.carrier import carrier_motion
 from drake_nonstop.mechanics.force_rates import second_and_third_force_rates
 from drake_nonstop.mechanics.grasp import cable_forces_and_rates, grasp_matrix
 from drake_nonstop.mechanics.internal_force import (
     even_phases,
     hamiltonian_cycle,
     internal_force,
-    internal_force_acceleration,
-    internal_force_jerk,
 )
 from drake_nonstop.mechanics.rigid_load import RigidLoad
 from drake_nonstop.mechanics.wrench import wrench_and_rate
@@ -62,9 +60,8 @@ class Orbits:
 
     def internal_force(self, time):
         phase = np.array([PARAMETERS[0] * time])
-        return np.concatenate(
-            internal_force(PARAMETERS, phase, phases=even_phases(len(self.attachments)))
-        )
+        rates = internal_force(PARAMETERS, phase, phases=even_phases(len(self.attachments)))
+        return np.concatenate(rates[:2]), np.concatenate(rates[2:])
 
     def forces(self, time):
         """f and ḟ, both exact: the load is on its reference."""
@@ -74,20 +71,18 @@ class Orbits:
         return cable_forces_and_rates(
             state,
             *wrenches,
-            self.internal_force(time),
+            self.internal_force(time)[0],
             pseudo_inverse=self.pseudo_inverse,
             basis=self.basis,
             offset=self.basis @ np.linspace(0.3, -0.2, len(self.attachments)),
         )
 
     def higher_rates(self, time):
-        now = self.internal_force(time)
-        internal = [f(PARAMETERS, now) for f in (internal_force_acceleration, internal_force_jerk)]
         return second_and_third_force_rates(
             LOAD,
             reference(time),
             *self.forces(time),
-            np.concatenate(internal),
+            self.internal_force(time)[1],
             WIND,
             pseudo_inverse=self.pseudo_inverse,
             basis=self.basis,
@@ -97,15 +92,14 @@ class Orbits:
         return carrier_motion(reference(time), *self.forces(time), **self.cables)[1]
 
     def acceleration(self, time):
-        second_rates, _ = self.higher_rates(time)
-        return carrier_acceleration(
-            reference(time), *self.forces(time), second_rates, **self.cables
-        )
+        return self.motion(time)[2]
 
     def jerk(self, time):
-        return carrier_jerk(
-            reference(time), *self.forces(time), *self.higher_rates(time), **self.cables
-        )
+        return self.motion(time)[3]
+
+    def motion(self, time):
+        forces = *self.forces(time), *self.higher_rates(time)
+        return carrier_motion(reference(time), *forces, **self.cables)
 
 
 shapes = pytest.mark.parametrize("shape", ["regular-3", "irregular-4", "spatial-7"])

@@ -5,7 +5,7 @@ import pytest
 from helpers import difference, regular
 
 from drake_nonstop.mechanics.formation_orbit import CarriedLoad, FormationShape, carrier_orbit
-from drake_nonstop.mechanics.resting_orbit import resting_orbits
+from drake_nonstop.mechanics.planned_orbit import resting_orbits
 from drake_nonstop.model.pattern import ConstantSpreadConfig, EllipticCarouselConfig
 from drake_nonstop.model.system import Model, SystemParameters
 

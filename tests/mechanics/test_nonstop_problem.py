@@ -5,21 +5,19 @@ from pydrake.common.eigen_geometry import Quaternion
 
 from drake_nonstop.mechanics.carrier import carrier_motion
 from drake_nonstop.mechanics.grasp import cable_forces_and_rates, grasp_matrix
-from drake_nonstop.mechanics.internal_force import hamiltonian_cycle
+from drake_nonstop.mechanics.internal_force import hamiltonian_cycle, orbit_axes
 from drake_nonstop.mechanics.nonstop import (
     advance,
     change_cost,
     nearest_squares,
-    orbit_axes,
     orbit_positions,
     phase_of,
     polynomial_values,
     quadratic_change_cost,
     speed_polynomials,
-    speed_products,
     speed_squares,
 )
-from drake_nonstop.mechanics.planned_orbit import flight_terms
+from drake_nonstop.mechanics.planned_orbit import flight_terms, orbit_directions
 from drake_nonstop.mechanics.rotation import rotation_matrix
 
 ATTACHMENTS = spatial(4)
@@ -59,8 +57,9 @@ def terms_ahead(time, state, reference):
 
 def predicted(time, state, reference, theta):
     """The squared speeds (4,) and tensions of PARAMETERS at a phase, `time` ahead."""
-    products = speed_products(*terms_ahead(time, state, reference).of_speeds, *AXES)
-    polynomials = speed_polynomials(np.cos(theta), np.sin(theta), products)
+    terms = terms_ahead(time, state, reference).of_speeds
+    u, along, _ = orbit_directions(AXES, np.array([theta]))
+    polynomials = speed_polynomials(terms, u[0], along[0])
     frequency, amplitude = PARAMETERS
     values = polynomial_values(polynomials, amplitude)
     c, b, a, tension_squares = speed_squares(values, **STRETCH)

@@ -5,9 +5,11 @@ from helpers import Motion, model
 from drake_nonstop.mechanics import nonstop
 from drake_nonstop.mechanics.carrier import carrier_motion
 from drake_nonstop.mechanics.grasp import cable_forces_and_rates
+from drake_nonstop.mechanics.internal_force import orbit_axes
 from drake_nonstop.mechanics.planned_orbit import (
     OrbitTerms,
     orbit_along_reference,
+    orbit_directions,
     planned_speeds,
 )
 from drake_nonstop.mechanics.wrench import NO_FEEDBACK, wrench_and_rate
@@ -30,7 +32,7 @@ def terms_of(system, references):
 
 
 def axes_of(system):
-    return nonstop.orbit_axes(system.pattern.basis, system.pattern.phases)
+    return orbit_axes(system.pattern.basis, system.pattern.phases)
 
 
 @pytest.mark.parametrize("n", [3, 4, 7])
@@ -67,8 +69,8 @@ def test_at_constant_parameters_they_are_the_speeds_of_one_update():
     system, motion = model(5), Motion(8)
     reference, (angle, xi, A) = motion.reference(1.3), (2.1, 1.9, 0.8)
     terms = terms_of(system, [reference])
-    products = nonstop.speed_products(*(part[0] for part in terms), *axes_of(system))
-    polynomials = nonstop.speed_polynomials(np.cos(angle), np.sin(angle), products)
+    u, along, _ = orbit_directions(axes_of(system), np.array([angle]))
+    polynomials = nonstop.speed_polynomials(terms, u, along)
     c, b, a, tension_squared = nonstop.speed_squares(
         nonstop.polynomial_values(polynomials, A), **CABLES
     )
@@ -79,5 +81,5 @@ def test_at_constant_parameters_they_are_the_speeds_of_one_update():
         **CABLES,
     )
     s = A * xi
-    np.testing.assert_allclose(found.squares[0], c + 2 * b * s + a * s * s, rtol=1e-9)
-    np.testing.assert_allclose(found.tension_squares[0], tension_squared, rtol=1e-9)
+    np.testing.assert_allclose(found.squares, c + 2 * b * s + a * s * s, rtol=1e-9)
+    np.testing.assert_allclose(found.tension_squares, tension_squared, rtol=1e-9)

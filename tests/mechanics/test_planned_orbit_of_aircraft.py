@@ -7,23 +7,25 @@ import pytest
 from helpers import Motion, difference
 
 from drake_nonstop.analysis.aircraft_margins import aircraft_needs
-from drake_nonstop.mechanics import nonstop
-from drake_nonstop.mechanics.aircraft import needed_force, required_command, stall_speed
-from drake_nonstop.mechanics.carrier import carrier_acceleration, carrier_motion
+from drake_nonstop.mechanics.aircraft import (
+    flight_needs,
+    needed_force,
+    stall_factor,
+    stall_speed,
+)
+from drake_nonstop.mechanics.carrier import carrier_motion
 from drake_nonstop.mechanics.force_rates import second_and_third_force_rates
 from drake_nonstop.mechanics.grasp import cable_forces_and_rates
-from drake_nonstop.mechanics.internal_force import planned_internal_force
+from drake_nonstop.mechanics.internal_force import orbit_axes, planned_internal_force
 from drake_nonstop.mechanics.planned_orbit import (
     FlightTerms,
     PlannedOrbit,
     flight_along_reference,
-    flight_needs,
-    flight_products,
     flight_terms,
-    stall_factor,
+    planned_needs,
+    resting_orbits,
     turning_terms,
 )
-from drake_nonstop.mechanics.resting_orbit import resting_orbits
 from drake_nonstop.mechanics.rotation import quaternion_product, rotation_matrix
 from drake_nonstop.mechanics.wrench import NO_FEEDBACK, wrench_and_rate
 from drake_nonstop.model.aircraft import AircraftParameters
@@ -64,7 +66,7 @@ def geometry_of(model):
 
 
 def axes_of(model):
-    return nonstop.orbit_axes(model.pattern.basis, model.pattern.phases)
+    return orbit_axes(model.pattern.basis, model.pattern.phases)
 
 
 def plan(rng, count):
@@ -81,8 +83,7 @@ def stack(references, model, wind):
 
 
 def needs_of(model, terms, orbit):
-    products = flight_products(model.aircraft, terms, axes_of(model), orbit, **cables_of(model))
-    return flight_needs(model.aircraft, products)
+    return planned_needs(model.aircraft, terms, axes_of(model), orbit, **cables_of(model))
 
 
 def slow_motion(seed, share=0.2):
@@ -111,8 +112,7 @@ def commanded(model, reference, orbit, wind):
         model.load, reference, forces, force_rates, np.concatenate([seconds, thirds]), wind, **maps
     )
     cables = {"attachments": model.attachments, **cables_of(model)}
-    _, velocities = carrier_motion(reference, forces, force_rates, **cables)
-    acceleration = carrier_acceleration(reference, forces, force_rates, second, **cables)
+    _, velocities, acceleration = carrier_motion(reference, forces, force_rates, second, **cables)
     return velocities, acceleration, forces
 
 
@@ -124,8 +124,8 @@ def test_needs_are_those_of_the_exact_inverse_of_the_commanded_motion(rng):
     for i, (reference, instant) in enumerate(zip(references, np.transpose(orbit), strict=True)):
         velocities, acceleration, forces = commanded(model, reference, instant, WIND)
         force = needed_force(model.aircraft, acceleration, forces)
-        told = required_command(model.aircraft, force, velocities, WIND)
         air = velocities - WIND
+        told = flight_needs(model.aircraft, force, air)
         for name, expected in (
             ("airspeed", np.linalg.norm(air, axis=1)),
             ("force", np.linalg.norm(force, axis=1)),
@@ -235,11 +235,10 @@ def test_wind_only_shifts_the_velocity_of_the_attachments(rng):
     still, windy = (stack(references, model, wind) for wind in (np.zeros(3), WIND))
     # The drag of the load changes the forces, too: those are of the still air here.
     shifted = still._replace(velocities=windy.velocities)
-    others = axes_of(model), orbit
-    products = flight_products(model.aircraft, shifted, *others, **cables_of(model))
+    airspeeds = needs_of(model, shifted, orbit).airspeed
     for i, reference in enumerate(references):
         own = commanded(model, reference, np.transpose(orbit)[i], np.zeros(3))[0] - WIND
-        np.testing.assert_allclose(products.v_v[i], (own**2).sum(axis=1), rtol=1e-12)
+        np.testing.assert_allclose(airspeeds[i], np.linalg.norm(own, axis=1), rtol=1e-12)
 
 
 @pytest.mark.parametrize("wind", [0.0, 3.0])
@@ -304,6 +303,5 @@ def test_the_squared_airspeed_is_quadratic_in_the_rate_of_a_turn(rng):
     terms = turning_terms(
         motion, wrench, np.zeros(6), WIND, rates, np.full(9, 1.1), **geometry_of(model)
     )
-    orbit = PlannedOrbit(*(np.zeros(1) for _ in PlannedOrbit._fields))
-    products = flight_products(model.aircraft, terms, axes_of(model), orbit, **cables_of(model))
-    np.testing.assert_allclose(np.diff(products.v_v, n=3, axis=0), 0, atol=1e-9)
+    needs = needs_of(model, terms, PlannedOrbit.constant(np.zeros(1), 0.0, 0.0))
+    np.testing.assert_allclose(np.diff(needs.airspeed**2, n=3, axis=0), 0, atol=1e-9)

@@ -6,7 +6,7 @@ from helpers import INERTIA, SHAPES, regular
 
 from drake_nonstop.mechanics.grasp import grasp_matrix
 from drake_nonstop.mechanics.internal_force import even_phases, hamiltonian_cycle, spread
-from drake_nonstop.mechanics.resting_orbit import resting_orbits
+from drake_nonstop.mechanics.planned_orbit import resting_orbits
 from drake_nonstop.mechanics.rigid_load import RigidLoad
 from drake_nonstop.mechanics.rotation import rotation_matrix
 

@@ -43,7 +43,7 @@ AIRCRAFT = aircraft.Aircraft(
 )
 
 STRETCH = {"rest_length": 0.2, "compliance": 1 / 500}
-AXES = nonstop.orbit_axes(BASIS, PHASES)
+AXES = internal_force.orbit_axes(BASIS, PHASES)
 
 
 def terms_of(state, reference, *wrenches):
@@ -53,8 +53,8 @@ def terms_of(state, reference, *wrenches):
 
 def predicted_speeds(x, phase, *motion):
     """The chain from the terms of an orbit to the speeds."""
-    products = nonstop.speed_products(*terms_of(*motion).of_speeds, *AXES)
-    polynomials = nonstop.speed_polynomials(np.cos(phase), np.sin(phase), products)
+    u, along, _ = planned_orbit.orbit_directions(AXES, phase)
+    polynomials = nonstop.speed_polynomials(terms_of(*motion).of_speeds, u[0], along[0])
     return nonstop.speed_squares(nonstop.polynomial_values(polynomials, x), **STRETCH)
 
 
@@ -102,18 +102,13 @@ EQUATIONS = {
         [13, 6, 6, 2 * N],
     ),
     "internal_force": (lambda *a: internal_force.internal_force(*a, phases=PHASES), [2, 1]),
-    "internal_force_acceleration": (
-        internal_force.internal_force_acceleration,
-        [2, 2 * N],
-    ),
-    "internal_force_jerk": (internal_force.internal_force_jerk, [2, 2 * N]),
     "planned_internal_force": (
         lambda planned: internal_force.planned_internal_force(planned, phases=PHASES),
         [8],
     ),
     "smoothed": (smoothed, [3, 1]),
-    "ellipse_axes": (
-        lambda basis, phases: internal_force.ellipse_axes(basis.reshape(9, 3), phases),
+    "orbit_axes": (
+        lambda basis, phases: internal_force.orbit_axes(basis.reshape(9, 3), phases),
         [27, 3],
     ),
     "load_acceleration": (lambda *a: rigid_load.load_acceleration(LOAD, *a), [13, 6, 3]),
@@ -150,20 +145,10 @@ EQUATIONS = {
         [13, 6 * N],
     ),
     "carrier_motion": (
-        lambda state, forces, rates: carrier.carrier_motion(
-            state, forces.reshape(-1, 3), rates.reshape(-1, 3), compliance=0.002, **CABLES
-        ),
-        [13, 3 * N, 3 * N],
-    ),
-    "carrier_acceleration": (
-        lambda reference, *pulls: carrier.carrier_acceleration(
-            reference, *(pull.reshape(-1, 3) for pull in pulls), compliance=0.002, **CABLES
-        ),
-        [22, 3 * N, 3 * N, 3 * N],
-    ),
-    "carrier_jerk": (
-        lambda reference, *pulls: carrier.carrier_jerk(
-            reference, *(pull.reshape(-1, 3) for pull in pulls), compliance=0.002, **CABLES
+        lambda reference, *pulls: tuple(
+            carrier.carrier_motion(
+                reference, *(pull.reshape(-1, 3) for pull in pulls), compliance=0.002, **CABLES
+            )
         ),
         [22, 3 * N, 3 * N, 3 * N, 3 * N],
     ),
@@ -210,8 +195,8 @@ EQUATIONS = {
         lambda states, *others: aircraft.flight_rate(AIRCRAFT, states, *others),
         [12 * N, 3 * N, 3 * N, 3 * N],
     ),
-    "required_command": (
-        lambda *a: tuple(aircraft.required_command(AIRCRAFT, *(b.reshape(-1, 3) for b in a))),
+    "flight_needs": (
+        lambda *a: tuple(aircraft.flight_needs(AIRCRAFT, *(b.reshape(-1, 3) for b in a))),
         [6, 6, 6],
     ),
     "drawn_power": (lambda *a: aircraft.drawn_power(AIRCRAFT, *a), [N, N]),

@@ -4,8 +4,7 @@ import math
 
 import numpy as np
 
-from drake_nonstop.mechanics.aircraft import stall_speed, thrust_limits
-from drake_nonstop.mechanics.planned_orbit import FlightNeeds
+from drake_nonstop.mechanics.aircraft import FlightNeeds, stall_speed, thrust_limits
 from drake_nonstop.model.aircraft import AircraftParameters, make_aircraft
 from drake_nonstop.optimization.flight_limits import FlightLimits
 from drake_nonstop.optimization.problem_config import LimitsConfig

@@ -8,8 +8,12 @@ import pytest
 from helpers import Motion, difference, model
 
 from drake_nonstop.analysis.aircraft_margins import margins_at_rest
-from drake_nonstop.mechanics.aircraft import needed_force, required_command, thrust_limits
-from drake_nonstop.mechanics.planned_orbit import stall_factor
+from drake_nonstop.mechanics.aircraft import (
+    flight_needs,
+    needed_force,
+    stall_factor,
+    thrust_limits,
+)
 from drake_nonstop.mechanics.wind import MeanWind
 from drake_nonstop.mechanics.wrench import NO_FEEDBACK, wrench_and_rate
 from drake_nonstop.model.aircraft import AircraftParameters
@@ -120,7 +124,7 @@ def test_margins_are_those_of_the_exact_inverse_on_the_path_that_is_flown():
     found = problem.linearization(data, x)
     speeds, flight = found.tables
     all_expected = {}
-    step, n = 2e-3, problem.model.n
+    step = 2e-3
     for i in flight.instants[[1, 9, 23, 36]]:
         time = data.start_time + problem.instants[i]
         before, now, after = (
@@ -129,11 +133,11 @@ def test_margins_are_those_of_the_exact_inverse_on_the_path_that_is_flown():
         velocity = (after[0] - before[0]) / (2 * step)
         acceleration = (after[0] - 2 * now[0] + before[0]) / step**2
         force = needed_force(aircraft, acceleration, now[1])
-        told = required_command(aircraft, force, velocity, np.broadcast_to(WIND, velocity.shape))
+        told = flight_needs(aircraft, force, velocity - WIND)
         air = velocity - WIND
         airspeed = np.linalg.norm(air, axis=1)
         climb = np.arcsin(air[:, 2] / airspeed)
-        bank, thrust = (np.reshape(told[k], n) for k in (1, 2))
+        bank, thrust = told.bank, told.thrust
         shares = {name: (1 - TIGHTENING) * share for name, share in SHARES.items()}
         least, most = thrust_limits(aircraft, airspeed)
         middle, half = (most + least) / 2, shares["max_thrust_share"] * (most - least) / 2

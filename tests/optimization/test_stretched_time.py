@@ -13,8 +13,8 @@ from drake_nonstop.blocks.load_trajectory import (
     RestToRest,
     RestToRestConfig,
 )
+from drake_nonstop.mechanics.planned_orbit import resting_orbits
 from drake_nonstop.mechanics.reference_preview import ReferencePreview
-from drake_nonstop.mechanics.resting_orbit import resting_orbits
 from drake_nonstop.mechanics.wind import MeanWind
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization import stretched_time
