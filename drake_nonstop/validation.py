@@ -12,7 +12,7 @@ import traceback
 import types
 import typing
 import warnings
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -115,20 +115,66 @@ def listed(field: str, value: Any, remedy: str) -> list[Any]:
 def require_positive(owner: str, **values: float) -> None:
     """Raises ScenarioError for the first value that is not a number above zero, up to 1e9."""
     for name, value in values.items():
-        field = f"{owner}.{name}"
-        is_positive = is_number(value) and value > 0
-        require(is_positive, field, value, "give a finite number greater than zero")
-        is_within = _LEAST <= value <= _LARGEST
-        require(is_within, field, value, f"give {_LEAST:g} to {_LARGEST:g}, in SI units")
+        _check_positive(f"{owner}.{name}", value)
 
 
 def require_non_negative(owner: str, **values: float) -> None:
     """Raises ScenarioError for the first value that is not a number from zero to 1e9."""
     for name, value in values.items():
-        field = f"{owner}.{name}"
-        is_natural = is_number(value) and value >= 0
-        require(is_natural, field, value, "give a finite number that is not negative")
-        require(value <= _LARGEST, field, value, f"give at most {_LARGEST:g}, in SI units")
+        _check_non_negative(f"{owner}.{name}", value)
+
+
+def _check_positive(field: str, value: Any) -> None:
+    is_positive = is_number(value) and value > 0
+    require(is_positive, field, value, "give a finite number greater than zero")
+    is_within = _LEAST <= value <= _LARGEST
+    require(is_within, field, value, f"give {_LEAST:g} to {_LARGEST:g}, in SI units")
+
+
+def _check_non_negative(field: str, value: Any) -> None:
+    is_natural = is_number(value) and value >= 0
+    require(is_natural, field, value, "give a finite number that is not negative")
+    require(value <= _LARGEST, field, value, f"give at most {_LARGEST:g}, in SI units")
+
+
+def checked(default: Any, check: Callable[[str, Any], None]) -> Any:
+    """A dataclass's field with its default and its check, which `require_ranges` calls.
+
+    Args:
+        default: of the field; a list is copied for each object.
+        check: called with the field's path and value; raises ScenarioError.
+    """
+    if isinstance(default, list):
+        return dataclasses.field(default_factory=lambda: [*default], metadata={"check": check})
+    return dataclasses.field(default=default, metadata={"check": check})
+
+
+def positive(default: float) -> Any:
+    """A field of a number above zero, up to 1e9."""
+    return checked(default, _check_positive)
+
+
+def non_negative(default: float) -> Any:
+    """A field of a number from zero to 1e9."""
+    return checked(default, _check_non_negative)
+
+
+def fulfilling(default: Any, condition: Callable[[Any], Any], remedy: str) -> Any:
+    """A field of a number, finite or not, that fulfils a condition, or of None by default."""
+
+    def check(field: str, value: Any) -> None:
+        is_left_out = default is None and value is None
+        is_one = is_number(value) or value in (math.inf, -math.inf)
+        require(is_left_out or (is_one and condition(value)), field, value, remedy)
+
+    return checked(default, check)
+
+
+def require_ranges(owner: str, config: Any) -> None:
+    """Raises ScenarioError for the first field of a dataclass that its declaration refuses."""
+    for field in dataclasses.fields(config):
+        if "check" in field.metadata:
+            field.metadata["check"](f"{owner}.{field.name}", getattr(config, field.name))
 
 
 def require_period(field: str, value: float) -> None:
@@ -206,11 +252,18 @@ def require_fields(path: str, config: Any) -> None:
         require_type(name, value, field.type)
 
 
+def of_given(kind: Any) -> Any:
+    """The type of what a field holds where it is not None, nor a word in a number's place."""
+    if typing.get_origin(kind) in (typing.Union, types.UnionType):
+        options = [option for option in typing.get_args(kind) if option is not types.NoneType]
+        return options[0] if len(options) == 1 or options == [float, str] else kind
+    return kind
+
+
 def optional_part(kind: Any) -> Any:
     """The dataclass of a field that may be None instead; None where it is no such field."""
-    options = [option for option in typing.get_args(kind) if option is not types.NoneType]
-    is_optional = len(options) == 1 and len(typing.get_args(kind)) == 2
-    return options[0] if is_optional and dataclasses.is_dataclass(options[0]) else None
+    part = of_given(kind)
+    return part if part is not kind and dataclasses.is_dataclass(part) else None
 
 
 def fields_of(schema: Any) -> Sequence[Any]:
@@ -225,14 +278,13 @@ def require_type(field: str, value: Any, kind: Any) -> None:
     Numbers, texts, truth values, lists of those and what may be None are checked, and numbers
     for their size; all else is taken as it is.
     """
-    origin = typing.get_origin(kind)
-    if origin in (typing.Union, types.UnionType):
-        options = [option for option in typing.get_args(kind) if option is not types.NoneType]
-        if options == [float, str]:  # a number, or a word that stands for one
+    part = of_given(kind)
+    if part is not kind:
+        if type(None) not in typing.get_args(kind):  # a number, or a word that stands for one
             require_type(field, value, str if isinstance(value, str) else float)
-        elif len(options) == 1 and value is not None:
-            require_type(field, value, options[0])
-    elif origin is list:
+        elif value is not None:
+            require_type(field, value, part)
+    elif typing.get_origin(kind) is list:
         require(isinstance(value, list), field, value, "give a list in [ ]")
         for i, item in enumerate(value):
             require_type(f"{field}[{i}]", item, typing.get_args(kind)[0])

@@ -7,8 +7,8 @@ object of `pydrake.common.schema`.
 import copy
 import copyreg
 import dataclasses
+import functools
 import math
-import types
 import typing
 from collections.abc import Callable
 from typing import Any
@@ -33,9 +33,8 @@ from pydrake.common.schema import (
     UniformVectorX,
 )
 
-from drake_nonstop.scenario.by_fields import reduced
 from drake_nonstop.scenario.yaml_text import dump_plain
-from drake_nonstop.validation import fields_of, require, require_known, require_type
+from drake_nonstop.validation import fields_of, of_given, require, require_known, require_type
 
 # Called with the path, the distribution and the type of the field; returns what takes its place.
 Change = Callable[[str, Any, Any], Any]
@@ -49,6 +48,15 @@ _KINDS: dict[str, Any] = {
     "UniformVector": UniformVectorX,
     "UniformDiscrete": UniformDiscrete,
 }
+
+
+def reduced(value: Any) -> tuple[Callable[[], Any], tuple[()]]:
+    """For `copyreg.pickle`: how to make one of Drake's objects from its fields again."""
+    kind: Any = type(value)
+    fields = {field.name: getattr(value, field.name) for field in fields_of(kind)}
+    return functools.partial(kind, **fields), ()
+
+
 _SIZED = (DeterministicVector, GaussianVector, UniformVector)  # by the sizes 1 to 6
 
 for _class in (*_KINDS.values(), *(vector[size] for vector in _SIZED for size in range(1, 7))):
@@ -117,7 +125,7 @@ def require_usable(path: str, distribution: Any, kind: Any) -> None:
         distribution: what stands in it.
         kind: the field's type.
     """
-    kind = _without_none(kind)
+    kind = of_given(kind)
     entry = to_entry(distribution)
     text = dump_plain(entry)
     is_vector = isinstance(distribution, DistributionVector)
@@ -166,7 +174,7 @@ def mean(path: str, distribution: Any, kind: Any) -> Any:
     if isinstance(distribution, DistributionVector):
         return ToDistributionVector(distribution).Mean().tolist()
     value = ToDistribution(distribution).Mean()
-    return math.floor(value) if _without_none(kind) is int else value
+    return math.floor(value) if of_given(kind) is int else value
 
 
 def draw(distribution: Any, kind: Any, generator: RandomGenerator) -> Any:
@@ -174,7 +182,7 @@ def draw(distribution: Any, kind: Any, generator: RandomGenerator) -> Any:
     if isinstance(distribution, DistributionVector):
         return ToDistributionVector(distribution).Sample(generator).tolist()
     value = Sample(distribution, generator)
-    return math.floor(value) if _without_none(kind) is int else value
+    return math.floor(value) if of_given(kind) is int else value
 
 
 def mapped(value: Any, kind: Any, path: str, change: Change) -> Any:
@@ -186,8 +194,7 @@ def mapped(value: Any, kind: Any, path: str, change: Change) -> Any:
     if is_distribution(value):
         return change(path, value, kind)
     if isinstance(value, list):
-        options = typing.get_args(_without_none(kind))
-        item = options[0] if options else Any
+        item = item_kind(kind)
         items = [mapped(part, item, f"{path}[{i}]", change) for i, part in enumerate(value)]
         return items if any(a is not b for a, b in zip(items, value, strict=True)) else value
     if not dataclasses.is_dataclass(value) or isinstance(value, type):
@@ -209,59 +216,31 @@ def has_distributions(config: Any) -> bool:
     return mapped(config, type(config), "", lambda *_: 0) is not config
 
 
-def with_stand_ins(tree: Any) -> Any:
-    """A part of a scenario's tree with 0 or [] in place of its distributions."""
-    if is_entry(tree):
-        return [] if "Vector" in tree["_tag"] else 0
-    if isinstance(tree, dict):
-        return {key: with_stand_ins(value) for key, value in tree.items()}
-    if isinstance(tree, list):
-        return [with_stand_ins(value) for value in tree]
-    return tree
-
-
-def with_means(path: str, tree: Any, kind: Any) -> Any:
-    """The tree's value of a field of that type with the means of its distributions.
+def with_objects(path: str, tree: Any, kind: Any) -> Any:
+    """A value of a scenario's tree, for a field of that type, with objects as distributions.
 
     Raises:
         ScenarioError: see `from_entry` and `require_usable`.
     """
     if is_entry(tree):
-        return mean(path, from_entry(path, tree), kind)
+        distribution = from_entry(path, tree)
+        require_usable(path, distribution, kind)
+        return distribution
     if isinstance(tree, list):
-        options = typing.get_args(_without_none(kind))
-        item = options[0] if options else Any
-        return [with_means(f"{path}[{i}]", part, item) for i, part in enumerate(tree)]
-    if isinstance(tree, dict) and "_tag" in tree and _without_none(kind) in (int, float):
+        item = item_kind(kind)
+        return [with_objects(f"{path}[{i}]", part, item) for i, part in enumerate(tree)]
+    if isinstance(tree, dict) and "_tag" in tree and of_given(kind) in (int, float):
         remedy = f"give a number, or a distribution: {', '.join(f'!{name}' for name in _KINDS)}"
         require(False, path, dump_plain(tree), remedy)
     return tree
 
 
-def restore(config: Any, tree: dict[str, Any]) -> None:
-    """Puts the distributions of a tree into what was made of the tree `with_stand_ins`."""
-    for key, value in tree.items():
-        if isinstance(value, dict) and not is_entry(value):
-            restore(getattr(config, key, None), value)
-        elif with_stand_ins(value) != value:
-            setattr(config, key, _objects(value))
-
-
-def _objects(tree: Any) -> Any:
-    if isinstance(tree, list):
-        return [_objects(value) for value in tree]
-    return from_entry("distribution", tree) if is_entry(tree) else tree
+def item_kind(kind: Any) -> Any:
+    """The type of the items of a field of lists; Any where there is none."""
+    return next(iter(typing.get_args(of_given(kind))), Any)
 
 
 def _name(distribution: Any) -> str:
     """Its tag: the class's name, without the size of a vector."""
     name, vector, _ = type(distribution).__name__.partition("Vector")
     return name + vector
-
-
-def _without_none(kind: Any) -> Any:
-    """The type of a field that may be None as well."""
-    if typing.get_origin(kind) in (typing.Union, types.UnionType):
-        options = [option for option in typing.get_args(kind) if option is not types.NoneType]
-        return options[0] if len(options) == 1 or options == [float, str] else kind
-    return kind

@@ -4,12 +4,14 @@ import copy
 import copyreg
 import dataclasses
 import functools
+import math
 import operator
 import re
 import typing
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
 from pydrake.common import RandomGenerator
 from pydrake.systems.analysis import SimulatorConfig
 
@@ -27,16 +29,17 @@ from drake_nonstop.model.pattern import (
 from drake_nonstop.model.system import SystemOverrides, SystemParameters, aircraft_in
 from drake_nonstop.optimization.problem_config import stated_speed_bound
 from drake_nonstop.scenario import distributions
-from drake_nonstop.scenario.by_fields import comparable, reduced
-from drake_nonstop.scenario.run_limits import RunLimits, check_limits
+from drake_nonstop.scenario.run_limits import RunLimits
 from drake_nonstop.scenario.scene_config import SceneConfig
 from drake_nonstop.validation import (
     StrictFields,
+    fields_of,
     is_number,
     require,
     require_fields,
     require_non_negative,
     require_positive,
+    require_ranges,
     require_type,
 )
 
@@ -76,7 +79,7 @@ def require_current_block(box: str, block: str, tag: str) -> None:
         require(False, box, tag, _FORMER_BLOCKS[box, block])
 
 
-copyreg.pickle(SimulatorConfig, reduced)
+copyreg.pickle(SimulatorConfig, distributions.reduced)
 
 
 def _default_simulator_config() -> SimulatorConfig:
@@ -165,7 +168,7 @@ class Scenario(_Boxes):
     def __eq__(self, other: object) -> bool:
         if type(other) is not type(self):
             return NotImplemented
-        return bool(comparable(self) == comparable(other))
+        return bool(_comparable(self) == _comparable(other))
 
     def _rewrite_yaml_dump_attr_name(self, name: str) -> str:
         """Drake's `yaml_dump_typed` asks for the attribute that a field's value is in.
@@ -241,6 +244,24 @@ _LONGEST_PERIOD = 10.0  # s, of the controllers
 _LARGEST_SEED = 2**32 - 1  # of Drake's RandomGenerator; larger ones repeat its numbers
 
 
+def _comparable(value: Any) -> Any:
+    """What equals that of another value if they are of one class and their fields are equal.
+
+    A NaN equals another one, and an array a list of its numbers. All else equals what it says.
+    """
+    kind = type(value)
+    if dataclasses.is_dataclass(kind) or hasattr(kind, "__fields__"):
+        fields = fields_of(kind)
+        return kind, {f.name: _comparable(getattr(value, f.name, None)) for f in fields}
+    if isinstance(value, (np.generic, np.ndarray)):
+        return _comparable(value.tolist())
+    if isinstance(value, (list, tuple)):
+        return [_comparable(item) for item in value]
+    if isinstance(value, dict):
+        return {key: _comparable(item) for key, item in value.items()}
+    return (float, "nan") if isinstance(value, float) and math.isnan(value) else value
+
+
 def check(scenario: Scenario) -> None:
     """Checks the types of all fields, and the ranges of those that belong to no box.
 
@@ -277,7 +298,7 @@ def check(scenario: Scenario) -> None:
     require_positive(scenario.name, simulation_duration=scenario.simulation_duration)
     is_seed = 0 <= seed <= _LARGEST_SEED
     require(is_seed, f"{scenario.name}.random_seed", seed, f"give 0 to {_LARGEST_SEED}")
-    check_limits(scenario.limits)
+    require_ranges("limits", scenario.limits)
     remedy = f"give {', '.join(ENGINES[:-1])} or {ENGINES[-1]}"
     require(scenario.engine in ENGINES, "engine", scenario.engine, remedy)
     config = scenario.simulator_config

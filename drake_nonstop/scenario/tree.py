@@ -7,6 +7,7 @@ import copy
 import dataclasses
 import types
 import typing
+from collections.abc import Collection
 from typing import Any
 
 from pydrake.common.yaml import yaml_dump, yaml_load_typed
@@ -17,7 +18,6 @@ from drake_nonstop.model.load_file import read_load
 from drake_nonstop.model.system import SystemParameters, require_few
 from drake_nonstop.scenario import distributions
 from drake_nonstop.scenario.own_blocks import import_config, is_import_path
-from drake_nonstop.scenario.run_limits import RunLimits
 from drake_nonstop.scenario.schema import (
     CHOICES,
     Scenario,
@@ -29,6 +29,7 @@ from drake_nonstop.scenario.schema import (
 from drake_nonstop.validation import (
     ScenarioError,
     fields_of,
+    of_given,
     one_line,
     optional_part,
     plain_value,
@@ -73,44 +74,90 @@ def from_tree(
         ScenarioError: a key or value cannot be used, or a block is not trusted.
     """
     check_name(name)
-    tree = dict(tree)
-    scenario = Scenario()
-    if defaults is not None:
-        scenario = copy.deepcopy(defaults)
-        for key in tree.keys() & vars(scenario).keys():
-            setattr(scenario, key, getattr(Scenario(), key))
     for key, value in tree.items():
         require_current(key, f"{name}.{key}", value)
-    _check_fields(name, tree, Scenario, BASE)
     require("name" not in tree, f"{name}.name", tree.get("name"), "leave it to the file's one key")
-    own = {}
-    for field_name, options in CHOICES.items():
-        if field_name in tree:
-            config_class, fields = _checked_entry(field_name, tree.pop(field_name), trusted)
-            if config_class not in options:
-                own[field_name] = _loaded(field_name, config_class, fields, config_class())
-            else:
-                tag = {"_tag": f"!{config_class.__name__}"} if len(options) > 1 else {}
-                tree[field_name] = tag | fields
-    for field_name, schema in (
-        ("system", SystemParameters),
-        ("simulated", SystemParameters),
-        ("limits", RunLimits),
-        ("simulator_config", SimulatorConfig),
-    ):
-        if field_name in tree:
-            tree[field_name] = {} if tree[field_name] is None else tree[field_name]
-            _check_fields(field_name, tree[field_name], schema)
-            points = tree[field_name].get("attachments")
+    scenario, schema = Scenario() if defaults is None else copy.deepcopy(defaults), Scenario()
+    fields = {**tree}
+    for key, part in vars(schema).items():
+        if key not in tree:
+            continue
+        setattr(scenario, key, part)
+        if distributions.is_entry(tree[key]):
+            continue  # refused with the other fields
+        if key in CHOICES:
+            config_class, given = _checked_entry(key, fields.pop(key), trusted)
+            setattr(scenario, key, filled(key, given, config_class()))
+        elif key in ("system", "simulated", "limits", "simulator_config"):
+            given = fields.pop(key)
+            points = given.get("attachments") if isinstance(given, dict) else None
             if isinstance(points, list):  # of which many take long to load
-                require_few(f"{field_name}.attachments", len(points))
-    scenario = _loaded(name, Scenario, tree, scenario)
+                require_few(f"{key}.attachments", len(points))
+            kinds = SystemParameters if key == "simulated" else type(part)
+            filled(key, {} if given is None else given, part, kinds)
+    filled(name, fields, scenario, other_keys=[BASE])
     scenario.name = name
-    for field_name, config in own.items():
-        setattr(scenario, field_name, config)
     _read_files(scenario)
     check(scenario)
     return scenario
+
+
+def filled(
+    path: str, tree: Any, config: Any, schema: Any = None, other_keys: Collection[str] = ()
+) -> Any:
+    """A dataclass with the values of a tree in its fields, which it is given.
+
+    Args:
+        path: its name in error messages.
+        tree: a mapping of fields to values.
+        config: the dataclass.
+        schema: the class that has the fields' types; None: that of `config`.
+        other_keys: named among the fields that there are.
+
+    Raises:
+        ScenarioError: a key is no field, or a value not of its type.
+    """
+    require(isinstance(tree, dict), path, tree, "give a mapping of fields to values")
+    require("_tag" not in tree, path, tree.get("_tag"), "take the tag away; it is no block")
+    kinds = {field.name: field.type for field in fields_of(schema or type(config))}
+    for key, value in tree.items():
+        field = f"{path}.{key}"
+        require_known(key, [*kinds, *other_keys], field, value)
+        is_plain = not (isinstance(config, SimulatorConfig) and distributions.is_entry(value))
+        remedy = "give what is no distribution; Drake's SimulatorConfig takes none"
+        require(is_plain, field, "a distribution", remedy)
+        try:
+            setattr(config, key, _typed(field, value, kinds[key], getattr(config, key)))
+        except ScenarioError:
+            raise
+        except Exception as error:  # what a user's own dataclass does not take
+            remedy = f"give its fields values of their types ({one_line(error)})"
+            raise ScenarioError(f"{path} = {block_name(type(config))}: {remedy}") from error
+    return config
+
+
+def _typed(path: str, tree: Any, kind: Any, default: Any) -> Any:
+    """The value of a field of that type that a tree stands for."""
+    part: Any = kind if dataclasses.is_dataclass(kind) else optional_part(kind)
+    if part is not None and not distributions.is_entry(tree):
+        return None if tree is None else filled(path, tree, part() if default is None else default)
+    value = distributions.with_objects(path, tree, kind)
+    means = distributions.mapped(value, kind, path, distributions.mean)
+    require_type(path, means, kind)
+    if value is not means or _is_plain(kind):
+        return value if value is not means else _plain(value, kind)
+    # What only blocks of the user's own have: arrays, mappings, parts.
+    holder = dataclasses.make_dataclass("Holder", [("value", kind, None)])
+    data = yaml_dump({"value": value})
+    return yaml_load_typed(schema=holder, data=data, defaults=holder(default)).value
+
+
+def _is_plain(kind: Any) -> bool:
+    """Whether a type is made of numbers, texts, truth values, None and lists."""
+    parts = typing.get_args(kind)
+    is_leaf = kind in (float, int, bool, str, types.NoneType)
+    is_made = typing.get_origin(kind) in (list, typing.Union, types.UnionType)
+    return is_leaf or (is_made and all(map(_is_plain, parts)))
 
 
 def _plain(value: Any, kind: Any) -> Any:
@@ -120,12 +167,9 @@ def _plain(value: Any, kind: Any) -> Any:
     if dataclasses.is_dataclass(value) or isinstance(value, SimulatorConfig):
         fields = [(f, getattr(value, f.name)) for f in fields_of(type(value))]
         return {f.name: _plain(part, f.type) for f, part in fields if part is not None}
-    if typing.get_origin(kind) in (typing.Union, types.UnionType):
-        kind = typing.get_args(kind)[0]  # of a field that may be None
     if isinstance(value, list):
-        item_kind = typing.get_args(kind)[0] if typing.get_args(kind) else Any
-        return [_plain(item, item_kind) for item in value]
-    is_number = kind is float and not isinstance(value, str)
+        return [_plain(item, distributions.item_kind(kind)) for item in value]
+    is_number = of_given(kind) is float and isinstance(value, int)
     return float(value) if is_number else plain_value(value, "value")
 
 
@@ -191,7 +235,6 @@ def _checked_entry(name: str, entry: Any, trusted: Trusted) -> tuple[type, Tree]
     fields = dict(entry)
     config_class = config_class_of(name, fields.pop("_tag", f"!{default}"), trusted)
     _check_block_fields(name, fields, config_class)
-    _check_fields(name, fields, config_class)
     return config_class, fields
 
 
@@ -206,37 +249,3 @@ def _check_block_fields(name: str, fields: Tree, config_class: type) -> None:
 
 def _has_field(config_class: type, key: str) -> bool:
     return any(field.name == key for field in fields_of(config_class))
-
-
-def _loaded(name: str, schema: type, fields: Tree, defaults: Any) -> Any:
-    """The dataclass of these fields, the others as in the defaults."""
-    data = yaml_dump(distributions.with_stand_ins(fields))
-    try:
-        config = yaml_load_typed(schema=schema, data=data, defaults=defaults)
-        distributions.restore(config, fields)
-        return config
-    except Exception as error:  # what a user's own dataclass does not take
-        remedy = f"give its fields values of their types ({one_line(error)})"
-        raise ScenarioError(f"{name} = {block_name(schema)}: {remedy}") from error
-
-
-def _check_fields(name: str, tree: Any, schema: Any, *other_keys: str) -> None:
-    """Raises ScenarioError for the first key that is no field, or value not of its type.
-
-    `other_keys` are named among those that there are.
-    """
-    require(isinstance(tree, dict), name, tree, "give a mapping of fields to values")
-    require("_tag" not in tree, name, tree.get("_tag"), "take the tag away; it is no block")
-    kinds = {field.name: field.type for field in fields_of(schema)}
-    for key, value in tree.items():
-        require_known(key, [*kinds, *other_keys], f"{name}.{key}", value)
-        if key in kinds:
-            path = f"{name}.{key}"
-            if schema is SimulatorConfig:
-                remedy = "give what is no distribution; Drake's SimulatorConfig takes none"
-                is_plain = not distributions.is_entry(value)
-                require(is_plain, path, "a distribution", remedy)
-            require_type(path, distributions.with_means(path, value, kinds[key]), kinds[key])
-            part = optional_part(kinds[key])
-            if part is not None and value is not None:
-                _check_fields(path, value, part)

@@ -14,13 +14,12 @@ from drake_nonstop.analysis.task import is_known, task_at
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.loop.equilibrium import block_named
 from drake_nonstop.scenario.proportions import out_of_proportion
-from drake_nonstop.scenario.scene_config import check_scene
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.recording import RUN_SIGNALS
 from drake_nonstop.simulation.step_size import ChosenStep, chosen_step
 from drake_nonstop.systems.block import LOOP
 from drake_nonstop.systems.wiring import innermost, input_names, nested, require_signals
-from drake_nonstop.validation import ScenarioError, called, require, warn_user
+from drake_nonstop.validation import ScenarioError, called, require, require_ranges, warn_user
 
 # Makes the loop's diagram of a scenario, and of replacements as `make_nonstop` takes them.
 LoopMaker = Callable[..., Diagram]
@@ -57,7 +56,7 @@ def check_simulation(scenario: Scenario) -> None:
         scenario.simulator_config.integration_scheme,
         f"give one of {', '.join(schemes)}",
     )
-    check_scene(scenario.scene)
+    require_ranges("scene", scenario.scene)
 
 
 def with_chosen_step(scenario: Scenario, nonstop: Diagram, context: Context) -> ChosenStep:

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydrake.common.yaml import yaml_dump, yaml_load_typed
 
 from drake_nonstop.analysis.aircraft_margins import FlightLimits
 from drake_nonstop.mechanics.aircraft import Aircraft
@@ -17,13 +16,12 @@ from drake_nonstop.optimization.formation_program import KINDS
 from drake_nonstop.optimization.problem_config import AircraftLimits, check_flight_limits
 from drake_nonstop.scenario.overrides import require_override
 from drake_nonstop.scenario.schema import check_name
+from drake_nonstop.scenario.tree import filled
 from drake_nonstop.scenario.yaml_text import dump_plain, parse_plain
 from drake_nonstop.systems.field_comments import meanings
 from drake_nonstop.validation import (
-    ScenarioError,
     StrictFields,
     fields_of,
-    one_line,
     read_text,
     require,
     require_array,
@@ -32,7 +30,6 @@ from drake_nonstop.validation import (
     require_non_negative,
     require_positive,
     require_seed,
-    require_type,
 )
 
 GRAVITY = 9.81  # m/s²
@@ -205,22 +202,12 @@ def _apply(tree: dict[str, Any], override: str) -> None:
 
 
 def _from_tree(tree: dict[str, Any]) -> DesignRequest:
-    default = DesignRequest()
-    _check_types("request", tree, DesignRequest)
+    request = DesignRequest()
     if "aircraft" in tree:
+        request.aircraft = AircraftParameters()
         remedy = "give a mapping such as {model: rascal_110}"
         require(isinstance(tree["aircraft"], dict), "request.aircraft", tree["aircraft"], remedy)
-        _check_types("request.aircraft", tree["aircraft"], AircraftParameters)
-        default.aircraft = AircraftParameters()
-    try:
-        request: DesignRequest = yaml_load_typed(
-            schema=DesignRequest, data=yaml_dump(tree), defaults=default
-        )
-    except ScenarioError:
-        raise
-    except Exception as error:
-        remedy = f"give its fields values of their types ({one_line(error)})"
-        raise ScenarioError(f"request = {dump_plain(tree)[:60]}: {remedy}") from None
+    filled("request", tree, request)
     request.check()
     return request
 

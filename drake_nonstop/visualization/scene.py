@@ -11,8 +11,8 @@ from drake_nonstop.mechanics.aircraft import Aircraft, angle_of_attack, stall_sp
 from drake_nonstop.mechanics.rotation import rotation_matrix
 from drake_nonstop.mechanics.signals import AircraftState
 from drake_nonstop.model.system import Model, SystemParameters, aircraft_in
-from drake_nonstop.scenario.scene_config import SceneConfig, check_scene
-from drake_nonstop.validation import require
+from drake_nonstop.scenario.scene_config import SceneConfig
+from drake_nonstop.validation import require, require_ranges
 from drake_nonstop.visualization.camera import FollowingCamera, set_stage
 from drake_nonstop.visualization.canvas import ROOT, Canvas
 from drake_nonstop.visualization.colours import Colour, make_shades, pick_shade, rgb
@@ -71,7 +71,7 @@ class Scene:
         _check_root(root)
         self._root = root
         self.config = config or SceneConfig()
-        check_scene(self.config)
+        require_ranges("scene", self.config)
         self._attachments = np.array(system.attachments)
         self._n = len(self._attachments)
         self.radius = float(np.max(np.linalg.norm(self._attachments, axis=1)))  # m, of the load

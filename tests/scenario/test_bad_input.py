@@ -37,7 +37,6 @@ from drake_nonstop import (
 )
 from drake_nonstop.diagrams.nonstop import BOXES, replaced
 from drake_nonstop.loop.box import config_class
-from drake_nonstop.scenario import tree
 from drake_nonstop.scenario.schema import CHOICES
 from drake_nonstop.scenario.tree import to_tree
 from drake_nonstop.scenario.yaml_text import dump_plain, parse_plain
@@ -505,8 +504,7 @@ def test_an_empty_array_of_overrides_is_no_override():
     assert heavier.system.load_mass == 1.2
 
 
-def test_more_carriers_than_fly_are_refused_before_they_are_loaded(monkeypatch):
-    monkeypatch.setattr(tree, "yaml_load_typed", None)
+def test_more_carriers_than_fly_are_refused():
     points = [[math.cos(k), math.sin(k), 0.0] for k in range(101)]
     for owner in ("system", "simulated"):
         with pytest.raises(ScenarioError, match=f"{owner}.attachments = 101 points: give at most"):

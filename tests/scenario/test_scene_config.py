@@ -2,12 +2,12 @@
 
 import pytest
 
-from drake_nonstop.scenario.scene_config import SceneConfig, check_scene
-from drake_nonstop.validation import ScenarioError
+from drake_nonstop.scenario.scene_config import SceneConfig
+from drake_nonstop.validation import ScenarioError, require_ranges
 
 
 def test_the_default_is_valid():
-    check_scene(SceneConfig())
+    require_ranges("scene", SceneConfig())
 
 
 @pytest.mark.parametrize(
@@ -28,4 +28,4 @@ def test_the_default_is_valid():
 )
 def test_bad_config_tells_field_value_and_remedy(field, value, remedy):
     with pytest.raises(ScenarioError, match=f"^scene\\.{field} = .*{remedy}"):
-        check_scene(SceneConfig(**{field: value}))
+        require_ranges("scene", SceneConfig(**{field: value}))

@@ -32,11 +32,11 @@ from drake_nonstop.optimization.limits import LIMITS as ASKED
 from drake_nonstop.optimization.limits import Of, limits_of
 from drake_nonstop.optimization.problem_config import LimitsConfig
 from drake_nonstop.scenario.loading import dump_scenario
-from drake_nonstop.scenario.run_limits import check_limits
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.outcome import LIMITS
 from drake_nonstop.simulation.run import Run
 from drake_nonstop.simulation.run_quantities import RunQuantities
+from drake_nonstop.validation import require_ranges
 
 CONSTANT = "optimization_layer=ConstantParameters"
 SAMPLES = 60
@@ -308,7 +308,7 @@ def test_limits_are_checked_dumped_and_loaded(field):
     others = [] if field in ("position_error", "orientation_error") else [None]
     for value in (-0.1, math.nan, "a", True, *others):
         with pytest.raises(ScenarioError, match=rf"limits\.{field} = .*: give a"):
-            check_limits(RunLimits(**{field: value}))
+            require_ranges("limits", RunLimits(**{field: value}))
     scenario = load_scenario("quintic", [f"limits.{field}=0.123"])
     assert getattr(scenario.limits, field) == 0.123
     assert parse_scenario(dump_scenario(scenario)).limits == scenario.limits

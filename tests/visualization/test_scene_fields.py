@@ -7,9 +7,9 @@ from helpers import circling_run, nightly_beyond
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from drake_nonstop.scenario.scene_config import SceneConfig, check_scene
+from drake_nonstop.scenario.scene_config import SceneConfig
 from drake_nonstop.simulation.simulate import simulate
-from drake_nonstop.validation import ScenarioError
+from drake_nonstop.validation import ScenarioError, require_ranges
 from drake_nonstop.visualization.replay import record_replay
 
 _COLOURS = st.one_of(st.just("#0a4fff"), st.text(max_size=8), st.integers(), st.none())
@@ -39,7 +39,7 @@ def is_refused_or_shown(data):
     run = circling_run(n=3, duration=0.05)
     run.scenario.scene = config
     try:
-        check_scene(config)
+        require_ranges("scene", config)
     except ScenarioError as error:
         assert str(error).startswith("scene.")  # noqa: PT017
         with pytest.raises(ScenarioError, match=r"^scene\."):
