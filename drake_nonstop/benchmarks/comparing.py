@@ -9,7 +9,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -50,11 +50,7 @@ class FreshRuns:
     """
 
     def __init__(self, source: Source, parent: Path = PACKAGE_PARENT):
-        asked = {
-            "scenario": source.scenario,
-            "overrides": list(source.overrides),
-            "trust": source.trust,
-        }
+        asked = asdict(source) | {"overrides": list(source.overrides)}
         paths = [str(parent), os.environ.get("PYTHONPATH", "")]
         self._parent = parent
         self._errors = tempfile.TemporaryFile("w+")  # noqa: SIM115 - closed by close()
@@ -145,15 +141,15 @@ def compare(
         if revision is not None:
             parent = stack.enter_context(checked_out(revision, checkout))
         sides: list[FreshRuns] = []
-        firsts, answers = [], ([], [])  # type: ignore[var-annotated]
+        answers: tuple[list[dict[str, Any]], ...] = ([], [])
         total = 2 * (repeats + 1)
         for turn in range(total):
             if turn < 2:  # one starts up while the other waits
                 sides.append(FreshRuns(*((source,) if turn == 0 else (other, parent))))
                 stack.callback(sides[turn].close)
-            answer = sides[turn % 2].run()
-            (firsts if turn < 2 else answers[turn % 2]).append(answer)
+            answers[turn % 2].append(sides[turn % 2].run())
             progress("running alternately", (turn + 1) / total)
+    firsts = [side.pop(0) for side in answers]
     factors = [[answer["real_time_factor"] for answer in side] for side in answers]
     ratios = [present / other for present, other in zip(*factors, strict=True)]
     medians = [statistics.median(side) for side in factors]

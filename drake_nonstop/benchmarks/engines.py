@@ -2,23 +2,23 @@
 
 import statistics
 import time
-import warnings
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from pydrake.systems.framework import DiagramBuilder
 
-from drake_nonstop.benchmarks.running import versions
+from drake_nonstop.benchmarks.running import PACKAGES
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.scenario.schema import COMPILED, DIAGRAM, Scenario
 from drake_nonstop.simulation.compiled_run import recorded_loop
+from drake_nonstop.simulation.flight import without_warnings
+from drake_nonstop.simulation.metrics import versions
 from drake_nonstop.simulation.preparation import with_chosen_step
 from drake_nonstop.simulation.recording import Recording
 from drake_nonstop.simulation.run import Run, StepCheck
 from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.systems.compilation import compiler
-from drake_nonstop.validation import ScenarioWarning
 
 _WAYS = {
     DIAGRAM: "simulate, engine=diagram: Drake's Simulator",
@@ -58,7 +58,7 @@ def benchmark_engines(
     builder.AddSystem(nonstop)
     recording = Recording(builder, nonstop)  # what a run has is what the loops show
     loops = {
-        name: recorded_loop(nonstop, recording, config, period, compiles=name == "stepped")
+        name: recorded_loop(recording, config, period, compiles=name == "stepped")
         for name in ("stepped", "virtual machine")
     }
     samples = int(scenario.simulation_duration / period + 1e-9)
@@ -68,8 +68,7 @@ def benchmark_engines(
     for turn in range(repeats):
         for way in _WAYS:
             if way in (DIAGRAM, COMPILED):
-                with warnings.catch_warnings():
-                    warnings.simplefilter("ignore", ScenarioWarning)
+                with without_warnings():
                     runs[way] = simulate(scenario, engine=way, check_step=StepCheck.NOTHING)
                 seconds[way].append(runs[way].wall_time)
             elif way in loops:
@@ -85,7 +84,7 @@ def benchmark_engines(
         "scenario": scenario.name,
         "simulated_s": scenario.simulation_duration,
         "repeats": repeats,
-        "versions": versions(),
+        "versions": versions(*PACKAGES),
         "compiler": compiler() if loops["stepped"].is_compiled else None,
         "wall_s": medians,
         "ratios": {way: medians[DIAGRAM] / value for way, value in medians.items()},

@@ -19,9 +19,6 @@ from typing import Any
 
 MEBIBYTE = 1 << 20  # bytes
 
-# What a run does after a step to continue: the enumeration and its member, by revision.
-_CONTINUE = (("StepAction", "CONTINUE"), ("Then", "GO_ON"))
-
 
 def main() -> None:
     """Answers until the standard input ends."""
@@ -39,15 +36,13 @@ def main() -> None:
     )
     loaded = time.perf_counter()
     simulate = drake_nonstop.simulate
-    go_on = _find_continue(drake_nonstop, sys.modules[simulate.__module__])
     phases = {"import_s": imported - start, "scenario_s": loaded - imported}
     for name, phase in (("make_nonstop", "building_s"), ("set_equilibrium", "equilibrium_s")):
         _time_function(getattr(drake_nonstop, name, None), phases, phase)
 
-    def note_first_step(simulator: Any, nonstop: Any) -> Any:
+    def note_first_step(simulator: Any, nonstop: Any) -> None:  # None: the run goes on
         if simulator.get_context().get_time() > 0:
             phases.setdefault("total_s", time.perf_counter() - start)
-        return go_on
 
     for _line in sys.stdin:
         options: dict[str, Any] = {}
@@ -80,15 +75,6 @@ def memory(kind: str) -> float | None:
         return None
     found = re.search(rf"^{kind}:\s+(\d+) kB$", status, re.MULTILINE)
     return None if found is None else int(found[1]) * 1024 / MEBIBYTE
-
-
-def _find_continue(*owners: Any) -> Any:
-    """What `after_step` returns to have a run continue, in this revision of the package."""
-    for owner in owners:
-        for enumeration, member in _CONTINUE:
-            if hasattr(owner, enumeration):
-                return getattr(getattr(owner, enumeration), member)
-    return None
 
 
 def _time_function(function: Callable | None, phases: dict[str, float], phase: str) -> None:

@@ -4,18 +4,17 @@ import contextlib
 import platform
 import statistics
 from collections.abc import Callable
-from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 from drake_nonstop.benchmarks.block_timers import OUTSIDE, BlockTimers, Frame
 from drake_nonstop.benchmarks.comparing import FreshRuns, Source, spread
 from drake_nonstop.scenario.schema import COMPILED
+from drake_nonstop.simulation.metrics import versions
 from drake_nonstop.simulation.run import StepCheck
 from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.validation import require
-from drake_nonstop.version import __version__
 
-_OPTIMIZATION_LAYER = "optimization_layer"
+PACKAGES = "drake", "numpy", "casadi", "scipy"  # whose versions results have
 STARTS = 3  # fresh interpreters; the start-up is the median's
 START_UP = {  # the phases of a start-up, and their names in the table
     "import_s": "import",
@@ -76,7 +75,7 @@ def benchmark_run(
     return {
         "scenario": scenario.name,
         "overrides": list(source.overrides),
-        "versions": versions() | {"python": platform.python_version()},
+        "versions": versions(*PACKAGES) | {"python": platform.python_version()},
         "repeats": repeats,
         "simulated_s": scenario.simulation_duration,
         "steps": timers.steps,
@@ -87,24 +86,13 @@ def benchmark_run(
         "timed_s": timers.seconds,
         "blocks": blocks,
         "outside_share": timers.root.seconds / timers.seconds,
-        "optimization_layer_share": shares.get(_OPTIMIZATION_LAYER),
+        "optimization_layer_share": shares.get("optimization_layer"),
         "solving_share": statistics.median(solving / wall for wall, solving in plain),
         "start_up": _start_up([answer["start_up"] for answer in fresh]),
         "peak_memory_MiB": None if None in peaks else statistics.median(peaks),
         "memory_of_imports_MiB": fresh[0]["start_up"]["memory_of_imports_MiB"],
         "frames": _as_dict(timers.root),
     }
-
-
-def versions() -> dict[str, str | None]:
-    """The versions of the package and of its libraries; None: not installed."""
-    found: dict[str, str | None] = {"drake_nonstop": __version__}
-    for package in ("drake", "numpy", "casadi", "scipy"):
-        try:
-            found[package] = version(package)
-        except PackageNotFoundError:
-            found[package] = None
-    return found
 
 
 def _blocks(timers: BlockTimers) -> list[dict[str, Any]]:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.analysis import Simulator, SimulatorConfig
-from pydrake.systems.framework import Context, Diagram
+from pydrake.systems.framework import Context
 
 from drake_nonstop.loop.block_events import NotCompilableError, sample_times
 from drake_nonstop.loop.compiled_loop import CompiledFlight, CompiledLoop, reason_against
@@ -33,7 +33,6 @@ _UNUSUAL = 1e-3 * LARGEST  # a value beyond it may become one that a block of th
 
 def compiled_loop_of(
     scenario: Scenario,
-    nonstop: Diagram,
     recording: Recording,
     config: SimulatorConfig,
     steering: Sequence[str],
@@ -44,42 +43,27 @@ def compiled_loop_of(
 
     Args:
         scenario: of the run.
-        nonstop: its loop's diagram.
-        recording: what is to be recorded.
+        recording: of its loop.
         config: the integrator's step.
         steering: the arguments of `simulate` that need the Simulator's own steps.
     """
     period = scenario.control_period
     reason = f"{steering[0]} need the steps of Drake's Simulator" if steering else ""
-    reason = reason or reason_against(nonstop, config, period) or _reason_against_period(period)
+    reason = reason or reason_against(recording.nonstop, config, period)
+    reason = reason or _reason_against_period(period)
     if reason:
         tell_not_compiled(f"{reason};")
         return None
     samples = int(scenario.simulation_duration / period)
-    return recorded_loop(nonstop, recording, config, period, samples=samples)
+    return recorded_loop(recording, config, period, samples=samples)
 
 
 def recorded_loop(
-    nonstop: Diagram,
-    recording: Recording,
-    config: SimulatorConfig,
-    period: float,
-    **options: Any,
+    recording: Recording, config: SimulatorConfig, period: float, **options: Any
 ) -> CompiledLoop:
-    """The compiled loop that shows what a recording takes.
-
-    Args:
-        nonstop: the loop's diagram.
-        recording: of the diagram.
-        config: the integrator's step.
-        period: of the controllers, s.
-        options: further ones of `CompiledLoop`.
-
-    Raises:
-        ScenarioError: as `CompiledLoop`.
-    """
+    """The compiled loop that shows what a recording takes, with further options of its class."""
     return CompiledLoop(
-        nonstop,
+        recording.nonstop,
         config,
         period,
         signal_period=min(SIGNAL_PERIOD, period),
@@ -120,13 +104,13 @@ class _CompiledState:
 
 
 class CompiledRun:
-    """Flies as much of a run as a compiled loop can, from the start on; an `Engine`.
+    """Flies as much of a run as a compiled loop can, from the start on, and records it.
 
     Args:
         loop: what is flown.
         recording: takes the signals.
-        context: the root context at the start, with the loop's states and parameters.
-        ending: the loop's blocks that may end the run, see `simulate`.
+        context: the root context at the start.
+        ending: as of `Monitor`.
         compared: of another diagram of the loop, which the first samples are compared with, for
             what a user's own blocks may have declared falsely; None: there are no such blocks.
     """
@@ -136,14 +120,14 @@ class CompiledRun:
         loop: CompiledLoop,
         recording: Recording,
         context: Context,
-        ending: Sequence[Any],
+        ending: Sequence[tuple[Any, Context]],
         compared: Simulator | None = None,
     ):
         self._loop, self._recording, self._context = loop, recording, context
         self._start = loop.diagram.CreateDefaultContext()
         self._start.SetTimeStateAndParametersFrom(loop.diagram.GetMyContextFromRoot(context))
         self._flight = loop.fly(self._start, _UNUSUAL)
-        self._ending = [(block, block.GetMyContextFromRoot(context)) for block in ending]
+        self._ending = ending
         self._signal_ends = np.arange(1, loop.shown_per_sample + 1) / loop.shown_per_sample
         self._recorded = 0, self._flight.state  # samples, and the state after them
         self._end = 0.0  # s, of what is recorded
@@ -162,7 +146,7 @@ class CompiledRun:
         self._flight.write_state(self._loop.diagram.GetMyMutableContextFromRoot(self._context))
 
     def fly(self, duration: float, monitor: Monitor) -> None:
-        """As `Engine.fly`, from the start on.
+        """Flies up to a time in s, and sets the context to the end of what was flown.
 
         What is left then is less than a sample, or follows an error of a block, a value that is not
         finite, or one so large that it may become one: the Simulator flies that, and tells of it.

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
+from pydrake.systems.analysis import ApplySimulatorConfig, InitializeParams, Simulator
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem
 
 from drake_nonstop.diagrams.nonstop import make_nonstop, replaced
@@ -18,7 +18,6 @@ from drake_nonstop.loop.plant_states import PlantStates
 from drake_nonstop.scenario.proportions import warn_of_angles
 from drake_nonstop.scenario.schema import COMPILED, DIAGRAM, Scenario, check
 from drake_nonstop.simulation.compiled_run import CompiledRun, compiled_loop_of
-from drake_nonstop.simulation.diagram_run import DiagramRun, Engine
 from drake_nonstop.simulation.interruption import ALL, Interruption
 from drake_nonstop.simulation.monitor import Monitor
 from drake_nonstop.simulation.preparation import (
@@ -81,10 +80,6 @@ class Request:
 class Flight:
     """One flight of a request's loop.
 
-    Args:
-        request: what is flown.
-        interruption: what Ctrl-C leaves.
-
     Attributes:
         scenario: with the configs of the replacements, and with drawn numbers.
         nonstop: the loop's diagram.
@@ -114,6 +109,11 @@ class Flight:
         self._simulator = Simulator(builder.Build())
         self.context = self._simulator.get_mutable_context()
         self._recording.start(self.context)
+        self._ending = [
+            (block, block.GetMyContextFromRoot(self.context))
+            for block in nested(nonstop, RUN_SIGNALS)[-1].GetSystems()
+            if hasattr(block, "ends_run")
+        ]
         self.monitor = Monitor(
             self._simulator,
             nonstop,
@@ -121,7 +121,7 @@ class Flight:
             take_sample=self._recording.take_sample,
             progress=request.progress,
             after_step=request.after_step,
-            is_over=_end(nonstop, self.context),
+            ending=self._ending,
         )
         self._start = time.perf_counter()
 
@@ -148,37 +148,42 @@ class Flight:
 
     def fly(self, engine: str, chosen: ChosenStep) -> None:
         """Flies to the end, the compiled engine what it can, Drake's Simulator the rest."""
-        engines: list[Engine] = [DiagramRun(self._simulator, self._recording)]
-        if engine == COMPILED and (compiled := self._compiled(chosen)) is not None:
-            engines.insert(0, compiled)
-        with self.monitor:
-            self._simulator.set_monitor(self.monitor)
-            self._start = time.perf_counter()
-            if not self._is_second:
-                self._interruption.collect = lambda: self.run(self._interrupted)
-            for each in engines:
-                if not (self._recording.has_steps and self._is_over):
-                    each.fly(self.scenario.simulation_duration, self.monitor)
+        compiled = self._compiled(chosen) if engine == COMPILED else None
+        self._simulator.set_monitor(self.monitor)
+        self._start = time.perf_counter()
+        if not self._is_second:
+            self._interruption.collect = lambda: self.run(self._interrupted)
+        try:
+            if compiled is not None:
+                compiled.fly(self.scenario.simulation_duration, self.monitor)
+            is_begun = self._recording.has_steps
+            if not (is_begun and self._is_over):
+                if is_begun:
+                    self._recording.drop_last_step()  # it is taken again
+                parameters = InitializeParams(suppress_initialization_events=is_begun)
+                self._simulator.Initialize(parameters)
+                if not self.monitor.has_ended:
+                    self._simulator.AdvanceTo(self.scenario.simulation_duration)
             for visualizer in self._visualizers:  # the last step may have been skipped
                 visualizer.ForcedPublish(visualizer.GetMyContextFromRoot(self.context))
+        finally:
+            self._simulator.clear_monitor()  # each would keep the other alive
 
     def _compiled(self, chosen: ChosenStep) -> CompiledRun | None:
         """The compiled engine; None: it cannot fly this, which a ScenarioWarning tells."""
         request = self._request
         given = {"viewers": request.viewers, "after_step": request.after_step}
         steering = [name for name, value in given.items() if value]
-        loop = compiled_loop_of(
-            self.scenario, self.nonstop, self._recording, chosen.config, steering
-        )
+        loop = compiled_loop_of(self.scenario, self._recording, chosen.config, steering)
         if loop is None:
             return None
         compared = None
         if not all(map(is_of_package, self.nonstop.GetSystems())):
-            with told():
+            with without_warnings():
                 other = loop_of(request.make_loop, self.scenario, self._replacements)
                 compared = Simulator(other)
             ApplySimulatorConfig(chosen.config, compared)
-        return CompiledRun(loop, self._recording, self.context, _ending(self.nonstop), compared)
+        return CompiledRun(loop, self._recording, self.context, self._ending, compared)
 
     @property
     def _is_over(self) -> bool:
@@ -208,12 +213,20 @@ class Flight:
         if self.monitor.has_ended:
             return ""
         if self.context.get_time() < self.scenario.simulation_duration:
-            return f"the run was ended at t = {self.context.get_time():.4f} s"
+            return f"the run was ended{self._now}"
         return None
 
     @property
     def _interrupted(self) -> str:
         return f"the run was interrupted at t = {self.monitor.time:.4f} s"
+
+    @property
+    def _now(self) -> str:
+        return f" at t = {self.context.get_time():.4f} s"
+
+    def _stopped(self, cause: str) -> RunStopped:
+        message = f"the run {cause}"
+        return RunStopped(message, self.run(message))
 
     @contextlib.contextmanager
     def kept(self) -> Iterator[None]:
@@ -232,54 +245,30 @@ class Flight:
         except KeyboardInterrupt:
             raise RunInterrupted(self.run(self._interrupted)) from None
         except NotFiniteError as error:
-            message = (
-                f"the run diverged at t = {self.context.get_time():.4f} s: "
-                f"{source_of_fault(error, self.nonstop, self.loop_context)} made a value that is "
-                f"not finite, or beyond {LARGEST:.0e} in SI units; "
-                + cause_of_divergence(self.scenario, self.nonstop, self.context.get_time())
-            )
-            raise RunStopped(message, self.run(message)) from None
+            source = source_of_fault(error, self.nonstop, self.loop_context)
+            cause = cause_of_divergence(self.scenario, self.nonstop, self.context.get_time())
+            raise self._stopped(
+                f"diverged{self._now}: {source} made a value that is not finite, or beyond "
+                f"{LARGEST:.0e} in SI units; {cause}"
+            ) from None
         except RecordingError as error:
-            message = f"the run stopped at t = {self.context.get_time():.4f} s: {error}"
-            raise RunStopped(message, self.run(message)) from None
+            raise self._stopped(f"stopped{self._now}: {error}") from None
         except BaseException as error:  # such as the SystemExit of a block
             if self._interruption.number:  # which may have become another error in C++
                 raise RunInterrupted(self.run(self._interrupted)) from None
             if isinstance(error, ScenarioError) and self.context.get_time() == 0:
                 raise
-            cause = f"{raising_block(error)}{one_line(error)}"
-            message = f"the run stopped at t = {self.context.get_time():.4f} s: {cause}"
-            raise RunStopped(message, self.run(message)) from error
+            raise self._stopped(
+                f"stopped{self._now}: {raising_block(error)}{one_line(error)}"
+            ) from error
         finally:
             if not self._is_second:
                 self._interruption.collect = None
 
 
 @contextlib.contextmanager
-def told() -> Iterator[None]:
+def without_warnings() -> Iterator[None]:
     """Leaves out what a scenario's warnings have told already."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ScenarioWarning)
         yield
-
-
-def _ending(nonstop: Diagram) -> list[Any]:
-    """The blocks of the loop that may end the run, with a method `ends_run(context, shown)`.
-
-    It gets the block's own context, and what the port shows that `ending_signal` names.
-    """
-    loop = nested(nonstop, RUN_SIGNALS)[-1]
-    return [block for block in loop.GetSystems() if hasattr(block, "ends_run")]
-
-
-def _end(nonstop: Diagram, context: Context) -> Callable[[], bool] | None:
-    """Whether a block ends the run, of those that may; None: there are none."""
-    blocks = _ending(nonstop)
-    if not blocks:
-        return None
-
-    def ends(block: Any) -> bool:
-        own = block.GetMyContextFromRoot(context)
-        return bool(block.ends_run(own, block.GetOutputPort(block.ending_signal).Eval(own)))
-
-    return lambda: any(map(ends, blocks))

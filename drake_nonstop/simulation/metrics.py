@@ -54,20 +54,20 @@ def compute_metrics(run: Run) -> dict[str, Any]:
         group[name] = finite(metric.measure(quantities))
     if run.half_step is not None:
         values["half_step"] = run.half_step
-    values["versions"] = {
-        "drake_nonstop": __version__,
-        "drake": _version("drake"),
-        "numpy": _version("numpy"),
-    }
+    # None is found where own code has changed sys.path.
+    values["versions"] = {k: v or "unknown" for k, v in versions("drake", "numpy").items()}
     return values
 
 
-def _version(package: str) -> str:
-    """A package's version, which is not found where own code has changed sys.path."""
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return "unknown"
+def versions(*packages: str) -> dict[str, str | None]:
+    """The versions of this package and of others, by their names; None: not installed."""
+    found: dict[str, str | None] = {"drake_nonstop": __version__}
+    for package in packages:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            found[package] = None
+    return found
 
 
 def flattened(metrics: Mapping[str, Any]) -> dict[str, Any]:

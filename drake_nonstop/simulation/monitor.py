@@ -1,8 +1,9 @@
 """What happens after every step of a simulation."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from fractions import Fraction
+from typing import Any
 
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram, EventStatus
@@ -61,7 +62,8 @@ class Monitor:
         take_sample: records the signals of the diagram.
         progress: as of `simulate`.
         after_step: likewise.
-        is_over: whether a block ends the run; None: none may.
+        ending: the blocks that may end the run, with their contexts. A block has
+            `ends_run(context, shown)` of what its port shows that `ending_signal` names.
 
     Attributes:
         saved: states on the way.
@@ -79,7 +81,7 @@ class Monitor:
         take_sample: Callable[[], None],
         progress: Callable[[float], None] | None,
         after_step: Callable[[Simulator, Diagram], StepAction] | None,
-        is_over: Callable[[], bool] | None = None,
+        ending: Sequence[tuple[Any, Context]],
     ):
         self._simulator = simulator
         self._nonstop = nonstop
@@ -88,7 +90,7 @@ class Monitor:
         self._samples = 0
         self._progress = progress
         self._after_step = after_step
-        self._is_over = is_over
+        self._ending = ending
         self.saved = SavedStates()
         self.has_ended = False
         self._last_report = 0.0
@@ -103,9 +105,10 @@ class Monitor:
             time_, lambda: SavedState.of(self._nonstop.GetMyContextFromRoot(root_context))
         ):
             return EventStatus.ReachedTermination(self._nonstop, "ended")
-        if self._is_over is not None and self._is_over():
-            self.has_ended = True
-            return EventStatus.ReachedTermination(self._nonstop, "over")
+        for block, context in self._ending:
+            if block.ends_run(context, block.GetOutputPort(block.ending_signal).Eval(context)):
+                self.has_ended = True
+                return EventStatus.ReachedTermination(self._nonstop, "over")
         return EventStatus.DidNothing()
 
     def _is_sample(self, time_: float) -> bool:
@@ -124,21 +127,15 @@ class Monitor:
         if self._progress is not None and now - self._last_report > _REPORT_PERIOD:
             self._last_report = now
             self._progress(time_)
-        return self._after_step is not None and self._is_ended()
+        return self._after_step is not None and self._is_ended(self._after_step)
 
-    def _is_ended(self) -> bool:
-        then = self._after_step(self._simulator, self._nonstop)  # type: ignore[misc]
+    def _is_ended(self, after_step: Callable[[Simulator, Diagram], StepAction]) -> bool:
+        then = after_step(self._simulator, self._nonstop)
         if then is StepAction.WAIT:
             start = time.perf_counter()
             while then is StepAction.WAIT and not self._interruption.number:
                 time.sleep(_WAITING_PERIOD)
-                then = self._after_step(self._simulator, self._nonstop)  # type: ignore[misc]
+                then = after_step(self._simulator, self._nonstop)
             self.waited += time.perf_counter() - start
             self._simulator.ResetStatistics()  # the real-time rate is kept from here on
         return then is StepAction.END or bool(self._interruption.number)
-
-    def __enter__(self) -> "Monitor":
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        self._simulator.clear_monitor()  # each would keep the other alive

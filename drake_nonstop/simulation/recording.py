@@ -291,11 +291,8 @@ class Recording(LogSignals):
         Raises:
             RecordingError: the temporary folder cannot take them.
         """
-        kept: list[int] = []
-        count = len(self._taken[0])
-        for k, instant in enumerate(times):
-            if instant > (count + len(kept) - AT_SAMPLE) * SIGNAL_PERIOD:
-                kept.append(k)
+        instants = np.floor(times / SIGNAL_PERIOD + AT_SAMPLE)
+        kept = np.diff(instants, prepend=len(self._taken[0]) - 1) > 0
         self._taken[0].add(times[kept], samples[kept])
         self._taken[1].add(step_times, steps)
         self._store_many()

@@ -11,7 +11,7 @@ from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.loop.block_events import NotCompilableError
 from drake_nonstop.scenario.schema import AUTO, DIAGRAM, Scenario
 from drake_nonstop.simulation.compiled_run import tell_not_compiled
-from drake_nonstop.simulation.flight import Flight, Request, Viewer, told
+from drake_nonstop.simulation.flight import Flight, Request, Viewer, without_warnings
 from drake_nonstop.simulation.interruption import Interruption, current_interruption
 from drake_nonstop.simulation.preparation import LoopMaker
 from drake_nonstop.simulation.run import Run, RunInterrupted, RunStopped, StepAction, StepCheck
@@ -79,7 +79,7 @@ def simulate(
                 run = _simulate(request, interruption, engine or scenario.engine)
             except NotCompilableError as error:
                 tell_not_compiled(f"{error};")
-                with told():
+                with without_warnings():
                     run = _simulate(request, interruption, DIAGRAM)
         except RunStopped:
             raise
@@ -153,7 +153,7 @@ def _verified(
     )
     doubted = dataclasses.replace(run, unresolved=(*run.unresolved, doubt)) if doubt else run
     try:
-        with told(), current_interruption() as interruption:
+        with without_warnings(), current_interruption() as interruption:
             interruption.collect = lambda: doubted
             half = simulate(
                 scenario,

@@ -11,10 +11,9 @@ import json
 import lzma
 import os
 import struct
-import warnings
 import zipfile
 import zlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -26,12 +25,12 @@ from drake_nonstop.mechanics.signal_layouts import Entry
 from drake_nonstop.mechanics.signals import SIGNAL_PERIOD
 from drake_nonstop.scenario.loading import parse_scenario
 from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.simulation.flight import without_warnings
 from drake_nonstop.simulation.recording import AT_INSTANT, EVERY_STEP, RUN_SIGNALS, recorded_sizes
 from drake_nonstop.simulation.run import Run, solve_times_of
 from drake_nonstop.simulation.signal_table import SignalTable
 from drake_nonstop.validation import (
     ScenarioError,
-    ScenarioWarning,
     is_number,
     one_line,
     read_text,
@@ -71,17 +70,17 @@ _UNREADABLE = (
 
 
 def write_signals(path: Path, run: Run) -> None:
-    """Writes `signals.npz`, a signal at a time: not all of a long run are in memory."""
-    arrays = ((name, run.signals[name]) for name in run.signals)
-    _write(path, [(_TIME, run.time), (_ENTRIES, _entry_table(run))], arrays)
+    """Writes `signals.npz`."""
+    arrays: dict[str, Any] = {_TIME: run.time, _ENTRIES: _entry_table(run), **run.signals}
+    np.savez_compressed(path, **arrays)
 
 
 def write_steps(path: Path, run: Run) -> None:
     """Writes `steps.npz`."""
     facts = {name: getattr(run, name) for name in _FIELDS}
     facts[_OWN_BLOCKS] = run.replacements != {}
-    text = np.array(json.dumps(facts))
-    _write(path, [(_RUN, text)], ((name, run.steps[name]) for name in run.steps))
+    arrays: dict[str, Any] = {_RUN: np.array(json.dumps(facts)), **run.steps}
+    np.savez_compressed(path, **arrays)
 
 
 def load_signals(folder: Path | str) -> SignalTable:
@@ -122,8 +121,7 @@ def load_run(folder: Path | str, *, trust: bool = False) -> Run:
     if has_own_blocks:
         text = f"run = {folder}: blocks that its scenario does not name were in the loop; its "
         warn_user(f"{text}diagram is that of the scenario")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ScenarioWarning)  # they were told before it flew
+    with without_warnings():  # they were told before it flew
         diagram = make_nonstop(scenario)
     if not has_own_blocks:
         for file, values, sizes in zip(
@@ -250,17 +248,6 @@ def _check_sizes(path: Path, values: Mapping[str, NDArray], sizes: Mapping[str, 
         _require(columns == size, path, name, f"has {columns} columns, not {size} as its loop has")
 
 
-def _write(
-    path: Path, first: Iterable[tuple[str, NDArray]], rest: Iterable[tuple[str, NDArray]]
-) -> None:
-    """What `np.savez_compressed` would write."""
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
-        for arrays in (first, rest):
-            for name, values in arrays:
-                with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
-                    np.lib.format.write_array(file, values, allow_pickle=False)
-
-
 def _entry_table(run: Run) -> NDArray:
     """The rows of `entries`."""
     rows = [
@@ -269,12 +256,8 @@ def _entry_table(run: Run) -> NDArray:
         for column, entry in enumerate(run.entries.get(name, ()))
     ]
     columns = [np.array(column) for column in zip(*rows, strict=True)]
-    table = np.empty(
-        len(rows), dtype=[(n, c.dtype) for n, c in zip(_COLUMNS, columns, strict=True)]
-    )
-    for name, column in zip(_COLUMNS, columns, strict=True):
-        table[name] = column
-    return table
+    kinds = [(name, column.dtype) for name, column in zip(_COLUMNS, columns, strict=True)]
+    return np.rec.fromarrays(columns, dtype=kinds)
 
 
 def _entries(table: NDArray) -> Mapping[str, tuple[Entry, ...]]:

@@ -14,13 +14,14 @@ from benchmarks import instances as drawn
 from benchmarks.instances import Instance, Truth
 from benchmarks.peers import Solve, casadi_ipopt, scipy_slsqp
 from benchmarks.whole_tasks import ONE_SAMPLE, benchmark_tasks, tasks_table
-from drake_nonstop.benchmarks.running import versions
+from drake_nonstop.benchmarks.running import PACKAGES
 from drake_nonstop.blocks.optimization_layer import NonstopOptimizer, NonstopOptimizerConfig
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.margins import FEASIBILITY_TOLERANCE
 from drake_nonstop.optimization.update_data import UpdateData
 from drake_nonstop.optimization.update_solver import Answer, UpdateSolver
 from drake_nonstop.scenario.loading import load_scenario
+from drake_nonstop.simulation.metrics import versions
 from drake_nonstop.simulation.run import StepCheck
 from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.systems.drake_log import drake_log_level
@@ -117,7 +118,7 @@ def benchmark_optimizer(
         },
         "whole_tasks": benchmark_tasks(tasks, progress=progress),
         "times": f"each the median of {_REPEATS} solves, of one where that took over {_SLOW} s",
-        "versions": versions(),
+        "versions": versions(*PACKAGES),
     }
 
 
