@@ -4,6 +4,7 @@ import contextlib
 import json
 import os
 import re
+import shutil
 import statistics
 import subprocess
 import sys
@@ -233,8 +234,6 @@ def _other_name(results: dict[str, Any]) -> str:
 def checked_out(revision: str, checkout: Path = PACKAGE_PARENT) -> Iterator[Path]:
     """A folder with the files of a git revision, removed at the end.
 
-    The checkout may be a git worktree itself.
-
     Raises:
         ScenarioError: git is missing, the folder is no checkout with the package in it, or
             has no such revision.
@@ -265,16 +264,12 @@ def checked_out(revision: str, checkout: Path = PACKAGE_PARENT) -> Iterator[Path
     )
     with tempfile.TemporaryDirectory(prefix="drake_nonstop_") as folder:
         tree = Path(folder) / "revision"
-        try:
-            added = _git(
-                checkout, "worktree", "add", "--quiet", "--detach", str(tree), found.stdout.strip()
-            )
-            problem = (added.stderr.strip().splitlines() or ["no message"])[-1]
-            require(added.returncode == 0, field, revision, f"git cannot check it out ({problem})")
-            yield tree
-        finally:
-            # Twice, for one that was interrupted while it was made.
-            _git(checkout, "worktree", "remove", "--force", "--force", str(tree))
+        files = str(tree.with_suffix(".tar"))
+        packed = _git(checkout, "archive", "--output", files, found.stdout.strip())
+        problem = (packed.stderr.strip().splitlines() or ["no message"])[-1]
+        require(packed.returncode == 0, field, revision, f"git cannot pack it ({problem})")
+        shutil.unpack_archive(files, tree, filter="data")
+        yield tree
 
 
 def _git(folder: Path, *arguments: str) -> "subprocess.CompletedProcess[str]":

@@ -50,7 +50,12 @@ def compiled_loop_of(
     period = scenario.control_period
     reason = f"{steering[0]} need the steps of Drake's Simulator" if steering else ""
     reason = reason or reason_against(recording.nonstop, config, period)
-    reason = reason or _reason_against_period(period)
+    ratio = max(SIGNAL_PERIOD, period) / min(SIGNAL_PERIOD, period) if period > 0 else 1.0
+    if not reason and abs(ratio - round(ratio)) > SAME_RATIO * ratio:
+        reason = (
+            f"control_period = {period:g} and the {SIGNAL_PERIOD:g} s between signals are no "
+            "multiples of each other"
+        )
     if reason:
         tell_not_compiled(f"{reason};")
         return None
@@ -76,17 +81,6 @@ def recorded_loop(
 def tell_not_compiled(reason: str) -> None:
     """Warns of what is not compiled."""
     warn_user(f"{NOT_COMPILED}: {reason} the diagram is simulated instead")
-
-
-def _reason_against_period(period: float) -> str:
-    """Why signals every 10 ms do not go with a control period in s; empty where they do."""
-    ratio = max(SIGNAL_PERIOD, period) / min(SIGNAL_PERIOD, period)
-    if abs(ratio - round(ratio)) > SAME_RATIO * ratio:
-        return (
-            f"control_period = {period:g} and the {SIGNAL_PERIOD:g} s between signals are no "
-            "multiples of each other"
-        )
-    return ""
 
 
 @dataclass(frozen=True)
@@ -215,12 +209,7 @@ class CompiledRun:
         return monitor.ends(self._end, self._state)
 
     def _rows_of(self, simulator: Simulator, samples: int) -> NDArray:
-        """The signals (instants, size) of some samples of a diagram, as `CompiledFlight` has them.
-
-        Args:
-            simulator: of a diagram like the loop's.
-            samples: so many, and the start.
-        """
+        """Signals (instants, size) of a diagram like the loop's, of the start and some samples."""
         simulator.get_mutable_context().SetTimeStateAndParametersFrom(self._start)
         simulator.Initialize()
         shown, period = len(self._signal_ends), self._loop.control_period
@@ -236,28 +225,23 @@ class CompiledRun:
         Raises:
             NotCompilableError: they differ; it names a user's own block, where one shows it.
         """
-        if not len(self._expected):
-            return
         now, self._expected = np.split(self._expected, [len(signals)])
-        for shown, row in zip(signals, now, strict=False):
-            expected = by_name(self._loop.signals, row)
+        for row, expected_row in zip(signals, now, strict=False):
+            shown, expected = (by_name(self._loop.signals, each) for each in (row, expected_row))
             wrong = [
-                name
-                for name, values in by_name(self._loop.signals, shown).items()
-                if name != WALL_TIME and not _is_same(values, expected[name])
+                (maker_of(self._loop.diagram, name), name)
+                for name in shown
+                if name != WALL_TIME and not _is_same(shown[name], expected[name])
             ]
-            makers = [maker_of(self._loop.diagram, name) for name in wrong]
-            found = [*zip(wrong, makers, strict=True)]
-            for name, maker in sorted(found, key=lambda one: is_of_package(one[1])):
+            for maker, name in sorted(wrong, key=lambda one: is_of_package(one[0])):
                 raise NotCompilableError(maker, f"compiled, {name} is not what its diagram shows")
 
     def _is_over(self, steps: NDArray) -> int | None:
         """The first step after which a block ends the run."""
         shown = by_name(self._loop.step_signals, steps)
         for k in range(len(steps) if self._ending else 0):
-            for block, context in self._ending:
-                if block.ends_run(context, shown[block.ending_signal][k]):
-                    return k
+            if any(b.ends_run(context, shown[b.ending_signal][k]) for b, context in self._ending):
+                return k
         return None
 
     def _go_back(self) -> None:

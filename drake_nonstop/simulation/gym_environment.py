@@ -44,15 +44,15 @@ class NonstopEnv(DrakeGymEnv):
 
     def __init__(self, scenario: Scenario, action: str, time_step: float, reward: Reward | None):
         self._given, self._action = scenario, action
-        simulator = self._simulator_of(scenario.sampled())
-        model = _model(self._scenario)
+        simulator, actions = self._simulator_of(scenario.sampled())
         self._judge = reward or self._default_reward
         self._is_reset = False
-        size = LOAD_STATE_SIZE + LOAD_REFERENCE_SIZE + 6 * model.n
+        n = len(self._scenario.system.attachments)
+        size = LOAD_STATE_SIZE + LOAD_REFERENCE_SIZE + 6 * n
         super().__init__(
             simulator=simulator,
             time_step=time_step,
-            action_space=_action_space(self._scenario, model, action, self._resting),
+            action_space=actions,
             observation_space=gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float64),
             reward=lambda system, context: 0.0,
             action_port_id=_ACTIONS,
@@ -72,7 +72,7 @@ class NonstopEnv(DrakeGymEnv):
         if seed is not None:
             self.generator = RandomGenerator(seed)
         if self._given.sampled() is not self._given:  # it holds distributions
-            self.simulator = self._simulator_of(self._given.sampled(self.generator))
+            self.simulator, _ = self._simulator_of(self._given.sampled(self.generator))
             self._setup()
         simulator = self.simulator
         simulator.reset_context(simulator.get_system().CreateDefaultContext())
@@ -108,15 +108,18 @@ class NonstopEnv(DrakeGymEnv):
         require(np.ndim(reward) == 0 and np.isfinite(reward), "reward", reward, remedy)
         return observation.copy(), float(reward), bool(terminated), bool(truncated or is_over), info
 
-    def _simulator_of(self, scenario: Scenario) -> Simulator:
-        """A simulator of the loop of a scenario without distributions, which is flown from now."""
-        model = _model(scenario)
+    def _simulator_of(self, scenario: Scenario) -> tuple[Simulator, gymnasium.spaces.Box]:
+        """A simulator of the loop of a scenario without distributions, which is flown from now.
+
+        And the space of its actions.
+        """
+        model = Model(scenario.system, scenario.pattern, scenario.control_period)
         self._scenario = scenario
-        self._resting = _resting_action(scenario, model, self._action)
+        self._resting, actions = _actions(scenario, model, self._action)
         diagram, self._loop = _diagram(scenario, self._action, model.n)
         simulator = Simulator(diagram)
         ApplySimulatorConfig(scenario.simulator_config, simulator)
-        return simulator
+        return simulator, actions
 
     def _observation(self) -> NDArray:
         values: NDArray = self.observation_port.Eval(self.simulator.get_context())
@@ -132,10 +135,6 @@ class NonstopEnv(DrakeGymEnv):
         bound = self._scenario.speed_bound
         lacking = max(0.0, 1 - slowest / bound) if bound > 0 else 0.0
         return -float(np.linalg.norm(error)) / self._scenario.system.cable_length - lacking
-
-
-def _model(scenario: Scenario) -> Model:
-    return Model(scenario.system, scenario.pattern, scenario.control_period)
 
 
 def _as_action(action: Any, space: gymnasium.spaces.Box) -> NDArray:
@@ -174,30 +173,25 @@ def _diagram(scenario: Scenario, action: str, n: int) -> tuple[Diagram, Diagram]
     return builder.Build(), loop
 
 
-def _resting_action(scenario: Scenario, model: Model, action: str) -> NDArray:
-    """The layer's initial ξ and A, or the wrench that carries the weight."""
+def _actions(scenario: Scenario, model: Model, action: str) -> tuple[NDArray, gymnasium.spaces.Box]:
+    """The scenario's own action, and the space of all.
+
+    That is the layer's initial ξ and A within its bounds, or the wrench that carries the weight
+    within bounds by the weight.
+    """
     if action == PARAMETERS:
         layer = scenario.optimization_layer
-        return np.array([layer.frequency, layer.amplitude])
-    weight = model.load.mass * model.load.gravity
-    return np.array([0.0, 0.0, 0.0, 0.0, 0.0, float(np.squeeze(weight))])
-
-
-def _action_space(
-    scenario: Scenario, model: Model, action: str, resting: NDArray
-) -> gymnasium.spaces.Box:
-    """The bounds of ξ and A, or of torque and force, by the load's weight."""
-    if action == PARAMETERS:
-        layer = scenario.optimization_layer
+        resting = np.array([layer.frequency, layer.amplitude])
         bounds = [
             getattr(layer, f"{name}_bounds", None) or [0.5 * value, 2 * value]
             for name, value in zip(("frequency", "amplitude"), resting.tolist(), strict=True)
         ]
-        low, high = np.array(bounds).T
-        return gymnasium.spaces.Box(low, high, dtype=np.float64)
-    force = resting[-1]
-    reach = float(np.max(np.linalg.norm(model.attachments, axis=1)))
-    most = np.array([*3 * [force * reach], *3 * [force]])
-    least = -most
-    least[-1], most[-1] = 0.0, 2 * force
-    return gymnasium.spaces.Box(least, most, dtype=np.float64)
+        least, most = np.array(bounds).T
+    else:
+        force = float(np.squeeze(model.load.mass * model.load.gravity))
+        resting = np.array([0.0, 0.0, 0.0, 0.0, 0.0, force])
+        reach = float(np.max(np.linalg.norm(model.attachments, axis=1)))
+        most = np.array([*3 * [force * reach], *3 * [force]])
+        least = -most
+        least[-1], most[-1] = 0.0, 2 * force
+    return resting, gymnasium.spaces.Box(least, most, dtype=np.float64)

@@ -60,8 +60,7 @@ class Monitor:
         nonstop: the loop's diagram.
         interruption: what Ctrl-C leaves.
         take_sample: records the signals of the diagram.
-        progress: as of `simulate`.
-        after_step: likewise.
+        progress, after_step: as of `simulate`.
         ending: the blocks that may end the run, with their contexts. A block has
             `ends_run(context, shown)` of what its port shows that `ending_signal` names.
 

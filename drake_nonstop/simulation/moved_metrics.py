@@ -46,14 +46,11 @@ class Move:
     finer: float | None  # of that with shorter steps
 
     def __str__(self) -> str:
-        return f"{self.metric.quantity.label}: {self.shown}"
-
-    @property
-    def shown(self) -> str:
-        """Such as "0.262 N, and 0.696 N"."""
+        """Such as "least tension: 0.262 N, 0.696 N"."""
         values = [self.metric.shown(value) for value in (self.value, self.finer)]
         unit = self.metric.quantity.unit
-        return ", ".join("none" if v is None else f"{v:.4g} {unit}".rstrip() for v in values)
+        shown = ("none" if v is None else f"{v:.4g} {unit}".rstrip() for v in values)
+        return f"{self.metric.quantity.label}: {', '.join(shown)}"
 
 
 def moved_metrics(

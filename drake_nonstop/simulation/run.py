@@ -94,6 +94,8 @@ class Run(SignalTable):
         remedy = "give what LogSignals.AddToBuilder returns"
         require(hasattr(logs, "collect"), "logs", logs, remedy)
         time, signals, steps = logs.collect(context)
+        # Without the rounding of times.
+        longest = float(f"{np.max(np.diff(steps['time']), initial=0.0):.9g}")
         carriers, given = steps["carrier_state"].shape[1] // 6, len(scenario.system.attachments)
         remedy = f"give the scenario of the loop, with {carriers} of them"
         require(carriers == given, "system.attachments", given, remedy)
@@ -106,7 +108,7 @@ class Run(SignalTable):
             solve_times=solve_times_of(steps),
             wall_time=wall_time,
             stopped=stopped,
-            step=_longest(steps["time"]) if step is None else step,
+            step=longest if step is None else step,
             replacements=replacements,
             entries=logs.entries,
         )
@@ -128,11 +130,6 @@ class Run(SignalTable):
         from drake_nonstop.simulation.stored_run import load_run
 
         return load_run(folder, trust=trust)
-
-
-def _longest(times: NDArray) -> float:
-    """The longest step (s) between times (steps,), without their rounding."""
-    return float(f"{np.max(np.diff(times), initial=0.0):.9g}")
 
 
 def solve_times_of(steps: Mapping[str, NDArray]) -> NDArray:

@@ -382,11 +382,10 @@ def checkout(tmp_path):
 @pytest.mark.nightly("benchmarks")
 @needs_git
 def test_comparison_with_a_revision(checkout):
-    folder, git = checkout
+    folder, _ = checkout
     found = compare(QUICK, revision="higher", repeats=1, checkout=folder)
     assert found["load_path_difference_m"] > 0
     assert found["against_revision"] == "higher"
-    assert len(git("worktree", "list").splitlines()) == 1
 
 
 @pytest.mark.nightly("benchmarks")
@@ -398,27 +397,24 @@ def test_revisions_are_found_from_a_worktree(checkout, tmp_path):
     with checked_out("HEAD~1", tree) as folder:
         text = (folder / "drake_nonstop" / "diagrams" / "scenarios" / "quintic.yaml").read_text()
         assert "[1.0, 1.0, 1.0]" in text
-    assert len(git("worktree", "list").splitlines()) == 2
 
 
 @pytest.mark.nightly("benchmarks")
 @needs_git
 @pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])
-def test_worktree_is_removed_after_errors(error, checkout):
-    folder, git = checkout
+def test_files_of_a_revision_are_removed_after_errors(error, checkout):
+    folder, _ = checkout
     trees = []
 
     def fail():
         with checked_out("HEAD~1", folder) as tree:
             trees.append(tree)
             assert (tree / "drake_nonstop" / "__init__.py").is_file()
-            assert len(git("worktree", "list").splitlines()) == 2
             raise error
 
     with pytest.raises(error):
         fail()
     assert not trees[0].parent.exists()
-    assert len(git("worktree", "list").splitlines()) == 1
 
 
 @needs_git
@@ -439,7 +435,6 @@ def test_revisions_that_cannot_be_had_are_named(checkout, tmp_path):
         pytest.raises(ScenarioError, match="ImportError: out of order"),
     ):
         runs.run()
-    assert len(git("worktree", "list").splitlines()) == 1
 
 
 @pytest.mark.parametrize("name", ["quintic", "three_carriers"])
