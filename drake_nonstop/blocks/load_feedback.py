@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -164,15 +164,11 @@ class NoisyFeedback(LeafBlock):
     reads = ("load_state",)
     makes = ("measured_load_state",)
 
-    def __init__(self, model: Model, config: NoisyFeedbackConfig | None = None):
+    def __init__(self, model: Model, config: MeasurementConfig | None = None):
         super().__init__()
         config = config or NoisyFeedbackConfig()
-        deviations = {
-            "orientation_noise": config.orientation_noise,
-            "position_noise": config.position_noise,
-            "angular_velocity_noise": config.angular_velocity_noise,
-            "velocity_noise": config.velocity_noise,
-        }
+        parts = ("orientation", "position", "angular_velocity", "velocity")
+        deviations = {f"{part}_noise": getattr(config, f"{part}_noise") for part in parts}
         require_non_negative(_BOX, delay=config.delay, **deviations)
         require_positive(_BOX, period=config.period)
         require_period(f"{_BOX}.period", config.period)
@@ -187,16 +183,13 @@ class NoisyFeedback(LeafBlock):
         )
         self.period, self._seed = config.period, config.seed
         self.deviations = np.repeat(list(deviations.values()), 3)
-        self._load_state = self.DeclareVectorInputPort("load_state", LOAD_STATE_SIZE)
+        self.DeclareVectorInputPort("load_state", LOAD_STATE_SIZE)
         if self.delay_periods > 0:
             # The last samples, the newest first, their number, and the time of the newest.
-            self._samples = self.DeclareDiscreteState(LOAD_STATE_SIZE * self.delay_periods)
-            self._count = self.DeclareDiscreteState(1)
-            self._newest = self.DeclareDiscreteState([-np.inf])
-            self.DeclareInitializationDiscreteUpdateEvent(self._sample)
-            # The same offset as the sample-and-hold's: with another one, rounding would decide
-            # at each sample which of the two events comes first.
-            self.DeclarePeriodicDiscreteUpdateEvent(config.period, config.period, self._sample)
+            self.DeclareDiscreteState(LOAD_STATE_SIZE * self.delay_periods)
+            self.DeclareDiscreteState(1)
+            self.DeclareDiscreteState([-np.inf])
+            self._sample_each_period()
         self.DeclareVectorOutputPort(
             "measured_load_state",
             LOAD_STATE_SIZE,
@@ -204,11 +197,17 @@ class NoisyFeedback(LeafBlock):
             {self.all_input_ports_ticket(), self.time_ticket(), self.xd_ticket()},
         )
 
+    def _sample_each_period(self) -> None:
+        self.DeclareInitializationDiscreteUpdateEvent(self._sample)
+        # The same offset as the sample-and-hold's: with another one, rounding would decide at each
+        # sample which of the two events comes first.
+        self.DeclarePeriodicDiscreteUpdateEvent(self.period, self.period, self._sample)
+
     def _sample(self, context: Context, discrete_state: DiscreteValues) -> None:
-        newest = number(context.get_discrete_state(self._newest)[0])
+        newest = number(context.get_discrete_state(context.num_discrete_state_groups() - 1)[0])
         if number(context.get_time()) < newest + self.period / 2:
             return  # a run that starts at the instant of a sample triggers both events
-        for k, values in enumerate(NoisyFeedback.traced_update(self, InContext(self, context))):
+        for k, values in enumerate(self.traced_update(InContext(self, context))):
             discrete_state.set_value(k, values)
 
     @property
@@ -320,20 +319,10 @@ class EstimatedFeedback(NoisyFeedback):
 
     def __init__(self, model: Model, config: EstimatedFeedbackConfig | None = None):
         config = config or EstimatedFeedbackConfig()
-        measurement = {f.name: getattr(config, f.name) for f in fields(MeasurementConfig)}
-        super().__init__(model, NoisyFeedbackConfig(**measurement))
-        require_non_negative(
-            _BOX,
-            believed_position_noise=config.believed_position_noise,
-            believed_orientation_noise=config.believed_orientation_noise,
-            believed_velocity_noise=config.believed_velocity_noise,
-            believed_angular_velocity_noise=config.believed_angular_velocity_noise,
-        )
-        require_positive(
-            _BOX,
-            process_acceleration=config.process_acceleration,
-            process_angular_acceleration=config.process_angular_acceleration,
-        )
+        super().__init__(model, config)
+        values = vars(config).items()
+        require_non_negative(_BOX, **{k: v for k, v in values if k.startswith("believed")})
+        require_positive(_BOX, **{k: v for k, v in values if k.startswith("process")})
         self.rotation_gain = steady_state_gain(
             config.believed_orientation_noise,
             config.believed_angular_velocity_noise,
@@ -347,10 +336,10 @@ class EstimatedFeedback(NoisyFeedback):
             config.period,
         )
         # The estimate after the newest measurement, and that one's time.
-        self._estimate = self.DeclareDiscreteState(LOAD_STATE_SIZE)
-        self._estimated_at = self.DeclareDiscreteState([-np.inf])
-        self.DeclareInitializationDiscreteUpdateEvent(self._correct)
-        self.DeclarePeriodicDiscreteUpdateEvent(config.period, config.period, self._correct)
+        self.DeclareDiscreteState(LOAD_STATE_SIZE)
+        self.DeclareDiscreteState([-np.inf])
+        if self.delay_periods == 0:
+            self._sample_each_period()
 
     @property
     def trace_key(self) -> Any:
@@ -385,14 +374,6 @@ class EstimatedFeedback(NoisyFeedback):
             return corrected_state(state, self._measured(at), *gains)
 
         return chosen(newest[0] >= 0, after_the_start, lambda: at.input("load_state"))
-
-    def _correct(self, context: Context, discrete_state: DiscreteValues) -> None:
-        newest = number(context.get_discrete_state(self._estimated_at)[0])
-        if number(context.get_time()) < newest + self.period / 2:
-            return  # a run that starts at the instant of a sample triggers both events
-        at = InContext(self, context)
-        discrete_state.set_value(self._estimate, self._estimated(at, is_due=True))
-        discrete_state.set_value(self._estimated_at, at.time)
 
 
 def steady_state_gain(

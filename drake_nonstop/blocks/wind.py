@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.systems.framework import BasicVector, Context
 
 from drake_nonstop.mechanics.coloured_noise import (
     Waves,
@@ -80,29 +79,6 @@ class SteadyWindConfig(_MeanWindFields):
     """A velocity, and when it rises."""
 
 
-class _MeanWind(LeafBlock):
-    """A velocity that may rise, and what the controllers believe of it.
-
-    Args:
-        config: the block's.
-    """
-
-    makes = StillAir.makes
-
-    def __init__(self, config: _MeanWindFields):
-        super().__init__()
-        mean = MeanWind(_checked_velocity("velocity", config.velocity))
-        times = {"start_time": config.start_time, "rise_time": config.rise_time}
-        require_non_negative(_BOX, **times)
-        believed: NDArray | None = None
-        if config.believed is not None:
-            believed = _checked_velocity("believed", config.believed)
-        self._wind = Wind(mean, believed, config.start_time, config.rise_time)
-
-    def describe_wind(self) -> Wind:
-        return self._wind
-
-
 def _checked_velocity(name: str, value: Any) -> NDArray:
     velocity = require_array(f"{_BOX}.{name}", value, [3], "m/s, in W")
     is_wind = np.linalg.norm(velocity) <= _FASTEST
@@ -110,30 +86,52 @@ def _checked_velocity(name: str, value: Any) -> NDArray:
     return velocity
 
 
-class SteadyWind(_MeanWind):
+class SteadyWind(LeafBlock):
     """The same wind everywhere, from the beginning on or rising linearly from still air.
 
     Raises:
         ScenarioError: a field is out of range.
     """
 
-    def __init__(self, model: Model, config: SteadyWindConfig | None = None):
-        super().__init__(config or SteadyWindConfig())
-        self.is_sampled = is_constant = self._wind.is_constant
-        sources = {self.nothing_ticket() if is_constant else self.time_ticket()}
-        self.DeclareVectorOutputPort("wind", 3 * model.n, self._calc, sources)
-        self.DeclareVectorOutputPort("load_wind", WIND_SIZE, self._calc, sources)
-        self.DeclareVectorOutputPort("wind_estimate", WIND_SIZE, self._calc_estimate, sources)
+    makes = StillAir.makes
+    is_traced = False  # it is known beforehand
 
-    def _calc(self, context: Context, output: BasicVector) -> None:
-        positions = np.zeros((output.size() // WIND_SIZE, 3))  # none counts
-        output.SetFromVector(self._wind.at(np.array([context.get_time()]), positions).ravel())
+    def __init__(self, model: Model, config: _MeanWindFields | None = None):
+        super().__init__()
+        config = config or SteadyWindConfig()
+        velocity, believed = _checked_velocity("velocity", config.velocity), None
+        require_non_negative(_BOX, start_time=config.start_time, rise_time=config.rise_time)
+        if config.believed is not None:
+            believed = _checked_velocity("believed", config.believed)
+        mean = MeanWind.of(config, velocity)
+        self._wind = Wind(mean, believed, config.start_time, config.rise_time)
+        inputs = (("carrier_state", 6 * model.n), ("load_state", LOAD_STATE_SIZE))
+        read = {k: self.DeclareVectorInputPort(k, size) for k, size in inputs if k in self.reads}
+        self.is_sampled = self._wind.is_constant and not read
+        for name in self.makes:
+            sources = {self.nothing_ticket() if self.is_sampled else self.time_ticket()}
+            if read:
+                heights = read["carrier_state" if name == "wind" else "load_state"]
+                sources.add(self.input_port_ticket(heights.get_index()))
+            size = 3 * model.n if name == "wind" else WIND_SIZE
+            self.DeclareVectorOutputPort(name, size, shown(self, name), sources)
 
-    def _calc_estimate(self, context: Context, output: BasicVector) -> None:
-        if self._wind.believed is None:
-            self._calc(context, output)
-        else:
-            output.SetFromVector(self._wind.believed)
+    def describe_wind(self) -> Wind:
+        return self._wind
+
+    def traced_output(self, port: str, at: Any) -> NDArray:
+        if port == "wind_estimate" and self._wind.believed is not None:
+            return self._wind.believed
+        mean = self._wind.at(at.time, self._positions(port, at)).ravel()
+        return mean + self._gusts_at(port, at)
+
+    def _positions(self, port: str, at: Any) -> NDArray:
+        """Those (k, 3) of what a port is for: here none counts."""
+        return np.zeros((self.GetOutputPort(port).size() // WIND_SIZE, 3))
+
+    def _gusts_at(self, port: str, at: Any) -> Any:
+        """The gusts on top of what a port shows."""
+        return 0.0
 
 
 @dataclass(kw_only=True)
@@ -150,18 +148,23 @@ class WindProfileConfig(_ProfileFields):
     """A velocity, when it rises, and how it grows with the height."""
 
 
-class _Profile(_MeanWind):
-    """The mean wind at the heights of carriers and load.
+class WindProfile(SteadyWind):
+    """A wind that grows with the height above the ground by a power law, and may rise in time.
 
-    Args:
-        model: of the carriers.
-        config: the block's.
+    w = w_r (h/h_r)^α at the height h, which counts as 1 m below 1 m, see `mechanics.wind`.
+
+    Carrier and load states tell the heights.
+
+    Raises:
+        ScenarioError: a field is out of range.
     """
 
     reads = ("carrier_state", "load_state")
+    is_traced = True
 
-    def __init__(self, model: Model, config: _ProfileFields):
-        super().__init__(config)
+    def __init__(self, model: Model, config: _ProfileFields | None = None):
+        config = config or WindProfileConfig()
+        super().__init__(model, config)
         require_non_negative(_BOX, exponent=config.exponent)
         is_profile = config.exponent <= _STEEPEST
         require(is_profile, f"{_BOX}.exponent", config.exponent, f"give at most {_STEEPEST:g}")
@@ -175,15 +178,6 @@ class _Profile(_MeanWind):
         is_height = is_number(config.ground_height) and abs(config.ground_height) <= _HIGHEST_GROUND
         remedy = f"give a number of {_HIGHEST_GROUND:g} m at most"
         require(is_height, f"{_BOX}.ground_height", config.ground_height, remedy)
-        law = config.exponent, config.reference_height, config.ground_height
-        mean = MeanWind(self._wind.mean.velocity, *law)
-        self._wind = self._wind._replace(mean=mean)
-        carriers = self.DeclareVectorInputPort("carrier_state", 6 * model.n)
-        load = self.DeclareVectorInputPort("load_state", LOAD_STATE_SIZE)
-        for name, heights in zip(self.makes, (carriers, load, load), strict=True):
-            sources = {self.time_ticket(), self.input_port_ticket(heights.get_index())}
-            size = 3 * model.n if name == "wind" else WIND_SIZE
-            self.DeclareVectorOutputPort(name, size, shown(self, name), sources)
 
     @property
     def trace_key(self) -> Any:
@@ -191,33 +185,10 @@ class _Profile(_MeanWind):
         (velocity, *law), believed, *rise = self._wind[:4]
         return velocity.tobytes(), *law, None if believed is None else believed.tobytes(), *rise
 
-    def traced_output(self, port: str, at: Any) -> NDArray:
-        if port == "wind_estimate" and self._wind.believed is not None:
-            return self._wind.believed
+    def _positions(self, port: str, at: Any) -> NDArray:
         if port == "wind":
-            positions = CarrierStates.view(at.input("carrier_state")).positions
-        else:
-            positions = LoadState.view(at.input("load_state")).position[None]
-        return self._wind.at(at.time, positions).ravel() + self._gusts_at(port, at)
-
-    def _gusts_at(self, port: str, at: Any) -> Any:
-        """The gusts on top of what a port shows."""
-        return 0.0
-
-
-class WindProfile(_Profile):
-    """A wind that grows with the height above the ground by a power law, and may rise in time.
-
-    w = w_r (h/h_r)^α at the height h, which counts as 1 m below 1 m, see `mechanics.wind`.
-
-    Carrier and load states tell the heights.
-
-    Raises:
-        ScenarioError: a field is out of range.
-    """
-
-    def __init__(self, model: Model, config: WindProfileConfig | None = None):
-        super().__init__(model, config or WindProfileConfig())
+            return CarrierStates.view(at.input("carrier_state")).positions
+        return LoadState.view(at.input("load_state")).position[None]
 
 
 @dataclass(kw_only=True)
@@ -234,7 +205,7 @@ class GustyWindConfig(_ProfileFields):
     seed: int = 0  # of the gusts
 
 
-class GustyWind(_Profile):
+class GustyWind(WindProfile):
     """A `WindProfile` with seeded gusts, each carrier's its own.
 
     On each axis first-order coloured noise, of `mechanics.coloured_noise`, whose time constant is
