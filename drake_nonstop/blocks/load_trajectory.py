@@ -16,6 +16,7 @@ from pydrake.trajectories import PiecewisePolynomial
 from drake_nonstop.mechanics.circle import circular_motion
 from drake_nonstop.mechanics.reference_preview import ReferencePreview
 from drake_nonstop.mechanics.rotation import angular_motion, roll_pitch_yaw_to_quaternion
+from drake_nonstop.mechanics.signal_layouts import by_name
 from drake_nonstop.mechanics.signals import (
     LOAD_REFERENCE_SIZE,
     PLANNED_SIZE,
@@ -74,11 +75,8 @@ class _Coordinates:
 class _AlongTrajectory(TracedBlock):
     """A reference that is a function of coordinates along a trajectory.
 
-    Args:
-        trajectory: of the coordinates.
-        reference: takes the inputs, the coordinates, and the time, and returns `reference` and
-            `reference_higher_rates`.
-        others: as of `TracedBlock`.
+    `reference` takes the inputs, the coordinates, and the time, and returns `reference` and
+    `reference_higher_rates`; other arguments are those of `TracedBlock`.
     """
 
     def __init__(
@@ -162,10 +160,7 @@ def declare_preview(block: LeafBlock, preview: ReferencePreview) -> None:
 def _rows_of(
     coordinates: _Coordinates, reference: Callable[..., tuple[NDArray, NDArray]]
 ) -> Callable[[NDArray], dict[str, NDArray]]:
-    """What makes the rows of `reference` and its higher rates at times (k,) in s.
-
-    It does so by the function that the block traces.
-    """
+    """What makes the rows of both outputs at times (k,) in s, by the function that is traced."""
 
     @functools.cache  # most runs do not ask for any
     def traced() -> TracedFunction:
@@ -174,8 +169,7 @@ def _rows_of(
 
     def rows(times: NDArray) -> dict[str, NDArray]:
         vectors = np.concatenate([coordinates.rows(times), times[:, None]], axis=1)
-        found, size = traced().of_rows(vectors), LOAD_REFERENCE_SIZE
-        return {"reference": found[:, :size], "reference_higher_rates": found[:, size:]}
+        return by_name(_SIZES, traced().of_rows(vectors))
 
     return rows
 
@@ -260,6 +254,15 @@ class _Move(StrictFields):
         return _SMOOTH_STEPS[self.blend]
 
 
+@dataclass(kw_only=True)
+class _Displacement(_Move):
+    """A displacement from rest to rest."""
+
+    displacement: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])  # m
+    start_time: float = 0.0  # s, of the displacement
+    move_time: float = 10.0  # s, of the displacement
+
+
 def _array(config: _Move, name: str, meaning: str, *shape: int | None) -> NDArray:
     """A field of the config, checked."""
     return require_array(f"{_BOX}.{name}", getattr(config, name), shape, meaning)
@@ -272,9 +275,7 @@ def _pose(config: _Move, position: str, angles: str = "", meaning: str = "metres
 
 
 def _rest_to_rest(
-    config: "RestToRestConfig | CircleConfig | SteadyTurnConfig | PlannedTurnConfig",
-    start: NDArray,
-    change: NDArray,
+    config: "_Displacement | CircleConfig", start: NDArray, change: NDArray
 ) -> PiecewisePolynomial:
     """Coordinates that change from rest to rest, from `start_time` on, in `move_time`."""
     require_non_negative(_BOX, start_time=config.start_time)
@@ -284,13 +285,10 @@ def _rest_to_rest(
 
 
 @dataclass(kw_only=True)
-class RestToRestConfig(_Move):
+class RestToRestConfig(_Displacement):
     """Rest, a move in which each coordinate follows a polynomial from rest to rest, and rest."""
 
-    displacement: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])  # m
     roll_pitch_yaw: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])  # rad, change
-    start_time: float = 0.0  # s
-    move_time: float = 10.0  # s
 
 
 class RestToRest(LoadTrajectory):
@@ -453,13 +451,10 @@ class Circle(LoadTrajectory):
 
 
 @dataclass(kw_only=True)
-class SteadyTurnConfig(_Move):
+class SteadyTurnConfig(_Displacement):
     """A turn about the vertical at a constant rate, at rest or on the way from rest to rest."""
 
     yaw_rate: float = 0.4  # rad/s, at all times, counter-clockwise from above; not 0
-    displacement: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])  # m
-    start_time: float = 0.0  # s, of the displacement
-    move_time: float = 10.0  # s, of the displacement
 
 
 class SteadyTurn(LoadTrajectory):
@@ -489,12 +484,8 @@ class SteadyTurn(LoadTrajectory):
 
 
 @dataclass(kw_only=True)
-class PlannedTurnConfig(_Move):
+class PlannedTurnConfig(_Displacement):
     """A turn about the vertical at ξ, at rest or on the way from rest to rest."""
-
-    displacement: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])  # m
-    start_time: float = 0.0  # s, of the displacement
-    move_time: float = 10.0  # s, of the displacement
 
 
 class PlannedTurn(_AlongTrajectory):

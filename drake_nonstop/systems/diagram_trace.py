@@ -100,12 +100,8 @@ def _is_one_function(leaf: Any) -> bool:
 def trace_content(diagram: Diagram, wires: "Wires", outside: Callable[[System], bool]) -> Any:
     """What a diagram's trace depends on: diagrams of equal content have one trace.
 
-    It can be hashed. None: it is not known, see `LeafBlock.trace_key`.
-
-    Args:
-        diagram: what is traced.
-        wires: of the diagram.
-        outside: which of the diagram's own systems stand outside.
+    It can be hashed. None: it is not known, see `LeafBlock.trace_key`. `outside` tells which of the
+    diagram's own systems stand outside.
     """
     systems = [part for own in diagram.GetSystems() for part in _parts(own, outside)]
     numbers = {system: k for k, system in enumerate(systems)}
@@ -114,15 +110,16 @@ def trace_content(diagram: Diagram, wires: "Wires", outside: Callable[[System], 
         inputs, outputs = range(system.num_input_ports()), range(system.num_output_ports())
         sources = [wires.source(system, k) for k in inputs]
         read = [None if s is None else (numbers[s[0]], s[1]) for s in sources]
-        ports = [_port(system.get_input_port(k)) for k in inputs]
-        ports += [_port(system.get_output_port(k)) for k in outputs]
-        content = _content(system, outside)
+        ports = [system.get_input_port(k) for k in inputs]
+        ports += [system.get_output_port(k) for k in outputs]
+        content = _content(system, wires, outside)
         if content is None:
             return None
         if isinstance(system, Diagram) and not outside(system):
             locators = [system.get_output_port_locator(OutputPortIndex(k)) for k in outputs]
             content = [(numbers[part], int(index)) for part, index in locators]
-        found.append((tuple(read), tuple(ports), tuple(content)))
+        sizes = tuple((port.get_name(), port.size()) for port in ports)
+        found.append((tuple(read), sizes, tuple(content)))
     return tuple(found)
 
 
@@ -131,17 +128,15 @@ def _parts(system: System, outside: Callable[[System], bool]) -> Iterator[System
     return iter((system,)) if outside(system) else systems_in(system)
 
 
-def _port(port: Any) -> tuple[str, int]:
-    return port.get_name(), port.size()
-
-
-def _content(system: Any, outside: Callable[[System], bool]) -> Any:
+def _content(system: Any, wires: "Wires", outside: Callable[[System], bool]) -> Any:
     """What a leaf's part of a trace depends on, besides its ports; None: it is not known."""
     kind = type(system)
     if isinstance(system, Diagram) or outside(system):
         return ()
     if isinstance(system, _LINEAR):
-        return (kind, _response(system))
+        outputs = range(system.num_output_ports())
+        parts = [(k, *part) for k in outputs for part in wires.matrices_of(system, k).items()]
+        return (kind, *((k, name, matrix.full().tobytes()) for k, name, matrix in parts))
     if isinstance(system, (Integrator, TrajectorySource)):
         return (kind,)
     if not hasattr(system, "trace_key"):
@@ -149,16 +144,6 @@ def _content(system: Any, outside: Callable[[System], bool]) -> Any:
     is_own = is_of_package(system) or "trace_key" in vars(kind) or _is_one_function(system)
     key = system.trace_key if is_own else None
     return None if key is None else (kind, key)
-
-
-def _response(leaf: System) -> bytes:
-    """What a linear system makes of some drawn inputs: another one makes something else."""
-    context, rng = leaf.CreateDefaultContext(), np.random.default_rng(0)
-    for k in range(leaf.num_input_ports()):
-        port = leaf.get_input_port(k)
-        port.FixValue(context, rng.uniform(1.0, 2.0, port.size()))
-    outputs = range(leaf.num_output_ports())
-    return b"".join(leaf.get_output_port(k).Eval(context).tobytes() for k in outputs)
 
 
 class Wires:
@@ -226,41 +211,26 @@ class Instant:
         outside: Outside,
         is_outside: Callable[[System], bool],
     ):
-        self.wires, self.time = wires, time
-        self.states, self.parameters = states, parameters
-        self._outside, self._is_outside = outside, is_outside
-        self._known: dict[Place, NDArray] = {}
-        self._made: dict[Any, NDArray] = {}
+        self.wires, self.time, self.outside = wires, time, outside
+        self.states, self.parameters, self._is_outside = states, parameters, is_outside
+        self._shown: dict[Place, NDArray] = {}
+        self.made: dict[Any, NDArray] = {}  # what leaves make once, by leaf and key
 
     def output(self, system: System, index: int) -> NDArray:
         """What an output port shows, flat."""
-        if self._is_outside(self.wires.block_of(system)):
-            block, number = self._outermost(system, index)
-            return self._outside(block, number, block.get_output_port(number).size())
+        block = self.wires.block_of(system)
+        if self._is_outside(block):
+            if system is not block:
+                path = system.GetSystemPathname()
+                raise ValueError(f"system = {path}: it is inside what stands outside")
+            return self.outside(block, int(index), block.get_output_port(int(index)).size())
         while isinstance(system, Diagram):
             system, index = system.get_output_port_locator(OutputPortIndex(int(index)))
         place = (system, int(index))
-        if place not in self._known:
-            values = _output(system, int(index), At(self, system))
-            self._known[place] = values if values.dtype == object else constants(values)
-        return self._known[place]
-
-    def known(self, leaf: System, name: int | str, size: int) -> NDArray:
-        """A quantity that a leaf knows beforehand, see `At.known`."""
-        return self._outside(leaf, name, size)
-
-    def once(self, key: Any, make: Callable[[], NDArray]) -> NDArray:
-        """What is made for a key, the first time that it is asked for."""
-        if key not in self._made:
-            self._made[key] = make()
-        return self._made[key]
-
-    def _outermost(self, system: System, index: int) -> Place:
-        """The same port as one of the diagram's own subsystem."""
-        block = self.wires.block_of(system)
-        if system is block:
-            return system, int(index)
-        raise ValueError(f"system = {system.GetSystemPathname()}: it is inside what stands outside")
+        if place not in self._shown:
+            values = _output(system, int(index), self)
+            self._shown[place] = values if values.dtype == object else constants(values)
+        return self._shown[place]
 
     def input(self, system: System, index: int) -> NDArray | None:
         """What an input port reads, flat; None: it is not connected."""
@@ -303,7 +273,7 @@ class At:
         It is what a port shows, by its number, or one of the block's own, by its name: the leaf's
         method `quantities_over(names, times)` gives rows (k, size) of each, at times (k,) in s.
         """
-        return self._instant.known(self._leaf, name, size)
+        return self._instant.outside(self._leaf, name, size)
 
     @property
     def time(self) -> NDArray:
@@ -319,27 +289,27 @@ class At:
         """The continuous state (0), or a discrete group (from 1 on)."""
         return self._instant.states[self._leaf][group]
 
-    def matrices(self, index: int) -> dict[str, casadi.DM]:
-        """Of a linear leaf, from each input that an output reads, by the names of the inputs."""
-        return self._instant.wires.matrices_of(self._leaf, index)
-
     def once(self, key: Any, make: Callable[[], NDArray]) -> NDArray:
         """What the leaf makes for several ports, and is made once."""
-        return self._instant.once((self._leaf, key), make)
+        made, own = self._instant.made, (self._leaf, key)
+        if own not in made:
+            made[own] = make()
+        return made[own]
 
     def _index(self, name: str) -> int:
         return int(self._leaf.GetInputPort(name).get_index())
 
 
-def _output(leaf: Any, index: int, at: At) -> NDArray:
+def _output(leaf: Any, index: int, instant: Instant) -> NDArray:
+    at, port = At(instant, leaf), leaf.get_output_port(index)
     if hasattr(leaf, "traced_output"):
-        return leaf.traced_output(leaf.get_output_port(index).get_name(), at)
+        return leaf.traced_output(port.get_name(), at)
     if isinstance(leaf, Integrator):
         return at.state(0)
     if isinstance(leaf, TrajectorySource):
-        return at.known(index, leaf.get_output_port(index).size())
-    total = casadi.SX.zeros(leaf.get_output_port(index).size())
-    for name, matrix in at.matrices(index).items():
+        return at.known(index, port.size())
+    total = casadi.SX.zeros(port.size())
+    for name, matrix in instant.wires.matrices_of(leaf, index).items():
         total += matrix @ casadi.vertcat(*at.input(name))
     return object_array(casadi.densify(total))
 
