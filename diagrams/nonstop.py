@@ -32,6 +32,7 @@ from drake_nonstop.blocks import (
     wind,
     wrench_controller,
 )
+from drake_nonstop.blocks.sample_and_hold import SAMPLE_AND_HOLD
 from drake_nonstop.loop import assembly
 from drake_nonstop.loop.assembly import (
     Loop,
@@ -43,7 +44,6 @@ from drake_nonstop.loop.assembly import (
 )
 from drake_nonstop.loop.box import Box, Kind, Place
 from drake_nonstop.loop.equilibrium import set_default_equilibrium
-from drake_nonstop.loop.sample_and_hold import SAMPLE_AND_HOLD
 from drake_nonstop.systems import wiring
 from drake_nonstop.validation import require_flags
 

@@ -27,7 +27,7 @@ from drake_nonstop.model.pattern import (
     LinearPatternConfig as LinearPatternConfig,
 )
 from drake_nonstop.model.system import Model as Model
-from drake_nonstop.blocks.load_trajectory import LoadTrajectory as LoadTrajectory
+from drake_nonstop.blocks.along_trajectory import LoadTrajectory as LoadTrajectory
 from drake_nonstop.blocks.reference_governor import (
     ReferenceGovernor as ReferenceGovernor,
     ReferenceGovernorConfig as ReferenceGovernorConfig,
@@ -55,7 +55,7 @@ from drake_nonstop.systems.wiring import (
     connect_by_name as connect_by_name,
     connect_remaining as connect_remaining,
 )
-from drake_nonstop.loop.sample_and_hold import add_sample_and_hold as add_sample_and_hold
+from drake_nonstop.blocks.sample_and_hold import add_sample_and_hold as add_sample_and_hold
 from drake_nonstop.loop.compiled_loop import CompiledLoop as CompiledLoop
 from drake_nonstop.loop.compiled_flight import CompiledFlight as CompiledFlight
 from drake_nonstop.loop.compiled_system import CompiledSystem as CompiledSystem

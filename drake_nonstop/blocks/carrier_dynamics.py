@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.framework import Context, System
-from pydrake.systems.primitives import Selector
 
 from drake_nonstop.blocks.jsbsim_carriers import JsbsimCarriers, JsbsimCarriersConfig
 from drake_nonstop.mechanics.aircraft import (
@@ -26,7 +25,7 @@ from drake_nonstop.mechanics.carrier import (
     double_integrator_rate,
     loaded_carrier_rate,
 )
-from drake_nonstop.model.block import Block
+from drake_nonstop.model.block import Block, SelectorBlock
 from drake_nonstop.model.block_parameters import (
     AIRCRAFT_NUMBERS,
     BlockParameters,
@@ -36,11 +35,8 @@ from drake_nonstop.model.block_parameters import (
 )
 from drake_nonstop.model.descriptions import CarrierMotion
 from drake_nonstop.model.system import Model
-from drake_nonstop.systems.block import BlockType
-from drake_nonstop.systems.documentation import documented
 from drake_nonstop.systems.parameters import parameters_in
 from drake_nonstop.systems.requirements import LoopBlocks
-from drake_nonstop.systems.traced_block import stacking
 from drake_nonstop.validation import StrictFields, is_number, require
 
 
@@ -170,8 +166,7 @@ class IdealCarriersConfig(StrictFields):
     """No parameters."""
 
 
-@documented
-class IdealCarriers(Selector, metaclass=BlockType):
+class IdealCarriers(SelectorBlock):
     """Ideal tracking: the carriers' state is their reference, whatever the controller does.
 
     The load's error that remains with them is not due to the carriers. Behind sampled
@@ -184,8 +179,7 @@ class IdealCarriers(Selector, metaclass=BlockType):
     requires = _requires_points
 
     def __init__(self, model: Model, config: IdealCarriersConfig | None = None):
-        """Makes the block; it takes a `model` and a `config` (None: the default values)."""
-        super().__init__(stacking({"carrier_reference": 6 * model.n}, "carrier_state"))
+        super().__init__(model, config)
         self.parameters = BlockParameters(model, rules=Rules(fixed=("carrier_mass",)))
         self._mass = model.carrier_mass
 

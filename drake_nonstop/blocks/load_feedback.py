@@ -9,25 +9,21 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import DiscreteAlgebraicRiccatiEquation
 from pydrake.systems.framework import Context, DiscreteValues
-from pydrake.systems.primitives import Selector
 
 from drake_nonstop.mechanics.load_estimate import corrected_state, predicted_state
 from drake_nonstop.mechanics.rotation import rotate_quaternion
 from drake_nonstop.mechanics.signals import (
-    LOAD_REFERENCE_SIZE,
     LOAD_STATE_SIZE,
     TRACKING_ERROR_SIZE,
     LoadState,
     TrackingError,
 )
 from drake_nonstop.mechanics.tethered_loop import Estimator
-from drake_nonstop.model.block import Block
+from drake_nonstop.model.block import Block, SelectorBlock
 from drake_nonstop.model.descriptions import LoadMeasurement
 from drake_nonstop.model.system import Model
-from drake_nonstop.systems.block import BlockType, LeafBlock, number
-from drake_nonstop.systems.documentation import documented
+from drake_nonstop.systems.block import LeafBlock, number
 from drake_nonstop.systems.in_context import InContext, shown
-from drake_nonstop.systems.traced_block import stacking
 from drake_nonstop.systems.tracing import chosen
 from drake_nonstop.validation import (
     StrictFields,
@@ -47,16 +43,11 @@ class IdealFeedbackConfig(StrictFields):
     """No parameters."""
 
 
-@documented
-class IdealFeedback(Selector, metaclass=BlockType):
+class IdealFeedback(SelectorBlock):
     """The load's state, exact and without delay."""
 
     reads = ("load_state",)
     makes = ("measured_load_state",)
-
-    def __init__(self, model: Model, config: IdealFeedbackConfig | None = None):
-        """Makes the block; it takes a `model` and a `config` (None: the default values)."""
-        super().__init__(stacking({"load_state": LOAD_STATE_SIZE}, "measured_load_state"))
 
     def describe_response(self) -> LoadMeasurement:
         return LoadMeasurement()
@@ -90,8 +81,7 @@ class DesiredAttitudeFeedbackConfig(StrictFields):
     """No parameters."""
 
 
-@documented
-class DesiredAttitudeFeedback(Selector, metaclass=BlockType):
+class DesiredAttitudeFeedback(SelectorBlock):
     """The load's position and velocity, exact and without delay; its attitude as desired.
 
     This opens the attitude loop: neither the torque nor the directions of the cable forces follow
@@ -104,19 +94,11 @@ class DesiredAttitudeFeedback(Selector, metaclass=BlockType):
     reads = ("load_state", "reference")
     makes = ("measured_load_state",)
 
-    def __init__(self, model: Model, config: DesiredAttitudeFeedbackConfig | None = None):
-        """Makes the block; it takes a `model` and a `config` (None: the default values)."""
-        sizes = {"load_state": LOAD_STATE_SIZE, "reference": LOAD_REFERENCE_SIZE}
-        params = stacking(sizes, "measured_load_state")
-        entries = np.arange(LOAD_STATE_SIZE)
-        state, desired = LoadState.view(entries), LoadState.view(LOAD_STATE_SIZE + entries)
-        chosen = LoadState(
-            desired.quaternion, state.position, desired.angular_velocity, state.velocity
-        )
-        (output,) = params.outputs
-        output.selections = [output.selections[i] for i in np.concatenate(chosen)]
-        params.outputs = [output]
-        super().__init__(params)
+    @staticmethod
+    def entries(count: int) -> NDArray:
+        state, desired = map(LoadState.view, np.split(np.arange(count), [LOAD_STATE_SIZE]))
+        chosen = desired.quaternion, state.position, desired.angular_velocity, state.velocity
+        return np.concatenate(chosen)
 
     def describe_response(self) -> LoadMeasurement:
         is_measured = np.ones(TRACKING_ERROR_SIZE)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydrake.autodiffutils import AutoDiffXd
 from pydrake.systems.framework import BasicVector, Context, System
 
-from drake_nonstop.blocks.load_trajectory import declare_preview
+from drake_nonstop.blocks.along_trajectory import declare_preview
 from drake_nonstop.mechanics.reference_preview import ReferencePreview
 from drake_nonstop.mechanics.signals import (
     LOAD_REFERENCE_SIZE,

@@ -11,9 +11,9 @@ from pydrake.systems.analysis import SimulatorConfig
 from pydrake.systems.framework import Diagram, DiagramBuilder, System
 
 from drake_nonstop.blocks.reference_governor import ReferenceGovernorConfig, governed
+from drake_nonstop.blocks.sample_and_hold import SAMPLE_AND_HOLD, hold_of
 from drake_nonstop.loop.box import Box, block_class, block_of, import_path, kept_parameters
 from drake_nonstop.loop.loop_response import speed_margin_for, warn_of_margin
-from drake_nonstop.loop.sample_and_hold import SAMPLE_AND_HOLD, hold_of
 from drake_nonstop.mechanics.reference_preview import ReferencePreview
 from drake_nonstop.mechanics.signal_layouts import Layout
 from drake_nonstop.mechanics.signals import LoadReference

@@ -12,11 +12,13 @@ from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
+from pydrake.systems.primitives import Selector, SelectorParams
 
 from drake_nonstop.mechanics.signal_layouts import HELD, SIGNALS
 from drake_nonstop.model.block_parameters import BlockParameters, Rules
 from drake_nonstop.model.system import AIRCRAFT, OFFSET, Model
-from drake_nonstop.systems.documentation import own_config_class
+from drake_nonstop.systems.block import BlockType
+from drake_nonstop.systems.documentation import documented, own_config_class
 from drake_nonstop.systems.traced_block import BetweenSamples, Start, TracedBlock, TracedDynamics
 from drake_nonstop.systems.tracing import NotFiniteError
 from drake_nonstop.validation import ScenarioError, one_line, require, require_array
@@ -104,7 +106,7 @@ class Block(TracedBlock):
         if state is not None:
             state = require_array(self._said("state"), state, [None], "numbers, the first state")
         has_state = state is not None and self.has_state(model, config)
-        outputs = self._sizes(model, self.makes)
+        outputs = signal_sizes(type(self), model, self.makes)
         self._require_sound(constants, parameters, reads, has_state)
         made = {name: size for name, size in outputs.items() if name != self.state_port}
         if state is not None:
@@ -117,7 +119,7 @@ class Block(TracedBlock):
             kept.append(("state", state.tobytes()))
         super().__init__(
             function,
-            inputs=self._sizes(model, reads),
+            inputs=signal_sizes(type(self), model, reads),
             outputs=outputs,
             optional=[name for name in self.optional_inputs if name in reads],
             reads_time=self.reads_time,
@@ -246,19 +248,6 @@ class Block(TracedBlock):
             rules=Rules(**{"check": self.check, "structure": self.has_state} | rules),
         )
 
-    def _sizes(self, model: Model, names: Iterable[str]) -> dict[str, int]:
-        layouts = SIGNALS | getattr(self, "signal_layouts", {})
-        sizes = {}
-        for name in names:
-            layout: Any = layouts.get(name.removeprefix(HELD))
-            remedy = (
-                "it is no vector among the figure's signals; correct the name, or give its layout, "
-                f'such as signal_layouts = {{"{name}": Layout(Part("", "3", "m"))}}'
-            )
-            require(layout is not None, f"{type(self).__name__} reads or makes", name, remedy)
-            sizes[name] = layout.count(model.n, model.m)
-        return sizes
-
     def _explained(self, member: str, function: Callable, sizes: Mapping[str, int]) -> Callable:
         """A function that returns arrays of these sizes; what is wrong is said in a sentence.
 
@@ -304,3 +293,50 @@ def _is_numeric(value: Any) -> bool:
     except (TypeError, ValueError):  # no numbers, or rows of several lengths
         return False
     return array.size > 0
+
+
+def signal_sizes(block: type, model: Model, names: Iterable[str]) -> dict[str, int]:
+    """The sizes of the signals of these names, by the figure's layouts or those of the block.
+
+    Raises:
+        ScenarioError: there is no vector of a name.
+    """
+    layouts = SIGNALS | getattr(block, "signal_layouts", {})
+    sizes = {}
+    for name in names:
+        layout: Any = layouts.get(name.removeprefix(HELD))
+        remedy = (
+            "it is no vector among the figure's signals; correct the name, or give its layout, "
+            f'such as signal_layouts = {{"{name}": Layout(Part("", "3", "m"))}}'
+        )
+        require(layout is not None, f"{block.__name__} reads or makes", name, remedy)
+        sizes[name] = layout.count(model.n, model.m)
+    return sizes
+
+
+class SelectorBlock(Selector, metaclass=BlockType):
+    """A block whose signal has entries of those that it reads: without a call into Python."""
+
+    reads: ClassVar[tuple[str, ...]] = ()
+    makes: ClassVar[tuple[str, ...]] = ()
+
+    def __init_subclass__(cls) -> None:
+        documented(cls)
+
+    def __init__(self, model: Model, config: Any = None):
+        """Makes the block; it takes a `model` and a `config` (None: the default values)."""
+        sizes = signal_sizes(type(self), model, self.reads)
+        inputs = [SelectorParams.InputPortParams(name=k, size=size) for k, size in sizes.items()]
+        places = [(i, k) for i, size in enumerate(sizes.values()) for k in range(size)]
+        selections = [
+            SelectorParams.OutputSelection(input_port_index=i, input_offset=k)
+            for i, k in (places[entry] for entry in self.entries(len(places)))
+        ]
+        (name,) = self.makes
+        output = SelectorParams.OutputPortParams(name=name, selections=selections)
+        super().__init__(SelectorParams(inputs=inputs, outputs=[output]))
+
+    @staticmethod
+    def entries(count: int) -> Iterable[int]:
+        """Those of the stacked inputs, so many, that the output has: all of them."""
+        return range(count)

@@ -22,7 +22,6 @@ from pydrake.systems.framework import (
     State,
     ValueProducer,
 )
-from pydrake.systems.primitives import SelectorParams
 
 from drake_nonstop.mechanics.signal_layouts import SAMPLE_TIME
 from drake_nonstop.systems.block import LeafBlock, number, weakly
@@ -526,25 +525,3 @@ def _calc_whole(block: Callable[[], Any], k: int) -> Callable[[Context, Any], No
 
 def _calc(block: Callable[[], Any], name: str) -> Callable[[Context, BasicVector], None]:
     return lambda context, output: output.SetFromVector(block()._evaluated(context, name))
-
-
-def stacking(sizes: Mapping[str, int], output: str = "stacked") -> SelectorParams:
-    """Of a Selector that makes one vector of inputs of these names and sizes.
-
-    Unlike Drake's Multiplexer it does nothing while only the time changes.
-    """
-    places = [(i, k) for i, size in enumerate(sizes.values()) for k in range(size)]
-    return SelectorParams(
-        inputs=[
-            SelectorParams.InputPortParams(name=name, size=size) for name, size in sizes.items()
-        ],
-        outputs=[
-            SelectorParams.OutputPortParams(
-                name=output,
-                selections=[
-                    SelectorParams.OutputSelection(input_port_index=i, input_offset=k)
-                    for i, k in places
-                ],
-            )
-        ],
-    )
