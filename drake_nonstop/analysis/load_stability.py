@@ -4,6 +4,7 @@ A quick analysis of a formation: the load and the integrals of its controller, w
 own dynamics and without samples. `studies.stability` has the whole loop, and takes minutes.
 """
 
+import functools
 import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -41,7 +42,6 @@ _PHASES = 32  # of a turn at which the Jacobian is evaluated
 _TURN_OF_FASTEST = 2.0  # rad, that the fastest mode turns in a step, which a series integrates
 _LEAST_STEPS, _MOST_STEPS = 48, 4096  # of a turn
 _STRETCH = 1e-3  # of their length, at an equal share of the weight: cables taken not to stretch
-_TERMS = 10  # of the exponential's series, for matrices of norm 1/2
 _LARGEST = 1e100  # of a Jacobian's entries, which are in mixed units
 
 _MOTION = slice(0, 12)  # of rotation, position, angular velocity and velocity among deviations
@@ -311,10 +311,11 @@ def _monodromy(jacobians: NDArray, period: float, fastest: float) -> NDArray:
     By the fourth-order Magnus expansion of steps with two Gauss points, with J interpolated
     trigonometrically; Blanes, Casas and Ros, BIT 42 (2002), eq. 3.2.
     """
-    size = jacobians.shape[1]
+    from scipy.linalg import expm  # here: the import takes 0.2 s, which runs do not need
+
     count = max(_LEAST_STEPS, math.ceil(period * fastest / _TURN_OF_FASTEST))
     # Rates in units of the fastest mode, so that the matrices are of its size.
-    scale = np.ones(size)
+    scale = np.ones(jacobians.shape[1])
     scale[6:12] = max(fastest, 1 / period)
     scaled = jacobians * scale / scale[:, None]
     step = period / count
@@ -325,23 +326,4 @@ def _monodromy(jacobians: NDArray, period: float, fastest: float) -> NDArray:
     )
     exponent = step / 2 * (first + second)
     exponent += math.sqrt(3) / 12 * step**2 * (second @ first - first @ second)
-    maps = _exponentials(exponent)
-    while len(maps) > 1:  # products of neighbours, the later ones on the left
-        if len(maps) % 2:
-            maps = np.concatenate([maps, np.eye(size)[None]])
-        maps = maps[1::2] @ maps[::2]
-    return maps[0]
-
-
-def _exponentials(matrices: NDArray) -> NDArray:
-    """The exponentials of matrices (k, s, s), by a series and squares of it."""
-    norm = float(np.max(np.abs(matrices).sum(axis=1)))
-    halvings = max(0, math.ceil(math.log2(max(norm, 1e-9))) + 1)
-    scaled = matrices / 2**halvings
-    identity = np.eye(matrices.shape[1])
-    result = identity + scaled / _TERMS
-    for i in range(_TERMS - 1, 0, -1):
-        result = identity + scaled @ result / i
-    for _ in range(halvings):
-        result = result @ result
-    return result
+    return functools.reduce(lambda turn, step: step @ turn, expm(exponent))

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 _FOLLOWED = 1e12  # times that a deviation grows, beyond which it is not followed
-_TERMS = 9  # of the exponential's series, for a matrix of norm 1/4
+_AT_ONCE = 64  # maps that are interpolated
 
 
 class SampledLoop(NamedTuple):
@@ -42,26 +42,14 @@ def sampled_loop(
     The state at a sample is that before the reset. Outputs are seen just after the sample, and at
     `instants` instants that divide the period in s, the last one just before the next sample.
     """
-    step = matrix_exponential(dynamics * period / instants)
+    from scipy.linalg import expm  # here: the import takes 0.2 s, which few runs need
+
+    step = expm(dynamics * period / instants)
     maps = [np.eye(len(dynamics))]
     for _ in range(instants):
         maps.append(step @ maps[-1])
     after = np.stack([outputs @ part for part in maps])
     return SampledLoop(maps[-1] @ reset, maps[-1] @ inputs, after @ reset, after @ inputs)
-
-
-def matrix_exponential(matrix: NDArray) -> NDArray:
-    """e^M of a square matrix: its series, scaled and squared."""
-    norm = np.linalg.norm(matrix, 1)
-    halvings = max(0, int(np.ceil(np.log2(4 * norm + 1e-300))))
-    scaled = matrix / 2**halvings
-    result = term = np.eye(len(matrix))
-    for i in range(1, _TERMS + 1):
-        term = term @ scaled / i
-        result = result + term
-    for _ in range(halvings):
-        result = result @ result
-    return result
 
 
 def parts_of_turn(turn: float, period: float, about: float) -> tuple[int, int]:
@@ -86,15 +74,17 @@ def interpolated(values: NDArray, turns: NDArray) -> NDArray:
     return (waves @ spectrum).real.reshape(len(turns), *values.shape[1:])
 
 
-def growth(transitions: NDArray) -> float:
-    """By how much a deviation grows in a turn of these maps (l, s, s) from sample to sample.
+def map_of_turn(maps: NDArray, samples: int) -> NDArray:
+    """The map (s, s) of a turn of so many samples, of maps (k, s, s) of one at even phases of it.
 
-    The largest magnitude of the Floquet multipliers.
+    Its eigenvalues are the Floquet multipliers.
     """
-    turn = np.eye(transitions.shape[1])
-    for transition in transitions:
-        turn = transition @ turn
-    return float(np.max(np.abs(np.linalg.eigvals(turn)), initial=0.0))
+    turn = np.eye(maps.shape[1])
+    for start in range(0, samples, _AT_ONCE):
+        some = np.arange(start, min(start + _AT_ONCE, samples))
+        for step in interpolated(maps, some / samples):
+            turn = step @ turn
+    return turn
 
 
 class Grown(NamedTuple):

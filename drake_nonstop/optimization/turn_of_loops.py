@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.sampled_loop import (
     SampledLoop,
-    growth,
-    interpolated,
+    map_of_turn,
     parts_of_turn,
 )
 from drake_nonstop.mechanics.tethered_loop import Cables, Carriers, Estimator, Orbit, tethered_loop
@@ -47,7 +46,6 @@ class TurnOfLoops(NamedTuple):
     orbits: list[Orbit]
     loops: list[SampledLoop]
     samples: int  # that each of them lasts
-    transitions: NDArray  # (l, s, s), the maps from sample to sample of the turn
     rate: float  # 1/s, at which a deviation grows from turn to turn, the largest one
 
 
@@ -78,9 +76,8 @@ def turn_of_loops(
     loops = loops_at(model, plant, carriers, feedback, orbits)
     whole = max(1, round(turn / feedback.period))
     maps = np.stack([loop.transition for loop in loops])
-    transitions = interpolated(maps, np.arange(whole) / whole)
-    rate = math.log(growth(transitions)) / (whole * feedback.period)
-    return TurnOfLoops(orbits, loops, samples, transitions, rate)
+    growth = np.max(np.abs(np.linalg.eigvals(map_of_turn(maps, whole))))
+    return TurnOfLoops(orbits, loops, samples, math.log(growth) / (whole * feedback.period))
 
 
 def loops_at(

@@ -119,7 +119,7 @@ def _hidden_growth(loop: LinearizedLoop, step: float, duration: float) -> tuple[
     """
     if not loop.is_continuous:
         return "", False
-    exact, (stepped,) = loop.growths([step])
+    exact, stepped = loop.growths(step)
     grown, difference = duration * max(exact, stepped), duration * abs(stepped - exact)
     if grown < _GROWN or difference < _DIFFERENTLY_GROWN:
         amplified = difference * math.exp(min(grown, 100.0) - _GROWN)

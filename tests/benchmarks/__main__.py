@@ -113,7 +113,6 @@ def _optimizer(options: argparse.Namespace) -> int:
     known = [*optimizer.SOLVERS, *optimizer.PEERS]
     for name in options.solvers:
         require(name in known, "--solvers", name, f"give some of {', '.join(known)}")
-        require(optimizer.is_installed(name), "--solvers", name, "install SciPy")
     require(options.instances > 0, "--instances", options.instances, "give at least 1")
     require_seed("--seed", options.seed)
     for name in options.tasks:
@@ -179,7 +178,7 @@ def _report(options: argparse.Namespace) -> int:
     ]
     files = ["report.md"]
     if not options.quick:  # what is missing is said before all is measured
-        require_installed("report", PIL="pillow", scipy="scipy", pytest="pytest")
+        require_installed("report", PIL="pillow", pytest="pytest")
         require_drawing()
         from benchmarks.pictures import FILES, make_pictures
 

@@ -213,7 +213,7 @@ def wrong_shares(text: str, results: dict[str, Any]) -> list[str]:
     for name, *printed in rows:
         found = results["instances"]["solvers"].get(name)
         if found is None:
-            wrong.append(f"{name}: not measured: install it, `pip install scipy`")
+            wrong.append(f"{name}: not measured")
             continue
         for kind, percent in zip(("feasible", "optimal"), printed, strict=True):
             share = found[f"{kind}_share"]

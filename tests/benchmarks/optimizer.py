@@ -1,6 +1,5 @@
 """How fast and how good the solvers of the optimization layer are, and the layers themselves."""
 
-import importlib.util
 import logging
 import time
 from collections.abc import Callable, Sequence
@@ -80,7 +79,7 @@ def benchmark_optimizer(
             return None
         return lambda done: progress(what, done / count)
 
-    names = names or [name for name in (*SOLVERS, *PEERS) if is_installed(name)]
+    names = names or [*SOLVERS, *PEERS]
     reference = drawn.make_solvers()
     instances = drawn.draw_instances(count, seed, reference)
     truths = drawn.truths(instances, reference, report("true optima"))
@@ -120,11 +119,6 @@ def benchmark_optimizer(
         "times": f"each the median of {_REPEATS} solves, of one where that took over {_SLOW} s",
         "versions": versions(*PACKAGES),
     }
-
-
-def is_installed(name: str) -> bool:
-    """Whether a solver's package is installed."""
-    return name != "SciPy SLSQP" or importlib.util.find_spec("scipy") is not None
 
 
 def table(results: dict[str, Any]) -> str:

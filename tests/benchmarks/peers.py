@@ -5,6 +5,7 @@ from collections.abc import Callable
 import casadi
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize
 
 from drake_nonstop.optimization.update_data import UpdateData
 from drake_nonstop.optimization.update_solver import UpdateSolver
@@ -36,13 +37,7 @@ def casadi_ipopt(updates: UpdateSolver) -> Solve:
 
 
 def scipy_slsqp(updates: UpdateSolver) -> Solve:
-    """SciPy's SLSQP with traced values and exact gradients, from [ξ⁻, A⁻] on.
-
-    Raises:
-        ModuleNotFoundError: SciPy is not installed.
-    """
-    from scipy.optimize import minimize
-
+    """SciPy's SLSQP with traced values and exact gradients, from [ξ⁻, A⁻] on."""
     cost, margins = updates.functions(with_gradients=True)
 
     def solve(data: UpdateData) -> NDArray:

@@ -1,17 +1,17 @@
 """Sampled linear loops, against closed forms, worst inputs and random ones."""
 
 import math
+from functools import reduce
 
 import numpy as np
 import pytest
 
 from drake_nonstop.mechanics.sampled_loop import (
     bounded_response,
-    growth,
     interpolated,
     known_response,
     largest_growth,
-    matrix_exponential,
+    map_of_turn,
     noise_deviation,
     overshoot,
     responses,
@@ -61,15 +61,6 @@ def driven(inputs):
             position += step * velocity
         seen.append(velocity)
     return np.array(seen)
-
-
-def test_the_exponential_is_that_of_a_damped_oscillation():
-    matrix = np.array([[0.0, 1.0], [-25.0, -6.0]])  # poles -3 ± 4i
-    cosine, sine = math.cos(4 * 0.7), math.sin(4 * 0.7) / 4
-    expected = math.exp(-2.1) * np.array(
-        [[cosine + 3 * sine, sine], [-25 * sine, cosine - 3 * sine]]
-    )
-    np.testing.assert_allclose(matrix_exponential(0.7 * matrix), expected, atol=1e-12)
 
 
 def test_the_peak_to_peak_gain_is_the_closed_form(g):
@@ -122,9 +113,17 @@ def test_a_jump_of_velocity_overshoots_by_the_closed_form():
     assert overshoot(instants).max() == pytest.approx(-velocity.min(), rel=1e-3)
 
 
-def test_growth_over_a_turn_is_that_of_the_product():
-    faster, slower = 1.02 * np.eye(3), np.diag([0.99, 0.5, 0.1])
-    assert growth(np.stack([faster, slower] * 4)) == pytest.approx((1.02 * 0.99) ** 4)
+def test_the_map_of_a_turn_is_the_product_of_maps_between_the_phases(rng):
+    count, samples = 15, 150
+    constant = np.eye(3)
+    cosine, sine = rng.standard_normal((2, 3, 3)) / samples
+
+    def steps(turns):
+        angles = 2 * np.pi * np.arange(turns)[:, None, None] / turns
+        return constant + np.cos(3 * angles) * cosine + np.sin(7 * angles) * sine
+
+    expected = reduce(lambda turn, step: step @ turn, steps(samples))
+    np.testing.assert_allclose(map_of_turn(steps(count), samples), expected, atol=1e-12)
 
 
 def test_the_largest_growth_is_that_from_the_worst_sample_to_the_worst():

@@ -149,7 +149,8 @@ def slowly_turning():
     gains = ["optimization_layer.frequency=0.01", *measured]
     step = "simulator_config.max_step_size=0.001"
     _, nonstop, context = at_start(*gains, step)
-    exact, (stepped, same) = LinearizedLoop(nonstop, context, 0.01).growths([0.001, 1e-4])
+    loop = LinearizedLoop(nonstop, context, 0.01)
+    (exact, stepped), (_, same) = map(loop.growths, (0.001, 1e-4))
     return gains, step, exact, stepped, same
 
 
