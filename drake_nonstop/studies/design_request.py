@@ -21,7 +21,6 @@ from drake_nonstop.scenario.yaml_text import dump_plain, parse_plain
 from drake_nonstop.systems.field_comments import meanings
 from drake_nonstop.validation import (
     StrictFields,
-    fields_of,
     read_text,
     require,
     require_array,
@@ -210,13 +209,6 @@ def _from_tree(tree: dict[str, Any]) -> DesignRequest:
     filled("request", tree, request)
     request.check()
     return request
-
-
-def _check_types(path: str, tree: dict[str, Any], schema: type) -> None:
-    kinds = {field.name: field.type for field in fields_of(schema)}
-    for key, value in tree.items():
-        require_known(key, list(kinds), f"{path}.{key}", value)
-        require_type(f"{path}.{key}", value, kinds[key])
 
 
 def dump_request(request: DesignRequest) -> str:
