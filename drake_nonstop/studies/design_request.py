@@ -226,3 +226,8 @@ def commented_request(request: DesignRequest) -> str:
         meaning = about.get(line.partition(":")[0], "")
         lines.append(f"{line}  # {meaning}" if meaning else line)
     return "\n".join(line.rstrip() for line in lines) + "\n"
+
+
+def read_request_text(text: str) -> DesignRequest:
+    """The request in YAML, as `dump_request` writes it."""
+    return _from_tree(parse_plain(text, "request"))
