@@ -26,8 +26,7 @@ def make_run_time_figure(results: Mapping[str, Any]) -> Figure:
     names = [block["name"] for block in blocks]
     colours = dict.fromkeys(names, "0.55") | dict(zip(names, COLOURS, strict=False))
     total, root = results["timed_s"], frames["box"]
-    figure = new_figure((10.0, 1.2 + 0.35 * (_depth(frames) + len(names) + 1)), layout=None)
-    figure.set_layout_engine("constrained")
+    figure = new_figure((10.0, 1.2 + 0.35 * (_depth(frames) + len(names) + 1)))
     upper, lower = figure.subplots(2, 1, height_ratios=[_depth(frames), len(names) + 1])
     _draw_frame(upper, frames, {root: "0.8"} | colours, total, start=0.0, row=0)
     upper.set_ylim(_depth(frames), 0)

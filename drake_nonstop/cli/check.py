@@ -17,10 +17,12 @@ from drake_nonstop.simulation.make_simulator import make_simulator
 from drake_nonstop.studies.files import replacing_files, require_writable, write_json
 from drake_nonstop.studies.results_folder import default_folder, require_no_other_run
 from drake_nonstop.systems.block import LOOP
-from drake_nonstop.visualization.check_figure import make_check_figure
 from drake_nonstop.visualization.figure_style import require_drawing
-from drake_nonstop.visualization.limits_figure import make_limits_figure
-from drake_nonstop.visualization.margins_figure import make_aircraft_margins_figure
+from drake_nonstop.visualization.task_figures import (
+    make_aircraft_margins_figure,
+    make_check_figure,
+    make_limits_figure,
+)
 
 _SCENARIO, _DATA, _TASK, _AIRCRAFT = "scenario.yaml", "check.json", "task.png", "check.png"
 _LIMITS = "limits.png"

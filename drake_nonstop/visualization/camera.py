@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from pydrake.geometry import Meshcat
 from pydrake.math import RigidTransform, RollPitchYaw
 
-from drake_nonstop.visualization.colours import Colour
+from drake_nonstop.visualization.bodies import Colour
 
 VERTICAL_FIELD_OF_VIEW = 40.0  # degrees
 ASPECT_RATIO = 1.5  # of the narrowest window that has everything in view

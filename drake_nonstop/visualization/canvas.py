@@ -7,9 +7,8 @@ from numpy.typing import NDArray
 from pydrake.geometry import Meshcat, MeshcatAnimation
 from pydrake.math import RigidTransform
 
+from drake_nonstop.visualization.bodies import Colour, stack_poses
 from drake_nonstop.visualization.camera import FollowingCamera
-from drake_nonstop.visualization.colours import Colour
-from drake_nonstop.visualization.poses import stack_poses
 
 ROOT = "/nonstop"  # of the objects' paths in Meshcat
 

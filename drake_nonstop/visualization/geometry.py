@@ -26,9 +26,9 @@ from pydrake.geometry import (
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, DiagramBuilder, System
 
-from drake_nonstop.mechanics.aircraft import Aircraft, angle_of_attack
+from drake_nonstop.mechanics.aircraft import Aircraft
 from drake_nonstop.mechanics.rotation import rotation_matrix
-from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, AircraftState, CarrierStates, Pose
+from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, CarrierStates, Pose
 from drake_nonstop.model.load_file import read_load_shapes
 from drake_nonstop.model.system import aircraft_in, overridden
 from drake_nonstop.scenario.schema import Scenario, check
@@ -36,16 +36,16 @@ from drake_nonstop.systems.block import LOOP, DiagramBlock, InnerBlock
 from drake_nonstop.systems.tracing import NotFiniteError
 from drake_nonstop.systems.wiring import output_sizes, require_open
 from drake_nonstop.validation import require, require_array, require_flags, require_type
-from drake_nonstop.visualization.colours import Colour
-from drake_nonstop.visualization.poses import (
-    aircraft_attitudes,
-    attitudes,
+from drake_nonstop.visualization.bodies import (
+    Colour,
+    Part,
+    carrier_parts,
+    carrier_rotations,
     cylinder_poses,
+    load_parts,
     stack_poses,
-    unit_vectors,
 )
 from drake_nonstop.visualization.scene import Scene
-from drake_nonstop.visualization.shapes import Part, carrier_parts, load_parts
 
 _OF_AIRCRAFT = "aircraft_state", "wind"  # ports that may be left unconnected
 _HALF_CABLE = 0.6  # of the unstretched length; the two halves of a cable overlap
@@ -211,18 +211,21 @@ class _Poses(InnerBlock):
 
     def _calc_poses(self, context: Context, output: AbstractValue) -> None:
         self.require_floats("look at the scene in a context of the diagram that was converted")
-        load = Pose.view(self._load_state.Eval(context))
-        carriers = CarrierStates.view(self._carrier_state.Eval(context))
-        is_finite = all(np.isfinite(part).all() for part in (*load, *carriers))
+        optional = () if self._aircraft is None else (self._aircraft_state, self._wind)
+        ports = self._load_state, self._carrier_state
+        ports = (*ports, *(port for port in optional if port.HasValue(context)))
+        given = {port.get_name(): port.Eval(context) for port in ports}
+        load = Pose.view(given.pop("load_state"))
+        carriers = CarrierStates.view(given.pop("carrier_state"))
+        is_finite = all(np.isfinite(part).all() for part in (*load, *carriers, *given.values()))
         if not (is_finite and load.quaternion.any()):
             raise NotFiniteError(self.box(), was_given=True)
         X_WL = stack_poses(rotation_matrix(load.quaternion), load.position[None])
         p_WA = self._attachments @ X_WL[0, :3, :3].T + load.position
         p_WC = carriers.positions
-        rotations = self._aircraft_attitudes(context, carriers.velocities)
-        if rotations is None:
-            headings = unit_vectors(carriers.velocities, otherwise=np.array([1.0, 0.0, 0.0]))
-            rotations = attitudes(headings, up=p_WC - p_WA)
+        rotations = carrier_rotations(
+            carriers.velocities, p_WC - p_WA, aircraft=self._aircraft, **given
+        )
         starts, ends = np.vstack([p_WA, p_WC]), np.vstack([p_WC, p_WA])
         halves, _ = cylinder_poses(starts, ends)
         halves[:, :3, 3] = starts
@@ -230,18 +233,6 @@ class _Poses(InnerBlock):
         vector = output.get_mutable_value()
         for frame, pose in zip(self._frames, poses, strict=True):
             vector.set_value(frame, RigidTransform(pose))
-
-    def _aircraft_attitudes(self, context: Context, velocities: NDArray) -> NDArray | None:
-        """Rotation matrices (n, 3, 3) of aircraft; None where there are none, or no state."""
-        if self._aircraft is None or not self._aircraft_state.HasValue(context):
-            return None
-        state = AircraftState.view(self._aircraft_state.Eval(context))
-        if self._wind.HasValue(context):
-            velocities = velocities - self._wind.Eval(context).reshape(-1, 3)
-        if not all(np.isfinite(part).all() for part in (*state, velocities)):
-            raise NotFiniteError(self.box(), was_given=True)
-        pitch = angle_of_attack(self._aircraft, state.lift)
-        return aircraft_attitudes(velocities, state.bank, pitch)
 
 
 def AddGeometry(  # noqa: N802

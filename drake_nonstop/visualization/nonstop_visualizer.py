@@ -3,6 +3,7 @@
 import math
 import time
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +16,9 @@ from drake_nonstop.scenario.scene_config import SceneConfig
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.systems.block import LeafBlock
 from drake_nonstop.validation import is_number, require
+from drake_nonstop.visualization.bodies import Snapshot
 from drake_nonstop.visualization.canvas import ROOT, LiveCanvas
 from drake_nonstop.visualization.scene import Scene
-from drake_nonstop.visualization.snapshot import Snapshot
 
 FRAME_RATE = 30.0  # 1/s of wall time
 _PATH_SAMPLES = 100
@@ -104,19 +105,12 @@ class NonstopVisualizer(LeafBlock):
         self._canvas = LiveCanvas(meshcat, path)
         self._last_time = math.inf  # s, of the instant shown
         self._next_frame = -math.inf  # s of wall time, when it is due
-        self._n = len(system.attachments)
-        self._load_state = self.DeclareVectorInputPort("load_state", 13)
-        self._reference = self.DeclareVectorInputPort("reference", 22)
-        self._carrier_state = self.DeclareVectorInputPort("carrier_state", 6 * self._n)
-        self._tensions = self.DeclareVectorInputPort("tensions", self._n)
-        self._speed_bound = self.DeclareVectorInputPort("speed_bound", 1)
-        self._of_aircraft = {
+        n = len(system.attachments)
+        required = {"load_state": 13, "reference": 22, "carrier_state": 6 * n, "tensions": n}
+        optional = {"speed_bound": 1, "aircraft_state": 4 * n, "wind": 3 * n, "load_wind": 3}
+        self._ports = {
             name: self.DeclareVectorInputPort(name, size)
-            for name, size in (
-                ("aircraft_state", 4 * self._n),
-                ("wind", 3 * self._n),
-                ("load_wind", 3),
-            )
+            for name, size in (required | optional).items()
         }
         if self.scalar is float:
             self.DeclarePerStepPublishEvent(self._publish)
@@ -140,12 +134,11 @@ class NonstopVisualizer(LeafBlock):
                 those that may be left unconnected may be missing.
             scenario: what is shown, and its colours and sizes.
             meshcat: the Meshcat to show it in.
-            frame_rate: the most frames per second of wall time.
-            path: what the objects' paths in the Meshcat begin with; see the class.
+            frame_rate: see the class.
+            path: see the class.
 
         Raises:
-            ScenarioError: a field of the scenario's scene, the frame rate or the path is out of
-                range.
+            ScenarioError: as the class.
         """
         visualizer = builder.AddSystem(
             NonstopVisualizer(
@@ -158,10 +151,9 @@ class NonstopVisualizer(LeafBlock):
                 path=path,
             )
         )
-        for i in range(visualizer.num_input_ports()):
-            port = visualizer.get_input_port(i)
-            if port.get_name() not in _OPTIONAL or nonstop.HasOutputPort(port.get_name()):
-                builder.Connect(nonstop.GetOutputPort(port.get_name()), port)
+        for name, port in visualizer._ports.items():
+            if name not in _OPTIONAL or nonstop.HasOutputPort(name):
+                builder.Connect(nonstop.GetOutputPort(name), port)
         return visualizer
 
     def _publish(self, context: Context) -> EventStatus:
@@ -175,23 +167,14 @@ class NonstopVisualizer(LeafBlock):
         return EventStatus.DidNothing()
 
     def _show(self, context: Context) -> EventStatus:
-        reference = self._reference.Eval(context)
-        speed_bound = self._default_speed_bound
-        if self._speed_bound.HasValue(context):
-            speed_bound = float(self._speed_bound.Eval(context)[0])
-        snapshot = Snapshot.from_signals(
-            context.get_time(),
-            load_state=self._load_state.Eval(context),
-            reference=reference,
-            carrier_state=self._carrier_state.Eval(context),
-            tensions=self._tensions.Eval(context),
-            speed_bound=speed_bound,
-            **{
-                name: port.Eval(context)
-                for name, port in self._of_aircraft.items()
-                if port.HasValue(context)
-            },
-        )
+        given: dict[str, Any] = {
+            name: port.Eval(context)
+            for name, port in self._ports.items()
+            if name not in _OPTIONAL or port.HasValue(context)
+        }
+        bound = given.get("speed_bound", [self._default_speed_bound])
+        given["speed_bound"] = float(bound[0])
+        snapshot = Snapshot.from_signals(context.get_time(), **given)
         if not snapshot.is_finite:  # the block at fault raises the error
             return EventStatus.DidNothing()
         is_new_run = snapshot.time < self._last_time
@@ -241,8 +224,7 @@ def _reference_path(nonstop: Diagram, duration: float) -> NDArray | None:
     trajectory = nonstop.GetSubsystemByName("load_trajectory")
     if trajectory.num_input_ports() > 0:
         return None
-    context = trajectory.CreateDefaultContext()
-    positions = []
+    context, positions = trajectory.CreateDefaultContext(), []
     for instant in np.linspace(0, duration, _PATH_SAMPLES):
         context.SetTime(instant)
         reference = trajectory.GetOutputPort("reference").Eval(context)

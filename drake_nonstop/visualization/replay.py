@@ -23,11 +23,11 @@ from drake_nonstop.simulation.run_quantities import (
     simulated_system,
 )
 from drake_nonstop.simulation.signal_table import UnknownSignalError
+from drake_nonstop.visualization.bodies import Snapshot
 from drake_nonstop.visualization.canvas import RecordingCanvas
-from drake_nonstop.visualization.decimation import MOST_POINTS, extreme_samples
+from drake_nonstop.visualization.figure_style import MOST_POINTS, extreme_samples
 from drake_nonstop.visualization.meshcat_server import start_hidden_meshcat
 from drake_nonstop.visualization.scene import COLOURED_FROM, Scene, stall_shares
-from drake_nonstop.visualization.snapshot import Snapshot
 
 _FRAME_RATE = 25.0  # 1/s
 _MOST_POSES = 45_000  # of carriers and loads in all frames: below 20 MB

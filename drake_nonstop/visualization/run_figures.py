@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,15 +19,21 @@ from drake_nonstop.simulation.run_quantities import (
     carrier_speeds,
     load_errors,
 )
-from drake_nonstop.visualization.decimation import extreme_samples
-from drake_nonstop.visualization.figure_style import LINE_STYLES, new_figure, titled
-from drake_nonstop.visualization.limits_figure import make_limits_figure
+from drake_nonstop.visualization.figure_style import (
+    COLOURS,
+    LINE_STYLES,
+    extreme_samples,
+    new_figure,
+    plot,
+    plot_each,
+    stacked,
+    titled,
+)
+from drake_nonstop.visualization.task_figures import make_limits_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-_SIZE = (7.0, 4.2)  # inch
 
 
 def make_figure(run: Run, name: str) -> Figure:
@@ -40,7 +46,7 @@ def _draw_load_reference(run: Run) -> Figure:
     shown = extreme_samples(references[:, :13])
     quaternions, positions, _, velocities = LoadState.view(references[shown])
     angles = [RollPitchYaw(Quaternion(q / np.linalg.norm(q))).vector() for q in quaternions]
-    figure, panels = _stacked(3)
+    figure, panels = stacked(3)
     for axes, values, label, names in (
         (panels[0], positions, "position (m)", "xyz"),
         (panels[1], velocities, "velocity (m/s)", "xyz"),
@@ -54,7 +60,7 @@ def _draw_load_reference(run: Run) -> Figure:
 
 
 def _draw_carrier_paths_from_above(run: Run) -> Figure:
-    figure, axes = _single()
+    figure, axes = _single("x (m)", "y (m)")
     _draw_from_above(run, axes, np.arange(len(run.time)))
     return titled(figure, "Carrier and load paths seen from above")
 
@@ -64,7 +70,7 @@ def _draw_carrier_paths_zoomed(run: Run) -> Figure:
     slowest = run.time[np.argmin(speeds)]
     turn = 2 * np.pi / max(abs(run.signal("parameters")[np.argmin(speeds), 0]), 1e-9)
     shown = np.flatnonzero(~(np.abs(run.time - slowest) > turn))  # all, where the turn is NaN
-    figure, axes = _single()
+    figure, axes = _single("x (m)", "y (m)")
     _draw_from_above(run, axes, shown)
     start, end = run.time[shown[[0, -1]]]
     return titled(
@@ -73,33 +79,28 @@ def _draw_carrier_paths_zoomed(run: Run) -> Figure:
 
 
 def _draw_load_position_error(run: Run) -> Figure:
-    error, _ = load_errors(run)
-    return _draw_error(run.time, 1e3 * error, "position error (mm)", "Load position error")
+    return _draw_error(run, 1e3 * load_errors(run)[0], "position error (mm)", "Load position error")
 
 
 def _draw_load_orientation_error(run: Run) -> Figure:
-    _, error = load_errors(run)
-    return _draw_error(run.time, 1e3 * error, "orientation error (mrad)", "Load orientation error")
+    error = 1e3 * load_errors(run)[1]
+    return _draw_error(run, error, "orientation error (mrad)", "Load orientation error")
 
 
 def _draw_carrier_speeds(run: Run) -> Figure:
-    figure, axes = _single()
+    figure, axes = _single("time (s)", "carrier speed (m/s)")
     quantities = RunQuantities(run)
     time, bounds = quantities.time, quantities.speed_bounds
-    _plot_each(axes, time, quantities.speeds, "carrier")
-    _plot(axes, time, bounds, color="green", linestyle="--", label="bound ε")
+    plot_each(axes, time, quantities.speeds, "carrier")
+    plot(axes, time, bounds, color="green", linestyle="--", label="bound ε")
     axes.set_ylim(bottom=0)
-    axes.set_xlabel("time (s)")
-    axes.set_ylabel("carrier speed (m/s)")
     axes.legend(ncols=5, fontsize="small")
     return titled(figure, "Carrier speeds")
 
 
 def _draw_tensions(run: Run) -> Figure:
-    figure, axes = _single()
-    _plot_each(axes, run.steps["time"], run.steps["tensions"], "cable")
-    axes.set_xlabel("time (s)")
-    axes.set_ylabel("tension (N)")
+    figure, axes = _single("time (s)", "tension (N)")
+    plot_each(axes, run.steps["time"], run.steps["tensions"], "cable")
     axes.legend(ncols=4, fontsize="small")
     return titled(figure, "Cable tensions")
 
@@ -107,18 +108,17 @@ def _draw_tensions(run: Run) -> Figure:
 def _draw_aircraft(run: Run) -> Figure:
     quantities = RunQuantities(run)
     time, state, aircraft = quantities.time, quantities.aircraft_state, quantities.aircraft
-    figure, (lift, bank, thrust, airspeed) = _stacked(4)
+    figure, (lift, bank, thrust, airspeed) = stacked(4)
     for axes, values, label in (
         (lift, state.lift / aircraft.max_lift, "$C_L$ / $C_{L,max}$"),
         (bank, np.degrees(state.bank), "bank (°)"),
         (thrust, state.thrust, "thrust (N)"),
         (airspeed, state.airspeed / stall_speed(aircraft), "airspeed / stall speed"),
     ):
-        _plot_each(axes, time, values, "aircraft")
+        plot_each(axes, time, values, "aircraft")
         axes.set_ylabel(label)
     for limits in thrust_limits(aircraft, state.airspeed):
-        for i, limit in enumerate(limits.T):
-            _plot(thrust, time, limit, color=f"C{i}", linewidth=0.7, linestyle=":")
+        plot_each(thrust, time, limits, linewidth=0.7, linestyle=":")
     for axes in (lift, airspeed):
         axes.axhline(1, color="red", linestyle="--", linewidth=1)
     lift.set_ylim(bottom=0)
@@ -131,12 +131,11 @@ def _draw_limits(run: Run) -> Figure:
 
 
 def _draw_internal_force_parameters(run: Run) -> Figure:
-    figure, (top, bottom) = _stacked(2)
-    parameters = run.signal("parameters")
-    _plot(top, run.time, parameters[:, 0], color="C3")
-    top.set_ylabel("frequency ξ (rad/s)")
-    _plot(bottom, run.time, parameters[:, 1], color="C4")
-    bottom.set_ylabel("amplitude A (N)")
+    figure, panels = stacked(2)
+    labels = "frequency ξ (rad/s)", "amplitude A (N)"
+    for axes, values, label in zip(panels, run.signal("parameters").T, labels, strict=True):
+        plot(axes, run.time, values)
+        axes.set_ylabel(label)
     return titled(figure, "Internal-force parameters")
 
 
@@ -172,8 +171,9 @@ def _draw_from_above(run: Run, axes: Axes, shown: NDArray) -> None:
     carriers = CarrierStates.view(carrier_states[shown]).positions
     for i in range(carriers.shape[1]):
         path = carriers[extreme_samples(carriers[:, i, :2]), i, :2]
-        axes.plot(*path.T, color=f"C{i}", linewidth=0.9, label=f"carrier {i + 1}")
-        axes.plot(*carriers[-1, i, :2], "x", color=f"C{i}")
+        colour = COLOURS[i % len(COLOURS)]
+        axes.plot(*path.T, color=colour, linewidth=0.9, label=f"carrier {i + 1}")
+        axes.plot(*carriers[-1, i, :2], "x", color=colour)
     path = load[extreme_samples(load[:, :2]), :2]
     axes.plot(*path.T, color="black", linewidth=1.2, label="load")
     corners = attachment_positions(run, load_states[shown[-1:]])[0]
@@ -182,44 +182,21 @@ def _draw_from_above(run: Run, axes: Axes, shown: NDArray) -> None:
     for corner, carrier in zip(corners, carriers[-1], strict=True):
         axes.plot(*np.stack([corner, carrier])[:, :2].T, color="black", linewidth=0.7)
     axes.set_aspect("equal", adjustable="datalim")
-    axes.set_xlabel("x (m)")
-    axes.set_ylabel("y (m)")
     axes.legend(fontsize="small", loc="upper left", bbox_to_anchor=(1.0, 1.0))
 
 
-def _draw_error(time: NDArray, error: NDArray, label: str, title: str) -> Figure:
-    figure, axes = _single()
+def _draw_error(run: Run, error: NDArray, label: str, title: str) -> Figure:
+    figure, axes = _single("time (s)", label)
     for column, name in zip(error.T, "xyz", strict=True):
-        _plot(axes, time, column, label=name, linewidth=1)
-    norm = np.linalg.norm(error, axis=1)
-    _plot(axes, time, norm, color="black", label="norm", linewidth=1)
-    axes.set_xlabel("time (s)")
-    axes.set_ylabel(label)
+        plot(axes, run.time, column, label=name)
+    plot(axes, run.time, np.linalg.norm(error, axis=1), color="black", label="norm")
     axes.legend(ncols=4, fontsize="small")
     return titled(figure, title)
 
 
-def _plot_each(axes: Axes, time: NDArray, values: NDArray, name: str) -> None:
-    """Plots a curve per column; those of the second half dashed, as symmetric ones coincide."""
-    for i, column in enumerate(values.T):
-        style = (0, (4, 3)) if i >= values.shape[1] / 2 else "solid"
-        label = f"{name} {i + 1}"
-        _plot(axes, time, column, color=f"C{i}", linewidth=1, linestyle=style, label=label)
-
-
-def _plot(axes: Axes, time: NDArray, values: NDArray, **options: Any) -> None:
-    """Plots a curve with its lowest and highest values, however long it is."""
-    shown = extreme_samples(values)
-    axes.plot(time[shown], values[shown], **options)
-
-
-def _single() -> tuple[Figure, Axes]:
-    figure = new_figure(_SIZE)
-    return figure, figure.subplots()
-
-
-def _stacked(count: int) -> tuple[Figure, list[Axes]]:
-    figure = new_figure((_SIZE[0], 2.1 * count))
-    axes = list(figure.subplots(count, 1, sharex=True))
-    axes[-1].set_xlabel("time (s)")
+def _single(across: str, up: str) -> tuple[Figure, Axes]:
+    figure = new_figure((7.0, 4.2))
+    axes = figure.subplots()
+    axes.set_xlabel(across)
+    axes.set_ylabel(up)
     return figure, axes

@@ -7,24 +7,30 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.geometry import Cylinder, Meshcat, MeshcatCone, Rgba, Sphere
 
-from drake_nonstop.mechanics.aircraft import Aircraft, angle_of_attack, stall_speed
+from drake_nonstop.mechanics.aircraft import Aircraft, stall_speed
 from drake_nonstop.mechanics.rotation import rotation_matrix
 from drake_nonstop.mechanics.signals import AircraftState
 from drake_nonstop.model.system import Model, SystemParameters, aircraft_in
 from drake_nonstop.scenario.scene_config import SceneConfig
 from drake_nonstop.validation import require, require_ranges
+from drake_nonstop.visualization.bodies import (
+    SMALL,
+    X_AXIS,
+    Colour,
+    Part,
+    Snapshot,
+    carrier_parts,
+    carrier_rotations,
+    cylinder_poses,
+    load_parts,
+    make_shades,
+    pick_shade,
+    rgb,
+    stack_poses,
+    unit_vectors,
+)
 from drake_nonstop.visualization.camera import FollowingCamera, set_stage
 from drake_nonstop.visualization.canvas import ROOT, Canvas
-from drake_nonstop.visualization.colours import Colour, make_shades, pick_shade, rgb
-from drake_nonstop.visualization.poses import (
-    SMALL,
-    aircraft_attitudes,
-    attitudes,
-    cylinder_poses,
-    stack_poses,
-)
-from drake_nonstop.visualization.shapes import Part, carrier_parts, load_parts
-from drake_nonstop.visualization.snapshot import Snapshot
 
 _REFERENCE_BAR_RATIO = 1.7  # to the load's bars, which the reference's enclose: both are seen
 _MARK_RADIUS = 0.42  # of the wing span
@@ -91,20 +97,17 @@ class Scene:
         self._wind_colour = rgb(self.config.wind_colour)
         self._aircraft = aircraft_in(system)
         self._trail_colours = [self.load_colour, *self.carrier_colours]
-        opacities = [
-            _trail_opacity(age, self.config.trail_pieces) for age in range(self.config.trail_pieces)
-        ]
-        self._trail_opacities = {  # by the number of newer pieces, where it changes
-            age: opacity
-            for age, opacity in enumerate(opacities)
-            if age == 0 or opacity != opacities[age - 1]
-        }
+        # Of a piece by the number of newer ones; the oldest is invisible, and used again.
+        fresh = 1 - np.arange(self.config.trail_pieces) / (self.config.trail_pieces - 1)
+        opacities = np.ceil(_TRAIL_OPACITIES * fresh) / _TRAIL_OPACITIES
+        ages = np.flatnonzero(np.diff(opacities, prepend=2.0))  # where it changes
+        self._trail_opacities = {int(age): float(opacities[age]) for age in ages}
         self._camera: FollowingCamera | None = None
         self._reset()
 
     def _reset(self) -> None:
         """Starts without earlier headings and trails."""
-        self._headings = np.tile([1.0, 0.0, 0.0], (self._n, 1))
+        self._headings = np.tile(X_AXIS, (self._n, 1))
         self.restart_trails()
 
     def restart_trails(self) -> None:
@@ -152,17 +155,7 @@ class Scene:
         *,
         may_follow: bool = True,
     ) -> None:
-        """Sets a plain background, a camera that sees everything, its light and a grid below.
-
-        Along a long path the camera follows the reference where it may; else it stands still.
-
-        Args:
-            meshcat: the Meshcat to set.
-            path: (k, 3), m, positions of the load's reference.
-            carriers: (k, n, 3), m, at the same instants, where they are known. Those far from
-                the load may be out of view.
-            may_follow: whether the camera may move.
-        """
+        """Sets background, camera, light and grid, see `camera.set_stage`."""
         self._camera = set_stage(
             meshcat,
             path,
@@ -187,17 +180,22 @@ class Scene:
         p_WC = snapshot.carriers
         cables, lengths = cylinder_poses(p_WA, p_WC)
         speeds = np.sqrt((snapshot.velocities**2).sum(axis=1))
-        is_moving = speeds > SMALL
-        self._headings[is_moving] = snapshot.velocities[is_moving] / speeds[is_moving, None]
-        rotations = attitudes(self._headings, up=p_WC - p_WA)
+        self._headings = unit_vectors(snapshot.velocities, otherwise=self._headings)
+        rotations = carrier_rotations(
+            snapshot.velocities,
+            p_WC - p_WA,
+            otherwise=self._headings,
+            aircraft=self._aircraft,
+            aircraft_state=snapshot.aircraft_state,
+            wind=snapshot.wind,
+        )
         if self._aircraft is not None and snapshot.aircraft_state is not None:
             state = AircraftState.view(snapshot.aircraft_state)
-            wind = np.zeros((self._n, 3)) if snapshot.wind is None else snapshot.wind
-            pitch = angle_of_attack(self._aircraft, state.lift)
-            rotations = aircraft_attitudes(snapshot.velocities - wind, state.bank, pitch)
             for i, share in enumerate(stall_shares(self._aircraft, state).tolist()):
                 canvas.paint(f"{self._root}/carriers/{i}/wing", self.wing_colour(share), 1.0)
-            at_load = wind.mean(axis=0) if snapshot.load_wind is None else snapshot.load_wind
+            winds = np.zeros(3) if snapshot.wind is None else snapshot.wind
+            at_load = snapshot.load_wind
+            at_load = winds.reshape(-1, 3).mean(axis=0) if at_load is None else at_load
             self._show_wind(canvas, snapshot.reference_position, at_load)
         carriers = stack_poses(rotations, p_WC)
         tensions = snapshot.tensions.tolist()
@@ -283,10 +281,3 @@ def _draw(meshcat: Meshcat, path: str, parts: list[Part], rgba: Rgba) -> None:
     for part in parts:
         meshcat.SetObject(f"{path}/{part.name}", part.shape, rgba)
         meshcat.SetTransform(f"{path}/{part.name}", part.pose)
-
-
-def _trail_opacity(age: int, pieces: int) -> float:
-    """The opacity of a piece with `age` newer ones; the oldest is invisible, and used again."""
-    if age >= pieces - 1:
-        return 0.0
-    return float(np.ceil(_TRAIL_OPACITIES * (1 - age / (pieces - 1))) / _TRAIL_OPACITIES)

@@ -7,14 +7,12 @@ from typing import TYPE_CHECKING
 
 from drake_nonstop.simulation.signal_table import SignalTable, UnknownSignalError
 from drake_nonstop.validation import require
-from drake_nonstop.visualization.decimation import extreme_samples
-from drake_nonstop.visualization.figure_style import COLOURS, LINE_STYLES, new_figure
+from drake_nonstop.visualization.figure_style import COLOURS, LINE_STYLES, plot, stacked
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
-_WIDTH, _HEIGHT = 8.0, 2.2  # inch, of a panel
 _MOST_PANELS = 20
 
 
@@ -46,38 +44,31 @@ def make_signal_figure(runs: Mapping[str, SignalTable], signals: Sequence[str]) 
     kinds = len(COLOURS) * len(LINE_STYLES)
     remedy = f"at most {kinds} in a panel can be told apart: give fewer runs, or single entries"
     require(are_few or most <= kinds, "--signal", f"{most} lines of {len(runs)} runs", remedy)
-    figure = new_figure((_WIDTH, _HEIGHT * len(panels) + 0.5))
-    rows = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
+    figure, rows = stacked(len(panels), width=8.0)
     for axes, (quantity, names) in zip(rows, panels.items(), strict=True):
         for number, (label, found) in enumerate(columns.items()):
-            time = found["time [s]"]
             for k, name in enumerate(names):
                 if name not in found:
                     continue
-                shown = extreme_samples(found[name])
                 entry = name.partition(" [")[0].removeprefix(quantity.partition(" [")[0])
                 text = " ".join(filter(None, (entry.lstrip("."), label if len(runs) > 1 else "")))
                 colour, style = k, number
                 if not are_few:
                     style, colour = divmod(number * len(names) + k, len(COLOURS))
-                axes.plot(
-                    time[shown],
-                    found[name][shown],
+                plot(
+                    axes,
+                    found["time [s]"],
+                    found[name],
                     color=COLOURS[colour % len(COLOURS)],
                     linestyle=LINE_STYLES[style % len(LINE_STYLES)],
-                    linewidth=1.0,
                     label=text or None,
                 )
         axes.set_ylabel(quantity.replace(" [", "\n["), fontsize="small")
         axes.grid(alpha=0.3)
         if axes.get_legend_handles_labels()[1]:
-            count = len(axes.lines)
-            axes.legend(
-                loc="center left",
-                bbox_to_anchor=(1.0, 0.5),
-                fontsize="x-small",
-                ncols=1 + (count - 1) // 12,
-            )
+            in_columns = 1 + (len(axes.lines) - 1) // 12
+            beside = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5)}
+            axes.legend(**beside, fontsize="x-small", ncols=in_columns)
     rows[-1].set_xlabel("time [s]")
     return figure
 

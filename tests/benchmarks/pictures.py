@@ -21,8 +21,8 @@ from drake_nonstop.simulation.run_quantities import RunQuantities, carrier_speed
 from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.studies.figures import make_encounters_figure
 from drake_nonstop.studies.files import replacing_file
-from drake_nonstop.visualization.margins_figure import make_aircraft_margins_figure
 from drake_nonstop.visualization.replay import record_replay
+from drake_nonstop.visualization.task_figures import make_aircraft_margins_figure
 
 STILL, ANIMATION, PATTERNS = "line.png", "line.gif", "real_scale.png"
 AIRCRAFT, ORBIT = "aircraft.png", "aircraft_check.png"

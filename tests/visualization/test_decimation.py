@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drake_nonstop.visualization.decimation import extreme_samples
+from drake_nonstop.visualization.figure_style import extreme_samples
 
 
 @settings(max_examples=50, deadline=None)

@@ -3,7 +3,7 @@
 import numpy as np
 from pydrake.math import RigidTransform, RotationMatrix
 
-from drake_nonstop.visualization.poses import attitudes, cylinder_poses
+from drake_nonstop.visualization.bodies import attitudes, cylinder_poses
 
 
 def test_degenerate_poses():

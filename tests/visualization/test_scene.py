@@ -11,8 +11,8 @@ from drake_nonstop.mechanics.signals import AircraftState, CarrierStates
 from drake_nonstop.model.system import aircraft_in
 from drake_nonstop.scenario.scene_config import SceneConfig
 from drake_nonstop.validation import ScenarioError
+from drake_nonstop.visualization.bodies import rgb
 from drake_nonstop.visualization.canvas import ROOT
-from drake_nonstop.visualization.colours import rgb
 from drake_nonstop.visualization.meshcat_server import start_meshcat
 from drake_nonstop.visualization.scene import Scene
 

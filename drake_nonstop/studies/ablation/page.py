@@ -33,7 +33,7 @@ from drake_nonstop.studies.ablation.tables import (
 from drake_nonstop.studies.figures import make_overlay_figure
 from drake_nonstop.studies.files import open_regular, replacing_file
 from drake_nonstop.studies.run_all import COMPLETED
-from drake_nonstop.visualization.decimation import extreme_samples
+from drake_nonstop.visualization.figure_style import extreme_samples
 from drake_nonstop.visualization.replay import legend
 
 PAGE = "index.html"

@@ -1,0 +1,212 @@
+"""The scene's bodies: an instant of a run, their poses, the parts they are made of, and colours."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.geometry import Box, Capsule, Ellipsoid, Shape, Sphere
+from pydrake.math import RigidTransform
+
+from drake_nonstop.mechanics.aircraft import Aircraft, angle_of_attack
+from drake_nonstop.mechanics.rotation import cross
+from drake_nonstop.mechanics.signals import AircraftState, CarrierStates, Pose
+
+Colour = tuple[float, float, float]  # red, green and blue, from 0 to 1
+
+SMALL = 1e-6  # m, m/s: a shorter vector has no direction
+SHADES = 33  # in which marks and cables change their colour
+X_AXIS, Z_AXIS = np.eye(3)[[0, 2]]
+
+
+@dataclass(kw_only=True)
+class Snapshot:
+    """An instant of a run, all in the world frame; quaternions are w x y z, of any norm."""
+
+    time: float  # s
+    load_quaternion: NDArray  # (4,)
+    load_position: NDArray  # (3,), m
+    reference_quaternion: NDArray  # (4,)
+    reference_position: NDArray  # (3,), m
+    carriers: NDArray  # (n, 3), m
+    velocities: NDArray  # (n, 3), m/s
+    tensions: NDArray  # (n,), N
+    speed_bound: float  # m/s
+    # Where the carriers are aircraft, see `Scene`; None: unknown.
+    aircraft_state: NDArray | None = None  # (4n,)
+    wind: NDArray | None = None  # (3n,), m/s, at the carriers
+    load_wind: NDArray | None = None  # (3,), m/s
+
+    @classmethod
+    def from_signals(
+        cls,
+        time: float,
+        *,
+        load_state: NDArray,
+        reference: NDArray,
+        carrier_state: NDArray,
+        **others: NDArray,
+    ) -> "Snapshot":
+        """The instant at which the loop's signals have these values, SI.
+
+        Args:
+            time: in s.
+            load_state: (13,).
+            reference: (22,).
+            carrier_state: (6n,).
+            others: fields by the names of signals; `speed_bound` is a number.
+        """
+        load, desired = Pose.view(load_state), Pose.view(reference)
+        carriers = CarrierStates.view(carrier_state)
+        return cls(
+            time=time,
+            load_quaternion=load.quaternion,
+            load_position=load.position,
+            reference_quaternion=desired.quaternion,
+            reference_position=desired.position,
+            carriers=carriers.positions,
+            velocities=carriers.velocities,
+            **others,  # type: ignore[arg-type]
+        )
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether it can be shown: all arrays are finite, and no quaternion is zero."""
+        arrays = (value for value in vars(self).values() if isinstance(value, np.ndarray))
+        return all(np.isfinite(array).all() for array in arrays) and bool(
+            self.load_quaternion.any() and self.reference_quaternion.any()
+        )
+
+
+def stack_poses(rotations: NDArray, positions: NDArray) -> NDArray:
+    """Poses (k, 4, 4) of rotation matrices (k, 3, 3), or one for all, and positions (k, 3)."""
+    poses = np.zeros((len(positions), 4, 4))
+    poses[:, :3, :3] = rotations
+    poses[:, :3, 3] = positions
+    poses[:, 3, 3] = 1.0
+    return poses
+
+
+def cylinder_poses(starts: NDArray, ends: NDArray) -> tuple[NDArray, NDArray]:
+    """Poses (k, 4, 4) of cylinders (along z) between points (k, 3) in m, and lengths (k,) in m.
+
+    A length is never below `SMALL`.
+    """
+    axes = unit_vectors(ends - starts, otherwise=Z_AXIS)
+    lengths = np.maximum(np.sqrt(((ends - starts) ** 2).sum(axis=1)), SMALL)
+    sides = _perpendiculars(axes)
+    rotations = np.stack([sides, cross(axes, sides), axes], axis=2)
+    return stack_poses(rotations, (starts + ends) / 2), lengths
+
+
+def attitudes(headings: NDArray, up: NDArray) -> NDArray:
+    """Rotation matrices (k, 3, 3) with x along unit vectors `headings` and z towards `up`."""
+    across = up - (up * headings).sum(axis=1, keepdims=True) * headings
+    tops = unit_vectors(across, otherwise=_perpendiculars(headings))
+    return np.stack([headings, cross(tops, headings), tops], axis=2)
+
+
+def carrier_rotations(
+    velocities: NDArray,
+    up: NDArray,
+    *,
+    otherwise: NDArray = X_AXIS,
+    aircraft: Aircraft | None = None,
+    aircraft_state: NDArray | None = None,
+    wind: NDArray | None = None,
+) -> NDArray:
+    """Rotation matrices (n, 3, 3) of carriers: nose, left wing, top.
+
+    They fly along their velocity with the top `up`. Aircraft whose state is known are in
+    coordinated flight instead: along the air that they meet, with bank and angle of attack.
+
+    Args:
+        velocities: (n, 3), m/s.
+        up: (n, 3), away from the cables.
+        otherwise: (n, 3), directions of carriers without a velocity.
+        aircraft: that the carriers are.
+        aircraft_state: (4n,), of aircraft.
+        wind: (3n,), m/s, at them.
+    """
+    if aircraft is None or aircraft_state is None:
+        return attitudes(unit_vectors(velocities, otherwise=otherwise), up=up)
+    state = AircraftState.view(aircraft_state)
+    air = velocities if wind is None else velocities - wind.reshape(-1, 3)
+    ahead = unit_vectors(air, otherwise=X_AXIS)
+    level = attitudes(ahead, up=np.broadcast_to(Z_AXIS, ahead.shape))
+    lift = np.cos(state.bank)[:, None] * level[..., 2] - np.sin(state.bank)[:, None] * level[..., 1]
+    pitch = angle_of_attack(aircraft, state.lift)[:, None]
+    nose = np.cos(pitch) * ahead + np.sin(pitch) * lift
+    return attitudes(nose, up=np.cos(pitch) * lift - np.sin(pitch) * ahead)
+
+
+def unit_vectors(vectors: NDArray, *, otherwise: NDArray) -> NDArray:
+    """Unit vectors (k, 3) along `vectors`, or `otherwise` where these are not above `SMALL`."""
+    lengths = np.sqrt((vectors**2).sum(axis=1, keepdims=True))
+    return np.where(lengths > SMALL, vectors / np.maximum(lengths, SMALL), otherwise)
+
+
+def _perpendiculars(axes: NDArray) -> NDArray:
+    """A unit vector perpendicular to each of some unit vectors (k, 3)."""
+    others = np.where(np.abs(axes[:, :1]) < 0.9, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
+    return unit_vectors(cross(others, axes), otherwise=others)
+
+
+@dataclass(kw_only=True)
+class Part:
+    """A shape at a pose in its body's frame."""
+
+    name: str
+    shape: Shape
+    pose: RigidTransform = field(default_factory=RigidTransform)
+
+
+def load_parts(attachments: NDArray, bar: float) -> list[Part]:
+    """Bars from attachment to attachment, and from each to the centre of mass.
+
+    Args:
+        attachments: (n, 3) in m, in L.
+        bar: m, radius of a bar.
+    """
+    offsets = attachments - attachments.mean(axis=0)
+    plane = np.linalg.svd(offsets)[2][:2]  # the directions of largest spread
+    rim = attachments[np.argsort(np.arctan2(*(plane @ offsets.T)))]
+    edges = [*zip(rim, np.roll(rim, -1, axis=0), strict=True)]
+    spokes = [(np.zeros(3), end) for end in attachments]
+    poses, lengths = cylinder_poses(*np.array([*edges, *spokes]).swapaxes(0, 1))
+    bars = [
+        Part(name=f"bar{k}", shape=Capsule(bar, length), pose=RigidTransform(pose))
+        for k, (pose, length) in enumerate(zip(poses, lengths, strict=True))
+    ]
+    return [*bars, Part(name="centre_of_mass", shape=Sphere(2 * bar))]
+
+
+def carrier_parts(span: float) -> list[Part]:
+    """An aircraft of a wing span in m: nose along x, left wing along y."""
+    return [
+        Part(name=name, shape=shape, pose=RigidTransform(span * np.array(position)))
+        for name, shape, position in (
+            ("fuselage", Ellipsoid(0.45 * span, 0.06 * span, 0.06 * span), [0.0, 0.0, 0.0]),
+            ("wing", Ellipsoid(0.11 * span, 0.5 * span, 0.02 * span), [0.1, 0.0, 0.03]),
+            ("tail", Ellipsoid(0.06 * span, 0.18 * span, 0.015 * span), [-0.38, 0.0, 0.02]),
+            ("fin", Box(0.1 * span, 0.02 * span, 0.18 * span), [-0.38, 0.0, 0.1]),
+        )
+    ]
+
+
+def rgb(colour: str) -> Colour:
+    """The colour that is written as #rrggbb."""
+    red, green, blue = bytes.fromhex(colour[1:])
+    return red / 255, green / 255, blue / 255
+
+
+def make_shades(colours: list[str]) -> list[Colour]:
+    """`SHADES` colours, linearly interpolated between those given as #rrggbb."""
+    stops = np.linspace(0, 1, len(colours))
+    channels = np.transpose([rgb(colour) for colour in colours])
+    mixed = [np.interp(np.linspace(0, 1, SHADES), stops, channel) for channel in channels]
+    return [tuple(shade) for shade in np.transpose(mixed).tolist()]
+
+
+def pick_shade(shades: list[Colour], share: float) -> Colour:
+    """The shade at a share of the range: the first at 0, below and at NaN, the last from 1 up."""
+    return shades[round(min(max(0.0, share), 1.0) * (SHADES - 1))]
