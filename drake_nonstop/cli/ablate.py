@@ -3,7 +3,7 @@
 import argparse
 
 from drake_nonstop.cli.arguments import Commands, add_study, read_scenario, study_folder
-from drake_nonstop.cli.exit_codes import FAILED
+from drake_nonstop.cli.ending import FAILED
 from drake_nonstop.studies.ablation import (
     ablate,
     ablation_settings,

@@ -1,11 +1,12 @@
-"""Arguments that several subcommands share."""
+"""Arguments that several subcommands share, and how they read a scenario and write results."""
 
 import argparse
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.studies.files import replacing_file
 from drake_nonstop.studies.results_folder import default_folder
 from drake_nonstop.validation import ScenarioError, require
 
@@ -28,13 +29,22 @@ def _refuse_moved(options: argparse.Namespace) -> int:
 
 def add_repeats(parser: argparse.ArgumentParser, default: int) -> None:
     """Adds --repeats, to be checked by `require_repeats`."""
-    parser.add_argument(
-        "--repeats",
-        type=int,
-        default=default,
-        metavar="N",
-        help=f"of each run; medians are taken ({default})",
-    )
+    about = f"of each run; medians are taken ({default})"
+    parser.add_argument("--repeats", type=int, default=default, metavar="N", help=about)
+
+
+def add_changes(
+    parser: argparse.ArgumentParser, option: str, about: str, metavar: str = "PATH=VALUE"
+) -> None:
+    """Adds an option that takes overrides, and may be repeated."""
+    parser.add_argument(option, nargs="+", action="extend", default=[], metavar=metavar, help=about)
+
+
+def add_trust(
+    parser: argparse.ArgumentParser, about: str = "let the scenario import blocks of your own"
+) -> None:
+    """Adds --trust."""
+    parser.add_argument("--trust", action="store_true", help=about)
 
 
 def add_scenario(
@@ -55,37 +65,16 @@ def add_scenario(
         help=f"a scenario's name or file{'' if default is None else f' ({default})'}",
     )
     parser.add_argument("--out", type=Path, metavar="DIR", help=f"results' folder ({folder})")
-    parser.add_argument(
-        "--set",
-        nargs="+",
-        action="extend",
-        default=[],
-        metavar="PATH=VALUE",
-        help="change the scenario: system.load_mass=1.2, phase=PaperPhase",
-    )
-    parser.add_argument(
-        "--trust",
-        action="store_true",
-        help="let it import blocks of your own, such as phase=my_blocks.MyPhase",
-    )
-
-
-def add_trust(parser: argparse.ArgumentParser) -> None:
-    """Adds --trust, of a command that reads a scenario without changing it."""
-    parser.add_argument(
-        "--trust", action="store_true", help="let the scenario import blocks of your own"
-    )
+    add_changes(parser, "--set", "change the scenario: system.load_mass=1.2, phase=PaperPhase")
+    add_trust(parser, "let it import blocks of your own, such as phase=my_blocks.MyPhase")
 
 
 def add_study(parser: argparse.ArgumentParser, folder: str) -> None:
     """Adds the arguments of `add_scenario`, and --restart."""
     add_scenario(parser, folder)
     parser.set_defaults(default_folder=Path(folder).parent)
-    parser.add_argument(
-        "--restart",
-        action="store_true",
-        help="drop what the folder has of a call that was interrupted",
-    )
+    about = "drop what the folder has of a call that was interrupted"
+    parser.add_argument("--restart", action="store_true", help=about)
 
 
 def study_folder(options: argparse.Namespace, name: str, settings: str) -> Path:
@@ -111,3 +100,9 @@ def read_scenario(options: argparse.Namespace, *, sampled: bool = True) -> Scena
     """
     scenario = load_scenario(options.scenario, options.set, trust=options.trust)
     return scenario.sampled() if sampled else scenario
+
+
+def write_figure(path: Path, figure: Any) -> None:
+    """Writes a Matplotlib figure to a file of the format that its name ends in."""
+    with replacing_file(path) as file:
+        figure.savefig(file, format=path.suffix.removeprefix("."), dpi=150)

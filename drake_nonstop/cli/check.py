@@ -10,7 +10,7 @@ from drake_nonstop.analysis.aircraft_margins import (
 )
 from drake_nonstop.analysis.task_check import check_task, task_dictionary, task_table
 from drake_nonstop.cli.arguments import Commands, add_scenario, read_scenario
-from drake_nonstop.cli.exit_codes import BAD_INPUT, FAILED
+from drake_nonstop.cli.ending import BAD_INPUT, FAILED
 from drake_nonstop.scenario.loading import dump_scenario
 from drake_nonstop.scenario.proportions import warn_of_angles
 from drake_nonstop.simulation.make_simulator import make_simulator

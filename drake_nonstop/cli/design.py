@@ -4,8 +4,8 @@ import argparse
 import os
 from pathlib import Path
 
-from drake_nonstop.cli.arguments import Commands
-from drake_nonstop.cli.exit_codes import BAD_INPUT, FAILED
+from drake_nonstop.cli.arguments import Commands, add_changes
+from drake_nonstop.cli.ending import BAD_INPUT, FAILED
 from drake_nonstop.scenario.loading import dump_scenario
 from drake_nonstop.studies.files import read_regular, replacing_files, require_writable, write_json
 from drake_nonstop.visualization.figure_style import require_drawing
@@ -41,25 +41,15 @@ def add_to(commands: Commands) -> None:
         help="print the request with every field, unit and meaning, to save and change",
     )
     parser.add_argument("--out", type=Path, metavar="DIR", help="results' folder (out/design/NAME)")
-    parser.add_argument(
-        "--set",
-        nargs="+",
-        action="extend",
-        default=[],
-        metavar="FIELD=VALUE",
-        help='change the request: load_mass=5 "wind=[3, 0, 0]" aircraft.mass=7',
-    )
+    about = 'change the request: load_mass=5 "wind=[3, 0, 0]" aircraft.mass=7'
+    add_changes(parser, "--set", about, metavar="FIELD=VALUE")
 
 
 def _design(options: argparse.Namespace) -> int:
     # Imported here: other commands need none of it.
     from drake_nonstop.studies.design import design, design_dictionary, design_table
     from drake_nonstop.studies.design_figures import make_pareto_figure
-    from drake_nonstop.studies.design_request import (
-        commented_request,
-        dump_request,
-        read_request,
-    )
+    from drake_nonstop.studies.design_request import commented_request, dump_request, read_request
 
     request = read_request(options.request, options.set)
     if options.print_request:

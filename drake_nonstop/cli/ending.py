@@ -1,4 +1,4 @@
-"""How the command ends by a signal: one sentence, and the shell's exit code for it."""
+"""How the command ends: its exit codes, and by a signal one sentence and the shell's code."""
 
 import contextlib
 import os
@@ -12,6 +12,11 @@ from typing import NoReturn
 
 from drake_nonstop.simulation.interruption import Interruption, before_end, handled_by
 
+FAILED = 1
+BAD_INPUT = 2
+NOT_OK = 3  # a run came to its end with an outcome other than ok
+INTERRUPTED = 130  # the shell's for Ctrl-C
+
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _FIRST_GRACE = 1.5  # s, from a first signal that nothing waits for
 _SECOND_GRACE = 1.0  # s, from the second
@@ -23,17 +28,22 @@ def exit_code(number: int) -> int:
     return 128 + (number or signal.SIGINT)
 
 
+def complain(message: str) -> None:
+    """Prints a sentence of the command's on the standard error."""
+    print(f"drake-nonstop: {message}", file=sys.stderr, flush=True)
+
+
 def say_end(interruption: Interruption, rest: str = "") -> int:
     """Prints what has ended the command and the rest of the sentence; returns the exit code."""
     interruption.is_said = True
-    print(_sentence(interruption.number, rest), file=sys.stderr, flush=True)
+    complain(_cause(interruption.number, rest))
     return exit_code(interruption.number)
 
 
-def _sentence(number: int, rest: str) -> str:
+def _cause(number: int, rest: str) -> str:
     is_ctrl_c = number in (0, signal.SIGINT)
     cause = "interrupted" if is_ctrl_c else f"ended by {signal.Signals(number).name}"
-    return f"drake-nonstop: {cause}{rest and ': '}{rest}"
+    return f"{cause}{rest and ': '}{rest}"
 
 
 class CommandInterruption(Interruption):
@@ -69,7 +79,7 @@ class CommandInterruption(Interruption):
 
     def _end(self, rest: str = "") -> NoReturn:
         with contextlib.suppress(OSError):
-            os.write(2, f"{_sentence(self.number, rest)}\n".encode())
+            os.write(2, f"drake-nonstop: {_cause(self.number, rest)}\n".encode())
         self._exit()
 
     def _exit(self) -> NoReturn:

@@ -8,10 +8,16 @@ import codecs
 import locale
 import os
 import resource
-import sys
 
-from drake_nonstop.cli.ending import CommandInterruption, exit_code, handling_signals, say_end
-from drake_nonstop.cli.exit_codes import BAD_INPUT, FAILED
+from drake_nonstop.cli.ending import (
+    BAD_INPUT,
+    FAILED,
+    CommandInterruption,
+    complain,
+    exit_code,
+    handling_signals,
+    say_end,
+)
 from drake_nonstop.cli.output import GuardedStream, guarded_output, open_closed_streams
 
 _LEAST_OPEN_FILES = 32
@@ -45,7 +51,7 @@ def _finished(code: int, interruption: CommandInterruption, out: GuardedStream) 
     """The exit code, where the output fails or a signal came too late to change anything."""
     out.flush()
     if out.error is not None and not isinstance(out.error, BrokenPipeError):
-        print(f"drake-nonstop: the output was not written: {out.error}", file=sys.stderr)
+        complain(f"the output was not written: {out.error}")
     if interruption.number and code != exit_code(interruption.number):
         return say_end(interruption)
     return code or (FAILED if out.error is not None else 0)
@@ -57,17 +63,11 @@ def _main(arguments: list[str] | None, interruption: CommandInterruption) -> int
     open_files, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
     if 0 <= open_files < _LEAST_OPEN_FILES:  # pydrake would crash
         remedy = f"allow it more, `ulimit -n {_LEAST_OPEN_FILES}`"
-        print(
-            f"drake-nonstop: the process may open {open_files} files at a time: {remedy}",
-            file=sys.stderr,
-        )
+        complain(f"the process may open {open_files} files at a time: {remedy}")
         return FAILED
     if codecs.lookup(locale.getpreferredencoding(False)).name == "ascii":
         remedy = "set PYTHONUTF8=1, or a locale of UTF-8"
-        print(
-            f"drake-nonstop: pydrake cannot be imported in an ASCII locale: {remedy}",
-            file=sys.stderr,
-        )
+        complain(f"pydrake cannot be imported in an ASCII locale: {remedy}")
         return FAILED
     from drake_nonstop.cli.parser import STUDIES, make_parser
     from drake_nonstop.simulation.interruption import ALL
@@ -110,9 +110,5 @@ def _main(arguments: list[str] | None, interruption: CommandInterruption) -> int
         message = ""  # a KeyboardInterrupt may become another error on its way through C++
     if interruption.number or not message:
         return say_end(interruption)
-    print(f"drake-nonstop: {message}", file=sys.stderr)
+    complain(message)
     return code
-
-
-if __name__ == "__main__":
-    sys.exit(main())

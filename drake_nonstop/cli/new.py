@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from drake_nonstop.cli.arguments import Commands
+from drake_nonstop.cli.arguments import Commands, add_trust
 from drake_nonstop.scenario.commented import commented_scenario
 from drake_nonstop.scenario.loading import load_scenario, parse_scenario
 from drake_nonstop.validation import ScenarioError, require
@@ -25,9 +25,7 @@ def add_to(commands: Commands) -> None:
         metavar="NAME|FILE.yaml",
         help="the scenario that it copies (quintic)",
     )
-    parser.add_argument(
-        "--trust", action="store_true", help="let that one import blocks of your own"
-    )
+    add_trust(parser, "let that one import blocks of your own")
 
 
 def _new(options: argparse.Namespace) -> int:

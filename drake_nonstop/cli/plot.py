@@ -3,9 +3,9 @@
 import argparse
 from pathlib import Path
 
-from drake_nonstop.cli.arguments import Commands
+from drake_nonstop.cli.arguments import Commands, write_figure
 from drake_nonstop.simulation.stored_run import load_signals
-from drake_nonstop.studies.files import replacing_file, require_writable_file
+from drake_nonstop.studies.files import require_writable_file
 from drake_nonstop.validation import require
 from drake_nonstop.visualization.figure_style import require_drawing
 from drake_nonstop.visualization.signal_figure import make_signal_figure
@@ -45,8 +45,7 @@ def _plot(options: argparse.Namespace) -> int:
     require_writable_file(file)
     runs = {_label(folder, options.runs): load_signals(folder) for folder in options.runs}
     figure = make_signal_figure(runs, options.signal)
-    with replacing_file(file) as opened:
-        figure.savefig(opened, format=file.suffix.removeprefix("."), dpi=150)
+    write_figure(file, figure)
     print(f"written: {file}")
     return 0
 

@@ -3,9 +3,15 @@
 import argparse
 import dataclasses
 
-from drake_nonstop.cli.arguments import Commands, add_study, read_scenario, study_folder
+from drake_nonstop.cli.arguments import (
+    Commands,
+    add_study,
+    read_scenario,
+    study_folder,
+    write_figure,
+)
 from drake_nonstop.studies.figures import make_robustness_figure
-from drake_nonstop.studies.files import replacing_file, write_json
+from drake_nonstop.studies.files import write_json
 from drake_nonstop.studies.robustness import robustness, robustness_settings, robustness_table
 from drake_nonstop.validation import require_seed
 from drake_nonstop.visualization.figure_style import require_drawing
@@ -40,8 +46,7 @@ def _robustness(options: argparse.Namespace) -> int:
         folder / "robustness.json",
         {"scenario": scenario.name, "cases": [dataclasses.asdict(case) for case in cases]},
     )
-    with replacing_file(folder / "robustness.png") as file:
-        make_robustness_figure(scenario.name, cases).savefig(file, format="png", dpi=150)
+    write_figure(folder / "robustness.png", make_robustness_figure(scenario.name, cases))
     print(robustness_table(cases))
     print(f"results: {folder}")
     return 0

@@ -5,7 +5,6 @@ import contextlib
 import os
 import shutil
 import signal
-import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,8 +12,15 @@ from typing import Any
 
 from drake_nonstop.analysis.limit import RunOutcome
 from drake_nonstop.cli.arguments import Commands, add_scenario, read_scenario
-from drake_nonstop.cli.ending import exit_code, say_end
-from drake_nonstop.cli.exit_codes import BAD_INPUT, FAILED, INTERRUPTED, NOT_OK
+from drake_nonstop.cli.ending import (
+    BAD_INPUT,
+    FAILED,
+    INTERRUPTED,
+    NOT_OK,
+    complain,
+    exit_code,
+    say_end,
+)
 from drake_nonstop.scenario.loading import dump_scenario
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.interruption import ALL, current_interruption
@@ -87,49 +93,33 @@ def _run(options: argparse.Namespace) -> int:
         "--live",
         "give one of them: a live run may be changed while it goes on",
     )
-    return run_into(
-        options.out or default_folder(Path("out") / scenario.name, scenario),
-        scenario,
-        is_live=options.live,
-        realtime_rate=1.0 if options.realtime is None else options.realtime,
-        port=options.port,
-        figures=not options.no_figures,
-        replay=not options.no_replay,
-        is_quiet=options.quiet,
-        verifies_step=options.verify_step,
-    )
+    folder = options.out or default_folder(Path("out") / scenario.name, scenario)
+    return run_into(folder, scenario, options)
 
 
-def run_into(
-    folder: Path,
-    scenario: Scenario,
-    *,
-    is_live: bool = False,
-    realtime_rate: float = 1.0,
-    port: int | None = None,
-    figures: bool = True,
-    replay: bool = True,
-    is_quiet: bool = False,
-    verifies_step: bool = False,
-) -> int:
+# Those of a run without any.
+_NO_OPTIONS = argparse.Namespace(
+    live=False,
+    realtime=None,
+    port=None,
+    no_figures=False,
+    no_replay=False,
+    verify_step=False,
+    quiet=False,
+)
+
+
+def run_into(folder: Path, scenario: Scenario, options: argparse.Namespace = _NO_OPTIONS) -> int:
     """Runs a scenario, writes its results and prints its table; returns the exit code.
 
-    Args:
-        folder: of the results; a new one is removed where the scenario cannot be run. A run that
-            ends before its time does not replace the results of a whole one: `stopped_folder`.
-        scenario: what to run.
-        is_live: whether to show the run in Meshcat, with controls, while it goes on; restarts
-            in the page are further runs; the results of a whole one replace those before.
-        realtime_rate: of a live run: simulated s per s, 0 for as fast as it goes.
-        port: of the live page; None: any from 7000 that is free.
-        figures: whether to write figures/.
-        replay: whether to write replay.html.
-        is_quiet: whether to print errors only.
-        verifies_step: whether to fly again with half the step in any case.
+    A new folder is removed where the scenario cannot be run. A run that ends before its time does
+    not replace the results of a whole one: `stopped_folder`. Restarts in the page of a live run
+    are further runs; the results of a whole one replace those before.
 
     Raises:
         ScenarioError: the scenario cannot be built, or the folder not be written.
     """
+    figures, replay, is_quiet = not options.no_figures, not options.no_replay, options.quiet
     if figures:
         require_drawing()
     is_new = not os.path.lexists(folder)
@@ -138,15 +128,16 @@ def run_into(
     progress = None if is_quiet else RunProgress(scenario.name, scenario.simulation_duration)
 
     def runs() -> Iterator[Run]:
-        if not is_live:
+        if not options.live:
             run = simulate(scenario, progress=progress)
-            if verifies_step and run.half_step is None:
+            if options.verify_step and run.half_step is None:
                 run = verify_step(run, progress=progress)
             yield run
             return
-        meshcat = start_meshcat(port)
+        meshcat = start_meshcat(options.port)
         print(f"watch and steer it at {meshcat.web_url()}", flush=True)
-        yield from run_live(scenario, meshcat, realtime_rate=realtime_rate, progress=progress)
+        rate = 1.0 if options.realtime is None else options.realtime
+        yield from run_live(scenario, meshcat, realtime_rate=rate, progress=progress)
 
     def write(run: Run) -> tuple[dict[str, Any], Path, str]:
         """Writes the results.
@@ -188,17 +179,16 @@ def run_into(
                     return say_end(interruption, rest + _unchanged(folder, place))
                 outcome = RunOutcome(metrics["outcome"])
                 code = _EXIT_CODES.get(outcome, NOT_OK)
-                if is_live and outcome is RunOutcome.STOPPED:
+                if options.live and outcome is RunOutcome.STOPPED:
                     code = 0  # somebody pressed "stop" in the page
                 if not is_quiet:
                     _report(metrics, run, f"{place}{_unchanged(folder, place)}")
                 if code != 0:
-                    _print_outcome(metrics)
-                if is_live and not is_quiet:
+                    complain(f"{metrics['outcome']}: {in_brief(metrics['reasons'])}")
+                if options.live and not is_quiet:
                     print("while a page is open: restart or stop there; Ctrl-C ends it", flush=True)
                 if missing:
-                    message = f"the results are in {place}, {missing}"
-                    print(f"drake-nonstop: {message}", file=sys.stderr)
+                    complain(f"the results are in {place}, {missing}")
                     return FAILED
             return code
         except ScenarioError:
@@ -207,16 +197,15 @@ def run_into(
                     folder.rmdir()
             raise
         except RunStopped as stopped:
-            print(f"drake-nonstop: {stopped}", file=sys.stderr)
+            complain(str(stopped))
             if len(stopped.run.time) > 0:
-                print(f"drake-nonstop: {keep(stopped.run)}", file=sys.stderr)
+                complain(keep(stopped.run))
             return FAILED
         except RunInterrupted as interrupted:
             kept = keep(interrupted.run) if len(interrupted.run.time) > 0 else ""
             if interruption.number:
                 return say_end(interruption, kept)
-            message = f"the run was stopped by a KeyboardInterrupt in its code; {kept}"
-            print(f"drake-nonstop: {message}", file=sys.stderr)
+            complain(f"the run was stopped by a KeyboardInterrupt in its code; {kept}")
             return FAILED
         finally:
             interruption.keep = None
@@ -258,8 +247,3 @@ def _report(metrics: dict[str, Any], run: Run, place: str) -> None:
             f"with steps of {1e3 * run.half_step['step_s']:.3g} ms no metric moves ({TOLERANCES})"
         )
     print(f"results: {place}", flush=True)
-
-
-def _print_outcome(metrics: dict[str, Any]) -> None:
-    reasons = in_brief(metrics["reasons"])
-    print(f"drake-nonstop: {metrics['outcome']}: {reasons}", file=sys.stderr)

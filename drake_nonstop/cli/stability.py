@@ -3,10 +3,16 @@
 import argparse
 import dataclasses
 
-from drake_nonstop.cli.arguments import Commands, add_study, read_scenario, study_folder
+from drake_nonstop.cli.arguments import (
+    Commands,
+    add_study,
+    read_scenario,
+    study_folder,
+    write_figure,
+)
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.studies.figures import make_margins_figure
-from drake_nonstop.studies.files import replacing_file, require_writable, write_json
+from drake_nonstop.studies.files import require_writable, write_json
 from drake_nonstop.studies.margins import Margin, find_margins, find_stability, margins_settings
 from drake_nonstop.visualization.figure_style import require_drawing
 from drake_nonstop.visualization.progress import TaskProgress
@@ -58,8 +64,7 @@ def _stability(options: argparse.Namespace) -> int:
             "margins": [dataclasses.asdict(margin) for margin in margins],
         },
     )
-    with replacing_file(folder / "stability.png") as file:
-        make_margins_figure(scenario.name, margins).savefig(file, format="png", dpi=150)
+    write_figure(folder / "stability.png", make_margins_figure(scenario.name, margins))
     print(
         f"with steps of {fine_step * 1e3:g} ms     {found_finely.largest:.4g}: "
         f"{'stable' if found_finely.is_stable else 'unstable'}"

@@ -5,7 +5,7 @@ import dataclasses
 from pathlib import Path
 
 from drake_nonstop.cli.arguments import Commands, add_study, read_scenario, study_folder
-from drake_nonstop.cli.exit_codes import FAILED
+from drake_nonstop.cli.ending import FAILED
 from drake_nonstop.cli.run import run_into
 from drake_nonstop.scenario.schema import AUTO, COMPILED
 from drake_nonstop.studies.run_all import COMPLETED, DIVERGED, SerialExecutor

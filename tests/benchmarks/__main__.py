@@ -18,8 +18,8 @@ from drake_nonstop.cli.arguments import (  # noqa: E402
     read_scenario,
     require_repeats,
 )
-from drake_nonstop.cli.bench_results import run_benchmark  # noqa: E402
-from drake_nonstop.cli.exit_codes import BAD_INPUT, FAILED  # noqa: E402
+from drake_nonstop.cli.bench import run_benchmark  # noqa: E402
+from drake_nonstop.cli.ending import BAD_INPUT, FAILED  # noqa: E402
 from drake_nonstop.scenario.loading import scenario_names  # noqa: E402
 from drake_nonstop.studies.files import replacing_file, require_writable  # noqa: E402
 from drake_nonstop.validation import (  # noqa: E402

@@ -20,7 +20,7 @@ from drake_nonstop.benchmarks import comparing, running
 from drake_nonstop.benchmarks.block_timers import BlockTimers
 from drake_nonstop.benchmarks.comparing import FreshRuns, Source, checked_out, compare
 from drake_nonstop.benchmarks.figures import make_run_time_figure
-from drake_nonstop.cli.exit_codes import BAD_INPUT, FAILED
+from drake_nonstop.cli.ending import BAD_INPUT, FAILED
 from drake_nonstop.cli.main import main
 from drake_nonstop.simulation.run import RunStopped, StepCheck
 from drake_nonstop.systems.block import LeafBlock

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from drake_nonstop.cli import check
-from drake_nonstop.cli.exit_codes import BAD_INPUT, FAILED
+from drake_nonstop.cli.ending import BAD_INPUT, FAILED
 from drake_nonstop.cli.main import main
 from drake_nonstop.scenario.loading import dump_scenario, load_scenario
 

@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 
 from drake_nonstop.cli import run
-from drake_nonstop.cli.exit_codes import BAD_INPUT, FAILED, INTERRUPTED, NOT_OK
-from drake_nonstop.cli.file_server import serve_folder
+from drake_nonstop.cli.ending import BAD_INPUT, FAILED, INTERRUPTED, NOT_OK
 from drake_nonstop.cli.main import main
+from drake_nonstop.cli.view import serve_folder
 from drake_nonstop.scenario.loading import dump_scenario, load_scenario, scenario_names
 
 RESULTS = {

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from drake_nonstop.cli.exit_codes import BAD_INPUT, FAILED
+from drake_nonstop.cli.ending import BAD_INPUT, FAILED
 from drake_nonstop.cli.main import main
 from drake_nonstop.optimization.formation_program import FormationVariables
 from drake_nonstop.scenario.loading import load_scenario

@@ -92,7 +92,7 @@ def start(tmp_path):
 
     def started(*arguments):
         process = subprocess.Popen(
-            [sys.executable, "-m", "drake_nonstop.cli.main", *arguments],
+            [sys.executable, "-m", "drake_nonstop.cli", *arguments],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,

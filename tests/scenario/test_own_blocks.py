@@ -14,7 +14,7 @@ from drake_nonstop import (
     parse_scenario,
     simulate,
 )
-from drake_nonstop.cli.exit_codes import NOT_OK
+from drake_nonstop.cli.ending import NOT_OK
 from drake_nonstop.cli.main import main
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.scenario.overrides import changed

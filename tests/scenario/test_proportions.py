@@ -6,7 +6,7 @@ import pytest
 
 from drake_nonstop import ScenarioError, ScenarioWarning, load_scenario, scenario_names, simulate
 from drake_nonstop.cli import check as command
-from drake_nonstop.cli.exit_codes import BAD_INPUT
+from drake_nonstop.cli.ending import BAD_INPUT
 from drake_nonstop.cli.main import main
 from drake_nonstop.scenario.proportions import PROPORTIONS, out_of_proportion, warn_of_angles
 from drake_nonstop.simulation.run import RunStopped, StepCheck

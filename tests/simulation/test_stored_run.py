@@ -20,7 +20,7 @@ from drake_nonstop import (
     simulate,
     write_results,
 )
-from drake_nonstop.cli.exit_codes import BAD_INPUT
+from drake_nonstop.cli.ending import BAD_INPUT
 from drake_nonstop.cli.main import main
 from drake_nonstop.mechanics.signal_layouts import Layout, Part
 from drake_nonstop.optimization.diagnostics import DIAGNOSTICS_SIZE

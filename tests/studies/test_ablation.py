@@ -15,7 +15,7 @@ import pytest
 from helpers import nightly_beyond
 from PIL import Image
 
-from drake_nonstop.cli import exit_codes
+from drake_nonstop.cli import ending
 from drake_nonstop.cli.main import main
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.scenario.loading import load_scenario
@@ -330,7 +330,7 @@ def test_table_page_and_terminal_show_the_metrics_of_the_folders(compared):
 
 def test_a_variant_that_cannot_be_built_is_reported_and_spoils_nothing(compared):
     folder, code, shown = compared
-    assert code == exit_codes.FAILED
+    assert code == ending.FAILED
     message = "Nope (unbuildable): phase = !Nope: give one of"
     assert message in shown
     assert message in (folder / "table.md").read_text()
@@ -433,7 +433,7 @@ def test_changes_are_marked_as_better_or_worse(tmp_path):
 )
 def test_bad_input_is_reported_and_leaves_no_folder(tmp_path, capsys, arguments, words):
     folder = tmp_path / "out"
-    assert main(["ablate", "line", "--out", str(folder), *arguments]) == exit_codes.BAD_INPUT
+    assert main(["ablate", "line", "--out", str(folder), *arguments]) == ending.BAD_INPUT
     error = capsys.readouterr().err
     assert words in error
     assert error.count("\n") == 1
@@ -461,7 +461,7 @@ def test_ctrl_c_ends_all_processes_and_leaves_the_earlier_results(tmp_path):
     time.sleep(4)  # the runs are on their way
     process.send_signal(signal.SIGINT)
     _, error = process.communicate(timeout=60)
-    assert process.returncode == exit_codes.INTERRUPTED
+    assert process.returncode == ending.INTERRUPTED
     assert error.endswith("drake-nonstop: interrupted\n")
     assert "Traceback" not in error
     assert contents(tmp_path) == {"table.md"}

@@ -6,7 +6,7 @@ import json
 from PIL import Image
 
 from drake_nonstop.cli import stability as command
-from drake_nonstop.cli.exit_codes import BAD_INPUT
+from drake_nonstop.cli.ending import BAD_INPUT
 from drake_nonstop.cli.main import main
 from drake_nonstop.studies import margins
 from drake_nonstop.validation import ScenarioError

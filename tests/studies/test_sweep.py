@@ -18,7 +18,7 @@ from tables import column_types, read_rows
 import drake_nonstop
 from drake_nonstop import SweepInterrupted, SweepSpec, load_scenario, read_sweep
 from drake_nonstop.cli import run as run_command
-from drake_nonstop.cli.exit_codes import BAD_INPUT, FAILED, INTERRUPTED
+from drake_nonstop.cli.ending import BAD_INPUT, FAILED, INTERRUPTED
 from drake_nonstop.cli.main import main
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.studies.run_all import COMPLETED, DIVERGED, UNBUILDABLE, SerialExecutor
