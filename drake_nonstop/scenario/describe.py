@@ -7,12 +7,8 @@ built with the default scenario's model.
 
 import dataclasses
 import inspect
-import math
 from dataclasses import dataclass
 from typing import Any
-
-import yaml
-from pydrake.systems.framework import System
 
 from drake_nonstop.diagrams.nonstop import BOXES, SIGNALS
 from drake_nonstop.loop.box import config_class
@@ -20,6 +16,7 @@ from drake_nonstop.mechanics.signal_layouts import Layout
 from drake_nonstop.model.aircraft import AircraftParameters
 from drake_nonstop.model.system import Model
 from drake_nonstop.scenario.schema import PATTERN, PATTERNS, Scenario
+from drake_nonstop.scenario.yaml_text import dump_plain
 from drake_nonstop.systems import wiring
 from drake_nonstop.systems.field_comments import meanings
 from drake_nonstop.validation import ScenarioError, require
@@ -82,7 +79,7 @@ def describe(name: str) -> Box:
     """
     require(name in box_names(), "box", name, f"give one of {', '.join(box_names())}")
     if name == PATTERN:
-        choices = tuple(map(_pattern, PATTERNS))
+        choices = tuple(_choice(config, config, None) for config in PATTERNS)
         return Box(name=name, signals=(), choices=choices)
     scenario = Scenario()
     # For blocks of aircraft; it changes no port of the others.
@@ -91,7 +88,7 @@ def describe(name: str) -> Box:
     return Box(
         name=name,
         signals=tuple(_port(signal, None) for signal in BOXES[name].signals),
-        choices=tuple(_choice(block, model) for block in BOXES[name].variants),
+        choices=tuple(_choice(config_class(b), b, model) for b in BOXES[name].variants),
     )
 
 
@@ -102,83 +99,43 @@ def parameters(config: type) -> tuple[Parameter, ...]:
     return tuple(
         Parameter(
             name=field.name,
-            type=_type_name(field.type),
-            default=_as_yaml(getattr(default, field.name)),
+            type=field.type.__name__ if type(field.type) is type else str(field.type),
+            default=_shown(getattr(default, field.name)),
             meaning=about.get(field.name, ""),
         )
         for field in dataclasses.fields(config)
     )
 
 
-def _choice(block: type[System], model: Model) -> Choice:
-    inputs: tuple[Port, ...] = ()
-    outputs: tuple[Port, ...] = ()
-    unbuildable = ""
-    try:
-        built: Any = block(model)
-    except ScenarioError as error:
-        unbuildable = str(error)
-    else:
-        optional = wiring.optional_inputs(built)
-        inputs = tuple(
-            dataclasses.replace(_port(*item), is_optional=item[0] in optional)
-            for item in wiring.input_sizes(built).items()
-        )
-        outputs = tuple(_port(*item) for item in wiring.output_sizes(built).items())
-    return Choice(
-        name=block.__name__,
-        summary=_summary(block),
-        parameters=parameters(config_class(block)),
-        inputs=inputs,
-        outputs=outputs,
-        unbuildable=unbuildable,
-    )
+def _choice(config: type, block: type, model: Model | None) -> Choice:
+    """A block and its config, with its ports if there is a model to build it with."""
+    ports: dict[str, Any] = {}
+    if model is not None:
+        try:
+            built = block(model)
+        except ScenarioError as error:
+            ports["unbuildable"] = str(error)
+        else:
+            optional = wiring.optional_inputs(built)
+            read = wiring.input_sizes(built).items()
+            ports["inputs"] = tuple(_port(*port, port[0] in optional) for port in read)
+            ports["outputs"] = tuple(_port(*port) for port in wiring.output_sizes(built).items())
+    name = config.__name__.removesuffix("Config")
+    summary = (inspect.getdoc(block) or "").partition("\n")[0]
+    return Choice(name=name, summary=summary, parameters=parameters(config), **ports)
 
 
-def _pattern(config: type) -> Choice:
-    return Choice(
-        name=config.__name__.removesuffix("Config"),
-        summary=_summary(config),
-        parameters=parameters(config),
-    )
-
-
-def _port(name: str, size: int | None) -> Port:
+def _port(name: str, size: int | None, is_optional: bool | None = None) -> Port:
     """The port of that name: its size by the contract, or else as it is for the default n."""
     layout = SIGNALS.get(name)
-    is_optional = any(name in box.optional for box in BOXES.values())
+    if is_optional is None:
+        is_optional = any(name in box.optional for box in BOXES.values())
     text = "abstract" if size is None else str(size)
-    return Port(
-        name=name,
-        size=text if layout is None else layout.size,
-        is_optional=is_optional,
-        layout=layout,
-    )
+    text = text if layout is None else layout.size
+    return Port(name=name, size=text, is_optional=is_optional, layout=layout)
 
 
-def _summary(documented: type) -> str:
-    """The first line of the docstring."""
-    return (inspect.getdoc(documented) or "").partition("\n")[0]
-
-
-def _type_name(annotation: Any) -> str:
-    return annotation.__name__ if type(annotation) is type else str(annotation)
-
-
-def _as_yaml(value: Any) -> str:
-    """The value as it may stand in a scenario, in one line."""
-    try:
-        text = yaml.dump(
-            value, Dumper=_Dumper, default_flow_style=True, allow_unicode=True, width=math.inf
-        )
-    except yaml.representer.RepresenterError:  # neither a number nor a text nor a list of those
-        text = str(value)
-    return text.removesuffix("...\n").strip()
-
-
-class _Dumper(yaml.SafeDumper):
-    """Writes out what stands there twice."""
-
-    def ignore_aliases(self, data: Any) -> bool:
-        """No anchors and aliases."""
-        return True
+def _shown(value: Any) -> str:
+    """The value as it may stand in a scenario, in one line; nothing for a part with fields."""
+    is_part = dataclasses.is_dataclass(value) or hasattr(value, "__fields__")
+    return "" if is_part else dump_plain(value)

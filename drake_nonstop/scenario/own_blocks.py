@@ -13,8 +13,6 @@ from pathlib import Path
 
 from pydrake.common.yaml import yaml_dump_typed
 
-from drake_nonstop.diagrams.nonstop import BOXES
-from drake_nonstop.loop.box import block_class
 from drake_nonstop.validation import ScenarioError, one_line, require
 
 
@@ -64,9 +62,4 @@ def import_config(field: str, path: str) -> type:
         yaml_dump_typed(config())
     except (Exception, SystemExit) as error:  # whatever a user's dataclass may raise
         raise ScenarioError(f"{field} = !{path}: {remedy} ({one_line(error)})") from error
-    if field in BOXES:
-        block_class(field, config)
-        for needed, meaning in BOXES[field].config_fields.items():
-            remedy = f"give {name}Config a field {needed} ({meaning})"
-            require(hasattr(config(), needed), field, f"!{path}", remedy)
     return config

@@ -14,21 +14,6 @@ from drake_nonstop.systems.field_comments import meanings
 from drake_nonstop.validation import warn_user
 
 
-def _cable_length(scenario: Scenario) -> float:
-    """In m."""
-    return scenario.system.cable_length
-
-
-def _width(scenario: Scenario) -> float:
-    """The farthest attachment's distance from the load's centre of mass, m."""
-    return float(np.max(np.linalg.norm(scenario.system.attachments, axis=1)))
-
-
-def _radian_time(scenario: Scenario) -> float:
-    """1/ξ, s."""
-    return 1 / float(scenario.optimization_layer.frequency)
-
-
 def _share(scenario: Scenario) -> float:
     """A cable's share of the load's weight, N."""
     system = scenario.system
@@ -42,76 +27,69 @@ def _amplitude(scenario: Scenario) -> float:
     return _share(scenario) / float(np.max(of_cables))
 
 
-def _one(scenario: Scenario) -> float:
-    """A unit of its own."""
-    return 1.0
+# What quantities are measured by, in SI units.
+_MEASURES: dict[str, Callable[[Scenario], float]] = {
+    "1/ξ": lambda scenario: 1 / float(scenario.optimization_layer.frequency),
+    "a cable's length": lambda scenario: scenario.system.cable_length,
+    "a cable's length in 1 s": lambda scenario: scenario.system.cable_length,
+    "a radian": lambda _: 1.0,
+    "a radian per second": lambda _: 1.0,
+    "the attachments' distance from the load's centre": lambda scenario: float(
+        np.max(np.linalg.norm(scenario.system.attachments, axis=1))
+    ),
+    "a cable's share of the weight by its length": lambda scenario: (
+        _share(scenario) / scenario.system.cable_length
+    ),
+    "that of internal forces like a cable's share of the weight": _amplitude,
+}
 
 
 class Proportion(NamedTuple):
     """A field, and the size that it is usually in proportion to."""
 
     field: str  # its path in the scenario
-    size: Callable[[Scenario], float]  # what it is measured by, SI units
-    of: str  # the same in words
+    of: str  # what it is measured by, one of `_MEASURES`
     hint: str
-    least: float = 0.0  # times that size, as is usual
-    most: float = math.inf  # likewise
+    most: float = math.inf  # times that, as is usual
+    least: float = 0.0  # likewise
 
 
-_WEIGHT = "a cable's share of the weight"
-
-PROPORTIONS = (
-    Proportion("control_period", _radian_time, "1/ξ", "in s: ms given?", most=0.6),
-    Proportion("load_feedback.period", _radian_time, "1/ξ", "in s: ms given?", most=0.6),
-    Proportion("load_feedback.delay", _radian_time, "1/ξ", "in s: ms given?", most=0.6),
-    Proportion(
-        "load_feedback.position_noise",
-        _cable_length,
-        "a cable's length",
-        "in m: mm given?",
-        most=0.1,
-    ),
-    Proportion(
-        "load_feedback.orientation_noise", _one, "a radian", "in rad: degrees given?", most=0.3
-    ),
-    Proportion(
-        "load_feedback.velocity_noise",
-        _cable_length,
-        "a cable's length in 1 s",
-        "in m/s: mm/s given?",
-        most=1.0,
-    ),
-    Proportion(
-        "load_feedback.angular_velocity_noise",
-        _one,
-        "a radian per second",
-        "in rad/s: degrees per second given?",
-        most=1.0,
-    ),
-    Proportion(
-        "system.attachments", _cable_length, "a cable's length", "in m: mm given?", most=50.0
-    ),
-    Proportion(
-        "system.cable_length",
-        _width,
-        "the attachments' distance from the load's centre",
-        "both in m",
-        most=500.0,
-    ),
-    Proportion(
-        "system.cable_stiffness",
-        lambda scenario: _share(scenario) / _cable_length(scenario),
-        f"{_WEIGHT} by its length",
-        "in N/m: kN/m given?",
-        least=3.0,
-    ),
-    Proportion(
-        "optimization_layer.amplitude",
-        _amplitude,
-        f"that of internal forces like {_WEIGHT}",
-        "in N, or for an elliptic carousel without a unit",
-        most=10.0,
-    ),
+PROPORTIONS = tuple(
+    Proportion(*row)
+    for row in (
+        ("control_period", "1/ξ", "in s: ms given?", 0.6),
+        ("load_feedback.period", "1/ξ", "in s: ms given?", 0.6),
+        ("load_feedback.delay", "1/ξ", "in s: ms given?", 0.6),
+        ("load_feedback.position_noise", "a cable's length", "in m: mm given?", 0.1),
+        ("load_feedback.orientation_noise", "a radian", "in rad: degrees given?", 0.3),
+        ("load_feedback.velocity_noise", "a cable's length in 1 s", "in m/s: mm/s given?", 1.0),
+        (
+            "load_feedback.angular_velocity_noise",
+            "a radian per second",
+            "in rad/s: degrees per second given?",
+            1.0,
+        ),
+        ("system.attachments", "a cable's length", "in m: mm given?", 50.0),
+        (
+            "system.cable_length",
+            "the attachments' distance from the load's centre",
+            "both in m",
+            500.0,
+        ),
+        (
+            "system.cable_stiffness",
+            "a cable's share of the weight by its length",
+            "in N/m: kN/m given?",
+            math.inf,
+            3.0,
+        ),
+        (
+            "optimization_layer.amplitude",
+            "that of internal forces like a cable's share of the weight",
+            "in N, or for an elliptic carousel without a unit",
+            10.0,
+        ),
+    )
 )
 
 
@@ -128,7 +106,7 @@ def out_of_proportion(scenario: Scenario) -> list[str]:
         try:
             rows = np.atleast_2d(np.asarray(value, dtype=float))  # None: NaN, which is neither
             size = float(np.max(np.linalg.norm(rows, axis=-1)))
-            ratio = size / row.size(scenario)
+            ratio = size / _MEASURES[row.of](scenario)
         except (TypeError, ValueError, AttributeError, ZeroDivisionError):
             continue
         for is_beyond, side, limit in (

@@ -286,46 +286,34 @@ def check(scenario: Scenario) -> None:
             require(isinstance(value, kind), path, value, f"give a {kind.__name__}")
             require_fields(path, value)
         elif path == "reference_governor":
-            remedy = "give a ReferenceGovernorConfig, or None"
             is_part = value is None or isinstance(value, ReferenceGovernorConfig)
-            require(is_part, path, value, remedy)
-            if value is not None:
-                require_fields(path, value)
+            require(is_part, path, value, "give a ReferenceGovernorConfig, or None")
+            require_type(path, value, kind)
         else:
             require_type(f"{scenario.name}.{path}", value, kind)
     for owner in ("system", "simulated"):
         _check_is_read(owner, getattr(scenario, owner))
-    require_positive(scenario.name, simulation_duration=scenario.simulation_duration)
+    duration, period = scenario.simulation_duration, scenario.control_period
+    require_positive(scenario.name, simulation_duration=duration)
     is_seed = 0 <= seed <= _LARGEST_SEED
     require(is_seed, f"{scenario.name}.random_seed", seed, f"give 0 to {_LARGEST_SEED}")
     require_ranges("limits", scenario.limits)
     remedy = f"give {', '.join(ENGINES[:-1])} or {ENGINES[-1]}"
     require(scenario.engine in ENGINES, "engine", scenario.engine, remedy)
-    config = scenario.simulator_config
-    require_positive(
-        "simulator_config", max_step_size=config.max_step_size, accuracy=config.accuracy
-    )
-    require_non_negative("simulator_config", target_realtime_rate=config.target_realtime_rate)
-    require(
-        config.max_step_size >= 1e-5,
-        "simulator_config.max_step_size",
-        config.max_step_size,
-        "give at least 1e-5 s, or the run would not come to an end",
-    )
-    require(config.start_time == 0, "simulator_config.start_time", config.start_time, "give 0")
-    require(
-        is_number(scenario.control_period) and 0 <= scenario.control_period <= _LONGEST_PERIOD,
-        "control_period",
-        scenario.control_period,
-        f"give 0 for continuous controllers, or 1e-4 to {_LONGEST_PERIOD:g} s",
-    )
-    step = min(config.max_step_size, scenario.control_period or _LONGEST_PERIOD)
-    require(
-        scenario.simulation_duration <= _MAX_STEPS * step,
-        f"{scenario.name}.simulation_duration",
-        scenario.simulation_duration,
-        f"give at most {_MAX_STEPS * step:g} s, which are {_MAX_STEPS:.0e} steps of {step:g} s",
-    )
+    owner, config = "simulator_config", scenario.simulator_config
+    require_positive(owner, max_step_size=config.max_step_size, accuracy=config.accuracy)
+    require_non_negative(owner, target_realtime_rate=config.target_realtime_rate)
+    remedy = "give at least 1e-5 s, or the run would not come to an end"
+    step = config.max_step_size
+    require(step >= 1e-5, f"{owner}.max_step_size", step, remedy)
+    require(config.start_time == 0, f"{owner}.start_time", config.start_time, "give 0")
+    is_period = is_number(period) and 0 <= period <= _LONGEST_PERIOD
+    remedy = f"give 0 for continuous controllers, or 1e-4 to {_LONGEST_PERIOD:g} s"
+    require(is_period, "control_period", period, remedy)
+    step = min(step, period or _LONGEST_PERIOD)
+    remedy = f"give at most {_MAX_STEPS * step:g} s, which are {_MAX_STEPS:.0e} steps of {step:g} s"
+    is_short = duration <= _MAX_STEPS * step
+    require(is_short, f"{scenario.name}.simulation_duration", duration, remedy)
 
 
 def sample(

@@ -151,7 +151,7 @@ def test_aircraft_and_wind_may_come_from_ports(meshcat):
     assert without.aircraft_state is None
     assert without.load_wind is None
     np.testing.assert_array_equal(with_all.aircraft_state, run.signal("aircraft_state")[3])
-    np.testing.assert_array_equal(with_all.wind, np.tile([2.0, 0.0, 0.0], (4, 1)))
+    np.testing.assert_array_equal(with_all.wind, np.tile([2.0, 0.0, 0.0], 4))
     assert meshcat.HasPath(f"{ROOT}/wind/shaft")
     assert not meshcat.HasPath(f"{ROOT}/carriers/0/mark")
 
