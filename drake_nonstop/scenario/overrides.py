@@ -79,6 +79,14 @@ def require_override(override: Any, where: str) -> None:
     require(is_override, where, override, remedy)
 
 
+def parse_override(override: str) -> tuple[str, Any]:
+    """The path and the value of a change "path=value"; raises ScenarioError."""
+    require_override(override, "--set")
+    path, _, text = override.partition("=")
+    require(text.strip(), f"--set {path}", "nothing", "give a value after the =")
+    return path, parse_plain(text, f"--set {path}", path)
+
+
 def require_choices(values: Any, where: str) -> None:
     """Raises ScenarioError for what is no list of different values."""
     require(isinstance(values, list) and values, where, values, "give a list of values in [ ]")
@@ -102,10 +110,7 @@ def as_override(path: str, value: Any) -> str:
 
 def _apply(tree: Tree, override: str, trusted: Trusted) -> None:
     """Changes the resolved tree by one "path=value"."""
-    require_override(override, "--set")
-    path, _, text = override.partition("=")
-    require(text.strip(), f"--set {path}", "nothing", "give a value after the =")
-    value = parse_plain(text, f"--set {path}", path)
+    path, value = parse_override(override)
     *parents, last = path.split(".")
     require(path != BASE, "--set", override, "run that scenario itself, or name it in a file")
     require("_tag" not in path.split("."), "--set", path, "choose a block by its name, phase=X")

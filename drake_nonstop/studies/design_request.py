@@ -14,7 +14,7 @@ from drake_nonstop.model.aircraft import AircraftParameters, make_aircraft
 from drake_nonstop.model.system import checked_inertia
 from drake_nonstop.optimization.formation_program import KINDS
 from drake_nonstop.optimization.problem_config import AircraftLimits, check_flight_limits
-from drake_nonstop.scenario.overrides import require_override
+from drake_nonstop.scenario.overrides import parse_override
 from drake_nonstop.scenario.schema import check_name
 from drake_nonstop.scenario.tree import filled
 from drake_nonstop.scenario.yaml_text import dump_plain, parse_plain
@@ -188,10 +188,7 @@ def read_request(file: str | Path | None = None, overrides: Sequence[str] = ()) 
 
 
 def _apply(tree: dict[str, Any], override: str) -> None:
-    require_override(override, "--set")
-    path, _, text = override.partition("=")
-    require(text.strip(), f"--set {path}", "nothing", "give a value after the =")
-    value = parse_plain(text, f"--set {path}", path)
+    path, value = parse_override(override)
     owner, dot, field = path.partition(".")
     if dot:
         require(owner == "aircraft", "--set", path, "give a field, or aircraft.FIELD")

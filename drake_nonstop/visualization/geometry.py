@@ -47,8 +47,14 @@ from drake_nonstop.visualization.bodies import (
 )
 from drake_nonstop.visualization.scene import Scene
 
-_OF_AIRCRAFT = "aircraft_state", "wind"  # ports that may be left unconnected
+_NEEDED = "load_state", "carrier_state"  # ports; others may be left unconnected
 _HALF_CABLE = 0.6  # of the unstretched length; the two halves of a cable overlap
+
+
+def _inputs(n: int) -> dict[str, int]:
+    """The input ports and their sizes for n carriers."""
+    needed = {"load_state": LOAD_STATE_SIZE, "carrier_state": 6 * n}
+    return needed | {"aircraft_state": 4 * n, "wind": 3 * n}
 
 
 class NonstopGeometry(DiagramBlock):
@@ -80,13 +86,9 @@ class NonstopGeometry(DiagramBlock):
         output_ports:
         - geometry_pose
 
-    All in SI units and the world frame W, for n carriers:
-
-    - `load_state` (13): quaternion w x y z, position, angular velocity, velocity.
-    - `carrier_state` (6n): positions, then velocities.
-    - `aircraft_state` (4n): lift coefficients, banks (rad), thrusts (N), airspeeds; may be left
-      unconnected, and so may `wind` (3n), at the carriers.
-    - `geometry_pose`: a FramePoseVector, for the SceneGraph's pose port of `source`.
+    The inputs are the loop's signals (`mechanics.signal_layouts`); `aircraft_state` and `wind` may
+    be left unconnected. `geometry_pose` is a FramePoseVector, for the SceneGraph's pose port of
+    `source`.
 
     Args:
         scene_graph: where the geometry is registered.
@@ -177,7 +179,7 @@ class NonstopGeometry(DiagramBlock):
         frames = [self.load_frame, *self.carrier_frames, *lower_halves, *upper_halves]
         inner = DiagramBuilder()
         poses = inner.AddNamedSystem("poses", _Poses(attachments, frames, aircraft_in(system)))
-        for port in ("load_state", "carrier_state", *_OF_AIRCRAFT):
+        for port in _inputs(len(attachments)):
             inner.ExportInput(poses.GetInputPort(port), port)
         inner.ExportOutput(poses.get_output_port(), "geometry_pose")
         inner.BuildInto(self)
@@ -186,34 +188,29 @@ class NonstopGeometry(DiagramBlock):
 class _Poses(InnerBlock):
     """The poses of the frames, which a conversion does not register anew.
 
-    Args:
-        attachments: (n, 3), m, in L.
-        frames: of the load, the n carriers, and the cables' n lower and n upper halves.
-        aircraft: that the carriers are; None: they are none.
+    They are those of the load, the n carriers, and the cables' n lower and n upper halves.
     """
 
     def __init__(self, attachments: NDArray, frames: list[FrameId], aircraft: Aircraft | None):
         super().__init__()
         self._attachments, self._frames, self._aircraft = attachments, frames, aircraft
-        self._load_state = self.DeclareVectorInputPort("load_state", LOAD_STATE_SIZE)
-        self._carrier_state = self.DeclareVectorInputPort("carrier_state", 6 * len(attachments))
-        n = len(attachments)
-        self._aircraft_state = self.DeclareVectorInputPort("aircraft_state", 4 * n)
-        self._wind = self.DeclareVectorInputPort("wind", 3 * n)
-        inputs = self._load_state, self._carrier_state, self._aircraft_state, self._wind
+        self._inputs = [
+            self.DeclareVectorInputPort(name, size)
+            for name, size in _inputs(len(attachments)).items()
+        ]
         make = FramePoseVector_[self.scalar]
         self.DeclareAbstractOutputPort(
             "geometry_pose",
             lambda: AbstractValue.Make(make()),
             self._calc_poses,
-            {port.ticket() for port in inputs},
+            {self.all_input_ports_ticket()},
         )
 
     def _calc_poses(self, context: Context, output: AbstractValue) -> None:
         self.require_floats("look at the scene in a context of the diagram that was converted")
-        optional = () if self._aircraft is None else (self._aircraft_state, self._wind)
-        ports = self._load_state, self._carrier_state
-        ports = (*ports, *(port for port in optional if port.HasValue(context)))
+        count = len(_NEEDED) if self._aircraft is None else len(self._inputs)
+        ports = self._inputs[:count]
+        ports = [port for port in ports if port.get_name() in _NEEDED or port.HasValue(context)]
         given = {port.get_name(): port.Eval(context) for port in ports}
         load = Pose.view(given.pop("load_state"))
         carriers = CarrierStates.view(given.pop("carrier_state"))
@@ -254,21 +251,17 @@ def AddGeometry(  # noqa: N802
             `load_state` (13) and `carrier_state` (6n); of aircraft also `aircraft_state` (4n) and
             `wind` (3n). Its name is that of the geometry's source.
         scene_graph: the SceneGraph.
-        scenario: has the system, with what is simulated otherwise, and the colours and sizes of
-            `scene`; nothing else of it is used.
-        load_file: an SDF or URDF file, such as the one that `system.load_file` named as the
-            scenario was loaded: its visual and collision shapes are the load's. Without it the load
-            is drawn as a frame of bars.
-        proximity: whether the bodies have that role: False where a MultibodyPlant that shares the
-            SceneGraph could meet them, since it ends the run at a contact of bodies not its own.
+        scenario: see `NonstopGeometry`; nothing else of it is used.
+        load_file: likewise, such as the one that `system.load_file` named as the scenario was
+            loaded.
+        proximity: likewise.
 
     Returns:
         The system that makes the poses; see `NonstopGeometry` for its frames and what is drawn.
 
     Raises:
         ScenarioError: the loop or the SceneGraph is not in the builder, the builder is built, the
-            loop has no such ports, the scenario cannot be used, or as
-            `NonstopGeometry`.
+            loop has no such ports, the scenario cannot be used, or as `NonstopGeometry`.
     """
     check(scenario)
     require_open(builder, "AddGeometry")
@@ -276,10 +269,8 @@ def AddGeometry(  # noqa: N802
         is_there = any(system is present for present in builder.GetSystems())
         remedy = f"give a {kind.__name__} that builder.AddSystem was given before"
         require(isinstance(system, kind) and is_there, field, system, remedy)
-    n = len(overridden(scenario.system, scenario.simulated).attachments)
-    expected, sizes = {"load_state": LOAD_STATE_SIZE, "carrier_state": 6 * n}, output_sizes(loop)
-    of_aircraft = {"aircraft_state": 4 * n, "wind": 3 * n}
-    expected |= {port: size for port, size in of_aircraft.items() if port in sizes}
+    n, sizes = len(overridden(scenario.system, scenario.simulated).attachments), output_sizes(loop)
+    expected = {port: size for port, size in _inputs(n).items() if port in (*_NEEDED, *sizes)}
     for port, size in expected.items():
         has = f"{sizes[port]} values" if port in sizes else "no such output port"
         remedy = f"give a loop with {size} values there, for the scenario's {n} attachments"

@@ -51,16 +51,8 @@ class NonstopVisualizer(LeafBlock):
         - wind
         - load_wind
 
-    All in SI units and the world frame W, for n carriers:
-
-    - `load_state` (13): quaternion w x y z, position, angular velocity, velocity.
-    - `reference` (22): the same of the desired motion, then its angular acceleration,
-      acceleration and jerk.
-    - `carrier_state` (6n): positions, then velocities.
-    - `tensions` (n): of the cables, in N.
-    - `speed_bound` (1): ε in m/s; may be left unconnected, and so may the following.
-    - `aircraft_state` (4n): of aircraft, lift coefficients, banks (rad), thrusts (N), airspeeds.
-    - `wind` (3n), `load_wind` (3): m/s, at the carriers and at the load.
+    These are the loop's signals (`mechanics.signal_layouts`); the last four may be left
+    unconnected.
 
     Args:
         system: the load, attachments and cables that are shown.
