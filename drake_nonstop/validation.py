@@ -12,7 +12,7 @@ import traceback
 import types
 import typing
 import warnings
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -149,12 +149,12 @@ def checked(default: Any, check: Callable[[str, Any], None]) -> Any:
     return dataclasses.field(default=default, metadata={"check": check})
 
 
-def positive(default: float) -> Any:
+def positive(default: float | None) -> Any:
     """A field of a number above zero, up to 1e9."""
     return checked(default, _check_positive)
 
 
-def non_negative(default: float) -> Any:
+def non_negative(default: float | None) -> Any:
     """A field of a number from zero to 1e9."""
     return checked(default, _check_non_negative)
 
@@ -170,11 +170,15 @@ def fulfilling(default: Any, condition: Callable[[Any], Any], remedy: str) -> An
     return checked(default, check)
 
 
-def require_ranges(owner: str, config: Any) -> None:
-    """Raises ScenarioError for the first field of a dataclass that its declaration refuses."""
+def require_ranges(owner: str, config: Any, values: Mapping[str, Any] | None = None) -> None:
+    """Raises ScenarioError for the first field of a dataclass that its declaration refuses.
+
+    `values` are those of the fields where they are not the dataclass's own.
+    """
+    values = vars(config) if values is None else values
     for field in dataclasses.fields(config):
         if "check" in field.metadata:
-            field.metadata["check"](f"{owner}.{field.name}", getattr(config, field.name))
+            field.metadata["check"](f"{owner}.{field.name}", values[field.name])
 
 
 def require_period(field: str, value: float) -> None:

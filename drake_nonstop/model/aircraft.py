@@ -12,17 +12,25 @@ import yaml
 from drake_nonstop.mechanics.aircraft import Aircraft, stall_speed, thrust_limits
 from drake_nonstop.validation import (
     StrictFields,
+    fulfilling,
+    non_negative,
+    positive,
     require,
     require_array,
     require_known,
-    require_non_negative,
-    require_positive,
+    require_ranges,
 )
 
 TABLE = Path(__file__).parent / "aircraft_table"
 _SHORTEST_LAG = 1e-3  # s, that steps of a run resolve
 _KIND = "give an AircraftParameters, or in YAML a mapping of its fields"
 _SPEEDS = 1000  # from a tenth of the stall speed to ten times, that a search tries
+
+
+def _lag() -> Any:
+    """A field of a time that steps of a run resolve."""
+    remedy = f"give at least {_SHORTEST_LAG:g} s"
+    return fulfilling(None, lambda lag: _SHORTEST_LAG <= lag < float("inf"), remedy)
 
 
 @dataclass(kw_only=True)
@@ -34,27 +42,29 @@ class AircraftParameters(StrictFields):
     """
 
     model: str | None = None  # of the table: rascal_110, ultrastick_25e
-    mass: float | None = None  # kg, that of a carrier
-    wing_area: float | None = None  # m²
-    wing_span: float | None = None  # m
+    mass: float | None = positive(None)  # kg, that of a carrier
+    wing_area: float | None = positive(None)  # m²
+    wing_span: float | None = positive(None)  # m
     lift_at_zero_angle: float | None = None  # C_L0, at the angle of attack 0
-    lift_slope: float | None = None  # C_Lα, 1/rad
-    max_lift: float | None = None  # C_Lmax, where it stalls
-    zero_lift_drag: float | None = None  # C_D0
-    induced_drag: float | None = None  # k, of C_L² in C_D
+    lift_slope: float | None = positive(None)  # C_Lα, 1/rad
+    max_lift: float | None = positive(None)  # C_Lmax, where it stalls
+    zero_lift_drag: float | None = non_negative(None)  # C_D0
+    induced_drag: float | None = non_negative(None)  # k, of C_L² in C_D
     max_thrust: list[float] | None = None  # [a, b, c]: a + b V + c V² N at V m/s
     min_thrust: list[float] | None = None  # likewise; negative: it brakes
-    lift_lag: float | None = None  # s, of C_L behind its command
-    bank_lag: float | None = None  # s, of the bank
-    thrust_lag: float | None = None  # s, of the thrust
-    max_roll_rate: float | None = None  # rad/s
-    efficiency: float | None = None  # of propeller and motor, above 0, up to 1
-    gust_time: float | None = None  # s, until gusts are trimmed; default 0.4
-    air_density: float | None = None  # kg/m³; default 1.225
-    cable_diameter: float | None = None  # m, for its drag; default 0.001
-    cable_drag: float | None = None  # C_Dc, of the cable's area; default 1.1
-    lift_gain: float | None = None  # C_L that is flown, over the commanded one; default 1
-    thrust_gain: float | None = None  # likewise of the thrust; default 1
+    lift_lag: float | None = _lag()  # s, of C_L behind its command
+    bank_lag: float | None = _lag()  # s, of the bank
+    thrust_lag: float | None = _lag()  # s, of the thrust
+    max_roll_rate: float | None = positive(None)  # rad/s
+    efficiency: float | None = fulfilling(  # of propeller and motor, above 0, up to 1
+        None, lambda share: 0 < share <= 1, "give a share, up to 1"
+    )
+    gust_time: float | None = _lag()  # s, until gusts are trimmed; default 0.4
+    air_density: float | None = positive(None)  # kg/m³; default 1.225
+    cable_diameter: float | None = non_negative(None)  # m, for its drag; default 0.001
+    cable_drag: float | None = non_negative(None)  # C_Dc, of the cable's area; default 1.1
+    lift_gain: float | None = positive(None)  # C_L that is flown, over the commanded one; default 1
+    thrust_gain: float | None = positive(None)  # likewise of the thrust; default 1
 
 
 # Of the fields that an aircraft need not give.
@@ -138,20 +148,11 @@ def make_aircraft(
             by itself.
     """
     values = values_of(parameters, field)
-    signed = ("lift_at_zero_angle", "max_thrust", "min_thrust")
-    natural = ("zero_lift_drag", "induced_drag", "cable_diameter", "cable_drag")
-    others = [key for key in _FIELDS if key not in (*signed, *natural)]
-    require_positive(field, **{key: values[key] for key in others})
-    require_non_negative(field, **{key: values[key] for key in natural})
+    require_ranges(field, parameters, values)
     for key in ("max_thrust", "min_thrust"):
         name = f"{field}.{key}"
         meaning = "[a, b, c] of the thrust a + b V + c V² at the airspeed V"
         values[key] = require_array(name, values[key], [3], meaning)
-    for key in ("lift_lag", "bank_lag", "thrust_lag", "gust_time"):
-        is_slow = values[key] >= _SHORTEST_LAG
-        require(is_slow, f"{field}.{key}", values[key], f"give at least {_SHORTEST_LAG:g} s")
-    efficiency = values["efficiency"]
-    require(efficiency <= 1, f"{field}.efficiency", efficiency, "give a share, up to 1")
     aircraft = Aircraft(**values, cable_length=cable_length, gravity=gravity)
     _check_polar(field, aircraft)
     _check_level_flight(field, aircraft)

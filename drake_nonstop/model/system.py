@@ -1,7 +1,6 @@
 """The model that several blocks share: load, cables, carriers and pattern."""
 
 import dataclasses
-import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any, Optional, Protocol
@@ -17,11 +16,13 @@ from drake_nonstop.model.aircraft import AircraftParameters, make_aircraft, merg
 from drake_nonstop.model.pattern import InternalForcePattern, check_pattern
 from drake_nonstop.validation import (
     StrictFields,
+    fulfilling,
     is_number,
+    non_negative,
+    positive,
     require,
     require_array,
-    require_non_negative,
-    require_positive,
+    require_ranges,
 )
 
 OFFSET = "pattern_offset"  # N, in L, among the parameters of a block
@@ -33,12 +34,12 @@ _MAX_CARRIERS = 100  # whose blocks take ten seconds to trace
 class SystemParameters(StrictFields):
     """Load, cables and carriers; the defaults are the paper's (Table I, figures)."""
 
-    load_mass: float = 1.0  # kg
+    load_mass: float = positive(1.0)  # kg
     load_inertia: list[list[float]] = field(  # kg m², about the centre of mass, in L
         default_factory=lambda: [[0.01, 0.0, 0.0], [0.0, 0.01, 0.0], [0.0, 0.0, 0.01]]
     )
-    load_drag: float = 0.7  # N s/m
-    load_angular_drag: float = 0.0  # N m s/rad
+    load_drag: float = non_negative(0.7)  # N s/m
+    load_angular_drag: float = non_negative(0.0)  # N m s/rad
     attachments: list[list[float]] = field(  # m, in L, in the order of the carriers
         default_factory=lambda: [
             [0.75, 0.75, 0.0],
@@ -47,11 +48,15 @@ class SystemParameters(StrictFields):
             [0.75, -0.75, 0.0],
         ]
     )
-    cable_length: float = 0.8  # m, unstretched
-    cable_stiffness: float = 500.0  # N/m; .inf: the controllers assume no stretch
-    cable_damping: float = 0.1  # N s/m
-    carrier_mass: float = 0.1  # kg
-    gravity: float = 9.81  # m/s²
+    cable_length: float = positive(0.8)  # m, unstretched
+    cable_stiffness: float = fulfilling(  # N/m; .inf: the controllers assume no stretch
+        500.0,
+        lambda stiffness: stiffness > 0,
+        "give a number greater than zero, or .inf if the controllers are to assume no stretch",
+    )
+    cable_damping: float = non_negative(0.1)  # N s/m
+    carrier_mass: float = positive(0.1)  # kg
+    gravity: float = positive(9.81)  # m/s²
     # An SDF or URDF file with load_mass, load_inertia and attachments, read as a scenario is
     # loaded, and its frames at the attachments, in the order of the carriers.
     load_file: str = ""
@@ -130,36 +135,17 @@ class Model:
         field: str = "system",
         overridden: Iterable[str] = (),
     ):
+        require_ranges(field, system)
         self.aircraft: Aircraft | None = None
         if system.aircraft is not None:
             system, self.aircraft = _with_aircraft(system, field, "carrier_mass" in overridden)
         self.system, self.pattern_config, self.field = system, pattern, field
         self.overridden = frozenset(overridden)
-        require_positive(
-            field,
-            load_mass=system.load_mass,
-            cable_length=system.cable_length,
-            carrier_mass=system.carrier_mass,
-            gravity=system.gravity,
-        )
-        require_non_negative(
-            field,
-            load_drag=system.load_drag,
-            load_angular_drag=system.load_angular_drag,
-            cable_damping=system.cable_damping,
-        )
         require(
             is_number(control_period) and (control_period == 0 or control_period >= 1e-4),
             "control_period",
             control_period,
             "give 0 for continuous controllers, or at least 1e-4 s",
-        )
-        stiffness = system.cable_stiffness
-        require(
-            (is_number(stiffness) and stiffness > 0) or stiffness == math.inf,
-            f"{field}.cable_stiffness",
-            stiffness,
-            "give a number greater than zero, or .inf if the controllers are to assume no stretch",
         )
         self.control_period = control_period
         self.load = RigidLoad(
@@ -170,8 +156,8 @@ class Model:
             gravity=system.gravity,
         )
         self.cable_length = system.cable_length
-        self.cable_stiffness = stiffness
-        self.cable_compliance = 1 / stiffness  # m/N, 0 without stretch
+        self.cable_stiffness = system.cable_stiffness
+        self.cable_compliance = 1 / system.cable_stiffness  # m/N, 0 without stretch
         self.cable_damping = system.cable_damping
         self.carrier_mass = system.carrier_mass
         self.gravity = system.gravity
@@ -271,7 +257,6 @@ def _with_aircraft(
     `is_given` tells that the mass of the carriers is not a default.
     """
     assert system.aircraft is not None
-    require_positive(field, cable_length=system.cable_length, gravity=system.gravity)
     aircraft = make_aircraft(
         system.aircraft,
         cable_length=system.cable_length,
