@@ -182,10 +182,8 @@ def require_ranges(owner: str, config: Any, values: Mapping[str, Any] | None = N
 
 
 def require_period(field: str, value: float) -> None:
-    """Raises ScenarioError for a time between samples (s) that a run would not come to an end at.
-
-    Its type is checked already.
-    """
+    """Raises ScenarioError for what is no time between samples (s) that a run can go on with."""
+    _check_positive(field, value)
     require(value >= SHORTEST_PERIOD, field, value, f"give at least {SHORTEST_PERIOD:g} s")
 
 

@@ -6,12 +6,7 @@ from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.horizon_problem import HorizonConfig, timed
 from drake_nonstop.optimization.plan import DEGREE
 from drake_nonstop.optimization.problem_config import LimitsConfig
-from drake_nonstop.validation import (
-    require,
-    require_non_negative,
-    require_period,
-    require_positive,
-)
+from drake_nonstop.validation import require, require_period, require_ranges
 
 _LEAST_INSTANTS = 16  # in a turn
 _MOST_INSTANTS = 20000  # in a horizon
@@ -31,20 +26,7 @@ def check_horizon(box: str, config: HorizonConfig, limits: LimitsConfig, model: 
         limits: checked already, see `check_limits`.
         model: what the controllers believe.
     """
-    require_non_negative(
-        box,
-        horizon=config.horizon,
-        knot_spacing=config.knot_spacing,
-        overshoot=config.overshoot,
-        settling_time=config.settling_time,
-        orbit_tightening=config.orbit_tightening,
-    )
-    require_positive(
-        box,
-        amplitude_weight=config.amplitude_weight,
-        smoothing=config.smoothing,
-        slack_weight=config.slack_weight,
-    )
+    require_ranges(box, config)
     is_smooth = config.smoothing <= _MOST_SMOOTHING
     remedy = f"give at most {_MOST_SMOOTHING:g} intervals between knots"
     require(is_smooth, f"{box}.smoothing", config.smoothing, remedy)

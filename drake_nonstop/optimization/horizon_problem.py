@@ -59,6 +59,7 @@ from drake_nonstop.optimization.terminal_set import (
 from drake_nonstop.optimization.traced_problem import beliefs_of
 from drake_nonstop.optimization.update_data import Beliefs
 from drake_nonstop.systems.tracing import ElementwiseFunction, TracedFunction
+from drake_nonstop.validation import non_negative, positive
 
 _OTHERS_SHARE = 0.3  # of the weight of the speed bound's slack: that of the other limits
 
@@ -79,20 +80,20 @@ class HorizonConfig:
     With `fixed_coefficients` 0 the problem is one of a plan that has no predecessor.
     """
 
-    horizon: float = 0.0  # s; 0: nearly two turns, at least 15 intervals between knots
-    knot_spacing: float = 0.0  # s, also the time between two plans; 0: an eighth of a turn
+    horizon: float = non_negative(0.0)  # s; 0: nearly two turns, 15 intervals of knots at least
+    knot_spacing: float = non_negative(0.0)  # s, and between two plans; 0: an eighth of a turn
     instants: int = 20  # between two knots, at which the carriers' flight is constrained
     terminal_knots: int = 4  # of the last part, in which all phases of the orbit are constrained
     terminal_instants: int = 2  # of it, between two knots
     terminal_phases: int = 24  # of the orbit
     terminal_amplitudes: int = 33  # of the table
-    amplitude_weight: float = 4.0  # w_A
-    smoothing: float = 0.4  # τ, in intervals between knots
-    slack_weight: float = 100.0  # ρ
+    amplitude_weight: float = positive(4.0)  # w_A
+    smoothing: float = positive(0.4)  # τ, in intervals between knots
+    slack_weight: float = positive(100.0)  # ρ
     fixed_coefficients: int = 4  # the first of ξ and A: 4 for three continuous rates
-    overshoot: float = 0.35  # of a carrier's velocity after a jump of the plan's, of that jump
-    settling_time: float = 0.1  # s, of that overshoot
-    orbit_tightening: float = 0.005  # of the speed of the nominal orbits, the least margin
+    overshoot: float = non_negative(0.35)  # of a carrier's velocity, of a jump of the plan's
+    settling_time: float = non_negative(0.1)  # s, of that overshoot
+    orbit_tightening: float = non_negative(0.005)  # of the nominal orbits' speed, the least margin
 
 
 def timed(config: _Horizon, frequency: float, control_period: float) -> _Horizon:

@@ -13,13 +13,16 @@ from drake_nonstop.optimization.local_solver import LocalSolver
 from drake_nonstop.systems.tracing import LARGEST
 from drake_nonstop.validation import (
     StrictFields,
+    checked,
     fields_of,
     is_number,
+    non_negative,
+    positive,
     require,
     require_array,
     require_non_negative,
     require_period,
-    require_positive,
+    require_ranges,
 )
 
 LEAST_BOUND = 1e-3  # m/s, unless there is none at all: margins are relative to the bound
@@ -48,10 +51,10 @@ class AircraftLimits(StrictFields):
 class _BoundAndLimits(StrictFields):
     speed_bound: SpeedBound = 0.2  # m/s, ε; of aircraft also "1.4 V_s"
     tightening: float | str = 0.01  # the solver aims at (1 + tightening) ε; "auto": computed
-    speed_margin: float = 0.0  # m/s above ε that "auto" aims at; 0: computed for the loop
-    model_error: float = 0.0  # share of the load's weight by which its wrench may be off
-    frequency: float = 2.0  # rad/s, ξ at the start
-    amplitude: float = 1.2  # N, A at the start
+    speed_margin: float = non_negative(0.0)  # m/s above ε that "auto" aims at; 0: computed
+    model_error: float = non_negative(0.0)  # of the load's weight, by which its wrench may be off
+    frequency: float = positive(2.0)  # rad/s, ξ at the start
+    amplitude: float = positive(1.2)  # N, A at the start
     frequency_bounds: list[float] = field(default_factory=lambda: [0.1, 20.0])  # rad/s
     amplitude_bounds: list[float] = field(default_factory=list)  # N; none: from the load's weight
     max_frequency_rate: float = math.inf  # rad/s²
@@ -81,15 +84,15 @@ class NonstopProblemConfig(LimitsConfig):
     """The bound, the problem of eqs. 24-26 and how it is solved."""
 
     look_ahead_points: int = 2  # instants from now to the next update; 1: now, as in the paper
-    look_ahead_time: float = 0.08  # s, from the next update to the orbit ahead, where points > 1
+    look_ahead_time: float = non_negative(0.08)  # s, from the next update to the orbit ahead
     orbit_points: int = 16  # phases of the orbit ahead; 1: the present one, as in the paper
     orbit_updates: int = 4  # successive updates that share these phases
     load_motion: str = "desired"  # of the carriers; "desired", or "measured" as in the paper
-    internal_force_weight: float = 1.0  # w_pos of eq. 26
-    internal_force_rate_weight: float = 1.0  # w_vel of eq. 26
-    anchor_weight: float = 0.0  # of the distance from the initial ξ and A, at rest
-    period: float = 0.01  # s, between updates
-    change_time: float = 2.0  # s, in which a bound or a switch set during a run takes effect
+    internal_force_weight: float = non_negative(1.0)  # w_pos of eq. 26
+    internal_force_rate_weight: float = non_negative(1.0)  # w_vel of eq. 26
+    anchor_weight: float = non_negative(0.0)  # of the distance from the initial ξ and A, at rest
+    period: float = checked(0.01, require_period)  # s, between updates
+    change_time: float = positive(2.0)  # s, in which a bound set during a run takes effect
     solver: str = "search"  # "search", "grid", "snopt", "ipopt" or "nlopt"
     global_search: bool = True  # compare what snopt, ipopt or nlopt finds with the search
 
@@ -205,19 +208,14 @@ def check_limits(box: str, config: LimitsConfig, model: Model) -> None:
     if isinstance(config.tightening, str):
         remedy = f'give a number, without quotes, or "{AUTO}"'
         require(config.tightening == AUTO, f"{box}.tightening", config.tightening, remedy)
-    require_non_negative(
-        box,
-        tightening=limit_tightening(config),
-        speed_margin=config.speed_margin,
-        model_error=config.model_error,
-        **{limit.field: limit.stated(config) for limit in LIMITS if limit.is_least},
-    )
+    least = {limit.field: limit.stated(config) for limit in LIMITS if limit.is_least}
+    require_non_negative(box, tightening=limit_tightening(config), **least)
+    require_ranges(box, config)
     require(config.model_error < 1, f"{box}.model_error", config.model_error, "give less than 1")
     remedy = f"give {box}.tightening: {AUTO}, which alone aims at it, or leave it out"
     for name in ("speed_margin", "model_error"):
         value = getattr(config, name)
         require(value == 0 or config.tightening == AUTO, f"{box}.{name}", value, remedy)
-    require_positive(box, frequency=config.frequency, amplitude=config.amplitude)
     check_speed_bound(box, config.speed_bound)
     _check_ratios(box, config)
     check_flight_limits(box, config, model.aircraft)
@@ -231,15 +229,6 @@ def check_limits(box: str, config: LimitsConfig, model: Model) -> None:
 def check_problem(box: str, config: NonstopProblemConfig, model: Model) -> None:
     """Raises ScenarioError for the first field, of the config's `box`, that cannot be used."""
     check_limits(box, config, model)
-    require_non_negative(
-        box,
-        internal_force_weight=config.internal_force_weight,
-        internal_force_rate_weight=config.internal_force_rate_weight,
-        anchor_weight=config.anchor_weight,
-        look_ahead_time=config.look_ahead_time,
-    )
-    require_positive(box, period=config.period, change_time=config.change_time)
-    require_period(f"{box}.period", config.period)
     _check_choices(box, config)
     check_pattern(box, model, "NonstopOptimizer")
     check_samples(box, config.period, model)
