@@ -7,7 +7,7 @@ from drake_nonstop.scenario.distributions import is_entry
 from drake_nonstop.scenario.schema import CHOICES, Scenario
 from drake_nonstop.scenario.tree import Tree, block_name, to_tree
 from drake_nonstop.scenario.yaml_text import dump_plain
-from drake_nonstop.systems.field_comments import headings, meanings
+from drake_nonstop.systems.field_comments import field_comments, meanings
 
 _COMMENT_COLUMN = 44  # where comments begin
 _LINE_WIDTH = 100  # characters; a comment for which there is no room stands above its field
@@ -29,35 +29,30 @@ def commented_scenario(scenario: Scenario, name: str) -> str:
         config = getattr(scenario, key)
         if not isinstance(value, dict) or is_entry(value):
             lines += _field(1, key, value, about.get(key, ""))
-        elif key in CHOICES:
-            lines += ["", *_box(key, value, type(config))]
-        else:
-            lines += ["", *_mapping(key, "", about.get(key, ""), value, type(config))]
+            continue
+        tag, comment = value.pop("_tag", ""), about.get(key, "")
+        if tag:
+            others = [block_name(other) for other in CHOICES[key] if other is not type(config)]
+            comment = f"or {', '.join(others)}" if others else ""
+        lines += ["", *_mapping(key, tag, comment, value, type(config))]
     return _HEADING.format(name=scenario.name) + "\n".join(lines) + "\n"
-
-
-def _box(name: str, entry: Tree, config: type) -> list[str]:
-    """A box of the figure, below the other blocks that it can be."""
-    fields = {key: value for key, value in entry.items() if key != "_tag"}
-    others = [block_name(choice) for choice in CHOICES[name] if choice is not config]
-    return _mapping(
-        name, entry["_tag"], f"or {', '.join(others)}" if others else "", fields, config
-    )
 
 
 def _mapping(name: str, tag: str, comment: str, fields: Tree, config: type) -> list[str]:
     """A key with a mapping below it, a line for each field."""
-    about, heads = meanings(config), headings(config)
     head = " ".join(filter(None, [f"  {name}:", tag, "" if fields else "{}"]))
-    below = [
-        line
-        for key in fields
-        for line in (
-            *([*_wrapped(2, heads[key]), ""] if key in heads else []),
-            *_field(2, key, fields[key], about.get(key, "")),
-        )
-    ]
-    return [*_wrapped(1, comment), head, *below]
+    return [*_wrapped(1, comment), head, *commented_fields(2, fields, config)]
+
+
+def commented_fields(depth: int, fields: Tree, config: type) -> list[str]:
+    """Lines of YAML for fields of a dataclass, each with its unit and meaning."""
+    about = field_comments(config)
+    lines = []
+    for key, value in fields.items():
+        meaning, heading = about.get(key, ("", ""))
+        lines += [*_wrapped(depth, heading), ""] if heading else []
+        lines += _field(depth, key, value, meaning)
+    return lines
 
 
 def _field(depth: int, key: str, value: Any, comment: str) -> list[str]:

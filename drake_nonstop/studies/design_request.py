@@ -14,11 +14,11 @@ from drake_nonstop.model.aircraft import AircraftParameters, make_aircraft
 from drake_nonstop.model.system import checked_inertia
 from drake_nonstop.optimization.formation_program import KINDS
 from drake_nonstop.optimization.problem_config import AircraftLimits, check_flight_limits
+from drake_nonstop.scenario.commented import commented_fields
 from drake_nonstop.scenario.overrides import parse_override
 from drake_nonstop.scenario.schema import check_name
 from drake_nonstop.scenario.tree import filled
 from drake_nonstop.scenario.yaml_text import dump_plain, parse_plain
-from drake_nonstop.systems.field_comments import meanings
 from drake_nonstop.validation import (
     StrictFields,
     read_text,
@@ -210,19 +210,19 @@ def _from_tree(tree: dict[str, Any]) -> DesignRequest:
 
 def dump_request(request: DesignRequest) -> str:
     """The request as YAML with every field that it gives, which `read_request` reads."""
-    tree = {k: v for k, v in vars(request).items() if v is not None}
-    tree["aircraft"] = {k: v for k, v in vars(request.aircraft).items() if v is not None}
-    return "".join(f"{key}: {dump_plain(value)}\n" for key, value in tree.items())
+    return "".join(f"{key}: {dump_plain(value)}\n" for key, value in _tree(request).items())
 
 
 def commented_request(request: DesignRequest) -> str:
     """The request as YAML with the unit and meaning of every field."""
-    about = meanings(DesignRequest)
-    lines = [f"# {text}" for text in (inspect.getdoc(DesignRequest) or "").splitlines()]
-    for line in dump_request(request).splitlines():
-        meaning = about.get(line.partition(":")[0], "")
-        lines.append(f"{line}  # {meaning}" if meaning else line)
-    return "\n".join(line.rstrip() for line in lines) + "\n"
+    about = (inspect.getdoc(DesignRequest) or "").splitlines()
+    lines = [*(f"# {text}".rstrip() for text in about)]
+    return "\n".join([*lines, *commented_fields(0, _tree(request), DesignRequest), ""])
+
+
+def _tree(request: DesignRequest) -> dict[str, Any]:
+    given = {k: v for k, v in vars(request).items() if v is not None}
+    return given | {"aircraft": {k: v for k, v in vars(request.aircraft).items() if v is not None}}
 
 
 def read_request_text(text: str) -> DesignRequest:

@@ -8,34 +8,37 @@ import inspect
 import io
 import textwrap
 import tokenize
+from typing import NamedTuple
+
+
+class FieldComments(NamedTuple):
+    """What is said of a field: its meaning, and the comment that heads it and those below."""
+
+    meaning: str
+    heading: str
 
 
 def meanings(config: type) -> dict[str, str]:
     """The comments on the fields of a config class, by name: units and meanings."""
-    found: dict[str, str] = {}
+    return {name: found.meaning for name, found in field_comments(config).items()}
+
+
+def field_comments(config: type) -> dict[str, FieldComments]:
+    """The comments on the fields of a config class, by name."""
+    found: dict[str, FieldComments] = {}
     for base in reversed(config.__mro__):
         if dataclasses.is_dataclass(base):
             with contextlib.suppress(OSError, TypeError):  # a class that no source file has
-                found |= _field_comments(base)
-    return found
-
-
-def headings(config: type) -> dict[str, str]:
-    """By name of a field: the comment that heads it and those below, apart by an empty line."""
-    found: dict[str, str] = {}
-    for base in reversed(config.__mro__):
-        if dataclasses.is_dataclass(base):
-            with contextlib.suppress(OSError, TypeError):
-                found |= _field_comments(base, apart=True)
+                found |= _own_comments(base)
     return found
 
 
 @functools.cache  # Python parses a whole module for the source of each class in it
-def _field_comments(config: type, *, apart: bool = False) -> dict[str, str]:
-    """By the name of each field that a class body itself has: the comments on its lines.
+def _own_comments(config: type) -> dict[str, FieldComments]:
+    """Those of the fields that a class body itself has.
 
-    They are followed by those in lines of their own right above it; or there are only those which
-    stand `apart`, above an empty line, of the fields that have them.
+    A meaning is the comments on the field's lines, then those in lines of their own right above it;
+    a heading those above an empty line.
     """
     source = textwrap.dedent(inspect.getsource(config))
     lines = source.splitlines()
@@ -44,27 +47,22 @@ def _field_comments(config: type, *, apart: bool = False) -> dict[str, str]:
         for token in tokenize.generate_tokens(io.StringIO(source).readline)
         if token.type == tokenize.COMMENT
     }
+
+    def above(line: int) -> str:
+        first = line
+        while first in comments and lines[first - 1].lstrip().startswith("#"):
+            first -= 1
+        return " ".join(comments[k] for k in range(first + 1, line + 1))
+
     (definition,) = ast.parse(source).body
     assert isinstance(definition, ast.ClassDef)
     result = {}
     for statement in definition.body:
         if isinstance(statement, ast.AnnAssign) and isinstance(statement.target, ast.Name):
-            above: list[int] = []
-            line = statement.lineno - 1
-            if apart and lines[line - 1].strip():
-                continue
-            line -= apart
-            while line in comments and lines[line - 1].lstrip().startswith("#"):
-                above.insert(0, line)
-                line -= 1
-            if apart:
-                if above:
-                    result[statement.target.id] = " ".join(comments[line] for line in above)
-                continue
-            within = range(statement.lineno, (statement.end_lineno or statement.lineno) + 1)
-            found = [
-                " ".join(comments[line] for line in group if line in comments)
-                for group in (within, above)
-            ]
-            result[statement.target.id] = "; ".join(text for text in found if text)
+            start, end = statement.lineno, statement.end_lineno or statement.lineno
+            within = " ".join(comments[k] for k in range(start, end + 1) if k in comments)
+            is_apart = not lines[start - 2].strip()
+            heading, own = (above(start - 2), "") if is_apart else ("", above(start - 1))
+            meaning = "; ".join(filter(None, (within, own)))
+            result[statement.target.id] = FieldComments(meaning, heading)
     return result

@@ -86,9 +86,9 @@ class NonstopGeometry(DiagramBlock):
         output_ports:
         - geometry_pose
 
-    The inputs are the loop's signals (`mechanics.signal_layouts`); `aircraft_state` and `wind` may
-    be left unconnected. `geometry_pose` is a FramePoseVector, for the SceneGraph's pose port of
-    `source`.
+    The inputs are the loop's signals (`mechanics.signal_layouts`), for n carriers: `load_state`
+    (13), `carrier_state` (6n), and, which may be left unconnected, `aircraft_state` (4n) and `wind`
+    (3n). `geometry_pose` is a FramePoseVector, for the SceneGraph's pose port of `source`.
 
     Args:
         scene_graph: where the geometry is registered.

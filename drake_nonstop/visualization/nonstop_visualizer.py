@@ -51,8 +51,9 @@ class NonstopVisualizer(LeafBlock):
         - wind
         - load_wind
 
-    These are the loop's signals (`mechanics.signal_layouts`); the last four may be left
-    unconnected.
+    These are the loop's signals (`mechanics.signal_layouts`), for n carriers: `load_state` (13),
+    `reference` (22), `carrier_state` (6n), `tensions` (n), and, which may be left unconnected,
+    `speed_bound` (1), `aircraft_state` (4n), `wind` (3n), `load_wind` (3).
 
     Args:
         system: the load, attachments and cables that are shown.

@@ -56,7 +56,7 @@ def test_the_commands_of_the_page_make_scenarios_a_table_and_a_figure(
 def test_a_printed_request_has_units_and_reads_back(tmp_path, capsys):
     assert main(["design", "--print-request", "--set", "load_mass=3", "aircraft.mass=7"]) == 0
     text = capsys.readouterr().out
-    assert "cable_length: [60.0, 200.0]  # m, least and largest" in text
+    assert re.search(r"\ncable_length: \[60.0, 200.0\] +# m, least and largest\n", text)
     file = tmp_path / "formation.yaml"
     file.write_text(text)
     assert read_request(file) == read_request(None, ["load_mass=3", "aircraft.mass=7"])
