@@ -1,6 +1,6 @@
 """Canvases: what a scene moves and colours its objects on."""
 
-from typing import Any, Protocol
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,25 +11,6 @@ from drake_nonstop.visualization.bodies import Colour, stack_poses
 from drake_nonstop.visualization.camera import FollowingCamera
 
 ROOT = "/nonstop"  # of the objects' paths in Meshcat
-
-
-class Canvas(Protocol):
-    """What a scene moves its objects on: a Meshcat that is watched, or a recording."""
-
-    def follow(self, position: NDArray, camera: FollowingCamera) -> None:
-        """Moves the camera as the reference moved from the camera's origin to a position (3,)."""
-        ...
-
-    def place(self, path: str, pose: NDArray, length: float = 1.0) -> None:
-        """Puts an object at a pose (4, 4), scaled by `length` along its own z axis."""
-        ...
-
-    def paint(self, path: str, colour: Colour, opacity: float, *, fades: bool = False) -> None:
-        """Gives the object at a path a colour and an opacity from 0 to 1.
-
-        With `fades`, the opacity may change gradually from the previous one.
-        """
-        ...
 
 
 class LiveCanvas:
@@ -68,13 +49,13 @@ class LiveCanvas:
         return animation.frame(time) > self._recording.frame
 
     def follow(self, position: NDArray, camera: FollowingCamera) -> None:
-        """See `Canvas`."""
+        """Moves the camera as the reference moved from the camera's origin to a position (3,)."""
         shift = position - camera.origin
         self._meshcat.SetTransform("/Cameras/default", RigidTransform(shift))
         self._meshcat.SetCameraTarget(camera.target + shift)
 
     def place(self, path: str, pose: NDArray, length: float = 1.0) -> None:
-        """See `Canvas`."""
+        """Puts an object at a pose (4, 4), scaled by `length` along its own z axis."""
         if self._recording is not None:
             self._recording.place(path, pose, length)
         if length != 1.0:
@@ -83,7 +64,11 @@ class LiveCanvas:
         self._meshcat.SetTransform(path, pose)
 
     def paint(self, path: str, colour: Colour, opacity: float, *, fades: bool = False) -> None:
-        """See `Canvas`; without a command to Meshcat where nothing changes."""
+        """Gives the object at a path a colour and an opacity from 0 to 1.
+
+        With `fades`, the opacity of a recording may change gradually from the previous one. There
+        is no command to Meshcat where nothing changes.
+        """
         if self._recording is not None:
             self._recording.paint(path, colour, opacity, fades=fades)
             # Of a material that is opaque at the end Meshcat plays back no other opacity.
@@ -107,7 +92,7 @@ class RecordingCanvas:
         self._tracks: dict[tuple[str, str], tuple[int, Any]] = {}  # last frame and value of each
 
     def follow(self, position: NDArray, camera: FollowingCamera) -> None:
-        """See `Canvas`.
+        """See `LiveCanvas`.
 
         A recording cannot move the point that its camera looks at: all objects are shifted the
         opposite way instead.
@@ -118,13 +103,13 @@ class RecordingCanvas:
         self._place("/Grid", grid)
 
     def place(self, path: str, pose: NDArray, length: float = 1.0) -> None:
-        """See `Canvas`."""
+        """See `LiveCanvas`."""
         self._place(path, pose)
         # Rounded to three digits, which leaves out the small stretch of a taut cable.
         self._write(path, "scale", [1.0, 1.0, float(f"{length:.3g}")])
 
     def paint(self, path: str, colour: Colour, opacity: float, *, fades: bool = False) -> None:
-        """See `Canvas`; the path has to be that of a single object.
+        """See `LiveCanvas`; the path has to be that of a single object.
 
         Meshcat plays back colours of an object's material only, which is below its path.
         """
@@ -155,6 +140,10 @@ class RecordingCanvas:
             self.animation.SetTransform(frame, path, RigidTransform(np.reshape(value, (4, 4))))
         else:
             self.animation.SetProperty(frame, path, name, value)
+
+
+# What a scene moves its objects on: a Meshcat that is watched, or a recording.
+Canvas: TypeAlias = LiveCanvas | RecordingCanvas
 
 
 def _is_recording(meshcat: Meshcat, path: str) -> bool:

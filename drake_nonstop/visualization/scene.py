@@ -6,6 +6,7 @@ import re
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.geometry import Cylinder, Meshcat, MeshcatCone, Rgba, Sphere
+from pydrake.math import RigidTransform
 
 from drake_nonstop.mechanics.aircraft import Aircraft, stall_speed
 from drake_nonstop.mechanics.rotation import rotation_matrix
@@ -29,7 +30,7 @@ from drake_nonstop.visualization.bodies import (
     stack_poses,
     unit_vectors,
 )
-from drake_nonstop.visualization.camera import FollowingCamera, set_stage
+from drake_nonstop.visualization.camera import FollowingCamera, fit_view, look
 from drake_nonstop.visualization.canvas import ROOT, Canvas
 
 _REFERENCE_BAR_RATIO = 1.7  # to the load's bars, which the reference's enclose: both are seen
@@ -41,6 +42,11 @@ _LEAST_WIND = 0.05  # m/s, that is shown
 _ARROW_TIME = 0.05  # reaches per m/s, the wind's arrow
 _ARROW_HEIGHT = 0.3  # reaches, above the load's reference
 _ARROW_RADIUS = 0.006  # reaches
+_FOLLOWING_EXTENT = 1.5  # reaches; along a longer path the camera follows the reference
+_FARTHEST_CARRIER = 3.0  # reaches from the reference; one farther away may be out of view
+_GROUND_CLEARANCE = 0.3  # reaches, from the lowest point to the grid
+_GRID_OPACITY = 0.2
+_SIX_DIRECTIONS = np.vstack([np.eye(3), -np.eye(3)])
 _HEAD_LENGTH, _HEAD_RADIUS = 10.0, 3.0  # of the arrow's radius
 
 
@@ -155,17 +161,42 @@ class Scene:
         *,
         may_follow: bool = True,
     ) -> None:
-        """Sets background, camera, light and grid, see `camera.set_stage`."""
-        self._camera = set_stage(
-            meshcat,
-            path,
-            carriers,
-            reach=self.reach,
-            load_radius=self.radius,
-            carrier_radius=_MARK_RADIUS * self.wing_span,
-            background=rgb(self.config.background_colour),
-            may_follow=may_follow,
+        """Sets a plain background, a camera that sees everything, its light and a grid below.
+
+        Along a long path the camera follows the reference where it may; else it stands still.
+
+        Args:
+            meshcat: the Meshcat to set.
+            path: (k, 3), m, positions of the load's reference.
+            carriers: (k, n, 3), m, at the same instants, where they are known. Those far from
+                the load may be out of view.
+            may_follow: whether the camera may move.
+        """
+        if carriers is None:
+            carriers = path[:, None] + self.reach * _SIX_DIRECTIONS[:5]  # all but straight below
+        follows = may_follow and np.ptp(path, axis=0).max() > _FOLLOWING_EXTENT * self.reach
+        apart = np.linalg.norm(carriers - path[:, None], axis=2)
+        at = np.nonzero(apart < _FARTHEST_CARRIER * self.reach)
+        radius = _MARK_RADIUS * self.wing_span
+        points = np.concatenate(
+            [
+                carriers[at][:, None] + radius * _SIX_DIRECTIONS,
+                path[:, None] + self.radius * _SIX_DIRECTIONS,
+            ]
         )
+        moved = path - path[0] if follows else np.zeros(path.shape)  # the camera
+        seen = (points - np.concatenate([moved[at[0]], moved])[:, None]).reshape(-1, 3)
+        eye, target = fit_view(seen, path=path)
+        look(meshcat, eye, target, rgb(self.config.background_colour))
+        middle = (path.min(axis=0) + path.max(axis=0)) / 2
+        lowest = points[..., 2].min() - _GROUND_CLEARANCE * self.reach
+        floor = np.array([*middle[:2], lowest])
+        scale = 10.0 ** np.round(np.log10(self.reach / 2))  # 1: squares of 0.5 m
+        meshcat.SetTransform("/Grid", RigidTransform(floor))
+        meshcat.SetProperty("/Grid/<object>", "scale", [scale, scale, scale])
+        meshcat.SetProperty("/Grid/<object>", "opacity", _GRID_OPACITY)
+        camera = FollowingCamera(origin=path[0], target=target, floor=floor)
+        self._camera = camera if follows else None
 
     def show(self, canvas: Canvas, snapshot: Snapshot) -> None:
         """Moves the objects to an instant, which has to be later than the one shown before."""
