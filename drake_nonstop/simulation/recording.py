@@ -30,7 +30,7 @@ from drake_nonstop.mechanics.signals import (
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.monitor import AT_SAMPLE, SampleInstants
 from drake_nonstop.simulation.run import WALL_TIME
-from drake_nonstop.simulation.signal_rows import DOUBLE, SignalRows, TemporaryFolder
+from drake_nonstop.simulation.signal_rows import DOUBLE, SignalRows
 from drake_nonstop.systems.block import LOOP, LeafBlock, title
 from drake_nonstop.systems.wiring import (
     maker_of,
@@ -171,9 +171,7 @@ class LogSignals:
             nonstop.set_name(LOOP)  # which errors look for, and not where it is in memory
         return LogSignals(builder, nonstop)
 
-    def collect(
-        self, context: Context
-    ) -> tuple[NDArray, Mapping[str, NDArray], Mapping[str, NDArray]]:
+    def collect(self, context: Context) -> tuple[NDArray, dict[str, NDArray], dict[str, NDArray]]:
         """The fields `time`, `signals` and `steps` of a `Run`, since time was set back last.
 
         Args:
@@ -196,8 +194,13 @@ class LogSignals:
         is_instant = np.abs(times - SIGNAL_PERIOD * instants) < AT_INSTANT
         samples[SignalRows.TIMES] = np.where(is_instant, SIGNAL_PERIOD * instants, times)
         samples, steps = _last_flight(samples), _last_flight(steps)
+        return samples[SignalRows.TIMES], *self._named(samples, steps)
+
+    def _named(
+        self, samples: dict[str, NDArray], steps: dict[str, NDArray]
+    ) -> tuple[dict[str, NDArray], dict[str, NDArray]]:
+        """The columns of ports by the names of a `Run`."""
         return (
-            samples[SignalRows.TIMES],
             {name: samples[port] for name, port in self._signal_names.items()},
             {name: steps[port] for name, port in self._step_names.items()},
         )
@@ -264,8 +267,7 @@ class Recording(LogSignals):
         """To be called before the run, with the context of what the builder built."""
         self._context = self._samples.GetMyContextFromRoot(context)
         self._taken = self._samples.rows(context), self._steps.rows(context)
-        self._folder: TemporaryFolder | None = None
-        self._is_full = False  # the folder
+        self._is_stored = False
 
     def take_sample(self) -> None:
         """Takes a sample of all signals.
@@ -309,8 +311,10 @@ class Recording(LogSignals):
     def _store_many(self) -> None:
         """Moves the signals to files where they are many."""
         if sum(rows.memory for rows in self._taken) > MEMORY_LIMIT:
+            self._is_stored = True
             try:
-                self._store()
+                for rows in self._taken:
+                    rows.store()
             except OSError as error:
                 raise RecordingError(
                     f"the temporary folder {tempfile.gettempdir()} cannot take the signals "
@@ -320,30 +324,15 @@ class Recording(LogSignals):
 
     def collect(
         self, context: Context | None = None
-    ) -> tuple[NDArray, Mapping[str, NDArray], Mapping[str, NDArray]]:
+    ) -> tuple[NDArray, dict[str, NDArray], dict[str, NDArray]]:
         """The fields `time`, `signals` and `steps` of a `Run`, of the context it started with."""
-        if self._folder is not None and not self._is_full:
-            with contextlib.suppress(OSError):  # what it cannot take stays in memory
-                self._store()
-        samples, steps = self._taken
+        for rows in self._taken if self._is_stored else ():
+            with contextlib.suppress(OSError):  # what the file cannot take stays in memory
+                rows.store()
         # Of their number, without the rounding of the events' times.
-        times = SIGNAL_PERIOD * np.arange(len(samples))
-        return (
-            times,
-            samples.signals(self._signal_names, self._folder),
-            steps.signals(self._step_names, self._folder),
-        )
-
-    def _store(self) -> None:
-        """Moves what is in memory to the files."""
-        try:
-            if self._folder is None:
-                self._folder = TemporaryFolder()
-            for rows, name in zip(self._taken, ("samples", "steps"), strict=True):
-                rows.store(self._folder.path / name)
-        except OSError:
-            self._is_full = True
-            raise
+        times = SIGNAL_PERIOD * np.arange(len(self._taken[0]))
+        samples, steps = (rows.columns() for rows in self._taken)
+        return times, *self._named(samples, steps)
 
 
 def expected_size(nonstop: Diagram, scenario: Scenario) -> float:

@@ -34,8 +34,7 @@ class Run(SignalTable):
     of the optimization layer's updates, `wall_time` that of the whole simulation but for pauses, in
     s; NaN: unknown.
     Beyond 32 MB, some 100 s of flight, `signals` and `steps` are in temporary files, which are
-    removed with the run: each array is mapped to memory when it is asked for, and cannot be
-    written to.
+    removed with the run: the arrays are mapped to memory, and cannot be written to.
     A run that `is_steered` was changed from outside while it went on. `stopped` says why a run
     ended before its time, and is empty where it did not. `step` is the longest step of the
     integrator, s; `unresolved` has a sentence for each result that it does not resolve, and
