@@ -35,11 +35,10 @@ from drake_nonstop.optimization.problem_config import (
     check_problem,
     with_stated_bound,
 )
-from drake_nonstop.optimization.traced_search import SearchFunctions
 from drake_nonstop.optimization.update_data import UpdateData
 from drake_nonstop.optimization.update_solver import UpdateSolver, traced_tightened
 from drake_nonstop.systems.block import LeafBlock
-from drake_nonstop.systems.diagram_trace import At, TracedAttempt
+from drake_nonstop.systems.diagram_trace import At, FastUpdate
 from drake_nonstop.systems.in_context import InContext
 from drake_nonstop.systems.parameters import declare_parameters
 from drake_nonstop.systems.requirements import LoopBlocks
@@ -147,13 +146,8 @@ class NonstopOptimizer(SpeedBoundLayer):
         enabled = [float(self.is_enabled(context))]
         return np.concatenate([bounds, enabled, self.solver.tightening, numbers.beliefs])
 
-    @property
-    def traced_search(self) -> SearchFunctions | None:
-        """What finds other parameters, in C, where those before are not kept."""
-        return self.solver.traced_search
-
-    def traced_attempt(self, at: At, found: NDArray) -> TracedAttempt:
-        """The states after a sample that keeps the parameters, or changes them to what is found."""
+    def traced_fast_update(self, at: At) -> FastUpdate:
+        """The states after a sample that keeps the parameters."""
         _, enabled, tightening, beliefs = np.split(at.parameters, [2, 3, 6])
         states, bound = self.states(at), self.traced_bound(at)
         aim = traced_tightened(bound, tightening)
@@ -166,31 +160,25 @@ class NonstopOptimizer(SpeedBoundLayer):
             anchor_weight=np.zeros(1),
             beliefs=beliefs,
         )
-        answer = self.solver.traced_answer(data, updates, found)
+        is_kept, slowest_speed = self.solver.traced_check(data, updates)
         conditions = [
-            answer.holds,
+            is_kept,
             enabled[0] == 1,
             bound[0] == states["bound_in_force"][0],
             states["is_changing"][0] == 0,
             updates > 0,
         ]
-        is_update, margin = self.is_update(at.time[0]), answer.slowest_speed - bound[0]
-        counted = [
-            self.counted(states, outcome, margin)["diagnostics"]
-            for outcome in (Outcome.SOLVED, Outcome.KEPT)
-        ]
+        is_update, margin = self.is_update(at.time[0]), slowest_speed - bound[0]
         after = states | {
-            "parameters": answer.parameters,
-            "diagnostics": chosen(found[0] > 0, *counted),
+            "diagnostics": self.counted(states, Outcome.KEPT, margin)["diagnostics"],
             "solve_time": np.zeros(1),
             "last_wrench_rate": data.wrench_rate,
         }
-        return TracedAttempt(
+        return FastUpdate(
             states=[chosen(is_update, after[name], states[name]) for name in states],
-            holds=casadi.logic_or(
+            is_valid=casadi.logic_or(
                 functools.reduce(casadi.logic_and, conditions), casadi.logic_not(is_update)
             ),
-            data=answer.data,
         )
 
     def _motion(self, at: At | InContext, states: dict[str, NDArray]) -> dict[str, NDArray]:

@@ -42,7 +42,7 @@ from drake_nonstop.optimization.plan import DEGREE, Plan, traced_plan_values
 from drake_nonstop.optimization.problem_config import LimitsConfig, check_limits, check_pattern
 from drake_nonstop.optimization.update_data import Beliefs
 from drake_nonstop.systems.block import weakly
-from drake_nonstop.systems.diagram_trace import At, TracedAttempt
+from drake_nonstop.systems.diagram_trace import At, FastUpdate
 from drake_nonstop.systems.in_context import InContext
 from drake_nonstop.systems.tracing import NotFiniteError
 from drake_nonstop.validation import require
@@ -191,11 +191,9 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
         )
         return [*states.values()]
 
-    def traced_attempt(self, at: At, found: NDArray) -> TracedAttempt:
+    def traced_fast_update(self, at: At) -> FastUpdate:
         """The states after a sample that has no new plan."""
-        return TracedAttempt(
-            [*self.states(at).values()], casadi.logic_not(self.is_update(at.time[0]))
-        )
+        return FastUpdate([*self.states(at).values()], casadi.logic_not(self.is_update(at.time[0])))
 
     @classmethod
     def structure(cls, model: Model, config: RecedingHorizonOptimizerConfig) -> tuple[float, float]:

@@ -14,7 +14,6 @@ from drake_nonstop.loop.block_events import SteppedBlock, sample_times
 from drake_nonstop.loop.functions import Evaluation, LoopFunctions, Reading
 from drake_nonstop.loop.layout import LoopLayout, discrete_state_of
 from drake_nonstop.systems.diagram_trace import (
-    FOUND_SIZE,
     QUANTITIES,
     ROWS,
     gives_rows,
@@ -106,7 +105,7 @@ class CompiledFlight(LoopFlight):
         at_sample, whole = functions.at_sample, functions.whole
         self._at_sample = None if at_sample is None else Evaluation(at_sample, compiles)
         self._whole = None if whole is None else Evaluation(whole, compiles)
-        self._no_answers = np.zeros(FOUND_SIZE + layout.answers_size)
+        self._no_answers = np.zeros(layout.answers_size)
         self._systems = [*layout.numbers]
         self._outside = _Outside([] if whole is None else whole.readings, self._sources, period)
         self._stepped: dict[System, SteppedBlock] = {}
@@ -114,7 +113,7 @@ class CompiledFlight(LoopFlight):
         self._fixed: dict[tuple[System, int], Any] = {}
         self._abstract: list[tuple[Any, tuple[System, int]]] = []  # inputs that are no vectors
         self._asked: dict[Any, Context] = {}
-        for block in (*layout.held, *layout.attempting):
+        for block in (*layout.held, *layout.self_updating):
             block_context = own_context(layout, block, context)
             for k in range(block.num_input_ports()):
                 self._fix(block, block_context, k)
@@ -241,14 +240,14 @@ class CompiledFlight(LoopFlight):
             NotFiniteError: a value is not finite, or is too large.
         """
         own = self._state, self._parameters, np.array([self.time])
-        *_, read, holds, _, _ = whole([*own, self._no_answers, outside])
+        *_, read, is_valid, _ = whole([*own, self._no_answers, outside])
         self._require_finite(float(read @ read))
         self._give(read)
         answers = [
-            self._place_of(leaf, self._state) if is_made else self._asked_for(leaf, self._state)
-            for leaf, is_made in zip(self._asked, holds, strict=True)
+            self._place_of(leaf, self._state) if is_right else self._asked_for(leaf, self._state)
+            for leaf, is_right in zip(self._asked, is_valid, strict=True)
         ]
-        given = np.concatenate([np.zeros(FOUND_SIZE), 1.0 - holds, *answers])
+        given = np.concatenate([1.0 - is_valid, *answers])
         state, signals, step_signals, *_ = self._evaluated(whole, *own, given, outside)
         return [state, signals, step_signals]
 
@@ -256,14 +255,14 @@ class CompiledFlight(LoopFlight):
         """The signals of a sample, with blocks that are stepped after its updates."""
         before = self._state
         assert self._at_sample is not None
-        self._state, read, holds, _ = self._call(self._at_sample)
+        self._state, read, is_valid = self._call(self._at_sample)
         for block in self._stepped.values():
             block.advance_to(self.time)
         self._give(read)
         for block in self._stepped.values():
             block.update()
-        for leaf, is_made in zip(self._asked, holds, strict=True):
-            if not is_made:
+        for leaf, is_right in zip(self._asked, is_valid, strict=True):
+            if not is_right:
                 self._state[self._layout.places[leaf]] = self._asked_for(leaf, before)
         self._state, signals, step_signals = self._call(self._after_sample)
         return signals, step_signals

@@ -3,9 +3,8 @@
 `drake_nonstop/loop/trace.py` says what they compute.
 
 A block that is traced may ask to make an update itself, such as an optimization layer where its
-last answer does not do: it has `traced_attempt(at, found)` in place of `traced_update(at)`, which
-tells the states after the sample, and whether they hold. `found` is what its `traced_search` in C
-has found, after a 1; or zeros.
+last answer does not do: it has `traced_fast_update(at)` in place of `traced_update(at)`, which
+tells the states after the sample, and whether they are right.
 
 Blocks that cannot be traced stand outside. One without inputs is evaluated at the instants at
 which it is read. One whose outputs change at samples only is stepped by a Simulator of its own,
@@ -159,8 +158,8 @@ class CompiledLoop:
             output ports; None: all of them.
         step_signals: those that are shown at the end of every step of the integrator.
         compiles: whether the functions are compiled as C, see `systems.compilation`; if not,
-            CasADi's virtual machine evaluates them, in six times the time and more, and blocks
-            search in Python; the numbers are the same to rounding.
+            CasADi's virtual machine evaluates them, in six times the time and more; the numbers are
+            the same to the bit.
         samples: how many are to be flown. Where this process has many of them to fly, the
             functions are made shorter, and C is used that is in the cache; where it has more,
             C is compiled, which takes seconds. None: it is compiled at once.

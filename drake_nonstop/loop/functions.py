@@ -11,14 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.framework import System
 
-from drake_nonstop.optimization.traced_search import SearchFunctions
 from drake_nonstop.systems.compilation import Compiled, compiled
-from drake_nonstop.systems.diagram_trace import FOUND_SIZE
 from drake_nonstop.systems.tracing import bound, object_array
 
 _WORTH_SHORTENING = 1_500  # samples, which save about what it takes
 _WORTH_COMPILING = 20_000  # samples, 2 s in the virtual machine
-_NO_SEARCH = "#define search(data, tolerance, x) 0\n"
 _FLY_SAMPLES = files(__package__).joinpath("fly_samples.c").read_text()
 
 
@@ -66,28 +63,21 @@ class LoopFunction:
     """A traced function of the state, the parameters, the time and what stands outside.
 
     The last of its results is the sum of the squares of those that are checked. Where it is that of
-    a `whole` sample, it is evaluated sample by sample, with a block's `search` for its updates.
+    a `whole` sample, it is evaluated sample by sample.
     """
 
-    def __init__(
-        self, traced: Traced, *, is_whole: bool = False, search: SearchFunctions | None = None
-    ):
+    def __init__(self, traced: Traced, *, is_whole: bool = False):
         results, arguments, symbols = traced
         self.readings, read = [*symbols.symbols], [*symbols.symbols.values()]
         outside = casadi.vertcat(*read) if read else casadi.SX(0, 1)
         self.argument_sizes = [argument.numel() for argument in arguments]
         stacked = casadi.vertcat(*arguments, outside)
-        checked = results[:-2] if is_whole else results  # not what tells of updates to be made
+        checked = results[:-1] if is_whole else results  # not what tells of updates to be made
         results = [*results, casadi.sumsqr(casadi.vertcat(*checked))]
         self._not_short: tuple[casadi.SX, list[casadi.SX]] | None = (stacked, results)
         self.function = casadi.Function("loop", [stacked], results)
         self.compiled: Compiled | None = None  # the same, as C
-        self.tolerance = search.tolerance if search is not None else 0.0
-        self._others = [] if search is None else search.functions
-        self._besides = ""
-        if is_whole:
-            own = _NO_SEARCH if search is None else search.text
-            self._besides = f"{own}#define FOUND_SIZE {FOUND_SIZE}\n{_FLY_SAMPLES}"
+        self._besides = _FLY_SAMPLES if is_whole else ""
         self._tried: set[bool] = set()  # to take it from the cache (False), or to build it
 
     def shorten(self) -> None:
@@ -101,8 +91,7 @@ class LoopFunction:
         """Takes C that is in the cache, or builds it."""
         if self.compiled is None and builds not in self._tried:
             self._tried |= {builds, False}
-            functions = [self.function, *self._others]
-            self.compiled = compiled(functions, besides=self._besides, builds=builds)
+            self.compiled = compiled(self.function, besides=self._besides, builds=builds)
 
 
 @dataclass
@@ -149,7 +138,7 @@ class Evaluation:
         self._fly = self._flying_in_python
         if library is not None and hasattr(library, "fly_samples"):
             own = self._input, self._outputs, self._arguments
-            self._fly = _FlyingInC(library, evaluated, *own, function.tolerance).fly
+            self._fly = _FlyingInC(library, evaluated, *own).fly
 
     def __call__(self, inputs: Sequence[NDArray]) -> list[NDArray]:
         """The results for all arguments, and for what stands outside."""
@@ -188,13 +177,13 @@ class Evaluation:
     ) -> int:
         """As fly_samples.c."""
         own = self._input
-        state, own_signals, own_steps, _, holds, _, norm = self._outputs
+        state, own_signals, own_steps, _, is_valid, norm = self._outputs
         place, start = sum(self._arguments[:2]), sum(self._arguments)
         for k, time in enumerate(times):
             own[place] = time
             own[start:] = outside[k]
             self.evaluate()
-            if not norm[0] < limit or not (holds == 1).all():
+            if not norm[0] < limit or not (is_valid == 1).all():
                 return k
             signals[k], steps[k] = own_signals, own_steps
             own[: len(state)] = state
@@ -215,17 +204,15 @@ class _FlyingInC:
         own_input: NDArray,
         outputs: list[NDArray],
         arguments: Sequence[int],
-        tolerance: float,
     ):
         self._call = library.fly_samples
         self._call.restype = ctypes.c_longlong
-        self._call.argtypes = [ctypes.c_longlong, *[ctypes.c_double] * 2, *[ctypes.c_void_p] * 12]
-        state, signals, steps, _, holds, _, _ = map(len, outputs)
+        self._call.argtypes = [ctypes.c_longlong, ctypes.c_double, *[ctypes.c_void_p] * 12]
+        state, signals, steps, _, is_valid, _ = map(len, outputs)
         start = sum(arguments)
-        places = [sum(arguments[:2]), sum(arguments[:3]), start]
-        sizes = [state, signals, steps, holds, len(own_input) - start]
+        places = [sum(arguments[:2]), start]
+        sizes = [state, signals, steps, is_valid, len(own_input) - start]
         self._layout = np.array(places, np.int64), np.array(sizes, np.int64)
-        self._tolerance = tolerance
         self._values = own_input, np.array([output.ctypes.data for output in outputs], np.uintp)
         self._kept_alive = function, outputs
         self._work = (
@@ -241,4 +228,4 @@ class _FlyingInC:
         """As fly_samples.c; the arrays are contiguous, and `outside` has a row per time."""
         given = *self._layout, times, outside, *self._values, signals, steps, *self._work
         addresses = (array.ctypes.data for array in given)
-        return int(self._call(len(times), limit, self._tolerance, *addresses))
+        return int(self._call(len(times), limit, *addresses))

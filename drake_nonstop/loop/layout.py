@@ -36,7 +36,7 @@ class LoopLayout:
         leaves: the leaf systems that are traced.
         state_sizes: of each leaf: of its continuous state, and of its discrete groups.
         places: of each leaf's discrete states, in the loop's.
-        attempting: the leaves that may ask to make an update themselves.
+        self_updating: the leaves that may ask to make an update themselves.
         with_parameters, parameter_sizes: those with numeric parameters, and what traces take of it.
         knowing: those that know quantities beforehand, see `systems.diagram_trace.At.known`.
         of_users: the systems that are a user's own, of those that are evaluated or traced.
@@ -62,7 +62,7 @@ class LoopLayout:
         ends = np.cumsum([0, *map(sum, self.state_sizes.values())])
         pairs = zip(self.state_sizes.items(), itertools.pairwise(ends), strict=True)
         self.places = {leaf: slice(start + sizes[0], end) for (leaf, sizes), (start, end) in pairs}
-        self.attempting = [leaf for leaf in self.leaves if hasattr(leaf, "traced_attempt")]
+        self.self_updating = [leaf for leaf in self.leaves if hasattr(leaf, "traced_fast_update")]
         self.with_parameters = [
             leaf for leaf in self.leaves if own(leaf).num_numeric_parameter_groups() > 0
         ]
@@ -76,7 +76,7 @@ class LoopLayout:
         ]
         self.read = [
             (block, k)
-            for block in [*self.held, *self.attempting]
+            for block in [*self.held, *self.self_updating]
             for k in range(block.num_input_ports())
             if block.get_input_port(k).get_data_type() == PortDataType.kVectorValued
             and self.wires.source(block, k) is not None
@@ -85,12 +85,12 @@ class LoopLayout:
     @property
     def answers_size(self) -> int:
         """Of the argument of a whole sample: which blocks give their states, and these."""
-        return sum(1 + sum(self.state_sizes[leaf][1:]) for leaf in self.attempting)
+        return sum(1 + sum(self.state_sizes[leaf][1:]) for leaf in self.self_updating)
 
     @property
     def updating(self) -> dict[str, System]:
         """Those that make updates themselves, at every sample or some, by their blocks' names."""
-        names = {self.wires.block_of(leaf).get_name(): leaf for leaf in self.attempting}
+        names = {self.wires.block_of(leaf).get_name(): leaf for leaf in self.self_updating}
         return {block.get_name(): block for block in self.held} | names
 
     @property

@@ -18,7 +18,7 @@ from pydrake.systems.framework import System
 
 from drake_nonstop.loop.functions import LoopFunction, Symbols, Traced
 from drake_nonstop.loop.layout import LoopLayout
-from drake_nonstop.systems.diagram_trace import FOUND_SIZE, At, Instant, rates
+from drake_nonstop.systems.diagram_trace import At, Instant, rates
 from drake_nonstop.systems.tracing import object_array
 
 _Part = Callable[[casadi.SX, float, Symbols], list[casadi.SX]]  # of a state and an offset in s
@@ -71,11 +71,11 @@ class LoopTrace:
             self._layout.is_outside,
         )
 
-    def updates(self, *, is_start: bool = False, found: casadi.SX | None = None) -> Traced:
+    def updates(self, *, is_start: bool = False) -> Traced:
         """The state after a sample's updates, and what blocks that may make some themselves read.
 
-        Then whether what is made in their place holds, and the data of a search. `is_start` has
-        those of the initialization; `found`, a further argument, is what a search has found.
+        Then whether what is made in their place is right. `is_start` has those of the
+        initialization.
         """
         symbols = Symbols(self._layout.numbers)
         before = self._layout.states(object_array(self.arguments[0]))
@@ -90,19 +90,15 @@ class LoopTrace:
         after = before | {leaf: _updated(leaf, instant, before, is_start) for leaf in first}
         instant = self._instant(after, symbols.at(0.0))
         last = after | {leaf: _updated(leaf, instant, after, is_start) for leaf in late}
-        given = np.zeros(FOUND_SIZE) if found is None else object_array(found)
-        attempts = {
-            leaf: leaf.traced_attempt(At(instant, leaf), given)
-            for leaf in (self._layout.attempting if not is_start else ())
-        }
-        last |= {leaf: [last[leaf][0], *attempt.states] for leaf, attempt in attempts.items()}
+        is_valid = []
+        for leaf in self._layout.self_updating if not is_start else ():
+            made = leaf.traced_fast_update(At(instant, leaf))
+            last[leaf] = [last[leaf][0], *made.states]
+            is_valid.append(made.is_valid)
         inputs = (instant.input(*place) for place in self._layout.read)
         read = [values for values in inputs if values is not None]
-        holds = np.array([attempt.holds for attempt in attempts.values()])
-        data = [attempt.data for attempt in attempts.values()]
-        results = [_stacked(last), _joined(read), _joined([holds]), _joined(data)]
-        arguments = self.arguments if found is None else [*self.arguments, found]
-        return Traced(results, arguments, symbols)
+        results = [_stacked(last), _joined(read), _joined([np.array(is_valid)])]
+        return Traced(results, self.arguments, symbols)
 
     def steps(
         self, schedule: Sequence[Step], shown: _Part, updates: Traced | None = None
@@ -129,26 +125,22 @@ class LoopTrace:
     def whole(self, schedule: Sequence[Step], shown: _Part) -> LoopFunction:
         """The state and all signals at the next sample, and what its updates tell besides.
 
-        A further argument has what a search has found, which blocks have made updates themselves,
-        and their states after these.
+        A further argument has which blocks have made updates themselves, and their states after
+        these.
         """
-        found = casadi.SX.sym("f", FOUND_SIZE)
-        updates = self.updates(found=found)
+        updates = self.updates()
         answers = casadi.SX.sym("a", self._layout.answers_size)
-        after, read, holds, data = updates.results
-        start = len(self._layout.attempting)
-        for k, leaf in enumerate(self._layout.attempting):
+        after, read, is_valid = updates.results
+        start = len(self._layout.self_updating)
+        for k, leaf in enumerate(self._layout.self_updating):
             place = self._layout.places[leaf]
             end = start + place.stop - place.start
             after[place] = casadi.if_else(answers[k], answers[start:end], after[place])
             start = end
         moved = self.steps(schedule, shown, updates._replace(results=[after]))
-        results = [*moved.results, read, holds, data]
-        traced = Traced(results, [*self.arguments, found, answers], moved.symbols)
-        search = None
-        if len(self._layout.attempting) == 1:
-            search = getattr(self._layout.attempting[0], "traced_search", None)
-        return LoopFunction(traced, is_whole=True, search=search)
+        results = [*moved.results, read, is_valid]
+        traced = Traced(results, [*self.arguments, answers], moved.symbols)
+        return LoopFunction(traced, is_whole=True)
 
     def shown(self, *signals: Iterable[str]) -> _Part:
         """Some lists of signals, by the names of the diagram's ports."""

@@ -23,7 +23,6 @@ from drake_nonstop.optimization.problem_config import (
     tightened_bound,
 )
 from drake_nonstop.optimization.traced_problem import TracedProblem
-from drake_nonstop.optimization.traced_search import SearchFunctions, search_functions
 from drake_nonstop.optimization.update_data import Beliefs, UpdateData
 from drake_nonstop.optimization.update_problem import UpdateProblem
 from drake_nonstop.systems.tracing import TracedFunction, chosen
@@ -51,15 +50,6 @@ class Answer(NamedTuple):
     parameters: NDArray  # (2,), the next [ξ, A], rad/s and N
     outcome: Outcome
     slowest_speed: float  # m/s, predicted, of aircraft through the air
-
-
-class TracedAnswer(NamedTuple):
-    """The answer of one update in symbols, and whether it is one."""
-
-    parameters: NDArray  # (2,)
-    holds: Any  # 1 or 0
-    slowest_speed: Any  # m/s
-    data: NDArray  # the update's flat `UpdateData`
 
 
 class UpdateSolver:
@@ -143,7 +133,7 @@ class UpdateSolver:
 
     @property
     def trace_key(self) -> Any:
-        """What `traced_answer` depends on besides the data; it can be pickled."""
+        """What `traced_check` depends on besides the data; it can be pickled."""
         return self._traced.geometry, replace(self._config, **_OF_DATA)
 
     def aim(self, speed_bound: float) -> float:
@@ -188,53 +178,35 @@ class UpdateSolver:
             return _answer(problem, parameters, Outcome.RELAXED)
         return _answer(problem, previous, Outcome.HELD)
 
-    def traced_answer(self, data: UpdateData, updates: Any, found: NDArray) -> "TracedAnswer":
-        """The answer of one update where that needs no search, or a search has found it.
+    def traced_check(self, data: UpdateData, updates: Any) -> tuple[Any, Any]:
+        """Whether the previous parameters are kept, and the slowest speed (m/s), in symbols.
 
-        It is no answer, too, where rounding might decide, and where a constraint is not traced.
+        They are not, too, where rounding might decide, and where a constraint is not traced.
 
         Args:
             data: in symbols; of `orbit_turn` and `anchor_weight` any values.
             updates: how many there were before.
-            found: [1, ξ, A] as `traced_search` finds it; [0, ...]: the previous parameters, which
-                may be kept.
         """
         config, previous = self._config, data.previous
-        is_found = found[0] > 0
-        parameters = np.array(
-            [casadi.if_else(is_found, x, old) for x, old in zip(found[1:], previous, strict=True)]
-        )
+        if self._traced.separation.min_separation > 0:
+            return 0.0, 0.0
         number = casadi.fmod(updates, config.orbit_updates)
         turn = sum(angle * (number == k) for k, (angle,) in enumerate(self._orbit_turns))
-        rates = casadi.vertcat(*_rates(data.reference))
-        is_moving = casadi.mmax(casadi.fabs(rates)) > _REST_TOLERANCE
-        weight = casadi.if_else(is_moving, 0.0, config.anchor_weight)
-        data = data._replace(orbit_turn=np.array([turn]), anchor_weight=np.array([weight]))
-        vector = np.concatenate(data)
-        if self._traced.separation.min_separation > 0:
-            return TracedAnswer(parameters, 0.0, 0.0, vector)
-        (margins,) = self._traced.margins.traced(parameters, vector)
+        vector = np.concatenate(data._replace(orbit_turn=np.array([turn])))
+        (margins,) = self._traced.margins.traced(previous, vector)
         worst = casadi.mmin(casadi.vertcat(*margins))
         slowest = casadi.mmin(casadi.vertcat(*margins[: self._traced.constraints.speed_count]))
         bound, unit = data.speed_bound[0], data.speed_unit[0]
         slowest_speed = casadi.sqrt(casadi.fmax(0.0, slowest * unit * unit + bound * bound))
-        holds = worst >= -FEASIBILITY_TOLERANCE + _IN_DOUBT
+        is_kept = worst >= -FEASIBILITY_TOLERANCE + _IN_DOUBT
         if config.anchor_weight > 0:
+            rates = casadi.vertcat(*_rates(data.reference))
+            is_moving = casadi.mmax(casadi.fabs(rates)) > _REST_TOLERANCE
             nominal = casadi.vertcat(*Beliefs.view(data.beliefs).nominal)
             change = casadi.fabs(casadi.vertcat(*previous) - nominal)
             excess = casadi.mmax(change - _AT_ANCHOR * casadi.fabs(nominal))
-            is_kept = casadi.logic_or(is_moving, excess <= 0)
-            holds = casadi.logic_and(holds, casadi.logic_or(is_found, is_kept))
-        return TracedAnswer(parameters, holds, slowest_speed, vector)
-
-    @property
-    def traced_search(self) -> SearchFunctions | None:
-        """The search in C; None: another solver, or constraints that it does not know."""
-        constraints = self._traced.constraints
-        has_others = constraints.limit_tensions or constraints.min_separation > 0
-        if self._config.solver != "search" or has_others or self._traced.has_flight_limits:
-            return None
-        return search_functions(self._traced)
+            is_kept = casadi.logic_and(is_kept, casadi.logic_or(is_moving, excess <= 0))
+        return is_kept, slowest_speed
 
     def _is_anchor_active(self, problem: UpdateProblem) -> bool:
         """Whether the anchor asks for something else than the previous parameters."""

@@ -18,7 +18,7 @@ import stat
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -49,20 +49,20 @@ class Compiled(NamedTuple):
 
 
 def compiled(
-    functions: Sequence[casadi.Function], *, besides: str = "", builds: bool = True
+    function: casadi.Function, *, besides: str = "", builds: bool = True
 ) -> Compiled | None:
-    """The first function as compiled C; None: it cannot be, and is to be evaluated as it is.
+    """A function as compiled C; None: it cannot be, and is to be evaluated as it is.
 
     Both give the same numbers, to the bit. A ScenarioWarning tells why it cannot, once for each
     reason.
 
     Args:
-        functions: of SX expressions; their names differ.
-        besides: C text that follows that of the functions, and may call them.
+        function: of SX expressions.
+        besides: C text that follows that of the function, and may call it.
         builds: whether it is compiled where the cache does not have it.
     """
     try:
-        return _compiled(functions[0].name(), _c_text(functions) + besides, builds)
+        return _compiled(function.name(), _c_text(function) + besides, builds)
     except CompilationError as error:
         _tell(str(error))
     return None
@@ -152,10 +152,9 @@ def _cached(name: str, library: Path) -> Compiled | None:
         return None
 
 
-def _c_text(functions: Iterable[casadi.Function]) -> str:
+def _c_text(function: casadi.Function) -> str:
     generator = casadi.CodeGenerator("loop", {"with_header": False})
-    for function in functions:
-        generator.add(function)
+    generator.add(function)
     text: str = generator.dump()
     return text
 

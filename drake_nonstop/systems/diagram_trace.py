@@ -40,7 +40,6 @@ from drake_nonstop.systems.block import is_of_package
 from drake_nonstop.systems.tracing import constants, object_array
 from drake_nonstop.systems.wiring import systems_in
 
-FOUND_SIZE = 3  # of what a search in C finds: whether it does, and two numbers
 ROWS = "known_over"  # the method of a block without inputs that gives rows of its outputs
 QUANTITIES = "quantities_over"  # likewise, of a traced block for what it takes by `At.known`
 _LINEAR = Selector, Gain, MatrixGain, Adder, Multiplexer, Demultiplexer, PassThrough
@@ -64,7 +63,7 @@ def is_traceable(system: System) -> bool:
 
 def updates_in_trace(leaf: System) -> bool:
     """Whether a leaf has discrete updates in a trace."""
-    return hasattr(leaf, "traced_update") or hasattr(leaf, "traced_attempt")
+    return hasattr(leaf, "traced_update") or hasattr(leaf, "traced_fast_update")
 
 
 def knows_beforehand(leaf: System) -> bool:
@@ -238,12 +237,11 @@ class Instant:
         return None if source is None else self.output(*source)
 
 
-class TracedAttempt(NamedTuple):
-    """What a block's attempt at an update comes to, in symbols."""
+class FastUpdate(NamedTuple):
+    """What a block's update comes to where it need not search, in symbols."""
 
     states: list[NDArray]  # the discrete groups after it
-    holds: Any  # 1; or 0: they are wrong, and the block has to make the update itself
-    data: NDArray = np.zeros(0)  # that the search reads
+    is_valid: Any  # 1; or 0: they are wrong, and the block has to make the update itself
 
 
 class At:

@@ -55,15 +55,13 @@ def library(folder):
 
 @needs_compiler
 def test_values_are_those_of_the_virtual_machine_and_the_entry_is_used_again(folder):
-    made = compiled([function()]).function
+    made = compiled(function()).function
     assert made.class_name() == "External"
     np.testing.assert_allclose(values(made), values(function()), rtol=1e-15)
     before = library(folder).stat().st_mtime_ns
-    compiled([function()])
+    compiled(function())
     assert library(folder).stat().st_mtime_ns == before
-    assert values(compiled([function(3.0)]).function)[0] == pytest.approx(
-        3 * np.sin(0.3), rel=1e-15
-    )
+    assert values(compiled(function(3.0)).function)[0] == pytest.approx(3 * np.sin(0.3), rel=1e-15)
     assert len([*folder.glob("*.so")]) == 2
 
 
@@ -80,7 +78,7 @@ DAMAGES += [
 @pytest.mark.slow
 def test_an_entry_that_is_not_sound_is_built_again(folder, damage, tmp_path):
     text = "import sys; sys.path[:0] = sys.argv[1:]; import test_compilation as t; "
-    text += "print(t.values((t.compiled([t.function()]) or [t.function()])[0]).tolist())"
+    text += "print(t.values((t.compiled(t.function()) or [t.function()])[0]).tolist())"
     call = [sys.executable, "-c", text, os.path.dirname(__file__)]
     # In a process of its own: this one would keep the library that it has loaded.
     expected = subprocess.run(call, capture_output=True, text=True, check=True).stdout
@@ -89,7 +87,7 @@ def test_an_entry_that_is_not_sound_is_built_again(folder, damage, tmp_path):
     if damage == "bytes":
         entry.write_bytes(b"no library" + sound[10:])
     elif damage in ("useless", "empty"):  # with a right checksum
-        compiled([function(name="g")])
+        compiled(function(name="g"))
         (other,) = {*folder.glob("*.so")} - {entry}
         other.replace(entry)
         if damage == "empty":
@@ -118,7 +116,7 @@ def test_an_entry_that_is_not_sound_is_built_again(folder, damage, tmp_path):
 def test_a_version_that_is_no_utf_8_is_none_the_less_a_version(use_compiler):
     version = "[ $1 = --version ] && printf 'gcc \\251 FSF\\n' && exit 0"
     use_compiler(f'{version}\nexec {compiler()} "$@"')
-    assert values(compiled([function()]).function)[1] == 1.5**2
+    assert values(compiled(function()).function)[1] == 1.5**2
 
 
 def test_a_compiler_that_does_not_answer_is_told_and_asked_once(
@@ -127,8 +125,8 @@ def test_a_compiler_that_does_not_answer_is_told_and_asked_once(
     use_compiler(f"echo asked >> {tmp_path}/times\nexec sleep 60")
     monkeypatch.setattr(compilation, "_VERSION_TIME_LIMIT", 0.5)
     with pytest.warns(ScenarioWarning, match=r"does not tell its version within 0\.5 s"):
-        assert compiled([function()]) is None
-    assert compiled([function(3.0)]) is None
+        assert compiled(function()) is None
+    assert compiled(function(3.0)) is None
     assert (tmp_path / "times").read_text() == "asked\n"
 
 
@@ -141,13 +139,13 @@ def test_a_user_without_a_home_directory_is_told(monkeypatch):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr(compilation.Path, "home", no_home)
     with pytest.warns(ScenarioWarning, match="no home directory; set DRAKE_NONSTOP_CACHE"):
-        assert compiled([function()]) is None
+        assert compiled(function()) is None
 
 
 @needs_compiler
 def test_two_at_once_build_it_once_and_both_load_it(folder):
     with ThreadPoolExecutor(2) as pool:
-        first, second = pool.map(compiled, [[function()], [function()]])
+        first, second = pool.map(compiled, [function(), function()])
     np.testing.assert_array_equal(values(first.function), values(second.function))
     assert len([*folder.glob("*.so")]) == 1
     assert not [*folder.glob(".new-*")]
@@ -156,19 +154,19 @@ def test_two_at_once_build_it_once_and_both_load_it(folder):
 def test_without_a_compiler_one_line_tells_it_once(monkeypatch):
     monkeypatch.setenv("CC", "no-such-compiler")
     with pytest.warns(ScenarioWarning, match="there is no C compiler") as told:
-        made = compiled([function()])
+        made = compiled(function())
     assert len(told) == 1
     assert "\n" not in str(told[0].message)
     assert made is None
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert compiled([function()]) is None
+        assert compiled(function()) is None
 
 
 def test_a_compiler_that_fails_is_told(use_compiler, folder):
     use_compiler("[ $1 = --version ] && exit 0\necho out of memory >&2\nexit 1")
     with pytest.warns(ScenarioWarning, match=r"own failed \(out of memory\)"):
-        made = compiled([function()])
+        made = compiled(function())
     assert made is None
     assert not [*folder.glob("*.so")]
     assert not [*folder.glob(".new-*")]
@@ -177,7 +175,7 @@ def test_a_compiler_that_fails_is_told(use_compiler, folder):
 def test_a_compiler_that_makes_what_cannot_be_loaded_is_told(use_compiler, folder):
     use_compiler("while [ $# -gt 1 ]; do [ $1 = -o ] && echo no > $2; shift; done")
     with pytest.warns(ScenarioWarning, match="cannot be loaded"):
-        made = compiled([function()])
+        made = compiled(function())
     assert made is None
     assert not [*folder.glob("*.so")]
 
@@ -188,6 +186,6 @@ def test_a_cache_that_cannot_be_written_is_told(monkeypatch, tmp_path):
     if compiler() is None:
         pytest.skip("there is no C compiler")
     with pytest.warns(ScenarioWarning, match="cannot be written"):
-        made = compiled([function()])
+        made = compiled(function())
     assert made is None
     assert (tmp_path / "file").read_text() == "mine"
