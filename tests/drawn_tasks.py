@@ -18,7 +18,8 @@ from drake_nonstop.mechanics.grasp import grasp_matrix
 from drake_nonstop.mechanics.planned_orbit import OrbitTerms, planned_speeds
 from drake_nonstop.model.pattern import HamiltonianCycleConfig
 from drake_nonstop.model.system import Model, SystemParameters
-from drake_nonstop.optimization.horizon_problem import HorizonConfig, HorizonProblem, timed
+from drake_nonstop.optimization.horizon_config import HorizonConfig, timed
+from drake_nonstop.optimization.horizon_problem import HorizonProblem
 from drake_nonstop.optimization.problem_config import LimitsConfig
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.scenario.overrides import changed
@@ -193,7 +194,7 @@ class _Orbit:
         context = trajectory.CreateDefaultContext()
         preview = trajectory.GetOutputPort("reference_preview").Eval(context)
         times = motion.start_time + np.arange(0.0, motion.move_time, STEP)
-        terms = [self._problem.terms_at(reference) for reference in preview.references(times)]
+        terms = self._problem.all_terms(preview.references(times))
         speeds = planned_speeds(
             OrbitTerms.view(np.array(terms)),
             self._problem.axes,

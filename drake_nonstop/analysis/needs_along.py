@@ -18,7 +18,6 @@ from drake_nonstop.mechanics.planned_orbit import (
     pattern_directions,
 )
 from drake_nonstop.mechanics.rigid_load import RigidLoad
-from drake_nonstop.mechanics.signals import PlannedParameters
 from drake_nonstop.model.system import Model
 
 
@@ -73,8 +72,7 @@ class NeedsAlong:
 
 def motion_above(model: Model, terms: FlightTerms, planned: NDArray) -> OrbitMotion:
     """The motion of a model's carriers at k instants, of a plan's values (k, 8) there."""
-    parts, pattern = PlannedParameters.view(planned), model.pattern
-    orbit = PlannedOrbit(*(getattr(parts, name)[:, 0] for name in PlannedOrbit._fields))
+    orbit, pattern = PlannedOrbit.of_planned(planned), model.pattern
     return orbit_motion(
         terms,
         pattern_directions(pattern.basis, pattern.phases, pattern.orders, orbit.angle),

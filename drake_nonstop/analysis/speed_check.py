@@ -14,10 +14,11 @@ from drake_nonstop.analysis.limit_along import LimitAlong
 from drake_nonstop.analysis.needs_along import NeedsAlong, motion_above, terms_along
 from drake_nonstop.analysis.task import Task
 from drake_nonstop.mechanics.nonstop import polynomial_values, speed_squares
-from drake_nonstop.mechanics.planned_orbit import OrbitTerms
+from drake_nonstop.mechanics.planned_orbit import OrbitTerms, PlannedOrbit
 from drake_nonstop.mechanics.rotation import rotation_matrix
 from drake_nonstop.mechanics.signals import PLANNED_SIZE, PlannedParameters
-from drake_nonstop.optimization.horizon_problem import HorizonConfig, HorizonData, HorizonProblem
+from drake_nonstop.optimization.horizon_config import HorizonConfig
+from drake_nonstop.optimization.horizon_problem import HorizonData, HorizonProblem
 from drake_nonstop.optimization.horizon_solver import HorizonSolver
 from drake_nonstop.optimization.limits import Of, asked
 from drake_nonstop.optimization.plan import Plan
@@ -186,8 +187,9 @@ def feasible_speeds(
 
 def _terms_along(problem: HorizonProblem, task: Task, times: NDArray) -> OrbitTerms:
     """The terms at times (k,), s, of speeds through the air where those count."""
-    flat = [problem.terms_at(task.reference(time), task.counted_wind(time)) for time in times]
-    return OrbitTerms.view(np.array(flat))
+    references = np.array([task.reference(time) for time in times])
+    winds = np.array([task.counted_wind(time) for time in times])
+    return OrbitTerms.view(problem.all_terms(references, winds))
 
 
 def set_over_time(
@@ -310,7 +312,8 @@ class _Along:
     def planned(self, plan: Plan) -> _Planned:
         """All that is known of a plan."""
         values = self._task.planned(plan, self.times)
-        speeds = self._problem.values_along(Of.SPEED, self._terms, values)
+        orbit = PlannedOrbit.of_planned(values)
+        speeds = self._problem.values_along(Of.SPEED, self._terms, orbit)
         bound = self._task.limits.speed_bound
         ratios = speeds / bound if bound > 0 else np.full(speeds.shape, np.inf)
         limits = tuple(self._limits(values))
@@ -323,7 +326,8 @@ class _Along:
             if needs is not None and aircraft is not None and limit.is_of_aircraft:
                 found = limit.values(aircraft, needs)
             else:
-                found = self._problem.values_along(limit.of, self._terms, values)
+                orbit = PlannedOrbit.of_planned(values)
+                found = self._problem.values_along(limit.of, self._terms, orbit)
             yield LimitAlong(limit, stated, self.times, found)
 
 

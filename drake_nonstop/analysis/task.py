@@ -22,7 +22,7 @@ from drake_nonstop.mechanics.wind import MeanWind
 from drake_nonstop.mechanics.wrench import feedforward_wrench
 from drake_nonstop.model.descriptions import RESPONSE, WIND, TurnRate, Wind, described
 from drake_nonstop.model.system import Model, given_fields, overridden
-from drake_nonstop.optimization.horizon_problem import HorizonConfig, timed
+from drake_nonstop.optimization.horizon_config import HorizonConfig, timed
 from drake_nonstop.optimization.plan import Plan
 from drake_nonstop.optimization.problem_config import LimitsConfig, with_fields_of
 from drake_nonstop.optimization.speed_margin import with_margin

@@ -25,13 +25,8 @@ from drake_nonstop.mechanics.rigid_load import STILL_AIR
 from drake_nonstop.mechanics.signals import PLANNED_SIZE, PlannedParameters
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.diagnostics import Outcome
-from drake_nonstop.optimization.horizon_check import check_horizon
-from drake_nonstop.optimization.horizon_problem import (
-    HorizonConfig,
-    HorizonData,
-    HorizonProblem,
-    timed,
-)
+from drake_nonstop.optimization.horizon_config import HorizonConfig, check_horizon, timed
+from drake_nonstop.optimization.horizon_problem import HorizonData, HorizonProblem
 from drake_nonstop.optimization.horizon_solver import (
     LEAST_START_SCALE,
     PLAN_TOLERANCE,
@@ -431,8 +426,8 @@ class _Planner(threading.local):
                 slacks = judge.slacks(judge.margins(judged, made[0].coefficients))
                 if slacks.max() > PLAN_TOLERANCE:
                     made = self._make(judging, judged, start, scale, is_new, effort)
-            squares = judge.speeds(judged, made[0].coefficients).squares
-            self._last = known = key, (*made, math.sqrt(squares.min()))
+            slowest = float(judge.speeds(judged, made[0].coefficients).min())
+            self._last = known = key, (*made, slowest)
         answer, outcome, slowest = known[1]
         coefficients, slack = answer.coefficients, answer.slack
         begin = start_time, angle, answer.scale, speed_bound, slack
@@ -440,7 +435,7 @@ class _Planner(threading.local):
         solve_time = clock.perf_counter() - began
         if solve_time > self._config.time_limit and not is_first:
             state, outcome, coefficients, slack = last, Outcome.HELD, start, math.inf
-            slowest = math.sqrt(judge.speeds(judged, start).squares.min())
+            slowest = float(judge.speeds(judged, start).min())
         missed: set[str] = set()
         if slack > PLAN_TOLERANCE:
             margins = judge.margins(judged, coefficients)

@@ -19,7 +19,7 @@ from drake_nonstop.mechanics.signals import (
     WIND_SIZE,
 )
 from drake_nonstop.model.system import Model
-from drake_nonstop.optimization.horizon_problem import HorizonConfig
+from drake_nonstop.optimization.horizon_config import HorizonConfig
 from drake_nonstop.optimization.limits import Of, limits_of
 from drake_nonstop.optimization.problem_config import (
     LimitsConfig,

@@ -18,7 +18,7 @@ from drake_nonstop.model.block_parameters import (
 )
 from drake_nonstop.model.descriptions import TurnRate
 from drake_nonstop.model.system import OFFSET, Model
-from drake_nonstop.optimization.flight_limits import FlightLimits
+from drake_nonstop.optimization.constraints import Constraints
 from drake_nonstop.optimization.problem_config import (
     AircraftLimits,
     SpeedBound,
@@ -122,7 +122,7 @@ class TurnRateOptimizer(PeriodicLayer):
         required_aircraft(model, BOX, "TurnRateOptimizer")
         super().__init__(model, config)
         config = self._config
-        self._solver = TurnRateSolver(model, FlightLimits(config), config.orbit_points)
+        self._solver = TurnRateSolver(model, Constraints(config), config.orbit_points)
         self.declare(config.period, parameters=[config.frequency, 0.0])
 
     def block_parameters(self, model: Model, config: Any) -> BlockParameters:

@@ -34,6 +34,7 @@ from drake_nonstop.mechanics.rigid_load import STILL_AIR, RigidLoad
 from drake_nonstop.mechanics.rotation import cross, quaternion_product, rotation_matrix
 from drake_nonstop.mechanics.signals import (
     LoadReference,
+    PlannedParameters,
     Pose,
     Wrench,
     resting_reference,
@@ -120,6 +121,12 @@ class PlannedOrbit(NamedTuple):
     amplitude: NDArray  # (k,), N, A
     amplitude_rate: NDArray  # (k,), N/s, Ȧ
     amplitude_second_rate: NDArray  # (k,), N/s², Ä
+
+    @classmethod
+    def of_planned(cls, values: NDArray) -> "PlannedOrbit":
+        """That of the plan's values (k, 8), as of the signal `planned`."""
+        parts = PlannedParameters.view(values)
+        return cls(*(getattr(parts, name)[:, 0] for name in cls._fields))
 
     @classmethod
     def constant(cls, angle: NDArray, frequency: Any, amplitude: Any) -> "PlannedOrbit":

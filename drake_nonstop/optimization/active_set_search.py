@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.nonstop import speed_squares
-from drake_nonstop.optimization.margins import FEASIBILITY_TOLERANCE
+from drake_nonstop.optimization.constraints import FEASIBILITY_TOLERANCE
 from drake_nonstop.optimization.search_problem import SearchProblem
 
 # Counts of amplitudes at which the cost is evaluated.

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.nonstop import QuadraticChangeCost
-from drake_nonstop.optimization.margins import FEASIBILITY_TOLERANCE
+from drake_nonstop.optimization.constraints import FEASIBILITY_TOLERANCE
 from drake_nonstop.optimization.search_problem import least_infeasible
 from drake_nonstop.optimization.update_problem import UpdateProblem
 

@@ -17,49 +17,37 @@ all phases of the orbit of the ξ and A there, taken as constant: these limits a
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.mechanics.internal_force import orbit_axes
 from drake_nonstop.mechanics.planned_orbit import (
     FlightTerms,
     OrbitTerms,
     PlannedOrbit,
-    PlannedSpeeds,
-    flight_along_reference,
-    orbit_along_reference,
     planned_gaps,
-    planned_needs,
     planned_speeds,
 )
 from drake_nonstop.mechanics.reference_preview import ReferencePreview
-from drake_nonstop.mechanics.rigid_load import STILL_AIR, RigidLoad
-from drake_nonstop.mechanics.signals import (
-    LOAD_REFERENCE_SIZE,
-    WIND_SIZE,
-    PlannedParameters,
-)
+from drake_nonstop.mechanics.rigid_load import STILL_AIR
+from drake_nonstop.mechanics.signals import WIND_SIZE
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.diagnostics import BOUND
-from drake_nonstop.optimization.flight_limits import FlightLimits
+from drake_nonstop.optimization.horizon_config import HorizonConfig, timed
 from drake_nonstop.optimization.limits import Of
-from drake_nonstop.optimization.margins import ConstraintMargins
+from drake_nonstop.optimization.linearization import (
+    ConstraintBlock,
+    ConstraintLayout,
+    Linearization,
+    with_dips,
+)
+from drake_nonstop.optimization.orbit_constraints import OrbitConstraints
 from drake_nonstop.optimization.plan import DEGREE, Plan, spline_rows
 from drake_nonstop.optimization.problem_config import LimitsConfig, tightened_bound
-from drake_nonstop.optimization.separation import SeparationConstraint
-from drake_nonstop.optimization.terminal_set import (
-    TerminalSet,
-    least_distance_squares,
-    product_limits,
-)
-from drake_nonstop.optimization.traced_problem import beliefs_of
+from drake_nonstop.optimization.terminal_set import TerminalSet
 from drake_nonstop.optimization.update_data import Beliefs
-from drake_nonstop.systems.tracing import ElementwiseFunction, TracedFunction
-from drake_nonstop.validation import non_negative, positive
+from drake_nonstop.systems.tracing import ElementwiseFunction
 
 _OTHERS_SHARE = 0.3  # of the weight of the speed bound's slack: that of the other limits
 
@@ -67,54 +55,7 @@ _OTHERS_SHARE = 0.3  # of the weight of the speed bound's slack: that of the oth
 # they need has fewer dips in a turn than speeds that pass low values.
 _FLIGHT_EVERY, _LEAST_FLIGHTS = 4, 5
 
-_NEIGHBOURS = (-1, 1, 2)  # of an instant, which tell how low a speed is between two
-
-_Horizon = TypeVar("_Horizon", bound="HorizonConfig")
 Reference = Callable[[float], NDArray]  # the load's reference (22,) at a time in s
-
-
-@dataclass(kw_only=True)
-class HorizonConfig:
-    """The horizon, its cost and its constraints; with those of a `LimitsConfig`.
-
-    With `fixed_coefficients` 0 the problem is one of a plan that has no predecessor.
-    """
-
-    horizon: float = non_negative(0.0)  # s; 0: nearly two turns, 15 intervals of knots at least
-    knot_spacing: float = non_negative(0.0)  # s, and between two plans; 0: an eighth of a turn
-    instants: int = 20  # between two knots, at which the carriers' flight is constrained
-    terminal_knots: int = 4  # of the last part, in which all phases of the orbit are constrained
-    terminal_instants: int = 2  # of it, between two knots
-    terminal_phases: int = 24  # of the orbit
-    terminal_amplitudes: int = 33  # of the table
-    amplitude_weight: float = positive(4.0)  # w_A
-    smoothing: float = positive(0.4)  # τ, in intervals between knots
-    slack_weight: float = positive(100.0)  # ρ
-    fixed_coefficients: int = 4  # the first of ξ and A: 4 for three continuous rates
-    overshoot: float = non_negative(0.35)  # of a carrier's velocity, of a jump of the plan's
-    settling_time: float = non_negative(0.1)  # s, of that overshoot
-    orbit_tightening: float = non_negative(0.005)  # of the nominal orbits' speed, the least margin
-
-
-def timed(config: _Horizon, frequency: float, control_period: float) -> _Horizon:
-    """The config with its times, as they follow from the nominal ξ (rad/s) where they are 0.
-
-    The knots then are whole control periods (s) apart; 0: there is none.
-    """
-    turn = 2 * math.pi / frequency
-    spacing = config.knot_spacing
-    if spacing == 0:
-        spacing = turn / 8
-        if control_period > 0:
-            spacing = max(round(spacing / control_period), 1) * control_period
-    return replace(
-        config, knot_spacing=spacing, horizon=config.horizon or _knots(turn, spacing) * spacing
-    )
-
-
-def _knots(turn: float, spacing: float) -> int:
-    """The intervals between knots in nearly two turns: 15 of an eighth of one."""
-    return max(15, math.ceil(1.8 * turn / spacing))
 
 
 class HorizonData(NamedTuple):
@@ -135,158 +76,8 @@ class HorizonData(NamedTuple):
         """Those at the instants."""
         return OrbitTerms.view(self.flat_terms)
 
-    @property
-    def speed_unit(self) -> float:
-        """What scales the margins of squared speeds, m²/s²; without a bound any speed is enough."""
-        return self.speed_bound**2 or 1.0
 
-
-class Slopes(NamedTuple):
-    """Matrices (p, N) at p instants by the coefficients of ξ/ξ₀ or of A/A₀.
-
-    The rates ξ̇ and Ä count where aircraft have limits.
-    """
-
-    angle: NDArray  # rad
-    frequency: NDArray  # rad/s
-    amplitude: NDArray  # N
-    amplitude_rate: NDArray  # N/s
-    frequency_rate: NDArray  # rad/s²
-    amplitude_second_rate: NDArray  # N/s²
-
-
-class Table(NamedTuple):
-    """Where margins belong: one row per instant, one column per constraint."""
-
-    instants: NDArray  # (k,), the rows of the slopes
-    width: int
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """The numbers of instants and of constraints."""
-        return len(self.instants), self.width
-
-    @property
-    def size(self) -> int:
-        """The number of margins."""
-        return math.prod(self.shape)
-
-
-@dataclass(frozen=True, eq=False)
-class Linearization:
-    """The constraints about a plan, as margins and their gradients.
-
-    A margin is negative where its constraint is not fulfilled without slack. Speeds dip between
-    instants, too: where the cubic Hermite spline through the margins has a minimum between two
-    instants, the margin at the first of them is that minimum. It is a mean of four neighbours, with
-    weights that are fixed to first order, since there the spline does not change with its place.
-    The last margins are those of whole orbits, at evenly spaced phases.
-    """
-
-    margins: NDArray  # (r,)
-    gradients: NDArray  # (g, r), by θ, ξ, A and Ȧ, and with limits of flight by ξ̇ and Ä
-    instant_of: NDArray  # (r,), the row of the slopes
-    slack_of: NDArray  # (r,), the number of the slack
-    slopes: Slopes
-    tables: tuple[Table, ...]  # of the first margins, one after the other
-    weights: NDArray  # (3, r), of the same constraint at its table's `_NEIGHBOURS`
-    widths: NDArray  # (r,), of the tables; 0 in none
-    orbits: tuple[int, int, int]  # the last margins are those of k instants, h phases, m limits
-
-    def changes(self, step: NDArray) -> NDArray:
-        """What a step (2, N) of the coefficients adds to the margins (r,), to first order."""
-        c, d = step
-        slopes, rates = self.slopes, self._with_rates
-        of_instants = np.stack(
-            [
-                slopes.angle @ c,
-                slopes.frequency @ c,
-                slopes.amplitude @ d,
-                slopes.amplitude_rate @ d,
-                *([slopes.frequency_rate @ c, slopes.amplitude_second_rate @ d] if rates else []),
-            ]
-        )
-        parts = []
-        for start, table in self._placed:
-            gradients = self.gradients[:, start : start + table.size].reshape(-1, *table.shape)
-            parts.append(np.einsum("ikm,ik->km", gradients, of_instants[:, table.instants]).ravel())
-        end = self._last
-        parts.append((self.gradients[:, end:] * of_instants[:, self.instant_of[end:]]).sum(axis=0))
-        changes = np.concatenate(parts)
-        found = changes.copy()
-        for weights, shift in zip(self.weights, _NEIGHBOURS, strict=True):
-            dips = np.flatnonzero(weights)
-            neighbours = changes[dips + shift * self.widths[dips]]
-            found[dips] += weights[dips] * (neighbours - changes[dips])
-        return found
-
-    def jacobian(self, chosen: NDArray, fixed: int = 0) -> NDArray:
-        """The rows of chosen margins, by all but the first coefficients of ξ, then of A."""
-        found = self._rows(chosen, fixed)
-        own = found.copy()
-        for weights, shift in zip(self.weights, _NEIGHBOURS, strict=True):
-            dips = np.flatnonzero(weights[chosen])
-            numbers = chosen[dips]
-            neighbours = self._rows(numbers + shift * self.widths[numbers], fixed)
-            found[dips] += weights[chosen[dips], None] * (neighbours - own[dips])
-        return found
-
-    def _rows(self, chosen: NDArray, fixed: int) -> NDArray:
-        gradients, instants = self.gradients[:, chosen, None], self.instant_of[chosen]
-        by = [g * slope[instants, fixed:] for g, slope in zip(gradients, self.slopes, strict=False)]
-        if self._with_rates:
-            return np.hstack([by[0] + by[1] + by[4], by[2] + by[3] + by[5]])
-        return np.hstack([by[0] + by[1], by[2] + by[3]])
-
-    @property
-    def _with_rates(self) -> bool:
-        return len(self.gradients) == len(self.slopes)
-
-    @cached_property
-    def _placed(self) -> list[tuple[int, Table]]:
-        """The tables with the numbers of their first margins."""
-        starts = np.cumsum([0, *(table.size for table in self.tables[:-1])])
-        return list(zip(starts.tolist(), self.tables, strict=True))
-
-    @cached_property
-    def _last(self) -> int:
-        """The number of the first margin that is in no table."""
-        return sum(table.size for table in self.tables)
-
-    def dips(self, margins: NDArray, largest: float) -> NDArray:
-        """The numbers of margins of at most `largest` that are the least of their neighbours.
-
-        Neighbours are those of the same constraint at the instants before and after, or at the
-        phases of an orbit; the table's limits have none. `margins` (r,) are about the same plan or
-        of a step from it.
-        """
-        found = []
-        for start, table in self._placed:
-            values = margins[start : start + table.size].reshape(table.shape)
-            is_dip = values <= largest
-            is_dip[1:] &= values[1:] <= values[:-1]
-            is_dip[:-1] &= values[:-1] < values[1:]
-            found.append(np.flatnonzero(is_dip) + start)
-        start, end = self._last, len(margins) - math.prod(self.orbits)
-        found.append(np.flatnonzero(margins[start:end] <= largest) + start)
-        orbits = margins[end:].reshape(self.orbits)
-        before, after = np.roll(orbits, 1, axis=1), np.roll(orbits, -1, axis=1)
-        is_low = (orbits <= largest) & (orbits <= before) & (orbits < after)
-        return np.concatenate([*found, np.flatnonzero(is_low) + end])
-
-    def with_neighbours(self, chosen: NDArray, margins: NDArray, largest: float) -> NDArray:
-        """The numbers of chosen margins, and of those before and after that are at most that."""
-        found = [chosen]
-        for start, table in self._placed:
-            end = start + table.size
-            own = chosen[(chosen >= start) & (chosen < end)]
-            near = np.concatenate([own - table.width, own + table.width])
-            near = near[(near >= start) & (near < end)]
-            found.append(near[margins[near] <= largest])
-        return np.concatenate(found)
-
-
-class HorizonProblem:
+class HorizonProblem(OrbitConstraints):
     """What all plans of one model and config share.
 
     Args:
@@ -307,81 +98,57 @@ class HorizonProblem:
         beliefs: Beliefs | None = None,
     ):
         config = timed(config, limits.frequency, model.control_period)
-        self.model, self.limits, self.config, self.name = model, limits, config, name
+        super().__init__(model, limits, config, name, beliefs=beliefs)
         self.intervals = round(config.horizon / config.knot_spacing)
         self.count = self.intervals + DEGREE  # of the coefficients of ξ, and of A
-        beliefs = beliefs or beliefs_of(model, limits)
-        self.nominal = beliefs.nominal
-        self._bounds = np.stack([beliefs.lower, beliefs.upper])
-        self._beliefs = np.concatenate(beliefs)
-        self.rest_length = float(beliefs.rest_length[0])  # m
-        self.compliance = float(beliefs.compliance[0])  # m/N
-        self._cables: dict[str, Any] = {
-            "rest_length": self.rest_length,
-            "compliance": self.compliance,
-        }
-        self.axes = orbit_axes(model.pattern.basis, model.pattern.phases)
-        low, high = self._bounds[:, 1]
-        self.amplitudes = np.linspace(low, high, config.terminal_amplitudes)
-        spacing = config.knot_spacing
-        end = self.intervals * spacing
-        count = self.intervals * config.instants
+        self._place_instants()
+        self._place_constraints()
+        rows = spline_rows(self.instants, self.intervals, config.knot_spacing)
+        xi, A = self.nominal
+        self._jacobians = PlannedOrbit(
+            angle=xi * rows.integral,
+            frequency=xi * rows.value,
+            frequency_rate=xi * rows.rate,
+            amplitude=A * rows.value,
+            amplitude_rate=A * rows.rate,
+            amplitude_second_rate=A * rows.second_rate,
+        )
+        self.hessian = self._hessian()
+        self._axis_columns = np.hstack(self.axes).T[:, None]
+        shape = len(self.instants), model.n
+        self._margins_along = [self._elementwise(self._carrier_margins, [6, 12, 6, 2], shape)]
+        if self._separation is not None:
+            shape = len(self.instants), self._pairs.shape[1]
+            self._margins_along.append(self._elementwise(self._gap_margins, [6] * 5, shape))
+        if self._limits_flight:
+            shape = len(self._flight_at) + len(self._orbits_of) * len(self._orbit_angles), model.n
+            self._planned_flight = self._elementwise(self._flight_margins_of_one, [6, 24, 6], shape)
+
+    def _place_instants(self) -> None:
+        """Tells the instants at which carriers are limited, and which of them have more limits."""
+        config, intervals = self.config, self.intervals
+        count = intervals * config.instants
         # Where coefficients are fixed, so is the value at the start: no instant is there.
         self._first_instant = 1 if config.fixed_coefficients else 0
+        end = intervals * config.knot_spacing
         self.instants = end / count * np.arange(self._first_instant, count + 1)
         self._instant_spacing = end / count
-        self._per_knot = count // self.intervals  # instants
-        count = len(self.instants)
-        self._terminal_per_knot = config.terminal_instants
-        back = np.arange(self._terminal_per_knot * config.terminal_knots)[::-1]
+        last = len(self.instants) - 1
+        back = np.arange(config.terminal_instants * config.terminal_knots)[::-1]
         # Some of the instants, the same ones in each interval.
-        self._terminal_at = count - 1 - back * self._per_knot // self._terminal_per_knot
-        self.terminal_instants = self.instants[self._terminal_at]
+        self._terminal_at = last - back * config.instants // config.terminal_instants
         # The last instant of each interval is one of those at which flight is limited.
-        flown = max(math.ceil(self._per_knot / _FLIGHT_EVERY), min(_LEAST_FLIGHTS, self._per_knot))
-        back = np.arange(flown * self.intervals)[::-1]
-        self._flight_at = count - 1 - back * self._per_knot // flown
+        flown = max(
+            math.ceil(config.instants / _FLIGHT_EVERY), min(_LEAST_FLIGHTS, config.instants)
+        )
+        back = np.arange(flown * intervals)[::-1]
+        self._flight_at = last - back * config.instants // flown
         if self._first_instant == 0:
             self._flight_at = np.append(0, self._flight_at)
         self._flights_per_knot = flown
         # What aircraft need on whole orbits is limited at the ends of the intervals.
-        self._orbits_of = np.arange(1, config.terminal_knots + 1) * self._terminal_per_knot - 1
-        self._limits = ConstraintMargins(limits, 0)
-        self.max_speed = self._limits.max_speed  # m/s, tightened
-        self._flight_limits = FlightLimits(limits)
-        self._orbit_angles = 2 * np.pi * np.arange(config.terminal_phases) / config.terminal_phases
-        self._separation: SeparationConstraint | None = None
-        if self._limits.min_separation > 0:
-            self._separation = SeparationConstraint(self._limits.min_separation, self.axes)
-        self._pairs = np.array(np.triu_indices(model.n, 1))
-        if self._separation is not None:
-            pairs = self._pairs.shape[1]
-            self._planned_gaps = self._elementwise(self._gaps_of_one, [4, *[6] * 4], pairs)
-        rows = spline_rows(self.instants, self.intervals, spacing)
-        self._rows = rows
-        self._flight_rows = type(rows)(*(part[self._flight_at] for part in rows))
-        frequency, amplitude = self.nominal
-        every = np.concatenate([np.arange(count), self._terminal_at])
-        self._slopes = Slopes(
-            frequency * rows.integral[every],
-            frequency * rows.value[every],
-            amplitude * rows.value[every],
-            amplitude * rows.rate[every],
-            frequency * rows.rate[every],
-            amplitude * rows.second_rate[every],
-        )
-        self._place_constraints()
-        self.hessian = self._hessian()
-        self._axis_columns = np.hstack(self.axes).T[:, None]
-        self._planned_speeds = self._elementwise(self._speeds_of_one, [4, 12, 6], model.n)
-        self._terms = self._traced(orbit_along_reference)
-        self._flight_terms: TracedFunction | None = None
-        if self._limits_flight:
-            self._flight_terms = self._traced(flight_along_reference)
-            flown = len(self._flight_at) + len(self._orbits_of) * len(self._orbit_angles)
-            self._planned_flight = self._elementwise(
-                self._flight_margins_of_one, [6, 24, 6], model.n, flown
-            )
+        ends = np.arange(1, config.terminal_knots + 1) * config.terminal_instants - 1
+        self._orbits_of = np.searchsorted(self._flight_at, self._terminal_at[ends])
 
     @property
     def largest_differences(self) -> NDArray:
@@ -404,50 +171,6 @@ class HorizonProblem:
     def nominal_coefficients(self) -> NDArray:
         """Those (2, N) of the nominal ξ and A."""
         return np.ones((2, self.count))
-
-    def terms_at(self, reference: NDArray, wind: NDArray = STILL_AIR) -> NDArray:
-        """The flat `OrbitTerms` (9n + 3,) of a reference (22,), in a wind (3,) in m/s, in W."""
-        return self._terms(reference, self._beliefs, wind)[0].copy()
-
-    def all_terms(self, references: NDArray, winds: NDArray) -> NDArray:
-        """The flat `OrbitTerms` (k, 9n + 3) of references (k, 22), in winds (3,) or (k, 3)."""
-        return self._terms.of_rows(self._stacked(references, winds))
-
-    def flight_terms(self, references: NDArray, winds: NDArray) -> NDArray:
-        """The flat `FlightTerms` (k, 15n + 9) likewise; (k, 0) without limits of flight."""
-        function = self._flight_terms
-        if function is None:
-            return np.zeros((len(references), 0))
-        return function.of_rows(self._stacked(references, winds))
-
-    def _stacked(self, references: NDArray, winds: NDArray) -> NDArray:
-        """What functions take of references (k, 22), in winds (3,) or (k, 3)."""
-        count = len(references)
-        own = np.broadcast_to(self._beliefs, (count, len(self._beliefs)))
-        return np.hstack([references, own, np.broadcast_to(winds, (count, WIND_SIZE))])
-
-    def orbit_flight_margins(
-        self, flat_flight: NDArray, frequency: float, amplitude: float
-    ) -> NDArray:
-        """The worst margins (k,) of aircraft's limits over whole orbits of constant ξ and A.
-
-        Of flat `FlightTerms` (k, 15n + 9), with limits of flight.
-        """
-        angles, count = self._orbit_angles, len(flat_flight)
-        orbit = PlannedOrbit.constant(np.tile(angles, count), frequency, amplitude)
-        terms = FlightTerms.view(np.repeat(flat_flight, len(angles), axis=0))
-        margins = self._flight_margins(terms, self.axes, orbit)
-        worst: NDArray = np.min(margins, axis=(0, 2)).reshape(count, -1).min(axis=1)
-        return worst
-
-    def _flight_margins(
-        self, terms: FlightTerms, axes: tuple[NDArray, NDArray], orbit: PlannedOrbit
-    ) -> list[NDArray]:
-        """The margins (k, n) of aircraft's limits, of numbers or symbols."""
-        aircraft = self.model.aircraft
-        assert aircraft is not None
-        needs = planned_needs(aircraft, terms, axes, orbit, **self._cables)
-        return self._flight_limits.margins(aircraft, needs)
 
     def data(
         self,
@@ -473,7 +196,7 @@ class HorizonProblem:
             return last._replace(start_angle=start_angle)
         is_next = last is not None and abs(start_time - last.start_time - spacing) < 1e-9
         known = last if is_next and is_alike else None
-        count = self._per_knot if known is not None else len(self.instants)
+        count = self.config.instants if known is not None else len(self.instants)
         flown = self._flights_per_knot if known is not None else len(self._flight_at)
         references = references_at(reference, self.times(start_time)[-count:])
         winds = np.broadcast_to(wind, (len(self.instants), WIND_SIZE))
@@ -488,34 +211,10 @@ class HorizonProblem:
             places = self._terminal_at
             terminal = self.terminal_set(flat[places], aims[places, :, None])
         else:
-            places = self._terminal_at[-self._terminal_per_knot :]
+            places = self._terminal_at[-self.config.terminal_instants :]
             new = self.terminal_set(flat[places], aims[places, :, None])
-            terminal = known.terminal.continued(new, self._terminal_per_knot)
+            terminal = known.terminal.continued(new, self.config.terminal_instants)
         return HorizonData(start_time, start_angle, flat, terminal, bound, aims, flight, wind)
-
-    def jump_margins(self, flat_terms: NDArray, spacing: float) -> NDArray:
-        """What the speeds (k, n) have to keep above the bound after jumps of the plan, m/s.
-
-        Where the jerk of the reference jumps, so do the planned velocities, by at most
-        (L₀/T + 1/K_c) ‖Δd₀‖, T without A. The carriers then swing past the new velocity by a share
-        of the jump, the `overshoot`, within the `settling_time`. Own derivation.
-
-        Args:
-            flat_terms: (k, 9n + 3), at evenly spaced instants.
-            spacing: s, of the instants.
-        """
-        terms, config = OrbitTerms.view(flat_terms), self.config
-        jumps = np.zeros(terms.forces.shape[:2])
-        changes = np.linalg.norm(np.diff(terms.rates, axis=0), axis=2)
-        jumps[1:] = self._reach(terms)[1:] * changes
-        largest = jumps.copy()
-        for i in range(1, math.ceil(config.settling_time / spacing)):
-            largest[i:] = np.maximum(largest[i:], jumps[:-i])
-        return config.overshoot * largest
-
-    def _reach(self, terms: OrbitTerms) -> NDArray:
-        """By how much (k, n) a carrier moves with a force across its cable, m/N."""
-        return self.rest_length / np.linalg.norm(terms.forces, axis=2) + self.compliance
 
     def _aims(self, flat_terms: NDArray, speed_bound: float, tightened: float) -> NDArray:
         """The speeds (k, n) in m/s that carriers have to keep in the plan, at k instants.
@@ -538,38 +237,8 @@ class HorizonProblem:
         knot = round(start_time / spacing)
         if abs(start_time - knot * spacing) > 1e-9 * max(1.0, start_time):
             return start_time + self.instants
-        counts = knot * self._per_knot + self._first_instant + np.arange(len(self.instants))
-        return counts * (spacing / self._per_knot)
-
-    def terminal_set(
-        self,
-        flat_terms: NDArray,
-        speed_bound: NDArray | float,
-        amplitudes: NDArray | None = None,
-    ) -> TerminalSet:
-        """The terminal set of flat terms (k, 9n + 3), for a bound in m/s or those (k, n, 1).
-
-        Over a table of A (a,) in N; None: that of all plans.
-        """
-        amplitudes = self.amplitudes if amplitudes is None else amplitudes
-        terms = OrbitTerms.view(flat_terms)
-        least, most, *tension_squares = product_limits(
-            terms,
-            self.axes,
-            amplitudes,
-            speed_bound,
-            self._limits.max_speed,
-            phase_count=self.config.terminal_phases,
-            **self._cables,
-        )
-        margins = np.full(least.shape, np.inf)
-        for squares in tension_squares:
-            for margin in self._limits.of_tensions(squares):
-                margins = np.minimum(margins, margin)
-        if self._separation is not None:
-            for row, forces in zip(margins, terms.forces, strict=True):
-                np.minimum(row, self._orbit_separation_margins(forces, amplitudes), out=row)
-        return TerminalSet(amplitudes, least, most, margins)
+        counts = knot * self.config.instants + self._first_instant + np.arange(len(self.instants))
+        return counts * (spacing / self.config.instants)
 
     def amplitude_margins(
         self, data: HorizonData, every: int
@@ -578,45 +247,10 @@ class HorizonProblem:
 
         At every so many instants of the horizon; None where there is no such limit.
         """
-        if not self._limits.limit_tensions and self._separation is None:
+        if not self._constraints.names(Of.TENSION, Of.SEPARATION):
             return None
-        terms = OrbitTerms.view(data.flat_terms[::every])
-
-        def worst(amplitudes: NDArray) -> NDArray:
-            margins = np.full(len(amplitudes), np.inf)
-            if self._limits.limit_tensions:
-                limits = product_limits(
-                    terms,
-                    self.axes,
-                    amplitudes,
-                    0.0,
-                    np.inf,
-                    phase_count=self.config.terminal_phases,
-                    **self._cables,
-                )
-                for squares in limits[2:]:
-                    for margin in self._limits.of_tensions(squares):
-                        margins = np.minimum(margins, margin.min(axis=0))
-            if self._separation is not None:
-                for forces in terms.forces:
-                    found = self._orbit_separation_margins(forces, amplitudes)
-                    margins = np.minimum(margins, found)
-            return margins
-
-        return worst
-
-    def _orbit_separation_margins(self, forces: NDArray, amplitudes: NDArray) -> NDArray:
-        """The worst margin (a,) of the separation over a whole orbit at A (a,)."""
-        assert self._separation is not None
-        squares = least_distance_squares(
-            self._separation,
-            forces,
-            amplitudes,
-            attachments=self.model.attachments,
-            pairs=self._pairs,
-            **self._cables,
-        )
-        return squares / self._limits.min_separation**2 - 1
+        flat = data.flat_terms[::every]
+        return lambda A: self.terminal_set(flat, 0.0, A).amplitude_margins.min(axis=0)
 
     def plan(self, data: HorizonData, coefficients: NDArray) -> Plan:
         """The plan of coefficients (2, N)."""
@@ -629,124 +263,61 @@ class HorizonProblem:
         away = (coefficients - 1).ravel()
         return float(away @ self.hessian @ away) / 2
 
-    def speeds(self, data: HorizonData, coefficients: NDArray) -> PlannedSpeeds:
-        """The squared speeds and tensions (k, n) at the instants."""
-        return PlannedSpeeds(*self._speeds_and_slopes(data, coefficients)[0])
+    def orbit(self, data: HorizonData, coefficients: NDArray) -> PlannedOrbit:
+        """Phase, ξ and A with their rates (k,) at the instants."""
+        angle, *others = (rows @ coefficients[i // 3] for i, rows in enumerate(self._jacobians))
+        return PlannedOrbit(data.start_angle + angle, *others)
 
-    def _speeds_and_slopes(
-        self, data: HorizonData, coefficients: NDArray
-    ) -> tuple[NDArray, NDArray]:
-        """The parts (2, k, n) of `speeds`, and their gradients (2, 4, k, n) by θ, ξ, A and Ȧ."""
-        orbit = self._orbit(data, coefficients)
-        return self._planned_speeds(orbit, data.terms.columns, self._axis_columns)
-
-    def _orbit(self, data: HorizonData, coefficients: NDArray) -> NDArray:
-        """θ, ξ, A and Ȧ (4, k, 1) at the instants."""
-        c, d = coefficients
-        frequency, amplitude = self.nominal
-        rows = self._rows
-        values = [
-            data.start_angle + frequency * (rows.integral @ c),
-            frequency * (rows.value @ c),
-            amplitude * (rows.value @ d),
-            amplitude * (rows.rate @ d),
-        ]
-        return np.stack(values)[:, :, None]
-
-    def values_along(self, of: Of, terms: OrbitTerms, planned: NDArray) -> NDArray:
-        """Speeds, tensions or separations (k, c) at k instants, of the plan's values (k, 8) there.
-
-        In m/s, N or m, of the carriers, the cables or the pairs of carriers.
-        """
-        values = PlannedParameters.view(planned)
-        angle, amplitude = values.angle[:, 0], values.amplitude[:, 0]
-        if of is Of.SEPARATION:
-            squares = planned_gaps(
-                terms.forces,
-                self.axes,
-                angle,
-                amplitude,
-                attachments=self.model.attachments,
-                pairs=self._pairs,
-                **self._cables,
-            )
-            return np.sqrt(squares)
-        found = planned_speeds(
-            terms,
-            self.axes,
-            angle,
-            values.frequency[:, 0],
-            amplitude,
-            values.amplitude_rate[:, 0],
-            **self._cables,
-        )
-        return np.sqrt(found.squares if of is Of.SPEED else found.tension_squares)
+    def speeds(self, data: HorizonData, coefficients: NDArray) -> NDArray:
+        """The carriers' speeds (k, n), m/s, at the instants."""
+        return self.values_along(Of.SPEED, data.terms, self.orbit(data, coefficients))
 
     def linearization(self, data: HorizonData, coefficients: NDArray) -> Linearization:
         """The constraints about coefficients (2, N)."""
-        values, slopes = self._speeds_and_slopes(data, coefficients)
-        limits, bound, unit = self._limits, data.speed_bound, math.sqrt(data.speed_unit)
-        margins = limits.of_speeds(values[0], bound, unit)
-        gradients = [slopes[0] / unit**2]
-        gradients += [factor * slopes[0] for factor in limits.speed_factors]
-        if limits.limit_tensions:
-            margins += limits.of_tensions(values[1])
-            gradients += [factor * slopes[1] for factor in limits.tension_factors]
+        orbit, bound = self.orbit(data, coefficients), data.speed_bound
+        unit = bound or 1.0  # m/s, of the margins of speeds; without a bound any speed is enough
+        columns = np.stack(orbit)[:, :, None]
+        scale = np.array([bound, unit])[:, None, None]
+        given: list[tuple[NDArray, ...]] = [(data.terms.columns, self._axis_columns, scale)]
         if self._separation is not None:
-            squares, slopes = self._gaps(data, coefficients)
-            factor = 1 / limits.min_separation**2
-            margins.append(factor * squares[0] - 1)
-            gradients.append(factor * slopes[0])
-        of_instants, weights = _with_dips(np.concatenate(margins, axis=1))
+            given.append(self._of_pairs(data.terms.forces))
+        functions = zip(self._margins_along, given, strict=True)
+        along, by_along = _side_by_side(*(function(columns, *own) for function, own in functions))
+        along, weights = with_dips(along)
         # What carriers have to keep beyond the bound steps with time: no minimum follows from it.
-        of_instants[:, : self.model.n] -= (data.aims**2 - bound**2) / unit**2
-        terminal, of_terminal = self._terminal_margins(data, coefficients)
-        found = [of_instants.ravel(), terminal]
-        by = [_columns(np.concatenate(gradients, axis=2)), of_terminal]
-        all_weights = [_columns(weights)]
+        along[:, : self.model.n] -= (data.aims**2 - bound**2) / unit**2
+        terminal, by_terminal = self._terminal_margins(data, orbit)
+        margins, gradients, all_weights = [along, terminal], [by_along, by_terminal], [weights]
         if self._limits_flight:
-            flight, of_flight = self._flight_linearization(data, coefficients)
+            flight, by_flight = self._flight_margins_along(data, orbit)
             count = len(self._flight_at)
-            dipping, weights = _with_dips(flight[:count])
-            of_orbits = _columns(of_flight[:, count:])
-            of_orbits[[0, 3, 4, 5]] = 0  # the orbits are of constant ξ and A, at given phases
-            found = [of_instants.ravel(), dipping.ravel(), terminal, flight[count:].ravel()]
-            by = [_with_zero_rates(part) for part in by]
-            by = [by[0], _columns(of_flight[:, :count]), by[1], of_orbits]
-            all_weights.append(_columns(weights))
-        all_margins = np.concatenate(found)
-        all_weights.append(np.zeros((len(_NEIGHBOURS), np.count_nonzero(self._widths == 0))))
-        return Linearization(
-            all_margins,
-            np.hstack(by),
-            self._instant_of,
-            self._slack_of,
-            self._slopes,
-            self._tables,
-            np.hstack(all_weights),
-            self._widths,
-            self._orbits,
-        )
+            dipping, weights = with_dips(flight[:count])
+            by_orbits = by_flight[:, count:].copy()
+            by_orbits[[0, 2, 4, 5]] = 0  # the orbits are of constant ξ and A, at given phases
+            margins = [along, dipping, terminal, flight[count:]]
+            gradients = [by_along, by_flight[:, :count], by_terminal, by_orbits]
+            all_weights.append(weights)
+        flat = np.concatenate([part.ravel() for part in margins])
+        found = np.zeros((3, len(flat)))
+        dips = np.hstack([part.reshape(3, -1) for part in all_weights])
+        found[:, : dips.shape[1]] = dips
+        by = np.hstack([part.reshape(6, -1) for part in gradients])
+        return Linearization(flat, by, found, self._jacobians, self.layout)
 
     def margins(self, data: HorizonData, coefficients: NDArray) -> NDArray:
         """The margins (r,) of `linearization`."""
         return self.linearization(data, coefficients).margins
 
     def slacks(self, margins: NDArray) -> NDArray:
-        """The least slacks (`slack_count`,) that margins (r,) need."""
-        slacks = np.zeros(self.slack_count)
+        """The least slacks, as many as `slack_weights`, that margins (r,) need."""
+        slacks = np.zeros(len(self.slack_weights))
         violated = np.flatnonzero(~(margins >= 0))
-        np.maximum.at(slacks, self._slack_of[violated], -margins[violated])
+        np.maximum.at(slacks, self.layout.slacks[violated], -margins[violated])
         return slacks
 
     def missed(self, margins: NDArray, tolerance: float) -> set[str]:
         """What margins (r,) miss by more than a tolerance, by the names of `missed_limits`."""
-        return {*self._names[~(margins >= -tolerance)].tolist()} - {""}
-
-    @property
-    def slack_count(self) -> int:
-        """One per interval between knots and one of the terminal set, for each kind of limit."""
-        return len(self.slack_weights)
+        return {*self.layout.names[~(margins >= -tolerance)].tolist()} - {""}
 
     def angle_rows(self) -> NDArray:
         """The matrix (intervals, N) of θ at the knots after the start, by the coefficients of ξ."""
@@ -755,156 +326,85 @@ class HorizonProblem:
         return self.nominal[0] * rows.integral
 
     def _place_constraints(self) -> None:
-        """Tells where margins belong: their instants, and their slacks.
+        """Tells where margins belong: their instants, slacks and names.
 
         The bound on the speeds has slack of its own, all limits of aircraft together, and all
-        others together.
+        others together: one per interval between knots and one of the last part, of each.
         """
-        limits, n, count = self._limits, self.model.n, len(self.instants)
-        pairs = limits.separation_kinds
-        sizes = [n] * (len(limits.kinds) - 1) + [self._pairs.shape[1]] * len(pairs)
-        others = sum(sizes)
-        of_flight = n * len(self._flight_limits.kinds)
-        tables = [Table(np.arange(count), n + others), Table(self._flight_at, of_flight)]
-        self._tables = tuple(table for table in tables if table.width)
-        slack_kinds = [np.repeat([0, 1], [n, others]), np.full(of_flight, 2 if others else 1)]
-        is_limited = [True, limits.limit_high_speeds, self._limits_amplitude]
-        self._terminal_kinds = np.flatnonzero(is_limited)
-        terminal = np.arange(len(self.terminal_instants))
-        phases = len(self._orbit_angles) if of_flight else 0
-        self._orbits = (len(self._orbits_of), phases, of_flight)
-        orbits = math.prod(self._orbits)
-        ends = len(terminal) * len(self._terminal_kinds) + orbits
+        limits, n, slacks = self._constraints, self.model.n, self.intervals + 1
+        fast, tensions = limits.names(Of.SPEED), limits.names(Of.TENSION)
+        pairs = limits.names(Of.SEPARATION)
+        names = np.array([BOUND, *fast, *tensions] * n).reshape(n, -1).T.ravel()
+        names = np.append(names, np.repeat(pairs, self._pairs.shape[1]))
+        of_flight = np.repeat(limits.names(Of.FLIGHT), n)
+        has_others = len(names) > n
+        kinds, flight_kind = (names != BOUND) * 1, 1 + has_others
         pieces = np.floor(self.instants / self.config.knot_spacing - 1e-9).clip(0).astype(int)
-        slack_of_kind = (self.intervals + 1) * np.arange(3)
-        of_terminal = self.intervals + slack_of_kind[np.minimum(self._terminal_kinds, 1)]
-        of_tables = [
-            (pieces[table.instants, None] + slack_of_kind[kinds]).ravel()
-            for table, kinds in zip(tables, slack_kinds, strict=True)
-        ]
-        self._slack_of = np.concatenate(
-            [
-                *of_tables,
-                np.repeat(of_terminal, len(terminal)),
-                np.full(orbits, self.intervals + slack_of_kind[2 if others else 1]),
-            ]
-        )
-        self._instant_of = np.concatenate(
-            [
-                *(np.repeat(table.instants, table.width) for table in tables),
-                np.tile(count + terminal, len(of_terminal)),
-                np.repeat(count + self._orbits_of, phases * of_flight),
-            ]
-        )
-        self._widths = np.concatenate(
-            [np.repeat([t.width for t in tables], [t.size for t in tables]), np.zeros(ends, int)]
-        )
+        along = np.arange(len(self.instants))[:, None]
+        blocks = [ConstraintBlock(along, pieces[:, None] + slacks * kinds, names, 0)]
         # Of the terminal set, what does not depend on ξ is one margin, of any limit of these.
-        fast = len(limits.speed_factors)
-        apart = [*limits.kinds[1 + fast :], *pairs]
-        terminal_names = [
-            BOUND,
-            limits.kinds[1] if fast == 1 else "",
-            apart[0] if len(apart) == 1 else "",
-        ]
-        own = np.repeat(self._flight_limits.kinds, n)
-        self._names = np.concatenate(
-            [
-                np.tile(np.repeat([*limits.kinds, *pairs], [n, *sizes]), count),
-                np.tile(own, len(self._flight_at)),
-                np.repeat(np.array(terminal_names)[self._terminal_kinds], len(terminal)),
-                np.tile(own, len(self._orbits_of) * phases),
-            ]
+        apart = tensions + pairs
+        only = [(names[0] if len(names) == 1 else "") for names in ([BOUND], fast, apart)]
+        is_limited = np.array([True, bool(fast), bool(apart)])
+        self._terminal_kinds = np.flatnonzero(is_limited)
+        last = self.intervals + slacks * (self._terminal_kinds > 0)
+        terminal_names = np.array(only)[self._terminal_kinds]
+        blocks.append(
+            ConstraintBlock(self._terminal_at, last[:, None], terminal_names[:, None], None)
         )
-        weights = np.full(self.intervals + 1, self.config.knot_spacing)
+        if self._limits_flight:
+            at, first = self._flight_at[:, None], slacks * flight_kind
+            blocks.insert(1, ConstraintBlock(at, pieces[at] + first, of_flight, 0))
+            phases = np.zeros((len(self._orbit_angles), 1), int)
+            at = self._flight_at[self._orbits_of, None, None]
+            slack = self.intervals + first + phases
+            blocks.append(ConstraintBlock(at, slack, of_flight, 1))
+        self.layout = ConstraintLayout.of_blocks(blocks)
+        weights = np.full(slacks, self.config.knot_spacing)
         weights[-1] *= self.config.terminal_knots
-        shares = [1.0] + [_OTHERS_SHARE] * ((others > 0) + (of_flight > 0))
+        shares = [1.0] + [_OTHERS_SHARE] * (has_others + self._limits_flight)
         self.slack_weights = self.config.slack_weight * np.outer(shares, weights).ravel()
 
-    @property
-    def _limits_flight(self) -> bool:
-        return bool(self._flight_limits.kinds)
-
-    def _flight_linearization(
-        self, data: HorizonData, coefficients: NDArray
+    def _flight_margins_along(
+        self, data: HorizonData, orbit: PlannedOrbit
     ) -> tuple[NDArray, NDArray]:
-        """Those of aircraft's limits (k, m) and their gradients (6, k, m), by the `Slopes`.
+        """The margins (k, m) of aircraft's limits and their gradients (6, k, m).
 
         At those instants, and after them at all phases of orbits at the ends of the last intervals.
         """
-        c, d = coefficients
-        frequency, amplitude = self.nominal
-        rows, angles = self._flight_rows, self._orbit_angles
-        along = PlannedOrbit(
-            data.start_angle + frequency * (rows.integral @ c),
-            frequency * (rows.value @ c),
-            frequency * (rows.rate @ c),
-            amplitude * (rows.value @ d),
-            amplitude * (rows.rate @ d),
-            amplitude * (rows.second_rate @ d),
-        )
-        at = np.searchsorted(self._flight_at, self._terminal_at[self._orbits_of])
-        every = np.repeat(at, len(angles))
+        along = PlannedOrbit(*(values[self._flight_at] for values in orbit))
+        every = np.repeat(self._orbits_of, len(self._orbit_angles))
         zero = np.zeros(len(every))
-        around = PlannedOrbit(
-            np.tile(angles, len(at)),
-            along.frequency[every],
-            zero,
-            along.amplitude[every],
-            zero,
-            zero,
-        )
+        angles = np.tile(self._orbit_angles, len(self._orbits_of))
+        around = [angles, along.frequency[every], zero, along.amplitude[every], zero, zero]
         terms = FlightTerms.view(np.concatenate([data.flat_flight, data.flat_flight[every]]))
-        orbit = np.hstack([along, around])[:, :, None]
-        margins, slopes = self._planned_flight(orbit, terms.columns, self._axis_columns)
-        count = len(along.angle) + len(every)
-        slopes = slopes[:, [0, 1, 3, 4, 2, 5]].transpose(1, 2, 0, 3)
-        return margins.swapaxes(0, 1).reshape(count, -1), slopes.reshape(len(orbit), count, -1)
+        columns = np.hstack([along, around])[:, :, None]
+        return _side_by_side(self._planned_flight(columns, terms.columns, self._axis_columns))
 
-    @property
-    def _limits_amplitude(self) -> bool:
-        return self._limits.limit_tensions or self._separation is not None
-
-    def _gaps(self, data: HorizonData, coefficients: NDArray) -> tuple[NDArray, NDArray]:
-        """The squared distances (1, k, m) of all pairs at the instants.
-
-        And their gradients (1, 4, k, m) by θ, ξ, A and Ȧ.
-        """
+    def _of_pairs(self, forces: NDArray) -> tuple[NDArray, ...]:
+        """Forces (k, n, 3), p, q and attachments of both carriers of a pair, each (6, k, m)."""
 
         def of_both(vectors: NDArray) -> NDArray:
-            """Those (k, n, 3) of both carriers of a pair, (6, k, m)."""
             both = np.moveaxis(vectors[:, self._pairs], (1, 3), (0, 1))
             return both.reshape(6, *both.shape[2:])
 
-        constants = (of_both(part[None]) for part in (*self.axes, self.model.attachments))
-        orbit = self._orbit(data, coefficients)
-        return self._planned_gaps(orbit, of_both(data.terms.forces), *constants)
+        constants = (*self.axes, self.model.attachments)
+        return of_both(forces), *(of_both(part[None]) for part in constants)
 
-    def _terminal_margins(
-        self, data: HorizonData, coefficients: NDArray
-    ) -> tuple[NDArray, NDArray]:
-        """The margins of the terminal set, and their gradients by θ, ξ, A and Ȧ.
+    def _terminal_margins(self, data: HorizonData, orbit: PlannedOrbit) -> tuple[NDArray, NDArray]:
+        """The margins (m, k) of the terminal set, and their gradients (6, m, k).
 
         A ξ/s − 1 by a fixed unit of s, the same from above, and what does not depend on ξ.
         """
-        c, d = coefficients
-        frequency, amplitude = self.nominal
-        rows = self._rows.value[self._terminal_at]
-        xi, A = frequency * (rows @ c), amplitude * (rows @ d)
+        xi, A = orbit.frequency[self._terminal_at], orbit.amplitude[self._terminal_at]
         (least, most, others), slopes = data.terminal.at(A)
-        unit, zero = frequency * amplitude, np.zeros(len(A))
+        unit = self.nominal[0] * self.nominal[1]
+        gradients = np.zeros((6, 3, len(A)))
         with np.errstate(invalid="ignore"):
             margins = np.stack([(A * xi - least) / unit, (most - A * xi) / unit, others])
-            gradients = np.stack(
-                [
-                    [zero, A / unit, (xi - slopes[0]) / unit, zero],
-                    [zero, -A / unit, (slopes[1] - xi) / unit, zero],
-                    [zero, zero, slopes[2], zero],
-                ],
-                axis=1,
-            )
-        kinds = self._terminal_kinds
-        return margins[kinds].ravel(), gradients[:, kinds].reshape(4, -1)
+            gradients[1, :2] = A / unit, -A / unit
+            gradients[3] = (xi - slopes[0]) / unit, (slopes[1] - xi) / unit, slopes[2]
+        return margins[self._terminal_kinds], gradients[:, self._terminal_kinds]
 
     def _hessian(self) -> NDArray:
         """That (2N, 2N) of the cost by both splines' coefficients."""
@@ -927,25 +427,32 @@ class HorizonProblem:
         )
         return hessian
 
-    def _speeds_of_one(self, orbit: NDArray, terms: NDArray, axes: NDArray) -> PlannedSpeeds:
-        """`planned_speeds` of one carrier at an instant."""
-        own = OrbitTerms.view(terms[None])
-        return planned_speeds(
-            own, (axes[None, :3], axes[None, 3:]), *orbit[:, None], **self._cables
-        )
+    def _carrier_margins(
+        self, orbit: NDArray, terms: NDArray, axes: NDArray, scale: NDArray
+    ) -> list[NDArray]:
+        """The margins of one carrier's speed and tension at an instant.
 
-    def _gaps_of_one(self, orbit: NDArray, *both: NDArray) -> NDArray:
-        """`planned_gaps` of one pair of carriers at an instant."""
+        `scale` are the bound on its speed and the unit of that, m/s.
+        """
+        angle, xi, _, A, A_rate, _ = orbit[:, None]
+        own, axis = OrbitTerms.view(terms[None]), (axes[None, :3], axes[None, 3:])
+        found = planned_speeds(own, axis, angle, xi, A, A_rate, **self._cables)
+        tensions = self._constraints.of_squares(Of.TENSION, found.tension_squares)
+        return [*self._constraints.of_speeds(found.squares, scale[:1], scale[1:]), *tensions]
+
+    def _gap_margins(self, orbit: NDArray, *both: NDArray) -> list[NDArray]:
+        """The margins of the distance of one pair of carriers at an instant."""
         forces, p, q, attachments = (vectors.reshape(2, 3) for vectors in both)
-        return planned_gaps(
+        squares = planned_gaps(
             forces[None],
             (p, q),
             orbit[:1],
-            orbit[2:3],
+            orbit[3:4],
             attachments=attachments,
             pairs=np.array([[0], [1]]),
             **self._cables,
         )
+        return self._constraints.of_squares(Of.SEPARATION, squares)
 
     def _flight_margins_of_one(
         self, orbit: NDArray, terms: NDArray, axes: NDArray
@@ -956,75 +463,18 @@ class HorizonProblem:
         return self._flight_margins(own, (axes[None, :3], axes[None, 3:]), planned)
 
     def _elementwise(
-        self, function: Callable, sizes: list[int], width: int, instants: int = 0
+        self, function: Callable, sizes: list[int], shape: tuple[int, int]
     ) -> ElementwiseFunction:
-        """A function of one carrier or pair at an instant, for all of them; 0: at all instants."""
+        """A function of one carrier or pair at an instant, for all of them."""
         key = function.__name__, self.model.aircraft, self.limits, self.rest_length, self.compliance
-        return ElementwiseFunction(
-            function, sizes, (instants or len(self.instants), width), key=key
-        )
-
-    def _traced(self, terms: Callable[..., NDArray]) -> TracedFunction:
-        """The flat terms that a function has of a load, a reference, a wind and a model."""
-        model = self.model
-
-        def of_reference(reference: NDArray, vector: NDArray, wind: NDArray) -> NDArray:
-            beliefs = Beliefs.view(vector)
-            load = RigidLoad(
-                mass=beliefs.load_mass,
-                inertia=beliefs.load_inertia.reshape(3, 3),
-                drag=beliefs.load_drag,
-                angular_drag=beliefs.load_angular_drag,
-                gravity=beliefs.gravity,
-            )
-            return terms(
-                load,
-                reference,
-                STILL_AIR if model.aircraft is None else wind,
-                pseudo_inverse=model.pseudo_inverse,
-                offset=beliefs.offset if len(beliefs.offset) else np.zeros(3 * model.n),
-                attachments=model.attachments,
-            )
-
-        key = terms.__name__, model.attachments, model.pseudo_inverse, model.aircraft is None
-        sizes = [LOAD_REFERENCE_SIZE, len(self._beliefs), WIND_SIZE]
-        return TracedFunction(of_reference, sizes, name=self.name, key=key)
+        return ElementwiseFunction(function, sizes, shape, key=key)
 
 
-def _columns(parts: NDArray) -> NDArray:
-    """An array (g, k, m) as (g, k m)."""
-    return parts.reshape(len(parts), -1)
-
-
-def _with_zero_rates(gradients: NDArray) -> NDArray:
-    """Gradients (4, ...) by θ, ξ, A and Ȧ with those by ξ̇ and Ä, (6, ...)."""
-    return np.concatenate([gradients, np.zeros((2, *gradients.shape[1:]))])
-
-
-def _with_dips(margins: NDArray) -> tuple[NDArray, NDArray]:
-    """Margins (k, m) with the minima of `Linearization`, and the weights (3, k, m)."""
-    slopes = (margins[2:] - margins[:-2]) / 2
-    instants, columns = np.nonzero((slopes[:-1] < 0) & (slopes[1:] > 0))
-    start, end = slopes[instants, columns], slopes[instants + 1, columns]
-    instants += 1
-    rise = margins[instants + 1, columns] - margins[instants, columns]
-    # The root x of the derivative start + b x + a x², which is positive at 1.
-    a, b = 3 * (start + end - 2 * rise), 2 * (3 * rise - 2 * start - end)
-    x = -2 * start / (b + np.sqrt(b * b - 4 * a * start))
-    of_end = x * x * (3 - 2 * x)
-    of_start_slope, of_end_slope = x * (1 - x) ** 2, -x * x * (1 - x)
-    weights = np.zeros((len(_NEIGHBOURS), *margins.shape))
-    weights[:, instants, columns] = (
-        -of_start_slope / 2,
-        of_end + of_start_slope / 2,
-        of_end_slope / 2,
-    )
-    found = margins.copy()
-    here = margins[instants, columns]
-    for weight, shift in zip(weights, _NEIGHBOURS, strict=True):
-        difference = margins[instants + shift, columns] - here
-        found[instants, columns] += weight[instants, columns] * difference
-    return found, weights
+def _side_by_side(*parts: tuple[NDArray, NDArray]) -> tuple[NDArray, NDArray]:
+    """Values (c, k, n) and gradients (c, 6, k, n), as (k, m) and (6, k, m) of all columns."""
+    values = [found.swapaxes(0, 1).reshape(found.shape[1], -1) for found, _ in parts]
+    slopes = [by.transpose(1, 2, 0, 3).reshape(6, by.shape[2], -1) for _, by in parts]
+    return np.concatenate(values, axis=1), np.concatenate(slopes, axis=2)
 
 
 def references_at(reference: Reference, times: NDArray) -> NDArray:

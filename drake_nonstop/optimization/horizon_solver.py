@@ -12,9 +12,9 @@ from pydrake.solvers import ClarabelSolver, MathematicalProgram
 
 from drake_nonstop.mechanics.planned_orbit import OrbitTerms
 from drake_nonstop.optimization.active_set_search import nearest_feasible
+from drake_nonstop.optimization.constraints import FEASIBILITY_TOLERANCE
 from drake_nonstop.optimization.grid_search import least_infeasible_on_grid
 from drake_nonstop.optimization.horizon_problem import HorizonData, HorizonProblem, Linearization
-from drake_nonstop.optimization.margins import FEASIBILITY_TOLERANCE
 from drake_nonstop.optimization.plan import Plan
 from drake_nonstop.optimization.search_problem import SearchProblem
 from drake_nonstop.optimization.terminal_set import orbit_polynomials
@@ -210,7 +210,7 @@ class _StepProgram(threading.local):
         self._solver = ClarabelSolver()
         self._program = program = MathematicalProgram()
         self._step = program.NewContinuousVariables(len(solver._free), "step")
-        self._slack = program.NewContinuousVariables(self._problem.slack_count, "slack")
+        self._slack = program.NewContinuousVariables(len(self._problem.slack_weights), "slack")
         size = len(solver._free)
         self._cost = program.AddQuadraticCost(
             solver._hessian, np.zeros(size), self._step, is_convex=True
@@ -268,7 +268,7 @@ class _StepProgram(threading.local):
             flat_step[free] = change
             step = flat_step.reshape(x.shape)
             margins = linearization.margins + linearization.changes(step)
-            excess = margins + slack[linearization.slack_of]
+            excess = margins + slack[linearization.layout.slacks]
             self._active = chosen[excess[chosen] < _ACTIVE_MARGIN]
             violated = linearization.dips(excess, -_ROW_TOLERANCE)
             new = np.setdiff1d(violated, chosen)
@@ -284,8 +284,8 @@ class _StepProgram(threading.local):
     ) -> tuple[NDArray, NDArray] | None:
         """The step and the slack under chosen constraints."""
         rows = len(chosen)
-        slack_columns = np.zeros((rows, self._problem.slack_count))
-        slack_columns[np.arange(rows), linearization.slack_of[chosen]] = 1
+        slack_columns = np.zeros((rows, len(self._problem.slack_weights)))
+        slack_columns[np.arange(rows), linearization.layout.slacks[chosen]] = 1
         self._rows.UpdateCoefficients(
             np.hstack([linearization.jacobian(chosen, self._owner.fixed), slack_columns]),
             -linearization.margins[chosen],

@@ -97,10 +97,6 @@ class Limit:
         """The margin of squared values: (value/limit)² − 1, or 1 − (value/limit)² of a largest."""
         return squares / limit**2 - 1 if self.is_least else 1 - squares / limit**2
 
-    def slope_of_squares(self, limit: float) -> float:
-        """That of `margin_of_squares`."""
-        return self.side / limit**2
-
     def margins(self, aircraft: Aircraft, needs: FlightNeeds, limit: float) -> list[NDArray]:
         """The margins (...,) of needs (...,), of numbers or symbols, negative beyond the limit."""
         if self.own_margins is not None:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.nonstop import nearest_squares, orbit_positions
-from drake_nonstop.optimization.margins import FEASIBILITY_TOLERANCE
+from drake_nonstop.optimization.constraints import FEASIBILITY_TOLERANCE
 
 _PHASES = 36  # of a whole turn, at which carriers are kept apart
 _HALF_STEP = np.pi / _PHASES  # rad

@@ -30,7 +30,8 @@ from drake_nonstop.mechanics.signals import LoadReference
 from drake_nonstop.mechanics.tethered_loop import Carriers, Inputs, Orbit
 from drake_nonstop.model.descriptions import Gusts
 from drake_nonstop.model.system import Model
-from drake_nonstop.optimization.horizon_problem import HorizonConfig, HorizonProblem, timed
+from drake_nonstop.optimization.horizon_config import HorizonConfig, timed
+from drake_nonstop.optimization.orbit_constraints import OrbitConstraints
 from drake_nonstop.optimization.problem_config import LimitsConfig, amplitude_range, with_fields_of
 from drake_nonstop.optimization.terminal_set import product_limits
 from drake_nonstop.optimization.turn_of_loops import Feedback, TurnOfLoops, turn_of_loops
@@ -208,11 +209,10 @@ class _Task:
         self.model, self.limits, self.motion = model, limits, motion
         self._amplitude_weight = with_fields_of(HorizonConfig, limits).amplitude_weight
         horizon = timed(HorizonConfig(), limits.frequency, model.control_period)
-        problem = HorizonProblem(model, limits, horizon, lambda: "speed margin")
+        problem = OrbitConstraints(model, limits, horizon, lambda: "speed margin")
         self.axes, self._max_speed = problem.axes, problem.max_speed
         before, now, after = (
-            OrbitTerms.view(np.array([problem.terms_at(row) for row in rows]))
-            for rows in motion.references
+            OrbitTerms.view(problem.all_terms(np.array(rows))) for rows in motion.references
         )
         self.terms, step = now, motion.step
         self.second_rates = (after.rates - before.rates) / (2 * step)

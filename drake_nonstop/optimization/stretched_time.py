@@ -20,7 +20,8 @@ from drake_nonstop.mechanics.rigid_load import STILL_AIR
 from drake_nonstop.mechanics.signals import WIND_SIZE
 from drake_nonstop.mechanics.stretched_time import stretched_higher_rates, stretched_reference
 from drake_nonstop.model.system import Model
-from drake_nonstop.optimization.horizon_problem import HorizonConfig, HorizonProblem, timed
+from drake_nonstop.optimization.horizon_config import HorizonConfig, timed
+from drake_nonstop.optimization.horizon_problem import HorizonProblem
 from drake_nonstop.optimization.problem_config import (
     LimitsConfig,
     amplitude_range,

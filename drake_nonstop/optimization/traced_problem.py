@@ -17,7 +17,7 @@ from drake_nonstop.mechanics.planned_orbit import (
     orbit_directions,
     planned_needs,
 )
-from drake_nonstop.mechanics.rigid_load import STILL_AIR, RigidLoad, load_acceleration
+from drake_nonstop.mechanics.rigid_load import STILL_AIR, load_acceleration
 from drake_nonstop.mechanics.rotation import rotation_matrix
 from drake_nonstop.mechanics.signals import (
     LOAD_STATE_SIZE,
@@ -27,15 +27,18 @@ from drake_nonstop.mechanics.signals import (
     Parameters,
 )
 from drake_nonstop.model.system import Model
-from drake_nonstop.optimization.flight_limits import FlightLimits
-from drake_nonstop.optimization.margins import ConstraintMargins
+from drake_nonstop.optimization.constraints import Constraints
+from drake_nonstop.optimization.limits import Of
 from drake_nonstop.optimization.problem_config import (
-    LimitsConfig,
     NonstopProblemConfig,
-    amplitude_range,
 )
 from drake_nonstop.optimization.separation import SeparationConstraint
-from drake_nonstop.optimization.update_data import Beliefs, UpdateData, update_data_size
+from drake_nonstop.optimization.update_data import (
+    Beliefs,
+    UpdateData,
+    beliefs_of,
+    update_data_size,
+)
 from drake_nonstop.systems.tracing import TracedFunction
 
 MIN_SPEEDS_FOR_ARRAYS = 90  # from this number on arrays are faster than a trace
@@ -66,10 +69,10 @@ class TracedProblem:
     """What all updates of one model and config share.
 
     Three traced functions of x = [ξ, A] (2,) and the flat vector of an `UpdateData`: `terms`,
-    `margins` and `cost`. `margins` are in the order of `ConstraintMargins`, without that of the
-    separation, and those of `FlightLimits` come last. The speeds of aircraft are those through the
-    air, of other carriers over the ground. `data_size` is that of the vector, and `beliefs` are
-    those of model and config.
+    `margins` and `cost`. `margins` are those of the `speed_count` speeds above the bound, then,
+    for each limit, those of speeds, of tensions and of aircraft; none of the separation. The speeds
+    of aircraft are those through the air, of other carriers over the ground. `data_size` is that of
+    the vector, and `beliefs` are those of model and config.
 
     Args:
         model: what the controllers believe.
@@ -96,12 +99,12 @@ class TracedProblem:
         self._instant_of_row = np.append(np.arange(points), last)
         axes = orbit_axes(model.pattern.basis, model.pattern.phases)
         self._axes = _without_round_off(axes[0]), _without_round_off(axes[1])
-        self.constraints = ConstraintMargins(config, len(self._instant_of_row) * model.n)
-        self.flight_limits = FlightLimits(config)
+        self.constraints = Constraints(config)
+        self.speed_count = len(self._instant_of_row) * model.n
         self.separation = SeparationConstraint(self.constraints.min_separation, self._axes)
         self.terms = self._compiled(self._trace_terms)
         self.cost = self._compiled(self._trace_cost)
-        if self.constraints.speed_count < MIN_SPEEDS_FOR_ARRAYS or self.has_flight_limits:
+        if self.speed_count < MIN_SPEEDS_FOR_ARRAYS or self.has_flight_limits:
             self.margins = self._compiled(self._trace_margins)
         if self.has_flight_limits:
             self.flight_terms = self._compiled(self._trace_flight_terms)
@@ -110,7 +113,7 @@ class TracedProblem:
     @property
     def has_flight_limits(self) -> bool:
         """Whether what aircraft need is limited."""
-        return bool(self.flight_limits.kinds)
+        return bool(self.constraints.names(Of.FLIGHT))
 
     @cached_property
     def flight_terms(self) -> TracedFunction:
@@ -140,7 +143,7 @@ class TracedProblem:
         squares = c + s * (2 * b + s * a)
         margins = [
             *self.constraints.of_speeds(squares, data.speed_bound, data.speed_unit),
-            *self.constraints.of_tensions(tension_squares),
+            *self.constraints.of_squares(Of.TENSION, tension_squares),
         ]
         return np.concatenate(margins, axis=1)[0]
 
@@ -193,7 +196,7 @@ class TracedProblem:
         state, reference, model = data.load_state, data.reference, self.model
         beliefs = Beliefs.view(data.beliefs)
         wind = STILL_AIR if model.aircraft is None else data.wind
-        load = _load_of(beliefs)
+        load = beliefs.load
         accelerations = load_acceleration(load, state, data.wrench, wind)
         wrench_rate, second_rate = data.wrench_rate, self._second_rate(data)
         found = []
@@ -274,7 +277,7 @@ class TracedProblem:
         amplitude: NDArray,
         data: UpdateData,
     ) -> list[NDArray]:
-        """The margins (k, n) of `flight_limits` at k instants, of numbers or symbols.
+        """The margins (k, n) of limits of aircraft at k instants, of numbers or symbols.
 
         Args:
             flat_terms: (k, 15n + 9).
@@ -291,10 +294,9 @@ class TracedProblem:
             FlightTerms.view(flat_terms),
             self._axes,
             PlannedOrbit.constant(angles, frequency, amplitude),
-            rest_length=beliefs.rest_length,
-            compliance=beliefs.compliance,
+            **beliefs.cables,
         )
-        return self.flight_limits.margins(aircraft, needs)
+        return self.constraints.of_flight(aircraft, needs)
 
     def _trace_cost(self, x: NDArray, vector: NDArray) -> NDArray:
         data = UpdateData.view(vector)
@@ -308,35 +310,6 @@ class TracedProblem:
             anchor_weight=data.anchor_weight,
             nominal=Beliefs.view(data.beliefs).nominal,
         )
-
-
-def _load_of(beliefs: Beliefs) -> RigidLoad:
-    return RigidLoad(
-        mass=beliefs.load_mass,
-        inertia=beliefs.load_inertia.reshape(3, 3),
-        drag=beliefs.load_drag,
-        angular_drag=beliefs.load_angular_drag,
-        gravity=beliefs.gravity,
-    )
-
-
-def beliefs_of(model: Model, config: LimitsConfig) -> Beliefs:
-    """Those of a model and a config."""
-    system = model.system
-    lower, upper = np.transpose([config.frequency_bounds, amplitude_range(config, model)])
-    return Beliefs(
-        load_mass=np.array([system.load_mass]),
-        load_inertia=np.array(system.load_inertia, float).ravel(),
-        load_drag=np.array([system.load_drag]),
-        load_angular_drag=np.array([system.load_angular_drag]),
-        gravity=np.array([system.gravity]),
-        rest_length=np.array([system.cable_length]),
-        compliance=np.array([model.cable_compliance]),
-        nominal=np.array([config.frequency, config.amplitude]),
-        lower=lower,
-        upper=upper,
-        offset=model.pattern.offset if model.offset_parameter else np.zeros(0),
-    )
 
 
 def _without_round_off(matrix: NDArray) -> NDArray:

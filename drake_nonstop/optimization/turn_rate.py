@@ -18,9 +18,9 @@ from drake_nonstop.mechanics.planned_orbit import (
 )
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.amplitude_intervals import allowed_intervals
+from drake_nonstop.optimization.constraints import FEASIBILITY_TOLERANCE, Constraints
 from drake_nonstop.optimization.diagnostics import BOUND, Outcome
-from drake_nonstop.optimization.flight_limits import FlightLimits
-from drake_nonstop.optimization.margins import FEASIBILITY_TOLERANCE
+from drake_nonstop.optimization.limits import Of
 
 _RATES = 64  # at which the least infeasible one is looked for
 _TOLERANCE = 1e-6  # relative, of a rate
@@ -91,13 +91,13 @@ class TurnRateSolver:
 
     Args:
         model: what the controllers believe, with aircraft.
-        limits: of the aircraft.
+        constraints: whose limits of aircraft count.
         phases: of a turn, at which these hold.
     """
 
-    def __init__(self, model: Model, limits: FlightLimits, phases: int):
+    def __init__(self, model: Model, constraints: Constraints, phases: int):
         assert model.aircraft is not None
-        self._model, self._aircraft, self._limits = model, model.aircraft, limits
+        self._model, self._aircraft, self._constraints = model, model.aircraft, constraints
         self._angles = 2 * np.pi * np.arange(phases) / phases
         self._axes = orbit_axes(model.pattern.basis, model.pattern.phases)
 
@@ -130,7 +130,7 @@ class TurnRateSolver:
         unit = update.speed_bound or 1.0
         found = [
             (squares - update.speed_bound**2) / unit**2,
-            *self._limits.margins(self._aircraft, needs),
+            *self._constraints.of_flight(self._aircraft, needs),
         ]
         worst = [margin.reshape(len(rates), -1).min(axis=1) for margin in found]
         return np.stack(worst), np.sqrt(squares.reshape(len(rates), -1).min(axis=1))
@@ -170,7 +170,7 @@ class TurnRateSolver:
         self, rate: float, outcome: Outcome, margins: NDArray, slowest: NDArray
     ) -> TurnAnswer:
         """The answer with a rate and its `margins`."""
-        kinds = [BOUND, *self._limits.kinds]
+        kinds = [BOUND, *self._constraints.names(Of.FLIGHT)]
         missed = [
             kind
             for kind, margin in zip(kinds, margins[:, 0], strict=True)

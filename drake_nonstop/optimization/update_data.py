@@ -3,8 +3,10 @@
 from itertools import accumulate
 from typing import NamedTuple
 
+import numpy as np
 from numpy.typing import NDArray
 
+from drake_nonstop.mechanics.rigid_load import RigidLoad
 from drake_nonstop.mechanics.signals import (
     LOAD_REFERENCE_SIZE,
     LOAD_STATE_SIZE,
@@ -13,6 +15,8 @@ from drake_nonstop.mechanics.signals import (
     WIND_SIZE,
     WRENCH_SIZE,
 )
+from drake_nonstop.model.system import Model
+from drake_nonstop.optimization.problem_config import LimitsConfig, amplitude_range
 
 
 class UpdateData(NamedTuple):
@@ -58,6 +62,22 @@ class Beliefs(NamedTuple):
     upper: NDArray  # (2,)
     offset: NDArray  # (3n,), N, in L, of the pattern; (0,) where it has none
 
+    @property
+    def load(self) -> RigidLoad:
+        """The load, of numbers or symbols."""
+        return RigidLoad(
+            mass=self.load_mass,
+            inertia=self.load_inertia.reshape(3, 3),
+            drag=self.load_drag,
+            angular_drag=self.load_angular_drag,
+            gravity=self.gravity,
+        )
+
+    @property
+    def cables(self) -> dict[str, NDArray]:
+        """The numbers of the cables, as equations take them."""
+        return {"rest_length": self.rest_length, "compliance": self.compliance}
+
     @classmethod
     def view(cls, vector: NDArray) -> "Beliefs":
         """The parts of a flat vector, of numbers or symbols: views, not copies."""
@@ -85,3 +105,22 @@ _BELIEFS = [slice(a, b) for a, b in zip([0, *_BELIEF_ENDS], _BELIEF_ENDS, strict
 def update_data_size(offset_size: int) -> int:
     """The size of an `UpdateData` with an offset of that size."""
     return _ENDS[-1] + _BELIEF_ENDS[-1] + offset_size
+
+
+def beliefs_of(model: Model, config: LimitsConfig) -> Beliefs:
+    """Those of a model and a config."""
+    system = model.system
+    lower, upper = np.transpose([config.frequency_bounds, amplitude_range(config, model)])
+    return Beliefs(
+        load_mass=np.array([system.load_mass]),
+        load_inertia=np.array(system.load_inertia, float).ravel(),
+        load_drag=np.array([system.load_drag]),
+        load_angular_drag=np.array([system.load_angular_drag]),
+        gravity=np.array([system.gravity]),
+        rest_length=np.array([system.cable_length]),
+        compliance=np.array([model.cable_compliance]),
+        nominal=np.array([config.frequency, config.amplitude]),
+        lower=lower,
+        upper=upper,
+        offset=model.pattern.offset if model.offset_parameter else np.zeros(0),
+    )

@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 from drake_nonstop.mechanics import nonstop
 from drake_nonstop.mechanics.signals import Parameters
 from drake_nonstop.optimization.amplitude_intervals import allowed_intervals
-from drake_nonstop.optimization.margins import FEASIBILITY_TOLERANCE
+from drake_nonstop.optimization.constraints import FEASIBILITY_TOLERANCE
+from drake_nonstop.optimization.diagnostics import BOUND
+from drake_nonstop.optimization.limits import Of
 from drake_nonstop.optimization.search_problem import SearchProblem
 from drake_nonstop.optimization.separation import Separation
 from drake_nonstop.optimization.traced_problem import (
@@ -76,7 +78,9 @@ class UpdateProblem:
         return float(self._traced.cost(x, self.vector)[0][0])
 
     def margins(self, x: NDArray) -> NDArray:
-        """The margins of all constraints at x, in the order of `ConstraintMargins`; for reading.
+        """The margins of all constraints at x, in the order of `TracedProblem`; for reading.
+
+        That of the separation is the last.
 
         Raises:
             NotFiniteError: one is not, such as that of a cable without any tension.
@@ -89,11 +93,11 @@ class UpdateProblem:
     @property
     def speed_count(self) -> int:
         """How many margins, the first ones, are those of the speed bound."""
-        return self._traced.constraints.speed_count
+        return self._traced.speed_count
 
     def infeasibility_order(self, margins: NDArray) -> tuple[float, float]:
-        """What is larger for the better one of the margins of two infeasible points."""
-        return self._traced.constraints.infeasibility_order(margins)
+        """What is larger for the better one of two infeasible points, see `least_infeasible`."""
+        return min(float(margins[: self.speed_count].min()), 0.0), float(margins.min())
 
     def change_cost(self) -> nonstop.QuadraticChangeCost:
         """The cost of the step from x⁻, for phases that do not depend on ξ."""
@@ -118,16 +122,16 @@ class UpdateProblem:
 
     def missed_kinds(self, x: NDArray) -> list[str]:
         """The names of the limits that are not kept at x, as of `missed_limits`."""
-        constraints = self._traced.constraints
-        kinds = [*constraints.kinds, *self._traced.flight_limits.kinds]
-        worst = self._margins_and_worst(x)[0].reshape(len(kinds), constraints.speed_count)
+        names = self._traced.constraints.names
+        kinds = [BOUND, *names(Of.SPEED, Of.TENSION, Of.FLIGHT)]
+        worst = self._margins_and_worst(x)[0].reshape(len(kinds), self.speed_count)
         missed = [
             kind
             for kind, least in zip(kinds, worst.min(axis=1), strict=True)
             if least < -FEASIBILITY_TOLERANCE
         ]
         if self._separation_margin(x) < -FEASIBILITY_TOLERANCE:
-            missed += constraints.separation_kinds
+            missed += names(Of.SEPARATION)
         return missed
 
     def margins_on_grid(self, amplitudes: NDArray, frequencies: NDArray) -> tuple[NDArray, NDArray]:
@@ -164,7 +168,9 @@ class UpdateProblem:
 
     def speed_margins(self, x: NDArray) -> NDArray:
         """The worse margin of each speed at x, which may have limits on either side."""
-        return self._traced.constraints.worse_of_each_speed(self._margins_and_worst(x)[0])
+        count = 1 + len(self._traced.constraints.names(Of.SPEED))
+        margins = self._margins_and_worst(x)[0][: count * self.speed_count]
+        return margins.reshape(count, -1).min(axis=0)
 
     def worst_margin(self, x: NDArray) -> float:
         """The least margin of all constraints at x."""
@@ -199,7 +205,7 @@ class UpdateProblem:
     def slowest_speed(self, x: NDArray) -> float:
         """The slowest predicted speed (m/s) at x."""
         margins, worst = self._margins_and_worst(x)
-        count = self._traced.constraints.speed_count
+        count = self._traced.speed_count
         if len(margins) > count:
             worst = float(margins[:count].min())
         bound, unit = float(self.data.speed_bound[0]), float(self.data.speed_unit[0])
@@ -271,16 +277,15 @@ class UpdateProblem:
         constraints, separation = self._traced.constraints, self._separation
         if separation is not None and not separation.has_known:
             separation = None
-        if not constraints.limit_tensions and separation is None:
+        if not constraints.names(Of.TENSION) and separation is None:
             return None
 
         def worst_margins(amplitudes: NDArray) -> NDArray:
             worst = np.full(len(amplitudes), np.inf)
-            if constraints.limit_tensions:
-                p0, p1, p2 = polynomials[nonstop.TENSION][:, :, None]
-                A = amplitudes
-                for margins in constraints.of_tensions(p0 + A * (p1 + A * p2)):
-                    worst = np.minimum(worst, margins.min(axis=0))
+            p0, p1, p2 = polynomials[nonstop.TENSION][:, :, None]
+            squares = p0 + amplitudes * (p1 + amplitudes * p2)
+            for margins in constraints.of_squares(Of.TENSION, squares):
+                worst = np.minimum(worst, margins.min(axis=0))
             if separation is not None:
                 worst = np.minimum(worst, separation.known_margins(amplitudes))
             return worst
@@ -295,7 +300,7 @@ class UpdateProblem:
 
     def _computed_margins(self, x: NDArray) -> NDArray:
         traced = self._traced
-        if traced.constraints.speed_count < MIN_SPEEDS_FOR_ARRAYS or traced.has_flight_limits:
+        if traced.speed_count < MIN_SPEEDS_FOR_ARRAYS or traced.has_flight_limits:
             return self._traced.margins(x, self.vector)[0].copy()
         frequency, amplitude = Parameters.view(x)
         terms = self._terms_at(float(frequency[0])) if self.phase_jumps else self._terms

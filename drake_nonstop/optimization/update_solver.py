@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from drake_nonstop.mechanics.signals import LoadReference
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.active_set_search import nearest_feasible
+from drake_nonstop.optimization.constraints import FEASIBILITY_TOLERANCE
 from drake_nonstop.optimization.diagnostics import Outcome
 from drake_nonstop.optimization.flight_search import nearest_within_limits
 from drake_nonstop.optimization.grid_search import cheapest_on_grid, least_infeasible_on_grid
 from drake_nonstop.optimization.local_solver import LocalSolver
-from drake_nonstop.optimization.margins import FEASIBILITY_TOLERANCE
 from drake_nonstop.optimization.problem_config import (
     NonstopProblemConfig,
     bound_tightening,
@@ -76,7 +76,7 @@ class UpdateSolver:
             self._local = LocalSolver(
                 config.solver,
                 *self._traced.with_gradients(),
-                self._traced.constraints.speed_count,
+                self._traced.speed_count,
                 self._traced.data_size,
             )
 
@@ -173,7 +173,7 @@ class UpdateSolver:
             return _answer(problem, previous, Outcome.KEPT)
         if is_feasible:
             return _answer(problem, parameters, Outcome.SOLVED)
-        order = self._traced.constraints.infeasibility_order
+        order = problem.infeasibility_order
         if order(problem.margins(parameters)) > order(problem.margins(previous)):
             return _answer(problem, parameters, Outcome.RELAXED)
         return _answer(problem, previous, Outcome.HELD)
@@ -195,7 +195,7 @@ class UpdateSolver:
         vector = np.concatenate(data._replace(orbit_turn=np.array([turn])))
         (margins,) = self._traced.margins.traced(previous, vector)
         worst = casadi.mmin(casadi.vertcat(*margins))
-        slowest = casadi.mmin(casadi.vertcat(*margins[: self._traced.constraints.speed_count]))
+        slowest = casadi.mmin(casadi.vertcat(*margins[: self._traced.speed_count]))
         bound, unit = data.speed_bound[0], data.speed_unit[0]
         slowest_speed = casadi.sqrt(casadi.fmax(0.0, slowest * unit * unit + bound * bound))
         is_kept = worst >= -FEASIBILITY_TOLERANCE + _IN_DOUBT

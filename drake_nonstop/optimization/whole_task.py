@@ -8,13 +8,8 @@ from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.rigid_load import STILL_AIR
 from drake_nonstop.model.system import Model
-from drake_nonstop.optimization.horizon_problem import (
-    HorizonConfig,
-    HorizonData,
-    HorizonProblem,
-    Reference,
-    timed,
-)
+from drake_nonstop.optimization.horizon_config import HorizonConfig, timed
+from drake_nonstop.optimization.horizon_problem import HorizonData, HorizonProblem, Reference
 from drake_nonstop.optimization.horizon_solver import (
     LEAST_START_SCALE,
     HorizonSolver,

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.blocks.wind import StillAirConfig
-from drake_nonstop.mechanics.planned_orbit import OrbitTerms
+from drake_nonstop.mechanics.planned_orbit import OrbitTerms, PlannedOrbit
 from drake_nonstop.mechanics.rigid_load import STILL_AIR
 from drake_nonstop.mechanics.signals import (
     PLANNED_SIZE,
@@ -17,8 +17,9 @@ from drake_nonstop.mechanics.signals import (
     PlannedParameters,
 )
 from drake_nonstop.model.system import Model
-from drake_nonstop.optimization.horizon_problem import HorizonConfig, HorizonProblem, timed
+from drake_nonstop.optimization.horizon_config import HorizonConfig, timed
 from drake_nonstop.optimization.limits import Of
+from drake_nonstop.optimization.orbit_constraints import OrbitConstraints
 from drake_nonstop.optimization.problem_config import LimitsConfig
 from drake_nonstop.simulation.run import Run
 from drake_nonstop.simulation.signal_table import UnknownSignalError
@@ -53,11 +54,13 @@ def largest_shortfall(run: Run) -> float | None:
     plans_ahead = isinstance(limits, HorizonConfig)
     config = limits if isinstance(limits, HorizonConfig) else HorizonConfig()
     horizon = timed(config, limits.frequency, scenario.control_period)
-    problem = HorizonProblem(model, limits, horizon, lambda: "planned speeds")
+    problem = OrbitConstraints(model, limits, horizon, lambda: "planned speeds")
     flown = np.linalg.norm(states.velocities, axis=-1)
     # The first values are not those of a plan that has begun.
     terms = problem.all_terms(references[1:], STILL_AIR)
-    planned_speed = problem.values_along(Of.SPEED, OrbitTerms.view(terms), planned[1:])
+    planned_speed = problem.values_along(
+        Of.SPEED, OrbitTerms.view(terms), PlannedOrbit.of_planned(planned[1:])
+    )
     wanted = planned_speed.copy()
     if len(wanted) > _SETTLING + len(_AHEAD):
         # Where a plan jumps, as where the reference's jerk does, what it was before.

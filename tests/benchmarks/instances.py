@@ -19,7 +19,7 @@ from drake_nonstop.mechanics.rotation import roll_pitch_yaw_to_quaternion
 from drake_nonstop.mechanics.signals import LoadReference
 from drake_nonstop.model.pattern import HamiltonianCycleConfig, LinearPatternConfig
 from drake_nonstop.model.system import Model, PatternConfig, SystemParameters
-from drake_nonstop.optimization.margins import FEASIBILITY_TOLERANCE
+from drake_nonstop.optimization.constraints import FEASIBILITY_TOLERANCE
 from drake_nonstop.optimization.search_problem import SearchProblem
 from drake_nonstop.optimization.update_data import UpdateData
 from drake_nonstop.optimization.update_problem import UpdateProblem

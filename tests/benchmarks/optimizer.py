@@ -16,7 +16,7 @@ from benchmarks.whole_tasks import ONE_SAMPLE, benchmark_tasks, tasks_table
 from drake_nonstop.benchmarks.running import PACKAGES
 from drake_nonstop.blocks.optimization_layer import NonstopOptimizer, NonstopOptimizerConfig
 from drake_nonstop.model.system import Model
-from drake_nonstop.optimization.margins import FEASIBILITY_TOLERANCE
+from drake_nonstop.optimization.constraints import FEASIBILITY_TOLERANCE
 from drake_nonstop.optimization.update_data import UpdateData
 from drake_nonstop.optimization.update_solver import Answer, UpdateSolver
 from drake_nonstop.scenario.loading import load_scenario

@@ -10,9 +10,9 @@ from benchmarks.__main__ import main
 from benchmarks.optimizer import PEERS
 from benchmarks.whole_tasks import benchmark_tasks, tasks_table
 from drake_nonstop.cli.ending import BAD_INPUT
+from drake_nonstop.optimization.constraints import FEASIBILITY_TOLERANCE
 from drake_nonstop.optimization.diagnostics import Outcome
 from drake_nonstop.optimization.horizon_solver import PLAN_TOLERANCE
-from drake_nonstop.optimization.margins import FEASIBILITY_TOLERANCE
 
 
 @pytest.fixture(scope="module")

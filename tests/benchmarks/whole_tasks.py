@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from drake_nonstop.analysis.task import Task, task_of
 from drake_nonstop.blocks.phase import ShapedPhaseConfig
-from drake_nonstop.mechanics.planned_orbit import OrbitTerms
+from drake_nonstop.mechanics.planned_orbit import OrbitTerms, PlannedOrbit
 from drake_nonstop.mechanics.signals import SIGNAL_PERIOD, PlannedParameters
-from drake_nonstop.optimization.horizon_problem import HorizonConfig, HorizonProblem, timed
+from drake_nonstop.optimization.horizon_config import HorizonConfig, timed
+from drake_nonstop.optimization.horizon_problem import HorizonProblem
 from drake_nonstop.optimization.limits import Of
 from drake_nonstop.optimization.whole_task import plan_task
 from drake_nonstop.scenario.loading import load_scenario
@@ -136,8 +137,10 @@ def _offline(task: Task, config: HorizonConfig) -> Row:
     times = np.arange(0.0, task.duration, SIGNAL_PERIOD)
     planned = np.array([best.plan.values(instant) for instant in times])
     problem = HorizonProblem(task.model, task.limits, config, lambda: OFFLINE)
-    terms = np.array([problem.terms_at(task.reference(instant)) for instant in times])
-    speeds = problem.values_along(Of.SPEED, OrbitTerms.view(terms), planned)
+    terms = problem.all_terms(np.array([task.reference(instant) for instant in times]))
+    speeds = problem.values_along(
+        Of.SPEED, OrbitTerms.view(terms), PlannedOrbit.of_planned(planned)
+    )
     bound = task.limits.speed_bound
     return {
         **_costs(planned[:, 1:3] / task.nominal, planned, task.nominal, config),

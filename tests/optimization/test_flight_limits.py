@@ -6,7 +6,8 @@ import numpy as np
 
 from drake_nonstop.mechanics.aircraft import FlightNeeds, stall_speed, thrust_limits
 from drake_nonstop.model.aircraft import AircraftParameters, make_aircraft
-from drake_nonstop.optimization.flight_limits import FlightLimits
+from drake_nonstop.optimization.constraints import Constraints
+from drake_nonstop.optimization.limits import Of
 from drake_nonstop.optimization.problem_config import LimitsConfig
 
 AIRCRAFT = make_aircraft(AircraftParameters(model="rascal_110"), cable_length=150.0, gravity=9.81)
@@ -32,7 +33,7 @@ def needs_at(rng, *shape):
 
 def test_a_margin_is_negative_beyond_its_limit(rng):
     needs = needs_at(rng, 400)
-    margins = FlightLimits(CONFIG).margins(AIRCRAFT, needs)
+    margins = Constraints(CONFIG).of_flight(AIRCRAFT, needs)
     over_stall = needs.airspeed / stall_speed(AIRCRAFT)
     load_factor = needs.force / (AIRCRAFT.mass * 9.81)
     least, most = thrust_limits(AIRCRAFT, needs.airspeed)
@@ -50,8 +51,8 @@ def test_a_margin_is_negative_beyond_its_limit(rng):
 
 
 def test_only_enabled_limits_have_margins_and_they_are_tightened(rng):
-    assert FlightLimits(LimitsConfig()).kinds == []
-    limits = FlightLimits(LimitsConfig(tightening=0.1, max_bank=0.5))
+    assert Constraints(LimitsConfig()).names(*Of) == []
+    limits = Constraints(LimitsConfig(tightening=0.1, max_bank=0.5))
     needs = needs_at(rng, 3)._replace(bank=np.array([0.44, -0.46, 0.5]))
-    (margins,) = limits.margins(AIRCRAFT, needs)
+    (margins,) = limits.of_flight(AIRCRAFT, needs)
     np.testing.assert_array_equal(margins >= 0, [True, False, False])

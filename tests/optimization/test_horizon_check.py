@@ -4,8 +4,7 @@ import re
 import pytest
 from helpers import model
 
-from drake_nonstop.optimization.horizon_check import check_horizon
-from drake_nonstop.optimization.horizon_problem import HorizonConfig
+from drake_nonstop.optimization.horizon_config import HorizonConfig, check_horizon
 from drake_nonstop.optimization.problem_config import LimitsConfig
 from drake_nonstop.validation import ScenarioError
 

@@ -19,7 +19,8 @@ from drake_nonstop.mechanics.wrench import NO_FEEDBACK, wrench_and_rate
 from drake_nonstop.model.aircraft import AircraftParameters
 from drake_nonstop.model.pattern import EllipticCarouselConfig
 from drake_nonstop.model.system import Model, SystemParameters
-from drake_nonstop.optimization.horizon_problem import HorizonConfig, HorizonProblem
+from drake_nonstop.optimization.horizon_config import HorizonConfig
+from drake_nonstop.optimization.horizon_problem import HorizonProblem
 from drake_nonstop.optimization.horizon_solver import PLAN_TOLERANCE, HorizonSolver
 from drake_nonstop.optimization.problem_config import LimitsConfig
 
@@ -122,10 +123,11 @@ def test_margins_are_those_of_the_exact_inverse_on_the_path_that_is_flown():
     x = drawn_coefficients(problem, 6)
     plan, aircraft = problem.plan(data, x), problem.model.aircraft
     found = problem.linearization(data, x)
-    speeds, flight = found.tables
     all_expected = {}
-    step = 2e-3
-    for i in flight.instants[[1, 9, 23, 36]]:
+    step, n = 2e-3, problem.model.n
+    every = np.arange(len(problem.instants))
+    tables = (every, n), (problem._flight_at, 5 * n)
+    for i in problem._flight_at[[1, 9, 23, 36]]:
         time = data.start_time + problem.instants[i]
         before, now, after = (
             positions_and_forces(problem, plan, time + shift) for shift in (-step, 0.0, step)
@@ -156,16 +158,16 @@ def test_margins_are_those_of_the_exact_inverse_on_the_path_that_is_flown():
             ),
         )
     start = 0
-    for kind, table in enumerate((speeds, flight)):
-        part = np.s_[start : start + table.size]
-        margins = found.margins[part].reshape(table.shape)
-        is_instant = ~found.weights[:, part].reshape(3, *table.shape).any(axis=0)
+    for kind, (instants, width) in enumerate(tables):
+        part = np.s_[start : start + len(instants) * width]
+        margins = found.margins[part].reshape(-1, width)
+        is_instant = ~found.weights[:, part].reshape(3, -1, width).any(axis=0)
         assert is_instant.mean() > 0.8
         for i, expected in all_expected.items():
-            k = np.searchsorted(table.instants, i)
+            k = np.searchsorted(instants, i)
             chosen = is_instant[k]
             np.testing.assert_allclose(margins[k, chosen], expected[kind][chosen], atol=2e-4)
-        start += table.size
+        start += len(instants) * width
 
 
 @pytest.mark.parametrize("parameters", [(0.595, 1.0), (0.68, 0.85)])
@@ -175,10 +177,8 @@ def test_margins_of_the_last_part_are_those_of_whole_orbits_above_a_resting_load
     data = problem.data(0.0, 0.0, lambda time: AT_REST, BOUND, wind=WIND)
     x = np.tile((np.array(parameters) / problem.nominal)[:, None], problem.count)
     found = problem.linearization(data, x)
-    orbits = found.margins[len(found.margins) - math.prod(found.orbits) :].reshape(found.orbits)
-    _, phases, width = found.orbits
-    kinds, n = width // problem.model.n, problem.model.n
-    worst = orbits.reshape(-1, phases, kinds, n).min(axis=(0, 1, 3))
+    shape = problem.config.terminal_knots, problem.config.terminal_phases, 5, problem.model.n
+    worst = found.margins[-math.prod(shape) :].reshape(shape).min(axis=(0, 1, 3))
     expected = margins_at_rest(
         problem.model, AT_REST, np.array(parameters), wind=MeanWind(WIND)
     ).needs

@@ -18,11 +18,8 @@ from drake_nonstop.model.pattern import (
 )
 from drake_nonstop.model.system import Model, SystemParameters
 from drake_nonstop.optimization.diagnostics import BOUND
-from drake_nonstop.optimization.horizon_problem import (
-    HorizonConfig,
-    HorizonProblem,
-    references_at,
-)
+from drake_nonstop.optimization.horizon_config import HorizonConfig
+from drake_nonstop.optimization.horizon_problem import HorizonProblem, references_at
 from drake_nonstop.optimization.horizon_solver import HorizonSolver
 from drake_nonstop.optimization.limits import Of, limits_of
 from drake_nonstop.optimization.problem_config import LimitsConfig
@@ -186,8 +183,8 @@ def test_speeds_have_margins_of_their_own_after_jumps_of_the_jerk_and_beside_fas
     config = replace(SMALL, overshoot=0.4, settling_time=0.1, orbit_tightening=0.0)
     problem = HorizonProblem(before.model, before.limits, config, lambda: "test")
     data = problem.data(0.0, 0.0, lambda time: still if time < 0.33 else jumping, 0.4)
-    rates = [OrbitTerms.view(problem.terms_at(values)).rates for values in (still, jumping)]
-    tensions = np.linalg.norm(OrbitTerms.view(problem.terms_at(still)).forces, axis=-1)
+    terms = OrbitTerms.view(problem.all_terms(np.array([still, jumping])))
+    rates, tensions = terms.rates, np.linalg.norm(terms.forces[0], axis=-1)
     jumps = (problem.rest_length / tensions + problem.compliance) * np.linalg.norm(
         rates[1] - rates[0], axis=-1
     )
@@ -199,7 +196,7 @@ def test_speeds_have_margins_of_their_own_after_jumps_of_the_jerk_and_beside_fas
     config = replace(SMALL, orbit_tightening=0.1)
     problem = HorizonProblem(before.model, before.limits, config, lambda: "test")
     slow = problem.data(0.0, 0.0, lambda time: still, 0.01)
-    speeds = np.sqrt(problem.speeds(slow, problem.nominal_coefficients()).squares)
+    speeds = problem.speeds(slow, problem.nominal_coefficients())
     shares = (slow.aims - 0.01) / speeds.max(axis=0)
     assert np.all((shares > 0.07) & (shares < 0.1))
 
@@ -325,14 +322,14 @@ def test_without_a_bound_the_plan_returns_to_the_nominal_parameters():
 def test_a_start_below_the_bound_is_left_as_soon_as_the_rates_allow():
     problem = problem_of("cycle-4")
     data = problem.data(0.0, 0.0, resting, 1.0)
-    speeds = np.sqrt(problem.speeds(data, problem.nominal_coefficients()).squares)
+    speeds = problem.speeds(data, problem.nominal_coefficients())
     assert speeds.max() < 1.0
     solver = HorizonSolver(problem)
     start = problem.nominal_coefficients()
     answer = solver.solve(data, start, max_iterations=20, tolerance=1e-4)
     assert np.isfinite(answer.coefficients).all()
     assert not answer.is_feasible
-    slowest = np.sqrt(problem.speeds(data, answer.coefficients).squares.min(axis=1))
+    slowest = problem.speeds(data, answer.coefficients).min(axis=1)
     is_slow = slowest < 1.0
     late = problem.instants[is_slow].max()
     assert late < 1.0
@@ -345,7 +342,7 @@ def test_limits_that_exclude_each_other_give_a_finite_plan_that_prefers_the_spee
     solver = HorizonSolver(problem)
     answer = solver.solve(data, solver.first_guess(data), max_iterations=20)
     assert np.isfinite(answer.coefficients).all()
-    squares = problem.speeds(data, answer.coefficients).squares[30:]
+    squares = problem.speeds(data, answer.coefficients)[30:] ** 2
     below = 1 - squares.min() / (1.02 * 0.8) ** 2
     above = squares.max() / (0.98 * 0.9) ** 2 - 1
     assert above > max(below, 1e-3)

@@ -8,7 +8,8 @@ from drake_nonstop.blocks import load_trajectory
 from drake_nonstop.mechanics.planned_orbit import OrbitTerms, planned_speeds
 from drake_nonstop.model.pattern import HamiltonianCycleConfig
 from drake_nonstop.model.system import Model, SystemParameters
-from drake_nonstop.optimization.horizon_problem import HorizonConfig, HorizonProblem
+from drake_nonstop.optimization.horizon_config import HorizonConfig
+from drake_nonstop.optimization.horizon_problem import HorizonProblem
 from drake_nonstop.optimization.horizon_solver import HorizonSolver
 from drake_nonstop.optimization.problem_config import NonstopProblemConfig
 from drake_nonstop.optimization.whole_task import plan_task, receding_coefficients
@@ -71,7 +72,7 @@ def drawn_task(seed):
     bounds = limits(0.2, frequency=float(xi), amplitude=float(A))
     problem = HorizonProblem(system, bounds, HorizonConfig(), lambda: "drawn")
     data = problem.data(-100.0, 0.0, reference, 0.2)
-    at_rest = np.sqrt(problem.speeds(data, np.ones((2, problem.count))).squares.min())
+    at_rest = problem.speeds(data, np.ones((2, problem.count))).min()
     bound = float(rng.uniform(0.4, 0.8) * at_rest)
     return system, limits(bound, frequency=float(xi), amplitude=float(A)), reference, duration + 4
 
@@ -120,7 +121,7 @@ def test_data_that_continue_the_last_are_those_made_anew():
 
 def least_speed(system, problem, plan, reference, times):
     """The slowest carrier of a plan at times, which need not be its instants."""
-    terms = OrbitTerms.view(np.array([problem.terms_at(reference(time)) for time in times]))
+    terms = OrbitTerms.view(problem.all_terms(np.array([reference(time) for time in times])))
     values = np.array([plan.values(time) for time in times])
     speeds = planned_speeds(
         terms,

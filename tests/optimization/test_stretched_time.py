@@ -18,7 +18,7 @@ from drake_nonstop.mechanics.reference_preview import ReferencePreview
 from drake_nonstop.mechanics.wind import MeanWind
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization import stretched_time
-from drake_nonstop.optimization.horizon_problem import HorizonConfig
+from drake_nonstop.optimization.horizon_config import HorizonConfig
 from drake_nonstop.optimization.problem_config import LimitsConfig
 from drake_nonstop.optimization.stretched_time import (
     OrbitFeasibility,

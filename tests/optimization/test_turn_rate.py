@@ -9,8 +9,8 @@ import pytest
 from drake_nonstop.model.aircraft import AircraftParameters
 from drake_nonstop.model.pattern import ConstantSpreadConfig
 from drake_nonstop.model.system import Model, SystemParameters
+from drake_nonstop.optimization.constraints import Constraints
 from drake_nonstop.optimization.diagnostics import Outcome
-from drake_nonstop.optimization.flight_limits import FlightLimits
 from drake_nonstop.optimization.problem_config import LimitsConfig
 from drake_nonstop.optimization.turn_rate import TurnRateSolver, TurnUpdate
 
@@ -35,7 +35,7 @@ def turning_model():
 
 def solver(phases=16, **limits):
     config = LimitsConfig(tightening=0.0, **limits)
-    return TurnRateSolver(turning_model(), FlightLimits(config), phases)
+    return TurnRateSolver(turning_model(), Constraints(config), phases)
 
 
 def update(speed_bound, previous=0.4, wind=(0.0, 0.0, 0.0), **others):

@@ -1,12 +1,19 @@
-"""The checks of a horizon's values."""
+"""The fields of a horizon, and the checks of their values."""
 
 import math
+from dataclasses import dataclass, replace
+from typing import TypeVar
 
 from drake_nonstop.model.system import Model
-from drake_nonstop.optimization.horizon_problem import HorizonConfig, timed
 from drake_nonstop.optimization.plan import DEGREE
 from drake_nonstop.optimization.problem_config import LimitsConfig
-from drake_nonstop.validation import require, require_period, require_ranges
+from drake_nonstop.validation import (
+    non_negative,
+    positive,
+    require,
+    require_period,
+    require_ranges,
+)
 
 _LEAST_INSTANTS = 16  # in a turn
 _MOST_INSTANTS = 20000  # in a horizon
@@ -15,6 +22,51 @@ _MOST_SMOOTHING = 10.0  # intervals; its sixth power is in the cost
 _LEAST_PHASES, _MOST_PHASES = 8, 360
 _MOST_AMPLITUDES = 1000
 _WHOLE = 1e-6  # how far from a whole number a ratio of times may be
+_Horizon = TypeVar("_Horizon", bound="HorizonConfig")
+
+
+@dataclass(kw_only=True)
+class HorizonConfig:
+    """The horizon, its cost and its constraints; with those of a `LimitsConfig`.
+
+    With `fixed_coefficients` 0 the problem is one of a plan that has no predecessor.
+    """
+
+    horizon: float = non_negative(0.0)  # s; 0: nearly two turns, 15 intervals of knots at least
+    knot_spacing: float = non_negative(0.0)  # s, and between two plans; 0: an eighth of a turn
+    instants: int = 20  # between two knots, at which the carriers' flight is constrained
+    terminal_knots: int = 4  # of the last part, in which all phases of the orbit are constrained
+    terminal_instants: int = 2  # of it, between two knots
+    terminal_phases: int = 24  # of the orbit
+    terminal_amplitudes: int = 33  # of the table
+    amplitude_weight: float = positive(4.0)  # w_A
+    smoothing: float = positive(0.4)  # τ, in intervals between knots
+    slack_weight: float = positive(100.0)  # ρ
+    fixed_coefficients: int = 4  # the first of ξ and A: 4 for three continuous rates
+    overshoot: float = non_negative(0.35)  # of a carrier's velocity, of a jump of the plan's
+    settling_time: float = non_negative(0.1)  # s, of that overshoot
+    orbit_tightening: float = non_negative(0.005)  # of the nominal orbits' speed, the least margin
+
+
+def timed(config: _Horizon, frequency: float, control_period: float) -> _Horizon:
+    """The config with its times, as they follow from the nominal ξ (rad/s) where they are 0.
+
+    The knots then are whole control periods (s) apart; 0: there is none.
+    """
+    turn = 2 * math.pi / frequency
+    spacing = config.knot_spacing
+    if spacing == 0:
+        spacing = turn / 8
+        if control_period > 0:
+            spacing = max(round(spacing / control_period), 1) * control_period
+    return replace(
+        config, knot_spacing=spacing, horizon=config.horizon or _knots(turn, spacing) * spacing
+    )
+
+
+def _knots(turn: float, spacing: float) -> int:
+    """The intervals between knots in nearly two turns: 15 of an eighth of one."""
+    return max(15, math.ceil(1.8 * turn / spacing))
 
 
 def check_horizon(box: str, config: HorizonConfig, limits: LimitsConfig, model: Model) -> None:

@@ -1,0 +1,229 @@
+"""What limits orbits of ξ and A above a load's reference: their terms, and all phases of them."""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drake_nonstop.mechanics.internal_force import orbit_axes
+from drake_nonstop.mechanics.planned_orbit import (
+    FlightTerms,
+    OrbitTerms,
+    PlannedOrbit,
+    flight_along_reference,
+    orbit_along_reference,
+    planned_gaps,
+    planned_needs,
+    planned_speeds,
+)
+from drake_nonstop.mechanics.rigid_load import STILL_AIR
+from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE, WIND_SIZE
+from drake_nonstop.model.system import Model
+from drake_nonstop.optimization.constraints import Constraints
+from drake_nonstop.optimization.horizon_config import HorizonConfig
+from drake_nonstop.optimization.limits import Of
+from drake_nonstop.optimization.problem_config import LimitsConfig
+from drake_nonstop.optimization.separation import SeparationConstraint
+from drake_nonstop.optimization.terminal_set import (
+    TerminalSet,
+    least_distance_squares,
+    product_limits,
+)
+from drake_nonstop.optimization.update_data import Beliefs, beliefs_of
+from drake_nonstop.systems.tracing import TracedFunction
+
+
+class OrbitConstraints:
+    """Tells how orbits of ξ and A keep the limits of one model and config.
+
+    Args:
+        model: what the controllers believe.
+        limits: ε, `tightening`, the nominal ξ and A, and their bounds.
+        config: of a horizon; the numbers of phases and amplitudes, and what follows jumps, count.
+        name: tells what evaluates the terms, for the error of a value that is not finite.
+        beliefs: numbers in place of those of model and limits.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        limits: LimitsConfig,
+        config: HorizonConfig,
+        name: Callable[[], str],
+        *,
+        beliefs: Beliefs | None = None,
+    ):
+        self.model, self.limits, self.config, self.name = model, limits, config, name
+        beliefs = beliefs or beliefs_of(model, limits)
+        self.nominal = beliefs.nominal
+        self._bounds = np.stack([beliefs.lower, beliefs.upper])
+        self._beliefs = np.concatenate(beliefs)
+        self.rest_length = float(beliefs.rest_length[0])  # m
+        self.compliance = float(beliefs.compliance[0])  # m/N
+        self._cables: dict[str, Any] = {
+            "rest_length": self.rest_length,
+            "compliance": self.compliance,
+        }
+        self.axes = orbit_axes(model.pattern.basis, model.pattern.phases)
+        low, high = self._bounds[:, 1]
+        self.amplitudes = np.linspace(low, high, config.terminal_amplitudes)
+        self._constraints = Constraints(limits)
+        self.max_speed = self._constraints.max_speed  # m/s, tightened
+        self._limits_flight = bool(self._constraints.names(Of.FLIGHT))
+        self._orbit_angles = 2 * np.pi * np.arange(config.terminal_phases) / config.terminal_phases
+        self._separation: SeparationConstraint | None = None
+        if self._constraints.min_separation > 0:
+            self._separation = SeparationConstraint(self._constraints.min_separation, self.axes)
+        self._pairs = np.array(np.triu_indices(model.n, 1))
+        self._terms = self._traced(orbit_along_reference)
+        if self._limits_flight:
+            self._flight_terms = self._traced(flight_along_reference)
+
+    def all_terms(self, references: NDArray, winds: NDArray = STILL_AIR) -> NDArray:
+        """The flat `OrbitTerms` (k, 9n + 3) of references (k, 22).
+
+        In winds (3,) or (k, 3), in m/s, in W, which count for aircraft.
+        """
+        return self._terms.of_rows(self._stacked(references, winds))
+
+    def flight_terms(self, references: NDArray, winds: NDArray) -> NDArray:
+        """The flat `FlightTerms` (k, 15n + 9) likewise; (k, 0) without limits of flight."""
+        if not self._limits_flight:
+            return np.zeros((len(references), 0))
+        return self._flight_terms.of_rows(self._stacked(references, winds))
+
+    def _stacked(self, references: NDArray, winds: NDArray) -> NDArray:
+        """What functions take of references (k, 22), in winds (3,) or (k, 3)."""
+        count = len(references)
+        own = np.broadcast_to(self._beliefs, (count, len(self._beliefs)))
+        return np.hstack([references, own, np.broadcast_to(winds, (count, WIND_SIZE))])
+
+    def orbit_flight_margins(
+        self, flat_flight: NDArray, frequency: float, amplitude: float
+    ) -> NDArray:
+        """The worst margins (k,) of aircraft's limits over whole orbits of constant ξ and A.
+
+        Of flat `FlightTerms` (k, 15n + 9), with limits of flight.
+        """
+        angles, count = self._orbit_angles, len(flat_flight)
+        orbit = PlannedOrbit.constant(np.tile(angles, count), frequency, amplitude)
+        terms = FlightTerms.view(np.repeat(flat_flight, len(angles), axis=0))
+        margins = self._flight_margins(terms, self.axes, orbit)
+        worst: NDArray = np.min(margins, axis=(0, 2)).reshape(count, -1).min(axis=1)
+        return worst
+
+    def _flight_margins(
+        self, terms: FlightTerms, axes: tuple[NDArray, NDArray], orbit: PlannedOrbit
+    ) -> list[NDArray]:
+        """The margins (k, n) of aircraft's limits, of numbers or symbols."""
+        aircraft = self.model.aircraft
+        assert aircraft is not None
+        needs = planned_needs(aircraft, terms, axes, orbit, **self._cables)
+        return self._constraints.of_flight(aircraft, needs)
+
+    def jump_margins(self, flat_terms: NDArray, spacing: float) -> NDArray:
+        """What the speeds (k, n) have to keep above the bound after jumps of the plan, m/s.
+
+        Where the jerk of the reference jumps, so do the planned velocities, by at most
+        (L₀/T + 1/K_c) ‖Δd₀‖, T without A. The carriers then swing past the new velocity by a share
+        of the jump, the `overshoot`, within the `settling_time`. Own derivation.
+
+        Args:
+            flat_terms: (k, 9n + 3), at evenly spaced instants.
+            spacing: s, of the instants.
+        """
+        terms, config = OrbitTerms.view(flat_terms), self.config
+        jumps = np.zeros(terms.forces.shape[:2])
+        changes = np.linalg.norm(np.diff(terms.rates, axis=0), axis=2)
+        jumps[1:] = self._reach(terms)[1:] * changes
+        largest = jumps.copy()
+        for i in range(1, math.ceil(config.settling_time / spacing)):
+            largest[i:] = np.maximum(largest[i:], jumps[:-i])
+        return config.overshoot * largest
+
+    def _reach(self, terms: OrbitTerms) -> NDArray:
+        """By how much (k, n) a carrier moves with a force across its cable, m/N."""
+        return self.rest_length / np.linalg.norm(terms.forces, axis=2) + self.compliance
+
+    def terminal_set(
+        self,
+        flat_terms: NDArray,
+        speed_bound: NDArray | float,
+        amplitudes: NDArray | None = None,
+    ) -> TerminalSet:
+        """The terminal set of flat terms (k, 9n + 3), for a bound in m/s or those (k, n, 1).
+
+        Over a table of A (a,) in N; None: that of all plans.
+        """
+        amplitudes = self.amplitudes if amplitudes is None else amplitudes
+        terms = OrbitTerms.view(flat_terms)
+        least, most, *tension_squares = product_limits(
+            terms,
+            self.axes,
+            amplitudes,
+            speed_bound,
+            self._constraints.max_speed,
+            phase_count=self.config.terminal_phases,
+            **self._cables,
+        )
+        margins = np.full(least.shape, np.inf)
+        for squares in tension_squares:
+            for margin in self._constraints.of_squares(Of.TENSION, squares):
+                margins = np.minimum(margins, margin)
+        if self._separation is not None:
+            for row, forces in zip(margins, terms.forces, strict=True):
+                distances = least_distance_squares(
+                    self._separation,
+                    forces,
+                    amplitudes,
+                    attachments=self.model.attachments,
+                    pairs=self._pairs,
+                    **self._cables,
+                )
+                for margin in self._constraints.of_squares(Of.SEPARATION, distances):
+                    np.minimum(row, margin, out=row)
+        return TerminalSet(amplitudes, least, most, margins)
+
+    def values_along(self, of: Of, terms: OrbitTerms, orbit: PlannedOrbit) -> NDArray:
+        """Speeds, tensions or separations (k, c) at k instants, of the carriers, cables or pairs.
+
+        In m/s, N or m.
+        """
+        angle, amplitude = orbit.angle, orbit.amplitude
+        if of is Of.SEPARATION:
+            squares = planned_gaps(
+                terms.forces,
+                self.axes,
+                angle,
+                amplitude,
+                attachments=self.model.attachments,
+                pairs=self._pairs,
+                **self._cables,
+            )
+            return np.sqrt(squares)
+        rate = orbit.amplitude_rate
+        found = planned_speeds(
+            terms, self.axes, angle, orbit.frequency, amplitude, rate, **self._cables
+        )
+        return np.sqrt(found.squares if of is Of.SPEED else found.tension_squares)
+
+    def _traced(self, terms: Callable[..., NDArray]) -> TracedFunction:
+        """The flat terms that a function has of a load, a reference, a wind and a model."""
+        model = self.model
+
+        def of_reference(reference: NDArray, vector: NDArray, wind: NDArray) -> NDArray:
+            beliefs = Beliefs.view(vector)
+            return terms(
+                beliefs.load,
+                reference,
+                STILL_AIR if model.aircraft is None else wind,
+                pseudo_inverse=model.pseudo_inverse,
+                offset=beliefs.offset if len(beliefs.offset) else np.zeros(3 * model.n),
+                attachments=model.attachments,
+            )
+
+        key = terms.__name__, model.attachments, model.pseudo_inverse, model.aircraft is None
+        sizes = [LOAD_REFERENCE_SIZE, len(self._beliefs), WIND_SIZE]
+        return TracedFunction(of_reference, sizes, name=self.name, key=key)
