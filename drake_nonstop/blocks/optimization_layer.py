@@ -28,8 +28,8 @@ from drake_nonstop.mechanics.signals import PARAMETERS_SIZE, WRENCH_SIZE
 from drake_nonstop.model.block_parameters import BlockParameters, Rules
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.diagnostics import Diagnostics, Outcome, update_count
-from drake_nonstop.optimization.gradual_change import limit_step, raised_bound, step_towards
 from drake_nonstop.optimization.problem_config import (
+    LEAST_BOUND,
     NonstopProblemConfig,
     SpeedBound,
     check_problem,
@@ -249,6 +249,34 @@ class NonstopOptimizer(SpeedBoundLayer):
             "is_changing": [float(is_changing)],
             **self.counted(states, outcome, slowest_speed - bound, missed),
         }
+
+
+def raised_bound(in_force: float, wanted: float, *, period: float, change_time: float) -> float:
+    """The bound (m/s) of the next update, on the way from one to a higher one.
+
+    It rises by the height of the wanted one per `change_time`, from `LEAST_BOUND` on.
+    """
+    step = wanted * period / change_time
+    return min(wanted, max(in_force + step, LEAST_BOUND))
+
+
+def limit_step(previous: NDArray, parameters: NDArray, largest: NDArray) -> tuple[NDArray, bool]:
+    """The parameters, or what lies towards them from `previous`, and whether they were limited.
+
+    Neither ξ nor A changes by more than `largest`; all are [ξ, A] (2,).
+    """
+    change = parameters - previous
+    excess = float(np.max(np.abs(change) / largest))
+    if excess > 1:
+        return previous + change / excess, True
+    return parameters, False
+
+
+def step_towards(
+    previous: NDArray, target: NDArray, *, period: float, change_time: float
+) -> NDArray:
+    """The next [ξ, A] on the way to `target`, with a time constant of a quarter `change_time`."""
+    return previous + (1 - math.exp(-4 * period / change_time)) * (target - previous)
 
 
 @dataclass(kw_only=True)

@@ -176,14 +176,8 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
     def traced_update(self, at: At) -> list[NDArray]:
         """The states after a sample."""
         states = self.states(at)
-        last = _PlanState.view(states[_LAST])
-        states[_VALUES] = traced_plan_values(
-            (last.start_time, last.start_angle),
-            self._config.knot_spacing,
-            last.nominal,
-            last.coefficients,
-            at.time[0],
-        )
+        plan = _PlanState.view(states[_LAST]).plan(self._config.knot_spacing)
+        states[_VALUES] = traced_plan_values(plan, at.time[0])
         return [*states.values()]
 
     def traced_fast_update(self, at: At) -> FastUpdate:

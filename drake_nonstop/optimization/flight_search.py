@@ -82,7 +82,7 @@ def _at(problem: UpdateProblem, x: NDArray) -> _Point:
 def _descend(problem: UpdateProblem, start: NDArray) -> _Point:
     """The last point of the steps from `start` on."""
     lower, upper = problem.known_bounds
-    cost = problem.change_cost()
+    cost = problem.search_problem.change_cost()
     point, radius = _at(problem, np.clip(start, lower, upper)), _FIRST_RADIUS
     refusals, jacobian = 0, None
     # Within bounds this narrow the margins are as good as linear.

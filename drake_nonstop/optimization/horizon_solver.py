@@ -13,10 +13,9 @@ from pydrake.solvers import ClarabelSolver, MathematicalProgram
 from drake_nonstop.mechanics.planned_orbit import OrbitTerms
 from drake_nonstop.optimization.active_set_search import nearest_feasible
 from drake_nonstop.optimization.constraints import FEASIBILITY_TOLERANCE
-from drake_nonstop.optimization.grid_search import least_infeasible_on_grid
 from drake_nonstop.optimization.horizon_problem import HorizonData, HorizonProblem, Linearization
 from drake_nonstop.optimization.plan import Plan
-from drake_nonstop.optimization.search_problem import SearchProblem
+from drake_nonstop.optimization.search_problem import SearchProblem, least_infeasible_on_grid
 from drake_nonstop.optimization.terminal_set import orbit_polynomials
 from drake_nonstop.systems.tracing import NotFiniteError
 

@@ -80,20 +80,35 @@ def _piece() -> NDArray:
 _PIECE = _piece()
 
 
-def traced_plan_values(
-    start: tuple[Any, Any], spacing: float, nominal: NDArray, coefficients: NDArray, time: Any
-) -> NDArray:
-    """As `Plan.values`, the vector (8,), in symbols.
+def _values_in_piece(
+    plan: "Plan", turned: Any, polynomials: NDArray, place: tuple[Any, Any], is_moving: Any
+) -> list[Any]:
+    """The entries of `PlanValues`, of numbers or symbols.
 
     Args:
-        start: time (s) and θ (rad) of the plan.
-        spacing: as of `Plan`, and so are the others.
-        nominal: (2,).
-        coefficients: (2, N).
-        time: s.
+        plan: whose spacing, nominal ξ and A, and phase at the start count.
+        turned: by how much θ has turned at the beginning of the piece, over ξ₀ times the spacing.
+        polynomials: (2, 5), of ξ/ξ₀ and A/A₀ over the piece.
+        place: in the piece, 0 to 1, and how far behind the plan's end; in intervals.
+        is_moving: 0 after the end of the plan, else 1.
     """
-    intervals = coefficients.shape[1] - DEGREE
-    place = (time - start[0]) / spacing
+    x, late = place
+    frequency, amplitude = polynomials
+    rows = _powers(x) / plan.spacing ** np.arange(4)[:, None]
+    integrals = np.array([x * power for power in rows[0]]) / np.arange(1, DEGREE + 2)
+    turns = frequency @ integrals + late * (frequency @ rows[0])
+    xi, *xi_rates = [plan.nominal[0] * value for value in rows @ frequency]
+    A, *A_rates = [plan.nominal[1] * value for value in rows @ amplitude]
+    first, second, _ = [rate * is_moving for rate in xi_rates]
+    A_first, A_second, A_third = [rate * is_moving for rate in A_rates]
+    theta = plan.start_angle + plan.nominal[0] * plan.spacing * (turned + turns)
+    return [theta, xi, A, first, A_first, second, A_second, A_third]
+
+
+def traced_plan_values(plan: "Plan", time: Any) -> NDArray:
+    """`Plan.values` of a plan in symbols, the vector (8,), at a time in s."""
+    intervals, coefficients = plan.intervals, plan.coefficients
+    place = (time - plan.start_time) / plan.spacing
     piece = casadi.fmin(casadi.fmax(casadi.floor(place), 0), intervals - 1)
     is_over = place > intervals
     late = casadi.if_else(is_over, place - intervals, 0.0)
@@ -105,20 +120,12 @@ def traced_plan_values(
         return sum(here * value for here, value in zip(is_in, values, strict=False))
 
     window = [[of_piece(row[j:]) for j in range(DEGREE + 1)] for row in coefficients]
-    frequency, amplitude = np.array(window) @ _PIECE.T
     turn = _PIECE.T @ (1 / np.arange(1, DEGREE + 2))  # of a piece, by its coefficients
     turns_of = [coefficients[0, k : k + DEGREE + 1] @ turn for k in range(intervals)]
     before = of_piece(itertools.accumulate(turns_of, initial=0.0))
-    rows = _powers(x) / spacing ** np.arange(4)[:, None]
-    integrals = np.array([x * power for power in rows[0]]) / np.arange(1, DEGREE + 2)
-    turns = frequency @ integrals + late * (frequency @ rows[0])
+    polynomials = np.array(window) @ _PIECE.T
     is_moving = casadi.logic_not(is_over)
-    xi, *xi_rates = [nominal[0] * value for value in rows @ frequency]
-    A, *A_rates = [nominal[1] * value for value in rows @ amplitude]
-    first, second, _ = [rate * is_moving for rate in xi_rates]
-    A_first, A_second, A_third = [rate * is_moving for rate in A_rates]
-    theta = start[1] + nominal[0] * spacing * (before + turns)
-    return np.array([theta, xi, A, first, A_first, second, A_second, A_third])
+    return np.array(_values_in_piece(plan, before, polynomials, (x, late), is_moving))
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,16 +159,9 @@ class Plan:
         piece = min(max(int(place), 0), self.intervals - 1)
         late = x - self.intervals if place > self.intervals else 0.0
         x = x - piece if place - piece < 1 else 1.0
-        frequency, amplitude = self._pieces[piece]
-        rows = _powers(x) / self.spacing ** np.arange(4)[:, None]
-        if place > self.intervals:
-            rows[1:] = 0
-        turns = frequency @ (x * rows[0] / np.arange(1, DEGREE + 2)) + late * (frequency @ rows[0])
-        xi, xi_rate, xi_second_rate, _ = (self.nominal[0] * (rows @ frequency)).tolist()
-        A, A_rate, A_second_rate, A_third_rate = (self.nominal[1] * (rows @ amplitude)).tolist()
-        angle = self._angles[piece] + self.nominal[0] * self.spacing * turns
+        is_moving = float(place <= self.intervals)
         return PlanValues(
-            angle, xi, A, xi_rate, A_rate, xi_second_rate, A_second_rate, A_third_rate
+            *_values_in_piece(self, self._turned[piece], self._pieces[piece], (x, late), is_moving)
         )
 
     @cached_property
@@ -171,11 +171,10 @@ class Plan:
         return np.einsum("aij,pj->iap", windows, _PIECE)
 
     @cached_property
-    def _angles(self) -> NDArray:
-        """θ at the knots."""
+    def _turned(self) -> NDArray:
+        """By how much θ has turned at the knots, over ξ₀ times the spacing."""
         turns = self._pieces[:, 0] @ (1 / np.arange(1, DEGREE + 2))
-        angles = np.concatenate([[0.0], np.cumsum(turns)])
-        return self.start_angle + self.nominal[0] * self.spacing * angles
+        return np.concatenate([[0.0], np.cumsum(turns)])
 
     def shifted(self, count: int = 1) -> "Plan":
         """The plan from a later knot on, as long, which goes on with its last coefficients."""

@@ -22,6 +22,7 @@ from drake_nonstop.mechanics.stretched_time import stretched_higher_rates, stret
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.horizon_config import HorizonConfig, timed
 from drake_nonstop.optimization.horizon_problem import HorizonProblem
+from drake_nonstop.optimization.orbit_constraints import OrbitConstraints
 from drake_nonstop.optimization.problem_config import (
     LimitsConfig,
     amplitude_range,
@@ -88,7 +89,7 @@ class OrbitFeasibility:
             limits = dataclasses.replace(
                 limits, frequency_bounds=of_frequency, amplitude_bounds=of_amplitude
             )
-        self._problem = HorizonProblem(model, limits, config, name)
+        self._problem = OrbitConstraints(model, limits, config, name)
         self._amplitudes = self._problem.amplitudes
         if model.aircraft is not None:
             self._amplitudes = np.union1d(self._amplitudes, nominal[1])

@@ -99,18 +99,6 @@ class UpdateProblem:
         """What is larger for the better one of two infeasible points, see `least_infeasible`."""
         return min(float(margins[: self.speed_count].min()), 0.0), float(margins.min())
 
-    def change_cost(self) -> nonstop.QuadraticChangeCost:
-        """The cost of the step from x⁻, for phases that do not depend on ξ."""
-        config = self._traced.config
-        return nonstop.quadratic_change_cost(
-            self.previous,
-            self.data.phase[0] + self._traced.model.pattern.phases,
-            internal_force_weight=config.internal_force_weight,
-            internal_force_rate_weight=config.internal_force_rate_weight,
-            anchor_weight=float(self.data.anchor_weight[0]),
-            nominal=self.beliefs.nominal,
-        )
-
     def margins_but_separation(self, x: NDArray) -> NDArray:
         """The margins (r,) at x but for that of the separation; for reading."""
         return self._margins_and_worst(x)[0]

@@ -15,13 +15,13 @@ from drake_nonstop.optimization.active_set_search import nearest_feasible
 from drake_nonstop.optimization.constraints import FEASIBILITY_TOLERANCE
 from drake_nonstop.optimization.diagnostics import Outcome
 from drake_nonstop.optimization.flight_search import nearest_within_limits
-from drake_nonstop.optimization.grid_search import cheapest_on_grid, least_infeasible_on_grid
 from drake_nonstop.optimization.local_solver import LocalSolver
 from drake_nonstop.optimization.problem_config import (
     NonstopProblemConfig,
     bound_tightening,
     tightened_bound,
 )
+from drake_nonstop.optimization.search_problem import cheapest_on_grid, least_infeasible_on_grid
 from drake_nonstop.optimization.traced_problem import TracedProblem
 from drake_nonstop.optimization.update_data import Beliefs, UpdateData
 from drake_nonstop.optimization.update_problem import UpdateProblem

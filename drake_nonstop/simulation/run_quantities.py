@@ -28,7 +28,7 @@ from drake_nonstop.mechanics.signals import AircraftState, CarrierStates, LoadRe
 from drake_nonstop.model.system import SystemParameters, aircraft_in, overridden
 from drake_nonstop.optimization.diagnostics import Diagnostics
 from drake_nonstop.optimization.limits import Limit, Of, asked
-from drake_nonstop.simulation.planned_shortfall import largest_shortfall
+from drake_nonstop.simulation.measured_speed_margin import measured_speed_margin
 from drake_nonstop.simulation.run import Run
 from drake_nonstop.simulation.signal_table import UnknownSignalError
 from drake_nonstop.systems.tracing import NotFiniteError
@@ -365,7 +365,7 @@ class RunQuantities(Spacing):
     def measured_margin(self) -> float | None:
         """By how much a carrier was slower than planned, m/s; None: unknown."""
         try:
-            return largest_shortfall(self.run)
+            return measured_speed_margin(self.run)
         except NotFiniteError:  # no speeds follow from such a reference
             return None
 

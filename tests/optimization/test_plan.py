@@ -68,8 +68,8 @@ def test_traced_values_are_those_of_the_plan():
     plan = Plan(0.3, 0.7, 0.16, np.array([2.0, 1.1]), coefficients)
 
     def values(numbers, time):
-        start, nominal = (numbers[0], numbers[1]), numbers[2:4]
-        return traced_plan_values(start, 0.16, nominal, numbers[4:].reshape(2, -1), time[0])
+        own = Plan(numbers[0], numbers[1], 0.16, numbers[2:4], numbers[4:].reshape(2, -1))
+        return traced_plan_values(own, time[0])
 
     traced = TracedFunction(values, [22, 1], name=lambda: "plan")
     numbers = np.concatenate([[0.3, 0.7], plan.nominal, coefficients.ravel()])

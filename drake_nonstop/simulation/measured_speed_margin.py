@@ -28,7 +28,7 @@ _SETTLING = 5  # samples at 100 Hz, in which a carrier goes from one planned spe
 _AHEAD = (56.0, -140.0, 120.0, -35.0)  # of the values 5, 6, 7 and 8 samples before: a cubic's value
 
 
-def largest_shortfall(run: Run) -> float | None:
+def measured_speed_margin(run: Run) -> float | None:
     """By how much (m/s) a carrier was at most slower than planned, at 100 Hz, where it matters.
 
     That is what is below the slowest planned speed of all carriers within a nominal turn, half

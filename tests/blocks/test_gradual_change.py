@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from drake_nonstop.optimization.gradual_change import limit_step, raised_bound, step_towards
+from drake_nonstop.blocks.optimization_layer import limit_step, raised_bound, step_towards
 
 TIMES = {"period": 0.01, "change_time": 2.0}
 
