@@ -12,40 +12,24 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.mechanics.cable import cable_forces_and_tensions
-from drake_nonstop.mechanics.carrier import carrier_motion
-from drake_nonstop.mechanics.grasp import cable_forces_and_rates
 from drake_nonstop.mechanics.internal_force import internal_force
-from drake_nonstop.mechanics.rigid_load import RigidLoad, load_state_rate
-from drake_nonstop.mechanics.rotation import quaternion_product, skew
+from drake_nonstop.mechanics.rigid_load import STILL_AIR
+from drake_nonstop.mechanics.rotation import rotation_matrix, skew
 from drake_nonstop.mechanics.sampled_loop import interpolated
-from drake_nonstop.mechanics.signals import (
-    LOAD_REFERENCE_SIZE,
-    LOAD_STATE_SIZE,
-    WIND_SIZE,
-    WRENCH_SIZE,
-    LoadReference,
-    LoadState,
-    TrackingError,
-)
-from drake_nonstop.mechanics.wrench import (
-    FEEDBACK_GAINS,
-    NO_FEEDBACK,
-    tracking_error,
-    wrench_and_rate,
-)
+from drake_nonstop.mechanics.signals import TRACKING_ERROR_SIZE, WRENCH_SIZE, LoadReference
+from drake_nonstop.mechanics.wrench import FEEDBACK_GAINS, NO_FEEDBACK
 from drake_nonstop.model.system import Model
-from drake_nonstop.systems.tracing import TracedFunction
+from drake_nonstop.optimization.load_response import LoadResponse
 from drake_nonstop.validation import require
 
 _PHASES = 32  # of a turn at which the Jacobian is evaluated
 _TURN_OF_FASTEST = 2.0  # rad, that the fastest mode turns in a step, which a series integrates
 _LEAST_STEPS, _MOST_STEPS = 48, 4096  # of a turn
 _STRETCH = 1e-3  # of their length, at an equal share of the weight: cables taken not to stretch
-_LARGEST = 1e100  # of a Jacobian's entries, which are in mixed units
 
-_MOTION = slice(0, 12)  # of rotation, position, angular velocity and velocity among deviations
-_SIZE = 12 + WRENCH_SIZE  # with the integrals
+_ERRORS = TRACKING_ERROR_SIZE  # of rotation, position, angular velocity and velocity
+_ALL = np.ones(_ERRORS)
+_SIZE = _ERRORS + WRENCH_SIZE  # with the integrals
 
 
 class Growth(NamedTuple):
@@ -74,8 +58,7 @@ class LoadDeviations:
         carrier_stiffness: N/m, by which carriers give way along their cables; inf: not at all.
         is_above_load: whether the carriers' references are above the measured load, as those of
             `MeasuredCarrierTrajectory`, instead of above the load's reference.
-        measures_attitude: whether the controllers get the load's attitude; if not, the desired one,
-            as from `DesiredAttitudeFeedback`.
+        is_measured: (12,), 0 for errors of the load that the controllers take as zero, else 1.
     """
 
     def __init__(
@@ -84,43 +67,19 @@ class LoadDeviations:
         *,
         carrier_stiffness: float = math.inf,
         is_above_load: bool = False,
-        measures_attitude: bool = True,
+        is_measured: NDArray = _ALL,
     ):
         self.model = model
         share = model.load_mass * model.gravity / model.n
         compliance = model.cable_compliance or _STRETCH * model.cable_length / share
-        self._stiffness = 1 / (compliance + 1 / carrier_stiffness)
-        self._is_above_load, self._measures_attitude = is_above_load, measures_attitude
-        n, m = model.n, model.m
-        load = model.load
-        self._constants = np.concatenate(
-            [
-                model.attachments.ravel(),
-                model.pseudo_inverse.ravel(),
-                model.pattern.basis.ravel(),
-                model.pattern.offset,
-                load.inertia.ravel(),
-                [
-                    load.mass,
-                    load.drag,
-                    load.angular_drag,
-                    load.gravity,
-                    model.cable_length,
-                    model.cable_compliance,
-                    self._stiffness,
-                    model.cable_damping,
-                ],
-            ]
+        self._response = LoadResponse(
+            model,
+            model,
+            stiffness=1 / (compliance + 1 / carrier_stiffness),
+            stretch=model.cable_compliance,
+            is_above_load=is_above_load,
         )
-        sizes = [_SIZE, 2 * m, LOAD_REFERENCE_SIZE, WIND_SIZE, 30, len(self._constants)]
-        self._rates = TracedFunction(
-            lambda *values: self._trace(n, m, *values),
-            sizes,
-            name=lambda: "the stability of the load",
-            largest=_LARGEST,
-            jacobian_of=0,
-            key=("load deviations", n, m, is_above_load, measures_attitude),
-        )
+        self._is_measured = is_measured
 
     def jacobians(
         self,
@@ -129,27 +88,33 @@ class LoadDeviations:
         angles: NDArray,
         gains: Mapping[str, Any] = NO_FEEDBACK,
         *,
-        wind: NDArray | None = None,
+        wind: NDArray = STILL_AIR,
     ) -> NDArray:
         """The Jacobians (k, 18, 18) at phases θ (k,), rad; other arguments as of `growth`."""
-        packed = np.concatenate(
-            [_of_position(gains), *(_matrix(gains[name]).ravel() for name in FEEDBACK_GAINS[3:])]
-        )
-        calm = np.zeros(WIND_SIZE) if wind is None else wind
         desired = LoadReference.view(reference)
+        rotation = rotation_matrix(desired.quaternion)
         jacobians = np.zeros((len(angles), _SIZE, _SIZE))
         jacobians[:, :6, 6:12] = np.eye(6)
+        jacobians[:, 12:15, :3], jacobians[:, 15:, 3:6] = rotation.T, np.eye(3)
+        jacobians[:, 12:, :6] *= self._is_measured[:6]
         pattern = self.model.pattern
         for k, angle in enumerate(angles):
-            internal = np.concatenate(
-                internal_force(
-                    parameters, np.array([angle]), phases=pattern.phases, orders=pattern.orders
-                )[:2]
+            waves = internal_force(
+                parameters, np.array([angle]), phases=pattern.phases, orders=pattern.orders
             )
-            *_, jacobian = self._rates(
-                np.zeros(_SIZE), internal, reference, calm, packed, self._constants
+            internal = np.zeros((4, 3 * self.model.n))
+            internal[:2] = np.stack(waves[:2]) @ pattern.basis.T
+            internal[0] += pattern.offset
+            found = self._response.at(
+                reference,
+                internal,
+                gains,
+                is_measured=self._is_measured,
+                wind=wind,
             )
-            jacobians[k, 6:] = jacobian
+            jacobians[k, 6:12] = found.load[:, :_SIZE]
+            carriers = found.commands[: 6 * self.model.n]
+            jacobians[k, 6:12] += found.load[:, _SIZE:] @ carriers
         # In axes that turn with the load; there the deviation of the attitude has the rate δω.
         turning = skew(desired.angular_velocity)
         for start in (3, 6, 9, 15):
@@ -162,7 +127,7 @@ class LoadDeviations:
         parameters: NDArray,
         gains: Mapping[str, Any] = NO_FEEDBACK,
         *,
-        wind: NDArray | None = None,
+        wind: NDArray = STILL_AIR,
     ) -> Growth:
         """The multipliers over a turn, with the reference's motion as it is at an instant.
 
@@ -171,7 +136,7 @@ class LoadDeviations:
             parameters: [ξ (rad/s), A (N)] (2,), constant.
             gains: those of `FEEDBACK_GAINS`, each a number or (1,), the orientation's also (3, 3),
                 in L.
-            wind: (3,), m/s, in W; None: there is none.
+            wind: (3,), m/s, in W.
 
         Raises:
             ScenarioError: the load is so light, or its cables are so stiff, that a turn has too
@@ -180,7 +145,7 @@ class LoadDeviations:
         angles = 2 * np.pi * np.arange(_PHASES) / _PHASES
         jacobians = self.jacobians(reference, parameters, angles, gains, wind=wind)
         if not any(np.any(gains[name]) for name in FEEDBACK_GAINS if "integral" in name):
-            jacobians = jacobians[:, _MOTION, _MOTION]
+            jacobians = jacobians[:, :_ERRORS, :_ERRORS]
         period = 2 * math.pi / abs(float(parameters[0]))
         fastest = _fastest(jacobians)
         require(
@@ -193,106 +158,6 @@ class LoadDeviations:
         multipliers = np.linalg.eigvals(_monodromy(jacobians, period, fastest))
         order = np.argsort(-np.abs(multipliers), kind="stable")
         return Growth(period, multipliers[order])
-
-    def _measured(self, state: NDArray, reference: NDArray) -> NDArray:
-        """What the controllers get of a load's state."""
-        if self._measures_attitude:
-            return state
-        (_, position, _, velocity), desired = LoadState.view(state), LoadState.view(reference)
-        return np.concatenate([desired.quaternion, position, desired.angular_velocity, velocity])
-
-    def _trace(
-        self,
-        n: int,
-        m: int,
-        deviation: NDArray,
-        internal: NDArray,
-        reference: NDArray,
-        wind: NDArray,
-        gains: NDArray,
-        constants: NDArray,
-    ) -> tuple[NDArray, NDArray, NDArray]:
-        """The rates of angular velocity and velocity, and of the integrals."""
-        shapes = [(n, 3), (3 * n, 6), (3 * n, m), (3 * n,), (3, 3), *[(1,)] * 8]
-        ends = np.cumsum([math.prod(shape) for shape in shapes])
-        parts = np.split(constants, ends[:-1])
-        attachments, pseudo_inverse, basis, offset, inertia, *numbers = (
-            part.reshape(shape) for part, shape in zip(parts, shapes, strict=True)
-        )
-        mass, drag, angular_drag, gravity, length, compliance, stiffness, damping = numbers
-        load = RigidLoad(
-            mass=mass, inertia=inertia, drag=drag, angular_drag=angular_drag, gravity=gravity
-        )
-        given: dict[str, Any] = {
-            name: gains[i : i + 1] for i, name in enumerate(FEEDBACK_GAINS[:3])
-        }
-        matrices = gains[3:].reshape(3, 3, 3)
-        given |= {name: matrices[i] for i, name in enumerate(FEEDBACK_GAINS[3:])}
-        desired = LoadReference.view(reference)
-        one = 0 * deviation[:1] + 1
-        turn = np.concatenate([one, deviation[:3] / 2])
-        turn = turn / np.sqrt((turn * turn).sum(keepdims=True))
-        state = np.concatenate(
-            [
-                quaternion_product(turn, desired.quaternion),
-                desired.position + deviation[3:6],
-                desired.angular_velocity + deviation[6:9],
-                desired.velocity + deviation[9:12],
-            ]
-        )
-        distribution: dict[str, NDArray] = {
-            "pseudo_inverse": pseudo_inverse,
-            "basis": basis,
-            "offset": offset,
-        }
-
-        def commanded(state: NDArray, integrals: NDArray) -> tuple[NDArray, NDArray, NDArray]:
-            state = self._measured(state, reference)
-            wrench, rate = wrench_and_rate(
-                load, state, reference, integrals, wind, feedforward=1.0, **given
-            )
-            forces, rates = cable_forces_and_rates(state, wrench, rate, internal, **distribution)
-            positions, velocities = carrier_motion(
-                state if self._is_above_load else reference,
-                forces,
-                rates,
-                attachments=attachments,
-                rest_length=length,
-                compliance=compliance,
-            )
-            return forces, positions, velocities
-
-        forces, _, _ = commanded(reference[:LOAD_STATE_SIZE], np.zeros(WRENCH_SIZE))
-        tensions = np.sqrt((forces * forces).sum(axis=1, keepdims=True))
-        _, positions, velocities = commanded(state, deviation[12:])
-        # What a carrier gives way is a part of its cable, which then has another length.
-        on_load, _ = cable_forces_and_tensions(
-            state,
-            np.concatenate([positions.ravel(), velocities.ravel()]),
-            attachments=attachments,
-            rest_length=length + tensions * (compliance - 1 / stiffness),
-            stiffness=stiffness,
-            damping=damping,
-        )
-        rate = load_state_rate(
-            load, state, on_load.ravel(), np.zeros(WRENCH_SIZE), wind, attachments=attachments
-        )
-        of_state = LoadState.view(rate)
-        error = TrackingError.view(tracking_error(self._measured(state, reference), reference))
-        return (
-            of_state.angular_velocity,
-            of_state.velocity,
-            np.concatenate([error.orientation, error.position]),
-        )
-
-
-def _of_position(gains: Mapping[str, Any]) -> NDArray:
-    return np.array([float(np.ravel(gains[name])[0]) for name in FEEDBACK_GAINS[:3]])
-
-
-def _matrix(gain: Any) -> NDArray:
-    """A gain of the orientation as a matrix (3, 3)."""
-    return gain if np.ndim(gain) == 2 else float(np.ravel(gain)[0]) * np.eye(3)
 
 
 def _fastest(jacobians: NDArray) -> float:

@@ -22,10 +22,15 @@ from drake_nonstop.mechanics.internal_force import (
 from drake_nonstop.mechanics.rotation import rotation_matrix
 from drake_nonstop.mechanics.sampled_loop import largest_growth
 from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, LoadReference
-from drake_nonstop.mechanics.tethered_loop import Carriers, Orbit
 from drake_nonstop.mechanics.wrench import feedforward_wrench
 from drake_nonstop.model.system import Model
-from drake_nonstop.optimization.turn_of_loops import Feedback, loops_at, turn_of_loops
+from drake_nonstop.optimization.tethered_loop import (
+    Carriers,
+    Feedback,
+    Orbit,
+    loops_at,
+    turn_of_loops,
+)
 
 _STARTS = 60  # at most, from which on deviations are followed
 _PER_TURN = 4  # likewise
@@ -53,7 +58,7 @@ class SampledGrowth(NamedTuple):
 def growth_on_the_way(
     task: Task, planned: Planned, gains: Mapping[str, Any] | None = None, *, phases: int = 24
 ) -> SampledGrowth:
-    """That of the loop of `mechanics.tethered_loop`, linearized along the plan.
+    """That of the loop of `optimization.tethered_loop`, linearized along the plan.
 
     A loop whose Floquet multipliers are small may still lose the load: where a cable is nearly
     slack for a part of each turn, deviations grow in it before they decay. An attitude's size is

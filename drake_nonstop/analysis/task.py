@@ -169,7 +169,7 @@ class Task:
             self.flown,
             carrier_stiffness=self.response.carrier_stiffness,
             is_above_load=self.response.references.is_above_load,
-            measures_attitude=self.response.measurement.measures_attitude,
+            is_measured=self.response.measurement.is_measured,
         )
 
     def slowed(self, factor: float) -> "Task":

@@ -18,9 +18,8 @@ from drake_nonstop.mechanics.signals import (
     LoadState,
     TrackingError,
 )
-from drake_nonstop.mechanics.tethered_loop import Estimator
 from drake_nonstop.model.block import Block, SelectorBlock
-from drake_nonstop.model.descriptions import LoadMeasurement
+from drake_nonstop.model.descriptions import Estimator, LoadMeasurement
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import LeafBlock, number
 from drake_nonstop.systems.in_context import InContext, shown

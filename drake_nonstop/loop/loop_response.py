@@ -12,7 +12,6 @@ from pydrake.systems.framework import System
 from drake_nonstop.mechanics.reference_preview import ReferencePreview
 from drake_nonstop.mechanics.rotation import rotation_matrix
 from drake_nonstop.mechanics.signals import LoadReference
-from drake_nonstop.mechanics.tethered_loop import Carriers
 from drake_nonstop.mechanics.wrench import NO_FEEDBACK
 from drake_nonstop.model.descriptions import (
     WIND,
@@ -31,7 +30,7 @@ from drake_nonstop.optimization.speed_margin import (
     SpeedMargin,
     speed_margin,
 )
-from drake_nonstop.optimization.turn_of_loops import Feedback
+from drake_nonstop.optimization.tethered_loop import Carriers, Feedback
 from drake_nonstop.systems import wiring
 from drake_nonstop.validation import warn_user
 

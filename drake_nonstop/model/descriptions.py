@@ -10,8 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.mechanics.signals import TRACKING_ERROR_SIZE, TrackingError
-from drake_nonstop.mechanics.tethered_loop import Estimator
+from drake_nonstop.mechanics.signals import TRACKING_ERROR_SIZE
 from drake_nonstop.mechanics.wind import MeanWind, risen_share
 from drake_nonstop.systems.block import is_of_package
 from drake_nonstop.systems.tracing import chosen
@@ -58,6 +57,25 @@ class PseudoInverse(NamedTuple):
     """A `force_distribution` by the pseudo-inverse of the grasp matrix, and the pattern."""
 
 
+class Estimator(NamedTuple):
+    """The errors of a filter of the load's state: d⁺ = (I − K) F d + K (those of its measurement).
+
+    Its predictions are taken as exact, as they are to T²/12 times a change of the acceleration
+    where rates are measured exactly. Phases that each stand still would make that change jump.
+    """
+
+    gain: NDArray  # K (12, 12)
+    transition: NDArray  # F (12, 12)
+
+    @classmethod
+    def of(cls, rotation_gain: NDArray, translation_gain: NDArray, period: float) -> "Estimator":
+        """That of gains (2, 2) of [pose; rate], which goes on with its rates for a period in s."""
+        gain = np.zeros((4, 4))
+        gain[::2, ::2], gain[1::2, 1::2] = rotation_gain, translation_gain
+        transition = np.eye(4) + period * np.eye(4, k=2)
+        return cls(np.kron(gain, np.eye(3)), np.kron(transition, np.eye(3)))
+
+
 class LoadMeasurement(NamedTuple):
     """What a `load_feedback` does with the errors [e_R, e_p, e_ω, e_v] of the load; SI."""
 
@@ -66,11 +84,6 @@ class LoadMeasurement(NamedTuple):
     delay: float = 0.0  # s
     period: float = 0.0  # s, between samples; 0: it is continuous
     estimator: Estimator | None = None  # behind the measurement
-
-    @property
-    def measures_attitude(self) -> bool:
-        """Whether the controllers get the load's attitude; if not, the desired one."""
-        return bool(np.any(TrackingError.view(self.is_measured).orientation))
 
 
 class Gusts(NamedTuple):

@@ -27,14 +27,20 @@ from drake_nonstop.mechanics.sampled_loop import (
     waves_deviation,
 )
 from drake_nonstop.mechanics.signals import LoadReference
-from drake_nonstop.mechanics.tethered_loop import Carriers, Inputs, Orbit
 from drake_nonstop.model.descriptions import Gusts
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.horizon_config import HorizonConfig, timed
 from drake_nonstop.optimization.orbit_constraints import OrbitConstraints
 from drake_nonstop.optimization.problem_config import LimitsConfig, amplitude_range, with_fields_of
 from drake_nonstop.optimization.terminal_set import product_limits
-from drake_nonstop.optimization.turn_of_loops import Feedback, TurnOfLoops, turn_of_loops
+from drake_nonstop.optimization.tethered_loop import (
+    Carriers,
+    Feedback,
+    Inputs,
+    Orbit,
+    TurnOfLoops,
+    turn_of_loops,
+)
 
 DEVIATIONS = 5.0  # standard deviations of noise: a normal value falls below with 2.9e-7
 _PHASES = 48  # of the orbits, at which speeds and their rates are looked at
@@ -460,7 +466,7 @@ def _of_jump(g: NDArray, task: _Task, orbit: Orbit) -> NDArray:
 def _velocity_jumps(task: _Task, orbit: Orbit) -> NDArray:
     """The jumps (3n, 3) of the planned velocities for jumps of the reference's jerk, m/s³.
 
-    M G† [0; m e], as in `mechanics.tethered_loop`.
+    M G† [0; m e], as in `optimization.tethered_loop`.
     """
     model = task.model
     rates = (model.pseudo_inverse[:, 3:] * model.load_mass).reshape(model.n, 3, 3)

@@ -126,10 +126,17 @@ def test_cables_carry_the_simulated_load(mass):
 
 
 @pytest.mark.parametrize("is_measured", [True, False])
-def test_the_attitude_of_a_task_is_measured_where_its_feedback_does(is_measured):
+def test_the_attitude_of_a_task_is_fed_back_where_it_is_measured(is_measured):
     feedback = "IdealFeedback" if is_measured else "DesiredAttitudeFeedback"
     task = task_of(load_scenario("quintic", [f"load_feedback={feedback}"]))
-    assert task.response.measurement.measures_attitude == is_measured
+    gains = dict(task.response.feedback.gains)
+    for name in ("orientation_gain", "angular_velocity_gain"):
+        other = gains | {name: 2 * np.asarray(gains[name])}
+        own, changed = (
+            task.deviations().jacobians(REST, task.nominal, np.zeros(1), each)
+            for each in (gains, other)
+        )
+        assert (np.max(np.abs(own - changed)) > 1e-3) == is_measured
 
 
 def test_what_is_named_against_an_unstable_formation_makes_it_stable(unstable, monkeypatch):

@@ -17,14 +17,7 @@ from drake_nonstop.loop.loop_response import loop_response, speed_margin_for
 from drake_nonstop.loop.plant_states import PlantStates
 from drake_nonstop.mechanics.sampled_loop import noise_deviation, responses
 from drake_nonstop.mechanics.signals import CarrierStates, LoadState
-from drake_nonstop.mechanics.tethered_loop import (
-    Cables,
-    Carriers,
-    Estimator,
-    Inputs,
-    Orbit,
-    tethered_loop,
-)
+from drake_nonstop.model.descriptions import Estimator
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.problem_config import (
     LimitsConfig,
@@ -32,6 +25,13 @@ from drake_nonstop.optimization.problem_config import (
     tightened_bound,
 )
 from drake_nonstop.optimization.speed_margin import DEVIATIONS
+from drake_nonstop.optimization.tethered_loop import (
+    Carriers,
+    Feedback,
+    Inputs,
+    Orbit,
+    loops_at,
+)
 from drake_nonstop.scenario.loading import dump_scenario, load_scenario, parse_scenario
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.simulation.metrics import compute_metrics
@@ -95,28 +95,16 @@ def orbits(model, count, first=None, amplitude=1.2, frequency=2.0):
 
 
 def loops_of(model, gains, count, is_measured, estimator=None, **parameters):
-    cables = Cables(
-        attachments=model.attachments,
-        stiffness=model.cable_stiffness,
-        damping=model.cable_damping,
-        rest_length=model.cable_length,
-        compliance=model.cable_compliance,
+    feedback = Feedback(
+        gains=gains,
+        deviations=np.zeros(12),
+        is_measured=is_measured,
+        delay=0,
+        period=0.01,
+        estimator=estimator,
     )
     carriers = Carriers(position_gain=1e4, velocity_gain=100.0)
-    return [
-        tethered_loop(
-            model.load,
-            cables,
-            carriers,
-            gains,
-            orbit,
-            pseudo_inverse=model.pseudo_inverse,
-            period=0.01,
-            is_measured=is_measured,
-            estimator=estimator,
-        )
-        for orbit in orbits(model, count, **parameters)
-    ]
+    return loops_at(model, model, carriers, feedback, orbits(model, count, **parameters))
 
 
 def test_without_feedback_the_modes_are_those_of_the_linearized_diagram():
