@@ -34,7 +34,7 @@ from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.outcome import LIMITS
 from drake_nonstop.simulation.run import Run, StepCheck
 from drake_nonstop.simulation.run_quantities import RunQuantities
-from drake_nonstop.studies.ablation import read_grid
+from drake_nonstop.studies.grids import read_grid
 from drake_nonstop.studies.journal import Journal, StudyInterrupted, open_journal, settings_of
 from drake_nonstop.studies.run_all import COMPLETED, FAILED, SerialExecutor, attempt, run_all
 from drake_nonstop.systems.block import release
@@ -257,18 +257,18 @@ def study(
                     what="tasks",
                 )
             )
-        missing = [(k, name) for k in seeds for name in variants if k not in journals[name]]
+        keys = [(seed, name) for seed in seeds for name in variants]
         with TaskProgress() as progress:
             run_all(
                 _result,
-                missing,
+                keys,
                 lambda key: (key[1] == _CHECK, tasks, key[0], condition, variants[key[1]]),
                 lambda key, result: journals[key[1]].record(key[0], result),
                 lambda key, error: _without_run(FAILED, error),
+                done={key for key in keys if key[0] in journals[key[1]]},
                 executor=SerialExecutor() if is_serial else None,
                 what="flying",
                 progress=progress,
-                already_done=len(seeds) * len(variants) - len(missing),
             )
         # None is finished: a finished one would begin again.
         return {name: [journals[name].result(k) for k in seeds] for name in variants}

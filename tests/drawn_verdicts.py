@@ -194,17 +194,16 @@ def study(
         open_journal(folder, settings, seeds, _RESULT, restart=restart, what="tasks") as journal,
         TaskProgress() as progress,
     ):
-        missing = [seed for seed in seeds if seed not in journal]
         run_all(
             looked_at,
-            missing,
+            seeds,
             lambda seed: (seed,),
             journal.record,
             lambda seed, error: {"verdict": "", "said": [], "outcome": FAILED, "reasons": [error]},
+            done=journal,
             executor=SerialExecutor() if is_serial else None,
             what="checking and flying",
             progress=progress,
-            already_done=len(seeds) - len(missing),
         )
         return [journal.result(seed) for seed in seeds]
 

@@ -41,7 +41,7 @@ class Journal:
         self._has_begun = False
         self._places: dict[int | str, int] = {}  # of the results, in the file
 
-    def __contains__(self, key: int | str) -> bool:
+    def __contains__(self, key: object) -> bool:
         return key in self._places
 
     def __len__(self) -> int:

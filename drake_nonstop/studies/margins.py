@@ -120,16 +120,15 @@ def find_margins(
             arguments: Callable[[str], tuple],
             what: str,
         ) -> None:
-            missing = [key for key in wanted if key not in journal]
             run_all(
                 function,
-                missing,
+                wanted,
                 arguments,
                 lambda key, result: journal.record(key, {"found": result}),
                 failed,
                 what=what,
+                done=journal,
                 progress=progress,
-                already_done=len(wanted) - len(missing),
             )
 
         def measure_arguments(key: str) -> tuple:

@@ -13,12 +13,14 @@ import time
 import warnings
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from concurrent.futures import BrokenExecutor
+from dataclasses import dataclass, field
+from functools import partial
 from multiprocessing import Pipe, current_process, get_context, parent_process, resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from drake_nonstop.simulation.interruption import before_end
 from drake_nonstop.studies.files import remove_unfinished
@@ -39,19 +41,29 @@ _MAX_FAILED_STARTS = 3  # in a row
 _RESTART_PAUSE = 0.2  # s, in which a process that was killed ends
 _GUARD = '`if __name__ == "__main__":`'
 
-# What a worker sends, with a value or a text.
-_READY, _KEEPING, _RESULT, _BAD_INPUT, _ERROR = range(5)
+_READY, _KEEPING = "ready", "keeping"  # what a worker sends besides answers
 
 _connection: Connection | None = None  # to the parent, in a worker
 
 
-@dataclass(frozen=True, kw_only=True)
-class Answer:
+class Answer(NamedTuple):
     """What became of a call: its result, or the message of its error."""
 
     result: Any = None
     error: str = ""
     is_bad_input: bool = False  # the error is a ScenarioError
+
+    @classmethod
+    def of(cls, call: Callable[[], Any]) -> "Answer":
+        """The answer of a call; raises only what breaks an executor, or Ctrl-C."""
+        try:
+            return cls(result=call())
+        except ScenarioError as error:
+            return cls(error=message_of(error), is_bad_input=True)
+        except BrokenExecutor:
+            raise
+        except (Exception, SystemExit) as error:  # such as the SystemExit of a block
+            return cls(error=one_line(error))
 
 
 def require_main() -> None:
@@ -107,7 +119,7 @@ def deferred_signals(most: int = 1) -> Iterator[None]:
 def keep_what_is_done() -> None:
     """Has an interrupt wait, for a short time, for the result of the call that this is part of."""
     if _connection is not None:
-        _connection.send_bytes(pickle.dumps((_KEEPING, None)))
+        _connection.send(_KEEPING)
 
 
 def call_in_processes(
@@ -135,10 +147,8 @@ def call_in_processes(
     """
     require_main()
     calls = _Calls(function, arguments, record)
-    calls.make(keys, os.cpu_count() or 1)
-    for key in calls.take_died():
-        calls.make([key], 1)
-        if calls.take_died():
+    for key in calls.make(keys, os.cpu_count() or 1):
+        if calls.make([key], 1):
             record(key, Answer(error=PROCESS_DIED))
 
 
@@ -173,31 +183,21 @@ def _kill_workers() -> None:
 before_end.insert(0, _kill_workers)  # before what they were writing is removed
 
 
+@dataclass
 class _Calls:
     """The calls of a function in workers."""
 
-    def __init__(
-        self,
-        function: Callable[..., Any],
-        arguments: Callable[[Any], tuple],
-        record: Callable[[Any, Answer], None],
-    ):
-        self._function = function
-        self._arguments = arguments
-        self._record = record
-        self._workers: list[_Worker] = []
-        self._died: list[Any] = []
-        self._has_started = False
-        self._failed_starts = 0
+    _function: Callable[..., Any]
+    _arguments: Callable[[Any], tuple]
+    _record: Callable[[Any, Answer], None]
+    _workers: list[_Worker] = field(default_factory=list)
+    _died: list[Any] = field(default_factory=list)  # keys of the calls whose processes have died
+    _has_started: bool = False
+    _failed_starts: int = 0
 
-    def take_died(self) -> list[Any]:
-        """The keys of the calls whose processes have died since this was asked last."""
-        died, self._died = self._died, []
-        return died
-
-    def make(self, keys: Iterable[Any], count: int) -> None:
-        """Makes these calls, in so many processes at most."""
-        waiting = deque(keys)
+    def make(self, keys: Iterable[Any], count: int) -> list[Any]:
+        """Makes these calls, in so many processes at most; returns those whose processes died."""
+        waiting, self._died = deque(keys), []
         is_interrupt, ending_time = False, 0.0
         try:
             while waiting or any(worker.is_busy for worker in self._workers):
@@ -209,6 +209,7 @@ class _Calls:
                         self._give(worker, waiting.popleft())
                 self._hear(wait_for=None)
             ending_time = _ENDING_TIME
+            return self._died
         except BaseException as error:
             is_interrupt = not isinstance(error, Exception)
             raise
@@ -266,30 +267,22 @@ class _Calls:
 
     def _take(self, worker: _Worker) -> None:
         """Takes one message of a worker, or its end."""
-        message = b""
+        message: Any = None
         with contextlib.suppress(OSError, EOFError):
             if worker.connection.poll():
-                message = worker.connection.recv_bytes()
-        if not message:
+                message = worker.connection.recv()
+        if message is None:
             self._lose(worker)
-            return
-        try:
-            kind, value = pickle.loads(message)
-        except Exception as error:  # a result that this process cannot import
-            kind, value = _ERROR, one_line(error)
-        if kind == _READY:
+        elif message == _READY:
             worker.is_ready = self._has_started = True
             self._failed_starts = 0
-        elif kind == _KEEPING:
+        elif message == _KEEPING:
             worker.is_keeping = True
         else:
             worker.is_busy = worker.is_keeping = False
-            answer = (
-                Answer(result=value)
-                if kind == _RESULT
-                else Answer(error=value, is_bad_input=kind == _BAD_INPUT)
-            )
-            self._record(worker.key, answer)
+            if not message.error:  # which may be of what this process cannot import
+                message = Answer.of(partial(pickle.loads, message.result))
+            self._record(worker.key, message)
 
     def _lose(self, worker: _Worker) -> None:
         """Notes the end of a worker.
@@ -380,20 +373,14 @@ def _work(connection: Connection) -> None:
     warnings.showwarning = show_warning
     gc.freeze()  # the collector need not look at what the imports made
     with contextlib.suppress(EOFError, OSError):
-        connection.send_bytes(pickle.dumps((_READY, None)))
+        connection.send(_READY)
         while True:
-            connection.send_bytes(_answer(connection.recv_bytes()))
+            connection.send(Answer.of(partial(_result, connection.recv_bytes())))
 
 
-def _answer(call: bytes) -> bytes:
-    """The message with the answer to a call."""
-    try:
-        function, arguments = pickle.loads(call)
-        return pickle.dumps((_RESULT, function(*arguments)))
-    except ScenarioError as error:
-        return pickle.dumps((_BAD_INPUT, message_of(error)))
-    except BaseException as error:  # such as the SystemExit of a block
-        return pickle.dumps((_ERROR, one_line(error)))
+def _result(call: bytes) -> bytes:
+    function, arguments = pickle.loads(call)
+    return pickle.dumps(function(*arguments))
 
 
 def _exit_with_parent() -> None:

@@ -132,15 +132,14 @@ def robustness(
     settings = robustness_settings(scenario, seed)
     keys = range(len(cases))
     with open_journal(folder, settings, keys, _RESULT, restart=restart, what="cases") as journal:
-        missing = [key for key in keys if key not in journal]
         run_all(
             _measured,
-            missing,
+            keys,
             lambda key: (text, cases[key].overrides),
             journal.record,
             lambda key, error: {"ending": FAILED, "message": error, "metrics": {}},
+            done=journal,
             progress=progress,
-            already_done=len(cases) - len(missing),
         )
         journal.finish()
         return [dataclasses.replace(case, **journal.result(k)) for k, case in enumerate(cases)]

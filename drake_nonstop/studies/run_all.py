@@ -2,9 +2,10 @@
 
 import warnings
 from collections import deque
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Container, Hashable, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, TypeVar
 
 from drake_nonstop.scenario.schema import AUTO, COMPILED, Scenario
@@ -38,10 +39,10 @@ def run_all(
     record: Callable[[Key, Result], None],
     failed: Callable[[Key, str], Result],
     *,
+    done: Container[Key] = (),
     executor: Executor | None = None,
     what: str = "simulating",
     progress: Progress = no_progress,
-    already_done: int = 0,
 ) -> None:
     """Calls a function once per key, in a process per core, and records results as they come.
 
@@ -50,38 +51,37 @@ def run_all(
     write results (`keep_what_is_done`) have two seconds to end, unless Ctrl-C comes again.
 
     Args:
-        function: called in another process, so it must be one that can be imported there.
+        function: one that other processes can import.
         keys: one for each call, all different.
         arguments: the function's arguments for a key, which must be picklable.
         record: called with a key and its result, in the order in which results come.
         failed: makes the result of a key from an error message, where the function raised
             anything but ScenarioError, or where its process died. It may raise instead.
+        done: keys that are not called again, such as a `Journal`.
         executor: any of concurrent.futures' kind, in place of a process per core. It is not shut
             down, and its processes are its own concern.
         what: the description of the calls for progress.
-        progress: called after each record with `what` and the share of calls that are done.
-        already_done: the number of calls of an earlier time that count in this share.
+        progress: called after each record with `what` and the share of keys that are done.
 
     Raises:
         ScenarioError: the function raised it, processes end as they start, or the executor
             cannot be used.
         KeyboardInterrupt: Ctrl-C; what was recorded stays.
     """
-    done = already_done
+    missing = [key for key in keys if key not in done]
+    count = len(keys) - len(missing)
 
     def record_answer(key: Key, answer: Answer) -> None:
-        nonlocal done
+        nonlocal count
         if answer.is_bad_input:
             raise ScenarioError(answer.error)
         record(key, failed(key, answer.error) if answer.error else answer.result)
-        done += 1
-        progress(what, done / (already_done + len(keys)))
+        count += 1
+        progress(what, count / len(keys))
 
     require(callable(progress), "progress", progress, "give a function, such as a TaskProgress()")
-    if executor is None:
-        call_in_processes(function, keys, arguments, record_answer)
-    else:
-        _call_in(executor, function, keys, arguments, record_answer)
+    call = call_in_processes if executor is None else partial(_call_in, executor)
+    call(function, missing, arguments, record_answer)
 
 
 def _call_in(
@@ -100,22 +100,6 @@ def _call_in(
     require(is_one, "executor", executor, "give one of concurrent.futures' kind, or None")
     name = type(executor).__name__
 
-    def broken(error: BrokenExecutor) -> ScenarioError:
-        return ScenarioError(
-            f"executor = {name}: its workers end or cannot be used ({one_line(error)}); give "
-            "another one, or none for processes that are replaced where they end"
-        )
-
-    def answer_of(future: Future) -> Answer:
-        try:
-            return Answer(result=future.result())
-        except ScenarioError as error:
-            return Answer(error=message_of(error), is_bad_input=True)
-        except BrokenExecutor as error:
-            raise broken(error) from None
-        except Exception as error:
-            return Answer(error=one_line(error))
-
     waiting = deque(keys)
     pending: dict[Future, Key] = {}
     try:
@@ -123,8 +107,8 @@ def _call_in(
             while waiting and len(pending) < _MAX_PENDING:
                 try:
                     future = executor.submit(function, *arguments(waiting[0]))
-                except BrokenExecutor as error:  # as its calls tell, where they end first
-                    raise broken(error) from None
+                except BrokenExecutor:
+                    raise
                 except RuntimeError as error:  # it is shut down
                     remedy = f"give one that takes calls ({one_line(error)})"
                     raise ScenarioError(f"executor = {name}: {remedy}") from None
@@ -133,7 +117,12 @@ def _call_in(
                     break  # a serial executor: recorded before the next one is run
             for future in wait(pending, return_when=FIRST_COMPLETED).done:
                 with deferred_signals():
-                    record(pending.pop(future), answer_of(future))
+                    record(pending.pop(future), Answer.of(future.result))
+    except BrokenExecutor as error:
+        raise ScenarioError(
+            f"executor = {name}: its workers end or cannot be used ({one_line(error)}); give "
+            "another one, or none for processes that are replaced where they end"
+        ) from None
     finally:
         for future in pending:
             future.cancel()

@@ -137,17 +137,16 @@ def sweep(
                     (new / _SCENARIO).write_text(text, encoding="utf-8")
             journal.record(number, fields)
 
-        missing = [number for number in range(total) if number not in journal]
         run_all(
             _simulated,
-            missing,
+            range(total),
             lambda number: (text, spec.run(number).overrides, trust, make_loop),
             record,
             lambda number, error: (True, _without_run(FAILED, error)),
             executor=executor,
             what=f"simulating {total} runs",
+            done=journal,
             progress=progress,
-            already_done=total - len(missing),
         )
         return _write_tables(folder, spec, journal)
 

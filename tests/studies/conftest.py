@@ -5,9 +5,7 @@ import sys
 
 import pytest
 
-from drake_nonstop.studies import margins, robustness
-from drake_nonstop.studies.ablation import page
-from drake_nonstop.studies.ablation import runs as ablation_runs
+from drake_nonstop.studies import ablation, ablation_page, margins, robustness
 from drake_nonstop.studies.run_all import SerialExecutor, run_all
 
 # A wind with the faults that a block can have.
@@ -66,6 +64,6 @@ def faulty_blocks(tmp_path_factory):
 def serial_runs(undrawn, monkeypatch):
     """Has studies make their runs one after the other in this process, and draw nothing."""
     serial = functools.partial(run_all, executor=SerialExecutor())
-    for module in (ablation_runs, margins, robustness):
+    for module in (ablation, margins, robustness):
         monkeypatch.setattr(module, "run_all", serial)
-    monkeypatch.setattr(page, "_draw", lambda *arguments: None)
+    monkeypatch.setattr(ablation_page, "_draw", lambda *arguments: None)

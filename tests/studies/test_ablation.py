@@ -22,20 +22,18 @@ from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.scenario.schema import check
 from drake_nonstop.simulation.metrics import flattened
-from drake_nonstop.studies.ablation import (
+from drake_nonstop.studies import ablation
+from drake_nonstop.studies.ablation import ablate
+from drake_nonstop.studies.ablation_page import PAGE, write_page
+from drake_nonstop.studies.ablation_tables import (
     BASE,
     Row,
-    ablate,
     as_csv,
     as_markdown,
     as_text,
-    grid_names,
-    name_overrides,
     ordered,
-    read_grid,
 )
-from drake_nonstop.studies.ablation import runs as ablation_runs
-from drake_nonstop.studies.ablation.page import PAGE, Curves, write_page
+from drake_nonstop.studies.grids import grid_names, name_overrides, read_grid
 from drake_nonstop.studies.journal import JOURNAL, StudyInterrupted
 from drake_nonstop.studies.run_all import COMPLETED, DIVERGED, FAILED, UNBUILDABLE
 from drake_nonstop.systems.block import LeafBlock
@@ -194,14 +192,14 @@ ROWS = [
 ]
 
 CURVES = {
-    "base": Curves(
-        sample_times=np.arange(2.0),
-        position_error=np.ones(2),
-        step_times=np.arange(2.0),
-        slowest_speed=np.ones(2),
-        speed_bound=np.ones(2),
-        least_tension=np.ones(2),
-    )
+    "base": {
+        "sample_times": [0.0, 1.0],
+        "position_error": [1.0, 1.0],
+        "step_times": [0.0, 1.0],
+        "slowest_speed": [1.0, 1.0],
+        "speed_bound": [1.0, 1.0],
+        "least_tension": [1.0, 1.0],
+    }
 }
 
 
@@ -481,7 +479,7 @@ def test_an_interrupted_repetition_keeps_table_page_and_plots(tmp_path, monkeypa
         record(keys[0], run(*arguments(keys[0])))
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(ablation_runs, "run_all", first_only)
+    monkeypatch.setattr(ablation, "run_all", first_only)
     with pytest.raises(StudyInterrupted, match="1 of 2 variants"):
         ablate(scenario, {"a": ["system.load_mass=1.1"]}, tmp_path, replay=False)
     assert (tmp_path / JOURNAL).exists()
@@ -489,7 +487,7 @@ def test_an_interrupted_repetition_keeps_table_page_and_plots(tmp_path, monkeypa
 
 
 @pytest.mark.parametrize(
-    "item", ["a", "as_it_is/metrics.json/x", "a/signals.npz/x", ".curves", "index.html/x"]
+    "item", ["a", "as_it_is/metrics.json/x", "a/signals.npz/x", "index.html/x"]
 )
 def test_what_is_in_the_way_of_any_result_is_said_before_any_run(tmp_path, item):
     path = tmp_path / item

@@ -56,11 +56,11 @@ def results(values, **options):
 def test_a_result_or_an_error_for_each_key(executor):
     shares = []
     found = results(
-        [1, "error", 3],
+        [0, 1, "error", 3],
+        done=[0],
         executor=executor,
         what="doubling",
         progress=lambda what, share: shares.append((what, share)),
-        already_done=1,
     )
     assert found == {1: 2, "error": "failed: ValueError: no number", 3: 6}
     assert shares == [("doubling", 2 / 4), ("doubling", 3 / 4), ("doubling", 1.0)]

@@ -1,26 +1,68 @@
-"""The tables of a comparison: CSV, Markdown and text for a terminal."""
+"""The rows of a comparison, and its tables: CSV, Markdown and text for a terminal."""
 
 import csv
 import io
 import itertools
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from drake_nonstop.simulation.metrics import METRICS, Metric, flattened
-from drake_nonstop.studies.ablation.rows import (
-    SLOWEST_SPEED,
-    TIME_BELOW_BOUND,
-    Row,
-    change_of,
-    ordered,
-)
+from drake_nonstop.simulation.metrics import METRICS, Metric, flattened, metric_at
 from drake_nonstop.studies.run_all import COMPLETED
 
+BASE = "as it is"  # the name of the scenario without any change
+
+OUTCOME = metric_at("outcome")
+POSITION_ERROR = metric_at("load.position_error_mean_m")
+TIME_BELOW_BOUND = metric_at("carriers.time_below_bound_s")
+SLOWEST_SPEED = metric_at("carriers.speed_min_m_s")
 _NAME_WIDTH = 26  # characters, of a variant in the terminal
 _NO_VALUE = "–"  # in place of what was not measured
 _SMALLEST_CHANGE = 0.0005  # as shown; a smaller one is shown as ≈ 0
+_BAR = r"\|"  # in a cell of Markdown
+
+
+@dataclass(kw_only=True)
+class Row:
+    """The result of a variant.
+
+    `metrics` are those of `folder`/metrics.json, up to where the run ended; None where there
+    was no run. `message` says why a variant that is not "completed" is "diverged", "failed"
+    (a block raised an error, or the process died) or "unbuildable".
+    """
+
+    variant: str
+    folder: str  # of its results, in the folder of all
+    overrides: list[str]  # "path=value"
+    ending: str = COMPLETED
+    message: str = ""
+    metrics: dict[str, Any] | None = None
+
+
+def ordered(rows: Sequence[Row], metric: Metric = POSITION_ERROR) -> list[Row]:
+    """The first row, and the others by the size of their change of a metric, largest first.
+
+    A run that did not complete has no such change: it comes before those that have one, and a
+    variant without any run comes last.
+    """
+    base, *others = rows
+
+    def rank(row: Row) -> tuple[int, float]:
+        if row.metrics is None:
+            return 2, 0.0
+        change = change_of(row, base, metric)
+        return (0, 0.0) if change is None else (1, -abs(change))
+
+    return [base, *sorted(others, key=rank)]
+
+
+def change_of(row: Row, base: Row, metric: Metric) -> float | None:
+    """A metric's difference from the first row's; None unless both runs completed."""
+    values = [metric.value(r.metrics) for r in (row, base)]
+    if not all(r.ending == COMPLETED for r in (row, base)) or None in values:
+        return None
+    return values[0] - values[1]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,29 +113,30 @@ COLUMNS = _columns()
 
 def as_csv(rows: Sequence[Row]) -> str:
     """Every metric that is one value, a row per variant; columns are named by metrics' paths."""
-    flat = [dict(_flattened(row.metrics or {})) for row in rows]
+    flat = [flattened(row.metrics or {}) for row in rows]
     paths = list(dict.fromkeys(itertools.chain.from_iterable(flat)))
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(["variant", "folder", "overrides", "ending", "message", *paths])
     for row, metrics in zip(rows, flat, strict=True):
         about = row.variant, row.folder, "; ".join(row.overrides), row.ending, row.message
-        writer.writerow([*about, *(metrics.get(path, "") for path in paths)])
+        writer.writerow([*about, *(_csv_cell(metrics.get(path)) for path in paths)])
     return text.getvalue()
 
 
-def _flattened(metrics: Mapping[str, Any]) -> Iterable[tuple[str, str]]:
-    """Paths and values, written as in JSON but for texts and what was not measured."""
-    for path, value in flattened(metrics).items():
-        text = value if isinstance(value, str) else json.dumps(value)
-        yield path, "" if value is None else text
+def _csv_cell(value: Any) -> str:
+    """A value as in JSON, but for texts and what was not measured."""
+    return "" if value is None else value if isinstance(value, str) else json.dumps(value)
 
 
 def as_markdown(rows: Sequence[Row]) -> str:
     """The table, the order by the time below the bound, and problems."""
-    headings = ["variant", *(column.heading for column in COLUMNS)]
-    lines = [_markdown_line(headings), _markdown_line(["---"] + ["---:"] * len(COLUMNS))]
-    lines += [_markdown_line([labelled(row), *_cells(row, rows[0])]) for row in rows]
+    table = [
+        ["variant", *(column.heading for column in COLUMNS)],
+        ["---"] + ["---:"] * len(COLUMNS),
+    ]
+    table += [[labelled(row), *_cells(row, rows[0])] for row in rows]
+    lines = [f"| {' | '.join(cell.replace('|', _BAR) for cell in cells)} |" for cells in table]
     effects, unaffected = effects_on_bound(rows)
     if effects:
         lines += ["", "By their effect on the time below the bound:", ""]
@@ -104,10 +147,6 @@ def as_markdown(rows: Sequence[Row]) -> str:
     if problems:
         lines += ["", *(f"- {problem}" for problem in problems)]
     return "\n".join(lines) + "\n"
-
-
-def _markdown_line(cells: Iterable[str]) -> str:
-    return f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
 
 
 def as_text(rows: Sequence[Row]) -> str:

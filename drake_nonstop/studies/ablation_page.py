@@ -2,93 +2,57 @@
 
 import html
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
 from importlib import resources
 from pathlib import Path
 from string import Template
 from urllib.parse import quote
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.metrics import value_at
 from drake_nonstop.simulation.run import Run
 from drake_nonstop.simulation.run_quantities import RunQuantities
-from drake_nonstop.simulation.stored_run import read_arrays
-from drake_nonstop.studies.ablation.rows import (
+from drake_nonstop.studies.ablation_tables import (
+    COLUMNS,
     OUTCOME,
     POSITION_ERROR,
     SLOWEST_SPEED,
     TIME_BELOW_BOUND,
     Row,
-)
-from drake_nonstop.studies.ablation.tables import (
-    COLUMNS,
     effects_on_bound,
     labelled,
     problems_of,
     shown,
 )
 from drake_nonstop.studies.figures import make_overlay_figure
-from drake_nonstop.studies.files import open_regular, replacing_file
 from drake_nonstop.studies.run_all import COMPLETED
 from drake_nonstop.visualization.figure_style import extreme_samples
 from drake_nonstop.visualization.replay import legend
 
 PAGE = "index.html"
 PLOTS = ("position_error.png", "slowest_speed.png", "tension_min.png")
+_MOST_POINTS = 4000  # of a curve: those of all runs are in memory at once
+Curves = Mapping[str, Sequence[float]]  # by the names that `curves_of` has
 
 
-@dataclass(kw_only=True)
-class Curves:
-    """The curves of a run in the plots: samples at 100 Hz, and steps of the integrator.
-
-    Of a long run they have its extreme values only: those of all runs are in memory at once.
-    """
-
-    sample_times: NDArray  # (samples,), s
-    position_error: NDArray  # (samples,), m
-    step_times: NDArray  # (steps,), s
-    slowest_speed: NDArray  # (steps,), m/s
-    speed_bound: NDArray  # (steps,), m/s
-    least_tension: NDArray  # (steps,), N
-
-    @classmethod
-    def of(cls, run: Run) -> "Curves":
-        """The curves of a run."""
-        quantities = RunQuantities(run)
-        errors = quantities.position_error
-        steps = np.column_stack(
-            [
-                quantities.speeds.min(axis=1),
-                quantities.speed_bounds,
-                quantities.tensions.min(axis=1),
-            ]
-        )
-        sampled, stepped = extreme_samples(errors), extreme_samples(steps)
-        slowest_speed, speed_bound, least_tension = steps[stepped].T
-        return cls(
-            sample_times=run.time[sampled],
-            position_error=errors[sampled],
-            step_times=quantities.time[stepped],
-            slowest_speed=slowest_speed,
-            speed_bound=speed_bound,
-            least_tension=least_tension,
-        )
-
-    def save(self, path: Path) -> None:
-        """Writes the curves to a file."""
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with replacing_file(path) as file:
-            np.savez(file, **vars(self))
-
-    @classmethod
-    def load(cls, path: Path) -> "Curves":
-        """The curves in a file; raises OSError, ValueError or KeyError where it has none."""
-        with open_regular(path) as file:
-            arrays = read_arrays(file)
-        return cls(**{field.name: arrays[field.name] for field in fields(cls)})
+def curves_of(run: Run) -> dict[str, list[float]]:
+    """The curves of a run in the plots; of a long run its extreme values only."""
+    quantities = RunQuantities(run)
+    errors, speeds = quantities.position_error, quantities.speeds.min(axis=1)
+    tensions = quantities.tensions.min(axis=1)
+    sampled = extreme_samples(errors, _MOST_POINTS)
+    stepped = extreme_samples(
+        np.column_stack([speeds, quantities.speed_bounds, tensions]), _MOST_POINTS
+    )
+    return {
+        "sample_times": run.time[sampled].tolist(),  # s, at 100 Hz
+        "position_error": POSITION_ERROR.shown(errors[sampled]).tolist(),
+        "step_times": quantities.time[stepped].tolist(),  # s, of the integrator
+        "slowest_speed": speeds[stepped].tolist(),  # m/s
+        "speed_bound": quantities.speed_bounds[stepped].tolist(),  # m/s
+        "least_tension": tensions[stepped].tolist(),  # N
+    }
 
 
 def write_page(
@@ -110,33 +74,31 @@ def _draw(folder: Path, rows: Sequence[Row], curves: Mapping[str, Curves]) -> No
     """Writes the plots, whose axes are scaled to the completed runs."""
     drawn = {row.variant: curves[row.folder] for row in rows if row.folder in curves}
     whole = {row.variant for row in rows if row.ending == COMPLETED} or set(drawn)
-    longest = max(drawn.values(), key=lambda c: c.step_times[-1])
-    figures = (
-        make_overlay_figure(
-            "Load position error",
-            f"position error ({POSITION_ERROR.quantity.unit})",
-            {
-                name: (c.sample_times, POSITION_ERROR.shown(c.position_error))
-                for name, c in drawn.items()
-            },
-            framed=whole,
-            is_logarithmic=True,
-        ),
-        make_overlay_figure(
-            "Speed of the slowest carrier",
-            "speed (m/s)",
-            {name: (c.step_times, c.slowest_speed) for name, c in drawn.items()},
-            framed=whole,
-            bound=(longest.step_times, longest.speed_bound),
-        ),
-        make_overlay_figure(
-            "Least tension of the cables",
-            "tension (N)",
-            {name: (c.step_times, c.least_tension) for name, c in drawn.items()},
-            framed=whole,
-        ),
+    longest = max(drawn.values(), key=lambda c: c["step_times"][-1])
+    errors, speeds, tensions = (
+        {name: (np.array(c[times]), np.array(c[curve])) for name, c in drawn.items()}
+        for times, curve in (
+            ("sample_times", "position_error"),
+            ("step_times", "slowest_speed"),
+            ("step_times", "least_tension"),
+        )
     )
-    for name, figure in zip(PLOTS, figures, strict=True):
+    label = f"position error ({POSITION_ERROR.quantity.unit})"
+    bound = np.array(longest["step_times"]), np.array(longest["speed_bound"])
+    title = "Speed of the slowest carrier"
+    for name, figure in zip(
+        PLOTS,
+        (
+            make_overlay_figure(
+                "Load position error", label, errors, framed=whole, is_logarithmic=True
+            ),
+            make_overlay_figure(title, "speed (m/s)", speeds, framed=whole, bound=bound),
+            make_overlay_figure(
+                "Least tension of the cables", "tension (N)", tensions, framed=whole
+            ),
+        ),
+        strict=True,
+    ):
         figure.savefig(folder / name, dpi=150)
 
 
@@ -150,7 +112,7 @@ def _page(title: str, scenario: Scenario, rows: Sequence[Row], *, has_replays: b
         f"<li><b>{html.escape(row.variant)}</b> {html.escape(text)}</li>" for row, text in effects
     )
     replayed = [row for row in rows if row.metrics is not None] if has_replays else []
-    template = resources.files("drake_nonstop.studies.ablation").joinpath("page.html")
+    template = resources.files("drake_nonstop.studies").joinpath("ablation_page.html")
     return Template(template.read_text(encoding="utf-8")).substitute(
         title=html.escape(title),
         description=html.escape(scenario.description),

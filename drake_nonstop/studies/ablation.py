@@ -1,9 +1,8 @@
-"""The runs of a comparison: a scenario and its variants, in a process per core."""
+"""A comparison of a scenario with its variants: their runs, in a process per core."""
 
 import itertools
 import json
 import re
-import shutil
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,9 +11,8 @@ from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.scenario.loading import dump_scenario, parse_scenario
 from drake_nonstop.scenario.schema import Scenario, sample
 from drake_nonstop.simulation.preparation import LoopMaker
-from drake_nonstop.studies.ablation.page import PAGE, PLOTS, Curves, write_page
-from drake_nonstop.studies.ablation.rows import BASE, Row, ordered
-from drake_nonstop.studies.ablation.tables import as_csv, as_markdown
+from drake_nonstop.studies.ablation_page import PAGE, PLOTS, Curves, curves_of, write_page
+from drake_nonstop.studies.ablation_tables import BASE, Row, as_csv, as_markdown, ordered
 from drake_nonstop.studies.files import as_path, read_regular, replacing_files, shared
 from drake_nonstop.studies.journal import Journal, open_journal, settings_of
 from drake_nonstop.studies.processes import keep_what_is_done, require_main
@@ -42,8 +40,7 @@ Changes = Sequence[Change] | Mapping[str, Any]
 Variants = Mapping[str, Changes] | Iterable[tuple[str, Changes]]
 
 _FILES = ("table.md", "table.csv", PAGE, *PLOTS)
-_CURVES = ".curves"  # a folder, until the page is written
-_RESULT = {"ending": str, "message": str, "has_run": bool}
+_RESULT = {"ending": str, "message": str, "curves": dict}  # no curves: there was no run
 
 
 def ablate(
@@ -117,17 +114,13 @@ def ablate(
 
     def add(row: Row, result: dict[str, Any]) -> None:
         row.ending, row.message = result["ending"], result["message"]
-        if result["has_run"]:
+        if result["curves"]:
             row.metrics = json.loads(read_regular(folder / row.folder / "metrics.json"))
-            curves[row.folder] = Curves.load(_curves_file(folder, row))
+            curves[row.folder] = result["curves"]
 
     settings = ablation_settings(scenario, pairs, replay=replay, make_loop=make_loop)
     places = [row.folder for row in rows]
-    contents = [
-        *_FILES,
-        *(f"{_CURVES}/{place}.npz" for place in places),
-        *(f"{place}/{item}" for place in places for item in RUN_FILES),
-    ]
+    contents = [*_FILES, *(f"{place}/{item}" for place in places for item in RUN_FILES)]
     with (
         open_journal(
             folder,
@@ -138,29 +131,26 @@ def ablate(
             restart=restart,
             what="variants",
         ) as journal,
-        shared(folder / place for place in [_CURVES, *places]),
+        shared(folder / place for place in places),
     ):
-        missing = []
-        for key, text in texts.items():
-            if _is_there(folder, rows[key], text, journal, key):
-                add(rows[key], journal.result(key))
-            else:
-                missing.append(key)
+        done = {k for k in texts if _is_there(folder, rows[k], texts[k], journal, k)}
+        for key in done:
+            add(rows[key], journal.result(key))
 
         def record(key: int, result: dict[str, Any]) -> None:
-            if key == 0 and not result["has_run"]:
+            if key == 0 and not result["curves"]:
                 raise ScenarioError(result["message"])
             add(rows[key], result)
             journal.record(key, result)
 
         run_all(
             _run,
-            missing,
+            [*texts],
             lambda key: (texts[key], folder, rows[key], replay, arguments[key]),
             record,
-            lambda key, error: {"ending": FAILED, "message": error, "has_run": False},
+            lambda key, error: {"ending": FAILED, "message": error, "curves": {}},
+            done=done,
             progress=progress,
-            already_done=len(texts) - len(missing),
         )
         rows = ordered(rows)
         without_run = [row.folder for row in rows if row.metrics is None]
@@ -170,7 +160,6 @@ def ablate(
             (new / "table.md").write_text(as_markdown(rows), encoding="utf-8")
             write_page(new, title or scenario.name, scenario, rows, curves, has_replays=replay)
         journal.finish()
-        shutil.rmtree(folder / _CURVES, ignore_errors=True)
     return rows
 
 
@@ -189,13 +178,9 @@ def _checked(variants: Variants) -> list[tuple[str, list[Change]]]:
         ScenarioError: they are anything else.
     """
     remedy = 'give a mapping from names to lists of overrides, {"name": ["path=value"]}'
-    pairs: list[Any] = []
-    if isinstance(variants, Mapping):
-        pairs = [*variants.items()]
-    else:
-        pairs = listed("variants", variants, remedy)
+    pairs: Any = variants.items() if isinstance(variants, Mapping) else variants
     checked = []
-    for pair in pairs:
+    for pair in listed("variants", pairs, remedy):
         is_pair = isinstance(pair, (tuple, list)) and len(pair) == 2
         require(is_pair and isinstance(pair[0], str), "variants", pair, remedy)
         name, changes = pair
@@ -203,21 +188,16 @@ def _checked(variants: Variants) -> list[tuple[str, list[Change]]]:
     return checked
 
 
-def _curves_file(folder: Path, row: Row) -> Path:
-    return folder / _CURVES / f"{row.folder}.npz"
-
-
 def _is_there(folder: Path, row: Row, text: str, journal: Journal, key: int) -> bool:
     """Whether a variant has a result, with the files that belong to it."""
     if key not in journal:
         return False
-    if not journal.result(key)["has_run"]:
+    if not journal.result(key)["curves"]:
         return True
     try:
-        Curves.load(_curves_file(folder, row))
         json.loads(read_regular(folder / row.folder / "metrics.json"))
         return read_regular(folder / row.folder / "scenario.yaml") == text.encode()
-    except (OSError, ValueError, KeyError):
+    except (OSError, ValueError):
         return False
 
 
@@ -227,12 +207,12 @@ def _run(
     """Runs a variant and writes its results."""
     scenario = parse_scenario(text, trust=True)  # a copy of one that was trusted when it was loaded
     tried = attempt(lambda: scenario, **arguments)
+    curves: Curves = {}
     if tried.run is not None:
         keep_what_is_done()
-        Curves.of(tried.run).save(_curves_file(folder, row))
+        curves = curves_of(tried.run)
         write_results(tried.run, folder / row.folder, figures=False, replay=replay)
-    has_run = tried.run is not None
-    return {"ending": tried.ending, "message": tried.message, "has_run": has_run}
+    return {"ending": tried.ending, "message": tried.message, "curves": curves}
 
 
 def _named(variants: Iterable[tuple[str, Sequence[Change]]]) -> list[Row]:
