@@ -1,6 +1,7 @@
 """`drake-nonstop design`: formations of aircraft for a load, and scenarios that fly them."""
 
 import argparse
+import contextlib
 import os
 from pathlib import Path
 
@@ -8,6 +9,7 @@ from drake_nonstop.cli.arguments import Commands, add_changes
 from drake_nonstop.cli.ending import BAD_INPUT, FAILED
 from drake_nonstop.scenario.loading import dump_scenario
 from drake_nonstop.studies.files import read_regular, replacing_files, require_writable, write_json
+from drake_nonstop.studies.results_folder import first_free
 from drake_nonstop.visualization.figure_style import require_drawing
 from drake_nonstop.visualization.progress import TaskProgress
 
@@ -57,7 +59,8 @@ def _design(options: argparse.Namespace) -> int:
         return 0
     text = dump_request(request)
     require_drawing()
-    folder: Path = options.out or _folder(Path("out") / "design" / request.name, text)
+    place = Path("out") / "design" / request.name
+    folder: Path = options.out or first_free(place, lambda folder: _is_of(folder, text))
     scenarios = [f"{request.name}_{k + 1}.yaml" for k in range(_MOST)]
     files = (_REQUEST, _DATA, _FIGURE, *scenarios)
     require_writable(folder, files)
@@ -77,15 +80,10 @@ def _design(options: argparse.Namespace) -> int:
     return 0 if found.formations else FAILED
 
 
-def _folder(folder: Path, text: str) -> Path:
-    """The folder, or the first of FOLDER_2, FOLDER_3, ... without results of another request."""
-    place, number = folder, 1
-    while os.path.lexists(place / _REQUEST):
-        try:
-            if read_regular(place / _REQUEST).decode() == text:
-                return place
-        except (OSError, ValueError):
-            pass
-        number += 1
-        place = folder.with_name(f"{folder.name}_{number}")
-    return place
+def _is_of(folder: Path, text: str) -> bool:
+    """Whether a folder has no results, or those of a request of this text."""
+    if not os.path.lexists(folder / _REQUEST):
+        return True
+    with contextlib.suppress(OSError, ValueError):
+        return read_regular(folder / _REQUEST).decode() == text
+    return False

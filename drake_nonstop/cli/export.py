@@ -44,9 +44,7 @@ def add_to(commands: Commands) -> None:
 
 def _export(options: argparse.Namespace) -> int:
     # Imported here: other commands need none of it.
-    from drake_nonstop.studies.exports.rerun_recording import write_rerun
-    from drake_nonstop.studies.exports.ros_bag import write_mcap
-    from drake_nonstop.studies.exports.tables import write_csv, write_parquet
+    from drake_nonstop.studies.exports import write_csv, write_mcap, write_parquet, write_rerun
 
     remedy = "leave it out: it is for csv and parquet; all else has its own signals"
     require(options.to in _TABLES or not options.signal, "--signal", options.signal, remedy)

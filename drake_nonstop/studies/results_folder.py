@@ -4,7 +4,7 @@ import itertools
 import json
 import os
 import zipfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -12,7 +12,7 @@ from typing import Any, BinaryIO
 from drake_nonstop.analysis.limit import RunOutcome
 from drake_nonstop.scenario.loading import dump_scenario
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.simulation.metrics import compute_metrics
+from drake_nonstop.simulation.metrics import compute_metrics, value_at
 from drake_nonstop.simulation.run import Run
 from drake_nonstop.simulation.stored_run import (
     SCENARIO,
@@ -35,7 +35,6 @@ from drake_nonstop.visualization.drawing import draw_diagram
 from drake_nonstop.visualization.replay import record_replay
 from drake_nonstop.visualization.run_figures import FIGURE_NAMES, figure_names, make_figure
 
-_FIGURES = "figures"
 _METRICS = "metrics.json"
 _DATA = (SCENARIO, _METRICS, SIGNALS, STEPS)
 _OWN_CODE = "own_code"  # in metrics.json, beside the versions of packages
@@ -43,7 +42,7 @@ _OWN_CODE = "own_code"  # in metrics.json, beside the versions of packages
 _PICTURES = (
     "diagram.svg",
     "replay.html",
-    *(f"{_FIGURES}/{name}.png" for name in FIGURE_NAMES),
+    *(f"figures/{name}.png" for name in FIGURE_NAMES),
 )
 
 # All files that may be written; those that a run does not write are removed.
@@ -63,17 +62,13 @@ def default_folder(folder: Path, settings: str | Scenario) -> Path:
     """
 
     def is_free(place: Path) -> bool:
-        if not os.path.lexists(place):
-            return True
-        if not place.is_dir():
-            return False
         journalled = journalled_settings(place)
         if journalled is not None:
             return journalled == settings
         names = [name for name in (SCENARIO, _METRICS) if os.path.lexists(place / name)]
         return not names or (isinstance(settings, Scenario) and _is_of(place, names, settings))
 
-    return next(place for place in _numbered(folder) if is_free(place))
+    return first_free(folder, is_free)
 
 
 def stopped_folder(folder: Path) -> Path:
@@ -84,22 +79,25 @@ def stopped_folder(folder: Path) -> Path:
     """
 
     def is_free(place: Path) -> bool:
-        if not os.path.lexists(place):
-            return True
-        if not place.is_dir():
-            return False
         has_results = any(os.path.lexists(place / item) for item in RUN_FILES)
         return not has_results or _metrics_in(place).get("outcome") == RunOutcome.STOPPED.value
 
     named = folder if folder.name not in ("", "..") else Path(os.path.abspath(folder))
-    others = _numbered(Path(f"{named}_stopped"))
-    return next(place for place in itertools.chain([folder], others) if is_free(place))
+    return first_free(folder, is_free, Path(f"{named}_stopped"))
 
 
-def _numbered(folder: Path) -> Iterator[Path]:
-    """The folder, and those with 2, 3, ... at the end of its name."""
-    yield folder
-    yield from (folder.with_name(f"{folder.name}_{k}") for k in itertools.count(2))
+def first_free(folder: Path, is_free: Callable[[Path], bool], other: Path | None = None) -> Path:
+    """The folder where it is free or none is there, or else the first of OTHER, OTHER_2, ...
+
+    The other one is FOLDER_2 unless it is given.
+    """
+    base = other or folder
+    numbered = (base.with_name(f"{base.name}_{k}") for k in itertools.count(2))
+    return next(
+        place
+        for place in itertools.chain([folder, base], numbered)
+        if not os.path.lexists(place) or (place.is_dir() and is_free(place))
+    )
 
 
 def require_no_other_run(folder: Path, scenario: Scenario) -> None:
@@ -119,15 +117,10 @@ def _has(folder: Path, text: str) -> bool:
 
 def _is_of(folder: Path, names: Sequence[str], scenario: Scenario) -> bool:
     """Whether the files of these names in a folder are those of such a run, which repeats them."""
-    text = dump_scenario(scenario)
-    if not _has(folder, text):
-        return False
-    if _METRICS not in names:
-        return True
-    metrics = _metrics_in(folder)
-    versions = metrics.get("versions")
-    own_code = versions.get(_OWN_CODE) if isinstance(versions, dict) else None
-    return metrics.get("is_steered") is False and own_code == own_code_of(text)
+    text, metrics = dump_scenario(scenario), _metrics_in(folder)
+    own_code = value_at(metrics, f"versions.{_OWN_CODE}")
+    is_same = metrics.get("is_steered") is False and own_code == own_code_of(text)
+    return _has(folder, text) and (is_same or _METRICS not in names)
 
 
 def _metrics_in(folder: Path) -> dict[str, Any]:
@@ -235,8 +228,7 @@ def write_pictures(
         todo.append(("replay.html", lambda file: file.write(record_replay(run).encode())))
     if figures:
         todo += [
-            (f"{_FIGURES}/{name}.png", partial(_write_figure, run, name))
-            for name in figure_names(run)
+            (f"figures/{name}.png", partial(_write_figure, run, name)) for name in figure_names(run)
         ]
     for k, (item, write) in enumerate(todo):
         progress("writing", k / len(todo))

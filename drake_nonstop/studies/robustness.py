@@ -43,11 +43,14 @@ _MOST_SAID = 3  # sentences on a case in the table
 
 # Which metrics the table and the figure show.
 POSITION_ERROR_MEAN = metric_at("load.position_error_mean_m")
-_POSITION_ERROR_FINAL = metric_at("load.position_error_final_m")
 _SLOWEST_SPEED = metric_at("carriers.speed_min_m_s")
 _SPEED_BOUND = metric_at("carriers.speed_bound_m_s")
-_TIME_BELOW_BOUND = metric_at("carriers.time_below_bound_s")
-_SLACK_TIME = metric_at("cables.slack_time_s")
+_COLUMNS = (
+    POSITION_ERROR_MEAN,
+    metric_at("load.position_error_final_m"),
+    metric_at("carriers.time_below_bound_s"),
+    metric_at("cables.slack_time_s"),
+)
 
 
 @dataclass(kw_only=True)
@@ -152,19 +155,10 @@ def robustness_settings(scenario: Scenario, seed: int) -> str:
 
 def robustness_table(cases: Sequence[Case]) -> str:
     """A line per case in aligned columns, for a terminal, and below it what is said of its run."""
-    errors_heading = f"e_p mean / final, {POSITION_ERROR_MEAN.quantity.unit}"
-    columns = errors_heading, "slowest - bound", "below", "slack"
-    lines = ["{:42} {:>20} {:>16} {:>8} {:>8}  outcome".format("error", *columns)]
+    heading = f"e_p mean / final, {POSITION_ERROR_MEAN.quantity.unit}"
+    lines = [f"{'error':42} {heading:>20}  slowest - bound    below    slack  outcome"]
     for case in cases:
-        mean, final, below, slack = (
-            case.shown(metric)
-            for metric in (
-                POSITION_ERROR_MEAN,
-                _POSITION_ERROR_FINAL,
-                _TIME_BELOW_BOUND,
-                _SLACK_TIME,
-            )
-        )
+        mean, final, below, slack = map(case.shown, _COLUMNS)
         errors = f"{mean:.3g} / {final:.3g}"
         lines.append(
             f"{case.name:42} {errors:>20} {case.speed_margin:+12.3f} m/s "
@@ -200,31 +194,27 @@ def _errors(scenario: Scenario, seed: int) -> Iterator[tuple[str, float, str, li
         length = system.cable_length * (1 + percent / 100)
         yield "cable length", percent, "%", [f"simulated.cable_length={length}"]
     period = scenario.control_period or 0.01
-    measurement = "NoisyFeedback {"
+    measurement = f"load_feedback=!NoisyFeedback {{period: {period}, "
     if isinstance(scenario.load_feedback, EstimatedFeedbackConfig):  # the filter stays
-        measurement = "EstimatedFeedback {" + "".join(
-            f"{name}: {getattr(scenario.load_feedback, name)}, " for name in _BELIEFS
-        )
+        fields = "".join(f"{name}: {getattr(scenario.load_feedback, name)}, " for name in _BELIEFS)
+        measurement = f"load_feedback=!EstimatedFeedback {{{fields}period: {period}, "
     for size in (0.0005, 0.001, 0.002, 0.005):
         noise = (
             f"position_noise: {size}, orientation_noise: {size}, velocity_noise: {5 * size}, "
-            f"angular_velocity_noise: {5 * size}, seed: {seed}"
+            f"angular_velocity_noise: {5 * size}, seed: {seed}}}"
         )
-        block = f"load_feedback=!{measurement}{noise}, period: {period}}}"
-        yield "noise", 1e3 * size, "mm, mrad (rates: x 5/s)", [block]
+        yield "noise", 1e3 * size, "mm, mrad (rates: x 5/s)", [measurement + noise]
     for periods in (1, 2, 3, 5):
         delay = periods * period
-        block = f"load_feedback=!{measurement}delay: {delay}, period: {period}}}"
-        yield "delay", 1e3 * delay, "ms", [block]
+        yield "delay", 1e3 * delay, "ms", [f"{measurement}delay: {delay}}}"]
+    push = "load_disturbance=!DisturbanceForce"
     weight = system.load_mass * system.gravity
     for percent in (1.0, 2.0, 5.0, 10.0):
-        force = percent / 100 * weight
-        block = f"load_disturbance=!DisturbanceForce {{force: [0, {force}, 0], start_time: 1.0}}"
-        yield "constant force", percent, "% of weight", [block]
+        force = f"{push} {{force: [0, {percent / 100 * weight}, 0], start_time: 1.0}}"
+        yield "constant force", percent, "% of weight", [force]
     for percent in (0.5, 1.0, 2.0, 5.0):
-        force = percent / 100 * weight
-        block = f"load_disturbance=!DisturbanceForce {{gust_force: {force}, seed: {seed}}}"
-        yield "gusty force", percent, "% of weight (standard deviation)", [block]
+        force = f"{push} {{gust_force: {percent / 100 * weight}, seed: {seed}}}"
+        yield "gusty force", percent, "% of weight (standard deviation)", [force]
 
 
 def _measured(text: str, overrides: Sequence[str]) -> dict[str, Any]:

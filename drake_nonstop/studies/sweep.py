@@ -5,7 +5,7 @@ import functools
 import gc
 import itertools
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,7 +21,6 @@ from drake_nonstop.scenario.yaml_text import dump_plain
 from drake_nonstop.simulation.metrics import METRICS, compute_metrics, flattened
 from drake_nonstop.simulation.preparation import LoopMaker
 from drake_nonstop.studies.files import as_path, replacing_file, replacing_files
-from drake_nonstop.studies.journal import JOURNAL as JOURNAL
 from drake_nonstop.studies.journal import Journal, StudyInterrupted, open_journal, settings_of
 from drake_nonstop.studies.processes import require_main
 from drake_nonstop.studies.run_all import (
@@ -215,14 +214,10 @@ def _simulated(
         with contextlib.suppress(ScenarioError):  # which the run ends with
             drawn |= sample(scenario)[1]
     tried = attempt(lambda: scenario, make_loop=make_loop, **others)
-    metrics = {} if tried.run is None else flattened(compute_metrics(tried.run))
-    result = {
-        "drawn": drawn,
-        "ending": tried.ending,
-        "error": tried.message,
-        "metrics": {path: value for path, value in metrics.items() if path not in _WALL_TIME_PATHS},
-        "wall_times": {path: value for path, value in metrics.items() if path in _WALL_TIME_PATHS},
-    }
+    result = _without_run(tried.ending, tried.message) | {"drawn": drawn}
+    if tried.run is not None:
+        for path, value in flattened(compute_metrics(tried.run)).items():
+            result["wall_times" if path in _WALL_TIME_PATHS else "metrics"][path] = value
     # The systems of a run refer to each other, and their memory is mostly C++'s: Python's
     # collector would run too late.
     if tried.run is not None:
@@ -235,35 +230,32 @@ def _simulated(
 
 def _write_tables(folder: Path, spec: SweepSpec, journal: Journal) -> Sweep:
     """Writes both tables, with a row per result."""
-    endings: Counter[str] = Counter()
-    errors: Counter[tuple[str, str]] = Counter()
-    outcomes: Counter[str] = Counter()
 
     def row(number: int) -> Row:
         planned, result = spec.run(number), journal.result(number)
-        about = {"run": number, "seed": planned.seed}
-        ending = {"ending": result["ending"], "error": result["error"]}
         drawn = {
             f"{path} (drawn)" if path in planned.values else path: value
             for path, value in result["drawn"].items()
         }
-        return {**about, **planned.values, **drawn, **ending, **result["metrics"]}
-
-    def counted_row(number: int) -> Row:
-        counted = row(number)
-        endings[counted["ending"]] += 1
-        if "outcome" in counted:
-            outcomes[counted["outcome"]] += 1
-        error = counted["ending"], counted["error"]
-        if counted["ending"] != COMPLETED and (error in errors or len(errors) < _MAX_MESSAGES):
-            errors[error] += 1
-        return counted
+        about = {"run": number, "seed": planned.seed, **planned.values, **drawn}
+        return {**about, "ending": result["ending"], "error": result["error"], **result["metrics"]}
 
     def wall_times(number: int) -> Row:
         return {"run": number, **journal.result(number)["wall_times"]}
 
-    _write_table(folder / WALL_TIMES, len(spec), wall_times, _types(len(spec), wall_times))
-    _write_table(folder / TABLE, len(spec), row, _types(len(spec), counted_row))
+    _write_table(folder / WALL_TIMES, len(spec), wall_times)
+    _write_table(folder / TABLE, len(spec), row)
+    endings: Counter[str] = Counter()
+    errors: Counter[tuple[str, str]] = Counter()
+    outcomes: Counter[str] = Counter()
+    for result in map(journal.result, range(len(spec))):
+        ending = result["ending"]
+        error = ending, result["error"]
+        endings[ending] += 1
+        if "outcome" in result["metrics"]:
+            outcomes[result["metrics"]["outcome"]] += 1
+        if ending != COMPLETED and (error in errors or len(errors) < _MAX_MESSAGES):
+            errors[error] += 1
     return Sweep(
         table=folder / TABLE,
         endings=dict(endings),
@@ -272,11 +264,11 @@ def _write_tables(folder: Path, spec: SweepSpec, journal: Journal) -> Sweep:
     )
 
 
-def _types(total: int, row: Callable[[int], Row]) -> dict[str, type]:
+def _types(rows: Iterable[Row]) -> dict[str, type]:
     """The columns in the order in which they appear, and their types: str for texts and YAML."""
     found: dict[str, set[type]] = {}
-    for number in range(total):
-        for name, value in row(number).items():
+    for row in rows:
+        for name, value in row.items():
             found.setdefault(name, set())
             if value is not None:
                 found[name].add(_type_of(value))
@@ -295,24 +287,24 @@ def _common(types: set[type]) -> type:
     return float if types <= {int, float} else object
 
 
-def _write_table(path: Path, total: int, row: Callable[[int], Row], types: dict[str, type]) -> None:
+def _write_table(path: Path, total: int, row: Callable[[int], Row]) -> None:
     """Writes a table of a number of rows, some of which are held in memory at a time."""
     arrow, parquet = _pyarrow()
+    types = _types(map(row, range(total)))
     kinds = {bool: arrow.bool_(), int: arrow.int64(), float: arrow.float64()}
     schema = arrow.schema((name, kinds.get(kind, arrow.string())) for name, kind in types.items())
     make: dict[type, Callable[[Any], Any]] = {float: float, object: dump_plain}
     with replacing_file(path) as file, parquet.ParquetWriter(file, schema) as writer:
         for start in range(0, total, _ROW_GROUP):
-            rows = [row(number) for number in range(start, min(start + _ROW_GROUP, total))]
-            columns = [
-                [
-                    None if (value := row.get(name)) is None else make.get(kind, kind)(value)
-                    for row in rows
-                ]
-                for name, kind in types.items()
+            rows = [
+                {
+                    name: make.get(types[name], types[name])(value)
+                    for name, value in row(number).items()
+                    if value is not None
+                }
+                for number in range(start, min(start + _ROW_GROUP, total))
             ]
-            arrays = [arrow.array(c, f.type) for c, f in zip(columns, schema, strict=True)]
-            writer.write_table(arrow.Table.from_arrays(arrays, schema=schema))
+            writer.write_table(arrow.Table.from_pylist(rows, schema=schema))
 
 
 def _pyarrow() -> tuple[Any, Any]:

@@ -77,28 +77,22 @@ class SweepSpec(StrictFields):
     def __post_init__(self) -> None:
         source = self.source
         require_seed(f"{source}.seed", self.seed)
-        require(
-            isinstance(self.overrides, list),
-            f"{source}.overrides",
-            self.overrides,
-            "give a list of path=value",
-        )
+        where, remedy = f"{source}.overrides", "give a list of path=value"
+        require(isinstance(self.overrides, list), where, self.overrides, remedy)
         for override in self.overrides:
-            require_override(override, f"{source}.overrides")
-        for name in ("grid", "draws"):
-            entries = getattr(self, name)
-            what = "lists of values" if name == "grid" else "distributions"
-            remedy = f"give a mapping from paths to {what}"
+            require_override(override, where)
+        for name, what in (("grid", "lists of values"), ("draws", "distributions")):
+            entries, where = getattr(self, name), f"{source}.{name}"
             is_mapping = isinstance(entries, dict) and "_tag" not in entries
-            require(is_mapping, f"{source}.{name}", entries, remedy)
+            require(is_mapping, where, entries, f"give a mapping from paths to {what}")
+            for path in entries:
+                require(isinstance(path, str), where, path, "give paths as texts")
         is_given = self.grid or self.draws or self.runs is not None
         remedy = "give grid, draws, or runs of a scenario with distributions"
         require(is_given, source, "none of them", remedy)
         for path, values in self.grid.items():
-            require(isinstance(path, str), f"{source}.grid", path, "give paths as texts")
             require_choices(_named(path, values, f"{source}.grid"), f"{source}.grid.{path}")
         for path, distribution in self.draws.items():
-            require(isinstance(path, str), f"{source}.draws", path, "give paths as texts")
             where = f"{source}.draws.{path}"
             require(path not in self.grid, where, "in grid too", "give it in one of the two")
             if isinstance(distribution, dict) and "choice" in distribution:
@@ -216,46 +210,30 @@ def _require_distribution(distribution: Any, where: str) -> None:
     where = f"{where}.{kind}"
     if kind == "seed":
         require(parameters is True, where, parameters, "give true")
-    elif kind == "choice":
+        return
+    if kind == "choice":
         require_choices(parameters, where)
-    else:
-        is_pair = isinstance(parameters, list) and len(parameters) == 2
-        require(is_pair and all(map(is_number, parameters)), where, parameters, "give two numbers")
-        first, second = parameters
-        is_within = max(abs(first), abs(second)) <= _LARGEST
-        require(is_within, where, dump_plain(parameters), f"give numbers up to {_LARGEST:g}")
-        if kind == "normal":
-            require(second >= 0, where, dump_plain(parameters), "give a deviation from 0 on")
-        else:
-            remedy = "give the lower bound first"
-            require(first < second, where, dump_plain(parameters), remedy)
-            is_positive = kind == "uniform" or first >= 1 / _LARGEST
-            remedy = f"give bounds above 0, from {1 / _LARGEST:g} up"
-            require(is_positive, where, dump_plain(parameters), remedy)
+        return
+    is_pair = isinstance(parameters, list) and len(parameters) == 2
+    require(is_pair and all(map(is_number, parameters)), where, parameters, "give two numbers")
+    (first, second), given = parameters, dump_plain(parameters)
+    is_within = max(abs(first), abs(second)) <= _LARGEST
+    require(is_within, where, given, f"give numbers up to {_LARGEST:g}")
+    if kind == "normal":
+        require(second >= 0, where, given, "give a deviation from 0 on")
+        return
+    require(first < second, where, given, "give the lower bound first")
+    is_usable = kind == "uniform" or first >= 1 / _LARGEST
+    require(is_usable, where, given, f"give bounds above 0, from {1 / _LARGEST:g} up")
 
 
-def _uniform(random: np.random.Generator, bounds: list[float]) -> float:
-    low, high = bounds
-    return float(random.uniform(low, high))
-
-
-def _normal(random: np.random.Generator, parameters: list[float]) -> float:
-    mean, deviation = parameters
-    return float(random.normal(mean, deviation))
-
-
-def _log_uniform(random: np.random.Generator, bounds: list[float]) -> float:
-    low, high = bounds
+def _log_uniform(random: np.random.Generator, low: float, high: float) -> float:
     return min(max(low * math.exp(random.uniform(0, math.log(high / low))), low), high)
 
 
-def _choice(random: np.random.Generator, values: list[Any]) -> Any:
-    return values[random.integers(len(values))]
-
-
 _DRAW: dict[str, Callable[[np.random.Generator, list[Any]], Any]] = {
-    "uniform": _uniform,
-    "normal": _normal,
-    "log_uniform": _log_uniform,
-    "choice": _choice,
+    "uniform": lambda random, bounds: float(random.uniform(*bounds)),
+    "normal": lambda random, parameters: float(random.normal(*parameters)),
+    "log_uniform": lambda random, bounds: _log_uniform(random, *bounds),
+    "choice": lambda random, values: values[random.integers(len(values))],
 }

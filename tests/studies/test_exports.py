@@ -11,9 +11,7 @@ from pydrake.math import RotationMatrix
 from drake_nonstop import ScenarioError, load_scenario, simulate
 from drake_nonstop.cli.main import main
 from drake_nonstop.mechanics.signals import CarrierStates, LoadState, Wrench
-from drake_nonstop.studies.exports.rerun_recording import write_rerun
-from drake_nonstop.studies.exports.ros_bag import write_mcap
-from drake_nonstop.studies.exports.tables import write_csv, write_parquet
+from drake_nonstop.studies.exports import write_csv, write_mcap, write_parquet, write_rerun
 from drake_nonstop.studies.results_folder import write_data
 
 

@@ -21,9 +21,10 @@ from drake_nonstop.cli import run as run_command
 from drake_nonstop.cli.ending import BAD_INPUT, FAILED, INTERRUPTED
 from drake_nonstop.cli.main import main
 from drake_nonstop.scenario.overrides import changed
+from drake_nonstop.studies.journal import JOURNAL
 from drake_nonstop.studies.run_all import COMPLETED, DIVERGED, UNBUILDABLE, SerialExecutor
 from drake_nonstop.studies.run_all import FAILED as BLOCK_FAILED
-from drake_nonstop.studies.sweep import JOURNAL, TABLE, WALL_TIMES
+from drake_nonstop.studies.sweep import TABLE, WALL_TIMES
 from drake_nonstop.validation import ScenarioError
 
 pytestmark = pytest.mark.usefixtures("faulty_blocks")

@@ -1,20 +1,6 @@
-"""A run as a bag of ROS 2 messages in an MCAP file, which needs no ROS to be written or read.
+"""A run in the files of other tools: tables, bags of ROS 2, recordings of Rerun."""
 
-| topic | type | what it is |
-| --- | --- | --- |
-| /load/odometry | nav_msgs/msg/Odometry | the load: pose in `world`, twist in `load` |
-| /load/reference | nav_msgs/msg/Odometry | the desired motion, twist in `desired` |
-| /load/wrench | geometry_msgs/msg/WrenchStamped | what the controller asks for, in `world` |
-| /load/disturbance | geometry_msgs/msg/WrenchStamped | the disturbance, in `world` |
-| /carriers | geometry_msgs/msg/PoseArray | the carriers in `world`, along their velocities |
-| /carriers/K/odometry | nav_msgs/msg/Odometry | one of them, twist along its own axes |
-| /cables/K/force | geometry_msgs/msg/WrenchStamped | the force of a cable on the load, in `world` |
-
-Stamps are the simulated time. A carrier's x axis points along its velocity, its y axis to the left
-and level; its bank is not shown.
-"""
-
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +9,9 @@ from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.signals import CarrierStates, LoadState, Wrench
 from drake_nonstop.simulation.run import Run
-from drake_nonstop.studies.files import replacing_file
+from drake_nonstop.simulation.run_quantities import attachment_positions
+from drake_nonstop.simulation.signal_table import SignalTable
+from drake_nonstop.studies.files import replacing_file, replacing_files
 from drake_nonstop.validation import require_installed
 
 WORLD, LOAD, DESIRED = "world", "load", "desired"
@@ -51,14 +39,62 @@ _ODOMETRY, _WRENCH, _POSES = _TYPES
 _NO_COVARIANCE = [0.0] * 36
 
 Message = dict[str, Any]
+_DOT = 0.06  # of the size of the load, the radius of a carrier
+
+
+def write_csv(table: SignalTable, path: Path, signals: Sequence[str] = ()) -> None:
+    """Writes a row per sample; the first line has the columns' names with their units.
+
+    Raises:
+        ScenarioError: there is no such signal, see `SignalTable.columns`, or the file cannot be
+            written.
+    """
+    columns = table.columns(signals)
+    rows, names = np.column_stack(list(columns.values())), ",".join(columns)
+    with replacing_file(path) as file:
+        np.savetxt(
+            file, rows, fmt="%.17g", delimiter=",", header=names, comments="", encoding="utf-8"
+        )
+
+
+def write_parquet(table: SignalTable, path: Path, signals: Sequence[str] = ()) -> None:
+    """Writes a row per sample; each column's metadata has its `unit` and `frame`.
+
+    Raises:
+        ScenarioError: as of `write_csv`, or PyArrow is not installed.
+    """
+    require_installed("export", pyarrow="drake-nonstop[export]")
+    import pyarrow
+    from pyarrow import parquet
+
+    columns = table.columns(signals)
+    every = (entry for entries in table.entries.values() for entry in entries)
+    about = {entry.label: {"unit": entry.unit, "frame": entry.frame} for entry in every}
+    time = {"unit": "s", "frame": ""}
+    schema = pyarrow.schema(
+        pyarrow.field(label, pyarrow.float64(), metadata=about.get(label, time))
+        for label in columns
+    )
+    with replacing_file(path) as file:
+        parquet.write_table(pyarrow.table(list(columns.values()), schema=schema), file)
 
 
 def write_mcap(run: Run, path: Path) -> None:
-    """Writes the bag.
+    """Writes a bag of ROS 2 messages, an MCAP file, which needs no ROS to be written or read.
 
-    Args:
-        run: what to write.
-        path: of the file.
+    | topic | type | what it is |
+    | --- | --- | --- |
+    | /load/odometry | nav_msgs/msg/Odometry | the load: pose in `world`, twist in `load` |
+    | /load/reference | nav_msgs/msg/Odometry | the desired motion, twist in `desired` |
+    | /load/wrench | geometry_msgs/msg/WrenchStamped | what the controller asks for, in `world` |
+    | /load/disturbance | geometry_msgs/msg/WrenchStamped | the disturbance, in `world` |
+    | /carriers | geometry_msgs/msg/PoseArray | the carriers in `world`, along their velocities |
+    | /carriers/K/odometry | nav_msgs/msg/Odometry | one of them, twist along its own axes |
+    | /cables/K/force | geometry_msgs/msg/WrenchStamped | its force on the load, in `world` |
+
+
+    Stamps are the simulated time. A carrier's x axis points along its velocity, its y axis to the
+    left and level; its bank is not shown.
 
     Raises:
         ScenarioError: the package `mcap-ros2-support` is not installed, or the file cannot be
@@ -179,3 +215,70 @@ def _along(velocities: NDArray) -> NDArray:
         ],
         axis=-1,
     )
+
+
+def write_rerun(run: Run, path: Path) -> None:
+    """Writes a recording for the viewer Rerun, with the motion in space and plots of all signals.
+
+    The name of the file ends in .rrd; `rerun FILE` shows it.
+
+    Raises:
+        ScenarioError: the package `rerun-sdk` is not installed, or the file cannot be written.
+    """
+    require_installed("export", rerun="drake-nonstop[export]")
+    import rerun
+
+    # The same run makes the same recording.
+    name = f"drake_nonstop {run.scenario.name}"
+    recording = rerun.RecordingStream("drake_nonstop", recording_id=name, send_properties=False)
+    with replacing_files(path.parent, [path.name]) as new:
+        recording.save(str(new / path.name))
+        _send_motion(run, recording)
+        _send_plots(run, recording)
+        recording.flush()
+        recording.disconnect()
+
+
+def _send_motion(run: Run, recording: Any) -> None:
+    import rerun
+
+    index = rerun.TimeColumn("time", duration=run.time)
+    positions = CarrierStates.view(run.signal("carrier_state")).positions
+    ends = attachment_positions(run, run.signal("load_state"))
+    count, n = positions.shape[:2]
+    size = float(np.max(np.ptp(ends[0], axis=0)))
+    recording.log("/", rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    load = LoadState.view(run.signal("load_state"))
+    attachments = np.asarray(run.scenario.system.attachments, dtype=float)
+    half = np.maximum(np.ptp(attachments, axis=0) / 2, 0.02 * size)
+    middle = (attachments.max(axis=0) + attachments.min(axis=0)) / 2
+    recording.log("load", rerun.Boxes3D(centers=[middle], half_sizes=[half]), static=True)
+    turned = rerun.Transform3D.columns(
+        translation=load.position, quaternion=np.roll(load.quaternion, -1, axis=1)
+    )
+    recording.send_columns("load", indexes=[index], columns=turned)
+    dots = rerun.Points3D.columns(
+        positions=positions.reshape(-1, 3), radii=np.full(count * n, _DOT * size)
+    ).partition(np.full(count, n))
+    recording.send_columns("carriers", indexes=[index], columns=dots)
+    lines = np.stack([ends, positions], axis=2)
+    for k in range(n):
+        cable = rerun.LineStrips3D.columns(strips=list(lines[:, k]))
+        recording.send_columns(f"cables/{k + 1}", indexes=[index], columns=cable)
+
+
+def _send_plots(run: Run, recording: Any) -> None:
+    import rerun
+
+    index = rerun.TimeColumn("time", duration=run.time)
+    for signal, entries in run.entries.items():
+        values = run.signals[signal]
+        parts: dict[str, list[int]] = {}
+        for column, entry in enumerate(entries):  # one plot for a vector
+            parts.setdefault(entry.name.rpartition(".")[0] or entry.name, []).append(column)
+        for part, columns in parts.items():
+            place = f"plots/{part.replace('.', '/')}"
+            names = [entries[column].label for column in columns]
+            recording.log(place, rerun.SeriesLines(names=names), static=True)
+            scalars = rerun.Scalars.columns(scalars=values[:, columns])
+            recording.send_columns(place, indexes=[index], columns=scalars)
