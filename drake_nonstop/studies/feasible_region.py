@@ -85,8 +85,8 @@ def redesigned_region(
     or thrust. The wind has the direction of the request's, or is against the load's way.
 
     Args:
-        request: what the formation was designed for.
-        formation: whose numbers of carriers, kind and κ they have.
+        request: what the formation was designed for, whose kind, n and κ they have.
+        formation: found for it.
         masses: of the load, kg, in rising order.
         speed: of the load, m/s.
     """
@@ -113,13 +113,9 @@ def redesigned_region(
 def redesigned_scenario(
     request: DesignRequest, formation: DesignedFormation, beside: FormationVariables, wind: float
 ) -> Scenario:
-    """The scenario of the formation that keeps the most margin in a wind.
+    """The scenario of the formation that keeps the most margin in a wind, m/s.
 
-    Args:
-        request: what the formation was designed for.
-        formation: whose numbers of carriers, kind and κ it has.
-        beside: a formation for that load and speed, such as one of a `FeasibleRegion`.
-        wind: m/s.
+    The load and its speed are those of `beside`, such as a formation of a `FeasibleRegion`.
     """
     redesign = _Redesign(request, formation, beside.speed)
     x = variables_of(redesign.in_wind(np.array(beside), wind))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,32 +89,24 @@ def make_overlay_figure(
         curves: times (k,) in s and values (k,) by the run's name.
         framed: names of the runs that set the limits of the vertical axis.
         bound: times and values of a bound.
-        is_logarithmic: whether the vertical axis is logarithmic; no value is negative then.
+        is_logarithmic: only where no value is negative.
     """
     figure = new_figure((9.0, 4.2))
     axes = figure.subplots()
     for i, (name, (times, values)) in enumerate(curves.items()):
-        if i == 0:
-            axes.plot(times, values, color="black", linewidth=3, label=name, zorder=2)
-            continue
-        round_, colour = divmod(i - 1, len(COLOURS))
-        axes.plot(
-            times,
-            values,
-            color=COLOURS[colour],
-            linestyle=LINE_STYLES[round_ % len(LINE_STYLES)],
-            linewidth=1.2,
-            label=name,
-            zorder=3 + 1 / i,
-        )
+        style: dict[str, Any] = {"color": "black", "linewidth": 3, "zorder": 2}
+        if i > 0:
+            number, colour = divmod(i - 1, len(COLOURS))
+            line = LINE_STYLES[number % len(LINE_STYLES)]
+            style = {"color": COLOURS[colour], "linestyle": line, "linewidth": 1.2}
+            style["zorder"] = 3 + 1 / i
+        axes.plot(times, values, label=name, **style)
     if bound is not None:
         axes.plot(*bound, color="green", linestyle="--", linewidth=1.5, label="bound ε", zorder=9)
-    extremes = [
-        (values.min(), values.max()) for name, (_, values) in curves.items() if name in framed
-    ]
-    lowest, highest = min(low for low, _ in extremes), max(high for _, high in extremes)
+    shown = [values for name, (_, values) in curves.items() if name in framed]
+    lowest, highest = min(map(np.min, shown)), max(map(np.max, shown))
     if is_logarithmic and highest > 0:
-        least = min(np.median(values) for name, (_, values) in curves.items() if name in framed)
+        least = min(map(np.median, shown))
         axes.set_yscale("log")
         axes.set_ylim(max(least / 5, 1e-6 * highest), 1.5 * highest)
     else:
@@ -141,9 +133,9 @@ def make_success_figure(
         title: of the figure.
         succeeded: whether each run succeeded (runs,).
         across: label and values (runs,) of the horizontal axis, which are put into bins.
-        up: label and values (runs,) of the vertical axis, likewise.
+        up: those of the vertical axis.
         panels: label and values (runs,), with a panel for each distinct value.
-        bins: number of bins along each axis.
+        bins: along each axis.
     """
     levels = np.unique(panels[1])
     figure = new_figure((2.6 * len(levels) + 1.4, 3.6))
@@ -157,17 +149,12 @@ def make_success_figure(
         )
         shares = np.ma.masked_array(hits / np.maximum(counts, 1), counts == 0)
         shown = axes.pcolormesh(*edges, shares, cmap="viridis", vmin=0, vmax=1)
-        centres = [(edge[:-1] + edge[1:]) / 2 for edge in edges]
+        columns, rows = ((edge[:-1] + edge[1:]) / 2 for edge in edges)
+        style = {"ha": "center", "va": "center", "fontsize": "xx-small"}
         for i, j in np.argwhere(counts > 0):
-            axes.text(
-                centres[0][j],
-                centres[1][i],
-                f"{shares[i, j]:.0%}\nof {counts[i, j]:.0f}",
-                ha="center",
-                va="center",
-                fontsize="xx-small",
-                color="black" if shares[i, j] > 0.6 else "white",
-            )
+            text = f"{shares[i, j]:.0%}\nof {counts[i, j]:.0f}"
+            colour = "black" if shares[i, j] > 0.6 else "white"
+            axes.text(columns[j], rows[i], text, color=colour, **style)
         axes.set_title(f"{panels[0]}: {level:g}", fontsize="medium")
         axes.set_xlabel(across[0], fontsize="small")
     all_axes[0].set_ylabel(up[0], fontsize="small")

@@ -93,13 +93,11 @@ class Missed(NamedTuple):
 
 
 def load_motions(request: DesignRequest, count: int) -> tuple[LoadMotion, ...]:
-    """The load at rest and, where it moves, at the instants of its way that matter most.
+    """The load at rest and, where it moves, at instants of its way.
 
-    Args:
-        request: with a displacement.
-        count: of instants; 6: at rest, the fastest, those of the largest accelerations, and two
-            between; else at rest, and evenly from the first instant to the last, where the snap is
-            the largest.
+    6 of them are those that matter most: at rest, the fastest, those of the largest accelerations,
+    and two between. Others are evenly apart from the first to the last, where the snap is the
+    largest.
     """
     still = LoadMotion(np.zeros(3), np.zeros(3))
     if request.speed == 0:
@@ -292,13 +290,6 @@ def breaking_points(
     The forces of the pattern stay as they are, in N. The wind grows in its direction, or where
     there is none against the load's way. The distances of carriers and of cables, and the least
     force of a cable, are those at rest.
-
-    Args:
-        task: of the instants of the way at which the limits are looked at.
-        kind: one of `KINDS`.
-        x: the formation.
-        phase_turns: κ.
-        phases: of a turn.
     """
     program = FormationProgram(task.with_motions(1), kind, phase_turns, phases=phases)
     beside = np.flatnonzero(np.isin(program.row_names, list(OTHER_MARGINS)))

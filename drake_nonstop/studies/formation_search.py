@@ -62,14 +62,7 @@ def design_one(
 
 
 class FormationSearch:
-    """The search of one number of carriers and kind.
-
-    Args:
-        request: what is asked for.
-        carriers: n.
-        kind: leaning or co_rotating.
-        turns: κ; None: the usual one.
-    """
+    """The search of one number of carriers and kind, from the usual κ on or a given one."""
 
     def __init__(self, request: DesignRequest, carriers: int, kind: str, turns: int | None = None):
         self.request, self.n, self.kind = request, carriers, kind

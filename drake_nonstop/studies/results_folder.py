@@ -162,10 +162,7 @@ def write_data(run: Run, folder: Path | str, own_code: str | None = None) -> dic
 
     Pictures of an equal flight, with the same scenario and signals to the bit, are not removed.
 
-    Args:
-        run: what to write.
-        folder: as for `write_results`.
-        own_code: what `own_code_of` said of the scenario as it was loaded; None: as it is now.
+    `own_code` is what `own_code_of` said of the scenario as it was loaded; None: as it is now.
     """
     require(isinstance(run, Run), "run", type(run).__name__, "give a Run, which simulate returns")
     folder = as_path(folder)
@@ -212,13 +209,6 @@ def write_pictures(
     """Writes diagram.svg, replay.html and figures/, each of which appears once it is complete.
 
     Earlier pictures that are not asked for are removed at the end.
-
-    Args:
-        run: what to show.
-        folder: as for `write_results`.
-        figures: whether to write figures.
-        replay: whether to write the replay.
-        progress: called with a description and the share that is written.
     """
     folder = as_path(folder)
     todo: list[tuple[str, Callable[[BinaryIO], Any]]] = [
