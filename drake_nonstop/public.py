@@ -96,8 +96,7 @@ from drake_nonstop.systems.energy import (
 )
 from drake_nonstop.analysis.limit import RunOutcome as RunOutcome
 from drake_nonstop.studies.results_folder import write_results as write_results
-from drake_nonstop.studies.ablation import ablate as ablate
-from drake_nonstop.studies.grids import read_grid as read_grid
+from drake_nonstop.studies.ablation import ablate as ablate, read_grid as read_grid
 from drake_nonstop.studies.design import design as design, Design as Design
 from drake_nonstop.studies.design_request import (
     read_request as read_request,

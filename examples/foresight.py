@@ -6,8 +6,8 @@ import numpy as np
 
 from drake_nonstop import compute_metrics, load_scenario, simulate
 from drake_nonstop.simulation.run_quantities import RunQuantities
+from drake_nonstop.studies.ablation import read_grid
 from drake_nonstop.studies.figures import make_overlay_figure
-from drake_nonstop.studies.grids import read_grid
 
 # A drawn task: what it changes of the scenario "quintic". `tests/drawn_tasks.py` draws others.
 TASK = [

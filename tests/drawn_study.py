@@ -34,7 +34,7 @@ from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.outcome import LIMITS
 from drake_nonstop.simulation.run import Run, StepCheck
 from drake_nonstop.simulation.run_quantities import RunQuantities
-from drake_nonstop.studies.grids import read_grid
+from drake_nonstop.studies.ablation import read_grid
 from drake_nonstop.studies.journal import Journal, StudyInterrupted, open_journal, settings_of
 from drake_nonstop.studies.run_all import COMPLETED, FAILED, SerialExecutor, attempt, run_all
 from drake_nonstop.systems.block import release

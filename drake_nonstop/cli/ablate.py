@@ -4,9 +4,14 @@ import argparse
 
 from drake_nonstop.cli.arguments import Commands, add_study, read_scenario, study_folder
 from drake_nonstop.cli.ending import FAILED
-from drake_nonstop.studies.ablation import ablate, ablation_settings
-from drake_nonstop.studies.ablation_tables import as_text
-from drake_nonstop.studies.grids import grid_names, name_overrides, read_grid
+from drake_nonstop.studies.ablation import (
+    ablate,
+    ablation_settings,
+    grid_names,
+    name_overrides,
+    read_grid,
+)
+from drake_nonstop.studies.ablation_report import as_text
 from drake_nonstop.studies.run_all import COMPLETED, DIVERGED
 from drake_nonstop.validation import require
 from drake_nonstop.visualization.progress import TaskProgress

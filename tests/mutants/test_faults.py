@@ -92,7 +92,7 @@ def test_stages_without_tests_are_left_out():
     ("file", "room"),
     [
         ("diagrams/nonstop.py", "diagrams"),
-        ("drake_nonstop/studies/ablation_tables.py", "studies"),
+        ("drake_nonstop/studies/ablation_report.py", "studies"),
         ("drake_nonstop/validation.py", ""),
     ],
 )

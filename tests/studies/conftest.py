@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from drake_nonstop.studies import ablation, ablation_page, margins, robustness
+from drake_nonstop.studies import ablation, ablation_report, margins, robustness
 from drake_nonstop.studies.run_all import SerialExecutor, run_all
 
 # A wind with the faults that a block can have.
@@ -66,4 +66,4 @@ def serial_runs(undrawn, monkeypatch):
     serial = functools.partial(run_all, executor=SerialExecutor())
     for module in (ablation, margins, robustness):
         monkeypatch.setattr(module, "run_all", serial)
-    monkeypatch.setattr(ablation_page, "_draw", lambda *arguments: None)
+    monkeypatch.setattr(ablation_report, "_draw", lambda *arguments: None)

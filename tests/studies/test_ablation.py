@@ -23,17 +23,17 @@ from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.scenario.schema import check
 from drake_nonstop.simulation.metrics import flattened
 from drake_nonstop.studies import ablation
-from drake_nonstop.studies.ablation import ablate
-from drake_nonstop.studies.ablation_page import PAGE, write_page
-from drake_nonstop.studies.ablation_tables import (
+from drake_nonstop.studies.ablation import ablate, grid_names, name_overrides, read_grid
+from drake_nonstop.studies.ablation_report import (
     BASE,
+    PAGE,
     Row,
     as_csv,
     as_markdown,
     as_text,
     ordered,
+    write_page,
 )
-from drake_nonstop.studies.grids import grid_names, name_overrides, read_grid
 from drake_nonstop.studies.journal import JOURNAL, StudyInterrupted
 from drake_nonstop.studies.run_all import COMPLETED, DIVERGED, FAILED, UNBUILDABLE
 from drake_nonstop.systems.block import LeafBlock
