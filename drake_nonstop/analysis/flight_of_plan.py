@@ -5,12 +5,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from drake_nonstop.analysis.aircraft_margins import (
-    FlightLimits,
-    FlightMargin,
-    FlightRanges,
-    quantities_of_each,
-)
+from drake_nonstop.analysis.flight_envelope import FlightEnvelope, FlightRanges, limits_along
+from drake_nonstop.analysis.limit_along import FlightMargin
 from drake_nonstop.analysis.needs_along import NeedsAlong
 from drake_nonstop.analysis.speed_check import SpeedCheck
 from drake_nonstop.analysis.task import Task
@@ -85,7 +81,7 @@ class FlightOfPlan(NamedTuple):
         }
 
 
-def flight_of_plan(task: Task, speeds: SpeedCheck, limits: FlightLimits) -> FlightOfPlan | None:
+def flight_of_plan(task: Task, speeds: SpeedCheck, limits: FlightEnvelope) -> FlightOfPlan | None:
     """The margins of a task's aircraft along its best plan, in the mean wind at their mean height.
 
     The aircraft follow the plan exactly, above the load that the controllers believe in, see
@@ -106,12 +102,12 @@ def flight_of_plan(task: Task, speeds: SpeedCheck, limits: FlightLimits) -> Flig
     planned = task.planned(speeds.plan, times)
     along = NeedsAlong(task, times)
     needs, forces = along.needs(planned), along.cable_forces(planned)
-    quantities = [*quantities_of_each(aircraft, needs, limits)]
+    quantities = [*limits_along(aircraft, needs, limits, times)]
     angles = planned[:, 0] % (2 * math.pi)
     missed = [np.any(quantity.left.round(9) < 0, axis=1) for quantity in quantities]
     return FlightOfPlan(
-        tuple(quantity.worst(angles) for quantity in quantities),
-        tuple(float(times[quantity.worst_place[0]]) for quantity in quantities),
+        tuple(quantity.worst_margin(angles) for quantity in quantities),
+        tuple(quantity.time for quantity in quantities),
         FlightRanges.of(aircraft, needs, forces, task.flown.attachments),
         float(np.mean(np.any(missed, axis=0))),
         limits.saturated_share,

@@ -1,5 +1,7 @@
-"""A limit of a layer beside what it holds for, along a plan or a flight."""
+"""A limit beside what it holds for, along a plan, a flight or an orbit."""
 
+import math
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,32 +12,115 @@ from drake_nonstop.optimization.limits import Limit, Of
 _NEARLY = 0.04  # of a limit
 
 
+@dataclass(frozen=True, kw_only=True)
+class FlightMargin:
+    """One quantity where it is closest to its limit, or farthest beyond.
+
+    Attributes:
+        name: of the quantity.
+        unit: of `value` and `limit`; "" for a share.
+        value: of the quantity.
+        limit: of the quantity there.
+        is_upper: whether the limit is the largest value; if not, it is the least.
+        phase: rad, where on the orbit.
+        carriers: which one, or which two, from 1 on.
+    """
+
+    name: str
+    unit: str
+    value: float
+    limit: float
+    is_upper: bool
+    phase: float
+    carriers: tuple[int, ...]
+
+    @property
+    def margin(self) -> float:
+        """From the value to the limit; negative where it is beyond."""
+        return self.limit - self.value if self.is_upper else self.value - self.limit
+
+    @property
+    def is_kept(self) -> bool:
+        """Whether the value is within the limit."""
+        return self.margin >= 0
+
+    def shown(self, value: float) -> str:
+        """A value of the quantity with its unit, for a sentence or a table."""
+        if self.unit == "rad":
+            return f"{math.degrees(value):.1f} deg"
+        return f"{value:.{1 if self.unit else 2}f} {self.unit}".rstrip()
+
+    @property
+    def dictionary(self) -> dict[str, Any]:
+        """All of it for a JSON file."""
+        return {
+            "name": self.name,
+            "unit": self.unit,
+            "value": self.value,
+            "limit": self.limit,
+            "limit_is": "upper" if self.is_upper else "lower",
+            "margin": self.margin,
+            "phase_rad": self.phase,
+            "carriers": list(self.carriers),
+        }
+
+    @property
+    def sentence(self) -> str:
+        """The value beside its limit."""
+        bound = "at most" if self.is_upper else "at least"
+        return f"{self.name} {self.shown(self.value)} ({bound} {self.shown(self.limit)})"
+
+
 class LimitAlong(NamedTuple):
-    """A limit that a layer is asked for, and what it holds for at k instants."""
+    """A limit, and what it holds for at k instants."""
 
     limit: Limit
-    stated: float
-    times: NDArray  # (k,), s
+    stated: Any  # a number, or an array that broadcasts to the values
+    times: NDArray  # (k,), s; phases in rad where the instants are those of an orbit
     values: NDArray  # (k, c), in the limit's unit, of carriers, cables or pairs of carriers
+
+    @property
+    def left(self) -> NDArray:
+        """From the values to the limit (k, c); negative beyond it."""
+        return self.limit.side * (self.values - self.stated)
+
+    @property
+    def place(self) -> tuple[int, int]:
+        """The instant and the column of the least that is left; of equal ones the first."""
+        instant, column = np.unravel_index(np.argmin(self.left.round(9)), self.values.shape)
+        return int(instant), int(column)
 
     @property
     def worst(self) -> float:
         """The value that is the closest to the limit, or the farthest beyond it."""
-        return float(self.values[self.limit.worst(self.values)])
+        return float(self.values[self.place])
 
     @property
     def time(self) -> float:
         """When that is, s."""
-        return float(self.times[self.limit.worst(self.values)[0]])
+        return float(self.times[self.place[0]])
 
     @property
     def carriers(self) -> tuple[int, ...]:
         """Of which carrier or cable, or which two, from 1 on."""
-        column, count = self.limit.worst(self.values)[1], self.values.shape[1]
+        column, count = self.place[1], self.values.shape[1]
         if self.limit.of is not Of.SEPARATION:
             return (column + 1,)
         n = round((1 + np.sqrt(1 + 8 * count)) / 2)
         return tuple(int(numbers[column]) + 1 for numbers in np.triu_indices(n, 1))
+
+    def worst_margin(self, phases: NDArray | None = None) -> FlightMargin:
+        """The margin there, at phases (k,) in rad of the instants; None: they are `times`."""
+        instant, _ = place = self.place
+        return FlightMargin(
+            name=self.limit.words,
+            unit=self.limit.unit,
+            value=float(self.values[place]),
+            limit=float(np.broadcast_to(self.stated, self.values.shape)[place]),
+            is_upper=not self.limit.is_least,
+            phase=float((self.times if phases is None else phases)[instant]),
+            carriers=self.carriers,
+        )
 
     @property
     def margin(self) -> float:

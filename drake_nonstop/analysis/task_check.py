@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from pydrake.systems.framework import Diagram
 
-from drake_nonstop.analysis.aircraft_margins import flight_limits_of
+from drake_nonstop.analysis.flight_envelope import flight_envelope_of
 from drake_nonstop.analysis.flight_of_plan import FlightOfPlan, flight_of_plan
 from drake_nonstop.analysis.formation import (
     Formation,
@@ -233,7 +233,7 @@ def check_task(
         limit_remedies=tuple(of_limits),
         formation_remedies=tuple(stabilizing),
         motion_remedies=tuple(parting),
-        flight=flight_of_plan(task, speeds, flight_limits_of(scenario)),
+        flight=flight_of_plan(task, speeds, flight_envelope_of(scenario)),
     )
 
 

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from drake_nonstop.analysis.aircraft_margins import (
-    aircraft_margins,
+    aircraft_margins_for,
     margins_dictionary,
     margins_table,
 )
@@ -50,8 +50,11 @@ def _check(options: argparse.Namespace) -> int:
     require_drawing()
     folder = options.out or default_folder(Path("out") / "check" / scenario.name, scenario)
     require_no_other_run(folder, scenario)
-    aircraft = aircraft_margins(scenario) if scenario.system.aircraft is not None else None
     loop = make_simulator(scenario).get_system().GetSubsystemByName(LOOP)
+    aircraft = None
+    if scenario.system.aircraft is not None:
+        start = loop.CreateDefaultContext()
+        aircraft = aircraft_margins_for(scenario.sampled(), loop, start)
     found = check_task(scenario, loop)
     report = {
         "scenario": scenario.name,

@@ -8,7 +8,7 @@ import numpy as np
 from pydrake.systems.analysis import GetIntegrationSchemes
 from pydrake.systems.framework import Context, Diagram
 
-from drake_nonstop.analysis.aircraft_margins import margins_of_loop
+from drake_nonstop.analysis.aircraft_margins import aircraft_margins_for
 from drake_nonstop.analysis.formation import growth_complaint
 from drake_nonstop.analysis.task import is_known, task_at
 from drake_nonstop.diagrams.nonstop import make_nonstop
@@ -87,7 +87,8 @@ def warn_of_margins(scenario: Scenario, nonstop: Diagram, context: Context) -> N
     if not nonstop.HasOutputPort("aircraft_state"):
         return
     with contextlib.suppress(ScenarioError):  # there is no such orbit
-        found = margins_of_loop(scenario, nonstop, context)
+        loop, context = innermost(nonstop, context, RUN_SIGNALS)
+        found = aircraft_margins_for(scenario, loop, context)
         if not found.is_flyable:
             message = f"{found.verdict}; drake-nonstop check shows all margins"
             warn_user(message)

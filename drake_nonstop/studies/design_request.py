@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from drake_nonstop.analysis.aircraft_margins import FlightLimits
+from drake_nonstop.analysis.flight_envelope import FlightEnvelope
 from drake_nonstop.mechanics.aircraft import Aircraft
 from drake_nonstop.model.aircraft import AircraftParameters, make_aircraft
 from drake_nonstop.model.system import checked_inertia
@@ -130,7 +130,7 @@ class DesignRequest(AircraftLimits, _Asked):
             slow, fast = (float(np.linalg.norm(way)) / time for time in _WAY_TIMES[::-1])
             remedy = f"give {slow:.2g} to {fast:.2g}, for the length of the way, or 0 for none"
             need(slow <= self.speed <= fast, "speed", remedy)
-        limits = FlightLimits()
+        limits = FlightEnvelope()
         for name, high in (
             ("lift_share", limits.lift_share),
             ("bank", limits.bank),

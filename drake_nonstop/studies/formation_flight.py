@@ -10,7 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.analysis.aircraft_margins import FlightLimits, aircraft_needs
+from drake_nonstop.analysis.aircraft_margins import aircraft_needs
+from drake_nonstop.analysis.flight_envelope import FlightEnvelope
 from drake_nonstop.mechanics.aircraft import (
     FlightNeeds,
     airspeed_over_loaded_stall,
@@ -121,7 +122,7 @@ def load_motions(request: DesignRequest, count: int) -> tuple[LoadMotion, ...]:
 
 def design_task(request: DesignRequest, carriers: int, count: int = KEY_INSTANTS) -> FormationTask:
     """The task of the program, with a number of instants on the way, as of `load_motions`."""
-    own = FlightLimits()
+    own = FlightEnvelope()
     wind = np.array(request.wind)
     along = wind if np.any(wind) else -np.array(request.displacement)
     size = float(np.linalg.norm(along))

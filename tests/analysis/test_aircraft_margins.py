@@ -10,11 +10,11 @@ from helpers import nightly_beyond, regular
 
 from drake_nonstop.analysis import aircraft_margins
 from drake_nonstop.analysis.aircraft_margins import (
-    FlightLimits,
     margins_at_rest,
     margins_dictionary,
     margins_table,
 )
+from drake_nonstop.analysis.flight_envelope import FlightEnvelope
 from drake_nonstop.mechanics.aircraft import drag_coefficient, stall_speed
 from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE, AircraftState, LoadReference
 from drake_nonstop.mechanics.wind import MeanWind
@@ -198,7 +198,7 @@ def test_internal_force_and_load_that_turn_at_different_rates_repeat_after_some_
 
 
 def test_distances_are_held_against_the_limits_of_a_run():
-    limits = FlightLimits(carrier_distance=0.2, cable_distance=0.9)
+    limits = FlightEnvelope(carrier_distance=0.2, cable_distance=0.9)
     result = margins(model(F150, 150.0), 0.595, limits=limits)
     assert [m.name for m in result.missed] == ["carriers apart"]
     assert result.missed[0].limit == pytest.approx(0.2 * 151.5)

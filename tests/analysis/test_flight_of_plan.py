@@ -11,10 +11,9 @@ from helpers import nightly_beyond
 
 from drake_nonstop import load_scenario
 from drake_nonstop.analysis.aircraft_margins import (
-    FlightLimits,
     aircraft_margins,
-    flight_limits_of,
 )
+from drake_nonstop.analysis.flight_envelope import FlightEnvelope, flight_envelope_of
 from drake_nonstop.analysis.flight_of_plan import flight_of_plan
 from drake_nonstop.analysis.sampled_growth import SampledGrowth
 from drake_nonstop.analysis.speed_check import check_speeds
@@ -40,7 +39,7 @@ def check_at_rest():
 
 def flight(scenario):
     task = task_of(scenario)
-    return flight_of_plan(task, check_speeds(task), flight_limits_of(scenario))
+    return flight_of_plan(task, check_speeds(task), flight_envelope_of(scenario))
 
 
 TURNING = ["simulation_duration=16"]
@@ -124,7 +123,7 @@ def assert_beyond(blind):
 def test_limits_that_are_missed_are_told_with_where_and_by_whom():
     found = check_at_rest()
     task = task_of(load_scenario("aircraft_co_rotating", ["simulation_duration=6"]))
-    missed = flight_of_plan(task, check_speeds(task), FlightLimits(lift_share=0.3))
+    missed = flight_of_plan(task, check_speeds(task), FlightEnvelope(lift_share=0.3))
     assert not missed.is_flyable
     assert re.search(
         r"C_L / C_Lmax 0\.\d\d \(at most 0\.30\) at t = \d\.\d s, carrier \d", missed.verdict
@@ -136,7 +135,7 @@ def test_what_is_missed_for_a_short_time_is_in_doubt():
     task = task_of(load_scenario("aircraft_rest", AT_REST))
     speeds = check_speeds(task)
     (bank,) = (each for each in check_at_rest().flight.margins if each.name == "bank")
-    short = FlightLimits(bank=0.9998 * bank.value)
+    short = FlightEnvelope(bank=0.9998 * bank.value)
     told = flight_of_plan(task, speeds, short)
     assert told.is_flyable
     assert told.is_in_doubt
@@ -153,7 +152,7 @@ def test_what_is_missed_for_a_short_time_is_in_doubt():
     gusty = told._replace(missed_share=0.0, gust=1.5)
     assert gusty.is_in_doubt
     assert gusty.verdict.endswith("in gusts of 1.5 m/s a flight alone tells")
-    assert not flight_of_plan(task, speeds, FlightLimits(bank=0.8 * bank.value)).is_flyable
+    assert not flight_of_plan(task, speeds, FlightEnvelope(bank=0.8 * bank.value)).is_flyable
     assert not told._replace(
         ranges=told.ranges._replace(lift_share=(0.5, 1.0))
     ).is_flyable  # stalls

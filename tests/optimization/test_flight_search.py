@@ -8,7 +8,8 @@ import pytest
 from helpers import nightly_beyond
 from pydrake.solvers import ClarabelSolver, MathematicalProgram
 
-from drake_nonstop.analysis.aircraft_margins import FlightLimits, margins_at_rest
+from drake_nonstop.analysis.aircraft_margins import margins_at_rest
+from drake_nonstop.analysis.flight_envelope import FlightEnvelope
 from drake_nonstop.blocks.optimization_layer import NonstopOptimizerConfig
 from drake_nonstop.mechanics.aircraft import stall_speed
 from drake_nonstop.mechanics.wind import MeanWind
@@ -79,7 +80,7 @@ def resting(solver, bound, wind=(0.0, 0.0, 0.0), previous=START, angle=0.3):
 
 def exact_margins(x, wind=(0.0, 0.0, 0.0)):
     """The margins of the whole orbit at rest, by name, from its exact motion in time."""
-    speed = FlightLimits(lift_share=0.9, speed_share=1.2)
+    speed = FlightEnvelope(lift_share=0.9, speed_share=1.2)
     found = margins_at_rest(
         aircraft_model(), np.eye(22)[0], x, wind=MeanWind(np.array(wind)), limits=speed
     )
