@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram
 
-from drake_nonstop.blocks.sample_and_hold import SampleAndHold
 from drake_nonstop.loop.equilibrium import LOOP_SIGNALS
 from drake_nonstop.loop.plant_states import PlantStates
+from drake_nonstop.mechanics.signal_layouts import SAMPLE_TIME
 from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, SIGNAL_PERIOD, CarrierStates, LoadState
 from drake_nonstop.systems.port_state import copied_context
-from drake_nonstop.systems.wiring import innermost
+from drake_nonstop.systems.wiring import innermost, output_names
 
 _STEPS = (1e-6, 1e-8, 1e-10)  # SI units; one after the other, where the rates have a kink
 _KINK = 0.02  # of the difference of two slopes to their sum, from which on they do not agree
@@ -56,7 +56,8 @@ class LinearizedLoop:
             self._plant.try_to_set(trial, carrier_state=carriers)
         self.is_continuous = self._plant.is_continuous(trial)
         self._start = self._plant.state(trial)
-        holds = [block for block in nonstop.GetSystems() if isinstance(block, SampleAndHold)]
+        blocks = nonstop.GetSystems()
+        holds = [block for block in blocks if SAMPLE_TIME in output_names(block)]
         self._hold = holds[0] if holds and control_period > 0 else None
         self._dynamics = _slopes(self._rate, self._start)
 

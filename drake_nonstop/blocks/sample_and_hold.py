@@ -82,7 +82,7 @@ class SampleAndHold(LeafBlock):
             initial = self.DeclareDiscreteState(initial_values.get(name, at_rest))
             self.DeclareStateOutputPort(f"{HELD}{name}", initial)
         self.DeclareStateOutputPort("sample_time", self.DeclareDiscreteState(1))
-        self.period = period = model.control_period
+        self.sample_period = period = model.control_period
         self.DeclareInitializationUnrestrictedUpdateEvent(self._sample)
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, period, self._sample)
 

@@ -14,8 +14,6 @@ from drake_nonstop.blocks.reference_governor import ReferenceGovernorConfig, gov
 from drake_nonstop.blocks.sample_and_hold import SAMPLE_AND_HOLD, hold_of
 from drake_nonstop.loop.box import Box, block_class, block_of, import_path, kept_parameters
 from drake_nonstop.loop.loop_response import speed_margin_for, warn_of_margin
-from drake_nonstop.mechanics.reference_preview import ReferencePreview
-from drake_nonstop.mechanics.signal_layouts import Layout
 from drake_nonstop.mechanics.signals import LoadReference
 from drake_nonstop.model.system import (
     Model,
@@ -239,7 +237,8 @@ def _check_preview(loop: LoopBlocks) -> None:
             start = block.CreateDefaultContext()
             preview = block.GetOutputPort("reference_preview").Eval(start)
         remedy = "give a ReferencePreview, such as ReferencePreview(reference_at)"
-        require(isinstance(preview, ReferencePreview), field, type(preview).__name__, remedy)
+        is_preview = callable(preview) and hasattr(preview, "end_time")
+        require(is_preview, field, type(preview).__name__, remedy)
         reference = loop.at_start("reference", block)
         if reference is None:
             continue
@@ -295,7 +294,7 @@ def _check_layouts(name: str, block: System) -> None:
         remedy = f"give the name of an output port, such as {' or '.join(ports[:3])}"
         require(port in ports, field, port, remedy)
         field_of_port = f"{field}[{port}]"
-        require(isinstance(layout, Layout), field_of_port, layout, "give a Layout")
+        require(hasattr(layout, "entries"), field_of_port, layout, "give a Layout")
         size = block.GetOutputPort(port).size()
         remedy = f"give a Layout of {size} entries, as the port has, or the port another size"
         require(layout.entries(port, size), field_of_port, f"{layout.size} entries", remedy)

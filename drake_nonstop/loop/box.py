@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from pydrake.systems.framework import System
 
-from drake_nonstop.mechanics.signal_layouts import SIGNALS, Layout, SomeOf
+from drake_nonstop.mechanics.signal_layouts import SIGNALS, Layout
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.documentation import config_class
 from drake_nonstop.validation import require
@@ -105,7 +105,7 @@ class Box:
         sizes = self.sizes(model.n, model.m)
         for signal, own in getattr(block, "signal_layouts", {}).items():
             layout = self.signals.get(signal)
-            if isinstance(layout, SomeOf) and {*own.parts} <= {*layout.parts}:
+            if layout is not None and layout.is_choice and {*own.parts} <= {*layout.parts}:
                 sizes[signal] = own.count(model.n, model.m)
         optional = {signal: sizes.pop(signal) for signal in self.signals if signal in self.optional}
         return sizes, optional

@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 from pydrake.systems.analysis import SimulatorConfig
 from pydrake.systems.framework import Context, Diagram, PortDataType, System
 
-from drake_nonstop.blocks.sample_and_hold import SampleAndHold
 from drake_nonstop.loop.block_events import timing_complaint
 from drake_nonstop.loop.compiled_flight import CompiledFlight
 from drake_nonstop.loop.derivatives import (
@@ -48,7 +47,6 @@ from drake_nonstop.systems.diagram_trace import (
     trace_content,
     updates_in_trace,
 )
-from drake_nonstop.systems.traced_block import TracedBlock
 from drake_nonstop.systems.tracing import LARGEST, LruCache
 from drake_nonstop.systems.wiring import require_context
 from drake_nonstop.validation import ScenarioError, require, require_known
@@ -102,7 +100,7 @@ def reason_against(
 
 def _complaint_of_trace(leaf: Any, control_period: float) -> str:
     """Why the trace of a leaf has not its updates; empty where it may have."""
-    period = leaf.period if isinstance(leaf, (SampleAndHold, TracedBlock)) else 0.0
+    period = getattr(leaf, "sample_period", 0.0)
     if period > 0:
         return "" if period == control_period else f"it samples every {period:g} s"
     if getattr(leaf, "updates_at_start", False) and not updates_in_trace(leaf):

@@ -18,7 +18,6 @@ from drake_nonstop.systems.diagram_trace import (
     knows_beforehand,
     leaves,
 )
-from drake_nonstop.systems.parameters import NumericParameters
 from drake_nonstop.systems.port_state import set_state_values, state_values
 from drake_nonstop.systems.tracing import object_array
 from drake_nonstop.systems.wiring import systems_in
@@ -108,9 +107,9 @@ class LoopLayout:
         names = []
         for leaf, size in zip(self.with_parameters, self.parameter_sizes, strict=True):
             box = self.wires.block_of(leaf).get_name()
-            own = None if hasattr(leaf, "trace_parameters") else getattr(leaf, "parameters", None)
             shapes = {"parameters": (size,)}
-            if isinstance(own, NumericParameters):
+            own: Any = getattr(leaf, "parameters", None)
+            if hasattr(own, "defaults") and not hasattr(leaf, "trace_parameters"):
                 shapes = {name: value.shape for name, value in own.defaults.items()}
             for name, shape in shapes.items():
                 names += [f"{box}.{name}{list(at) or ''}" for at in np.ndindex(shape)]

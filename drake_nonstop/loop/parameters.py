@@ -439,8 +439,9 @@ def _is_loop(system: System) -> bool:
 def _holders(loop: Diagram) -> Iterator[_Holder]:
     first = 0
     for block in loop.GetSystems():
+        found: Any
         for _, found, group in declared(block, first):
-            if isinstance(found, BlockParameters):
+            if hasattr(found, "rules"):  # of a block's config and system
                 place = group if len(found) > 0 else None
                 yield _Holder(title(block), block, found, place)
         first += block.num_numeric_parameter_groups()

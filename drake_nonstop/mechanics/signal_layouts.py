@@ -86,6 +86,7 @@ class Layout:
     """
 
     parts: tuple[Part, ...]
+    is_choice = False  # whether a block may make some of the parts alone
 
     def __init__(self, *parts: Part):
         for part in parts:
@@ -148,6 +149,8 @@ class Layout:
 
 class SomeOf(Layout):
     """Parts of which a block makes some: its own `signal_layouts` say which."""
+
+    is_choice = True
 
     @property
     def size(self) -> str:

@@ -29,7 +29,6 @@ from drake_nonstop.mechanics.planned_orbit import (
     planned_gaps,
     planned_speeds,
 )
-from drake_nonstop.mechanics.reference_preview import ReferencePreview
 from drake_nonstop.mechanics.rigid_load import STILL_AIR
 from drake_nonstop.mechanics.signals import WIND_SIZE
 from drake_nonstop.model.system import Model
@@ -479,6 +478,5 @@ def _side_by_side(*parts: tuple[NDArray, NDArray]) -> tuple[NDArray, NDArray]:
 
 def references_at(reference: Reference, times: NDArray) -> NDArray:
     """The references (k, 22) at times (k,) in s."""
-    if isinstance(reference, ReferencePreview):
-        return reference.at(times)
-    return np.array([reference(time) for time in times])
+    at = getattr(reference, "at", None)  # of a `ReferencePreview`
+    return np.array([reference(time) for time in times]) if at is None else at(times)

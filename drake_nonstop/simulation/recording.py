@@ -219,7 +219,7 @@ def _add_log(builder: DiagramBuilder, ports: Mapping[str, OutputPort], kind: typ
 def control_period_of(nonstop: Diagram) -> float:
     """That of the controllers in a loop, s; 0 where none is known."""
     holds = (s for s in nested(nonstop, RUN_SIGNALS)[-1].GetSystems() if type(s) is SampleAndHold)
-    return next((hold.period for hold in holds), 0.0)
+    return next((hold.sample_period for hold in holds), 0.0)
 
 
 def _names_and_entries(

@@ -123,7 +123,7 @@ class TracedBlock(LeafBlock):
             raise ValueError("state = none: give one, or neither state_port nor start")
         if state_port and (outputs or {}).get(state_port) != size:
             raise ValueError(f"state_port = {state_port}: put it among the outputs, of size {size}")
-        self._is_held = is_held and self.period > 0
+        self._is_held = is_held and self.sample_period > 0
         self._held: list[str] = []  # the outputs of the discrete groups behind the state
         self.updates_at_start = start is not None or self._is_held
         self.starts_first = start is not None and not self._is_held
@@ -185,7 +185,7 @@ class TracedBlock(LeafBlock):
         return self._of_function == (self.num_output_ports(), self._declarations)
 
     @property
-    def period(self) -> float:
+    def sample_period(self) -> float:
         """Of the samples of the state, s; 0: it is continuous, or there is none."""
         return self._period if len(self._initial) else 0.0
 
@@ -194,7 +194,7 @@ class TracedBlock(LeafBlock):
         """The functions of the parts, and how the state goes on and starts."""
         keys = tuple(part.key for part in self._parts)
         start = self._start and (self._start.function, tuple(self._start.reads))
-        return keys, self.period, self.updates_first, self._is_held, start
+        return keys, self.sample_period, self.updates_first, self._is_held, start
 
     def _add_moved(self, between: BetweenSamples) -> None:
         """The part of the outputs that move, from the first part, on to a time."""
@@ -352,7 +352,7 @@ class TracedBlock(LeafBlock):
     @property
     def traced_update(self) -> Callable[[At], list[NDArray]]:
         """The state and what is held, after a sample; what is not sampled has none."""
-        if self.period == 0:
+        if self.sample_period == 0:
             raise AttributeError("traced_update: the state is not sampled")
         return self._traced_update
 

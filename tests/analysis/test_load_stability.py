@@ -125,9 +125,11 @@ def test_cables_carry_the_simulated_load(mass):
     assert at_rest.loads.least_tension == pytest.approx(mass * task.model.gravity / 4, rel=1e-9)
 
 
-@pytest.mark.parametrize("is_measured", [True, False])
-def test_the_attitude_of_a_task_is_fed_back_where_it_is_measured(is_measured):
-    feedback = "IdealFeedback" if is_measured else "DesiredAttitudeFeedback"
+@pytest.mark.parametrize(
+    ("feedback", "is_measured"),
+    [("IdealFeedback", True), ("DesiredAttitudeFeedback", False), ("DesiredStateFeedback", False)],
+)
+def test_the_attitude_of_a_task_is_fed_back_where_it_is_measured(feedback, is_measured):
     task = task_of(load_scenario("quintic", [f"load_feedback={feedback}"]))
     gains = dict(task.response.feedback.gains)
     for name in ("orientation_gain", "angular_velocity_gain"):

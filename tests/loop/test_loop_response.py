@@ -3,21 +3,24 @@
 import dataclasses
 import math
 import warnings
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import pytest
 from drawn_tasks import draw
 from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import LeafSystem
 
 from drake_nonstop.analysis.linearized_loop import LinearizedLoop
+from drake_nonstop.analysis.task import task_at, task_of
 from drake_nonstop.blocks.carrier_controller import CarrierPid
 from drake_nonstop.diagrams.nonstop import make_blocks, make_nonstop
 from drake_nonstop.loop.loop_response import loop_response, speed_margin_for
 from drake_nonstop.loop.plant_states import PlantStates
 from drake_nonstop.mechanics.sampled_loop import noise_deviation, responses
 from drake_nonstop.mechanics.signals import CarrierStates, LoadState
-from drake_nonstop.model.descriptions import Estimator
+from drake_nonstop.mechanics.wind import MeanWind
+from drake_nonstop.model.descriptions import CarrierControl, Estimator, Wind
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.problem_config import (
     LimitsConfig,
@@ -444,6 +447,58 @@ def test_what_is_not_known_is_said_in_one_sentence():
     with pytest.warns(ScenarioWarning, match="carrier_controller = Unknown: its response") as said:
         make_nonstop(scenario, carrier_controller=lambda model: Unknown(model))
     assert len([w for w in said if "tightening" in str(w.message)]) == 1
+
+
+class _OwnController(CarrierPid):
+    """That of the package, of which nothing is known."""
+
+
+class _DescribedController(CarrierPid):
+    """As much, and it says what it does."""
+
+    def describe_response(self):
+        return CarrierControl(**self.gains)
+
+
+class _OwnWind(LeafSystem):
+    """A steady wind that describes itself."""
+
+    def __init__(self, model):
+        super().__init__()
+        for name, size in (("wind", 3 * model.n), ("load_wind", 3), ("wind_estimate", 3)):
+            self.DeclareVectorOutputPort(name, size, partial(_blow, size), {self.nothing_ticket()})
+
+    def describe_wind(self):
+        return Wind(MeanWind(np.array([0.2, 0.0, 0.0])), believed=np.zeros(3))
+
+
+def _blow(size, context, output):
+    output.SetFromVector(np.tile([0.2, 0.0, 0.0], size // 3))
+
+
+def test_blocks_of_ones_own_that_describe_themselves_take_part():
+    """The margin, and what a run says of its formation, are those of the same loop of ours."""
+    layer = "optimization_layer.tightening=auto"
+    wind = "wind=!SteadyWind {velocity: [0.2, 0, 0], believed: [0, 0, 0]}"
+    scenario = load_scenario("three_carriers", [layer, wind, "carrier_controller=CarrierPid"])
+    expected = make_nonstop(scenario, at_equilibrium=False)
+    own = {"carrier_controller": lambda model: _DescribedController(model), "wind": _OwnWind}
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", ScenarioWarning)
+        loop = make_nonstop(scenario, at_equilibrium=False, **own)
+    assert loop.speed_margin == expected.speed_margin
+    context = loop.CreateDefaultContext()
+    for given in (task_of(scenario, loop), task_at(scenario.sampled(), loop, context)):
+        ours = task_of(scenario, expected).response.carriers
+        assert vars(given.response.carriers) == vars(ours)
+        np.testing.assert_array_equal(given.wind, [0.2, 0.0, 0.0])
+
+
+def test_what_a_block_of_ones_own_inherits_is_not_taken_for_its_response():
+    scenario = load_scenario("three_carriers")
+    blocks = make_blocks(scenario, carrier_controller=lambda model: _OwnController(model))
+    model = Model(scenario.system, scenario.pattern, scenario.control_period)
+    assert loop_response(model, blocks).carriers is None
 
 
 def test_the_orbits_of_the_margin_weigh_the_amplitude_as_their_layer_does():
