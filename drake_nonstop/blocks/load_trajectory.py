@@ -11,7 +11,7 @@ from pydrake.polynomial import Polynomial
 from pydrake.trajectories import PiecewisePolynomial
 
 from drake_nonstop.blocks.along_trajectory import AlongTrajectory, LoadTrajectory, reference_along
-from drake_nonstop.mechanics.circle import circular_motion
+from drake_nonstop.mechanics.rotation import circular_motion
 from drake_nonstop.mechanics.signals import PLANNED_SIZE, PlannedParameters
 from drake_nonstop.model.pose_samples import read_samples, sample_array
 from drake_nonstop.model.system import Model

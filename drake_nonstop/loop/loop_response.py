@@ -200,7 +200,7 @@ def speed_margin_for(
     except NoMarginError as error:
         cause = str(error)
         if error.margin is not None:
-            rest = -error.margin.uncovered
+            rest = -error.margin.deficit
             known = f"{rest:.3g} m/s of what is needed, and " if rest > 0 else ""
             cause = f"{known}what faster orbits add, as {cause}"
         left_out.append(cause)

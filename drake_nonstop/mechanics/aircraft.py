@@ -23,10 +23,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.cable import positive_part, within
-from drake_nonstop.mechanics.rotation import absolute, cross
+from drake_nonstop.mechanics.rotation import clipped, cross
 from drake_nonstop.mechanics.signals import AircraftCommand, AircraftState
 
 _UP = np.array([0.0, 0.0, 1.0])
+_NORTH_EAST_DOWN = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 _LEAST = 1e-12  # beside squares of speeds and of direction vectors, which may vanish
 _ROUNDING = 1e-9  # of a limit
 LARGEST_ANGLE = 0.6  # rad, of attack, far beyond stall, that a command is looked for within
@@ -217,10 +218,10 @@ def lift_and_thrust(
     pressure = pressure_force(aircraft, airspeed)
     slope = aircraft.lift_slope
     without_thrust = angle_of_attack(aircraft, across / pressure)
-    lift = aircraft.lift_at_zero_angle + slope * _clipped(without_thrust, LARGEST_ANGLE)
+    lift = aircraft.lift_at_zero_angle + slope * clipped(without_thrust, LARGEST_ANGLE)
     drag = drag_coefficient(aircraft, lift)
     angle = without_thrust * slope / (slope + drag + along / pressure)
-    angle = _clipped(angle, LARGEST_ANGLE)
+    angle = clipped(angle, LARGEST_ANGLE)
     for _ in range(_ITERATIONS):
         lift = aircraft.lift_at_zero_angle + slope * angle
         forward_thrust = along + pressure * drag_coefficient(aircraft, lift)
@@ -230,7 +231,7 @@ def lift_and_thrust(
         derivative = pressure * (slope + drag_slope * tangent)
         derivative = derivative + forward_thrust * (1 + tangent * tangent)
         angle = angle - residual / derivative
-    angle = _clipped(angle, LARGEST_ANGLE)
+    angle = clipped(angle, LARGEST_ANGLE)
     lift = aircraft.lift_at_zero_angle + slope * angle
     thrust = (along + pressure * drag_coefficient(aircraft, lift)) / np.cos(angle)
     return lift, thrust
@@ -389,7 +390,7 @@ def flight_rate(
     velocities = own.carriers[len(wind) :]
     airspeed = air_frame((velocities - wind).reshape(-1, 3)).airspeed[..., 0]
     thrust = limited_thrust(aircraft, aircraft.thrust_gain * told.thrust, airspeed)
-    roll_rate = _clipped((told.bank - own.bank) / aircraft.bank_lag, aircraft.max_roll_rate)
+    roll_rate = clipped((told.bank - own.bank) / aircraft.bank_lag, aircraft.max_roll_rate)
     return np.concatenate(
         FlightStates(
             np.concatenate([velocities, flight_acceleration(aircraft, states, cable_forces, wind)]),
@@ -428,6 +429,44 @@ def _lift_in_gusts(
     return limited_lift(aircraft, own.lift + gust_lift(aircraft, air_velocity, own.bank, gust))
 
 
-def _clipped(a: NDArray, limit: float | NDArray) -> NDArray:
-    """The entries within ± the limit, for any scalar type."""
-    return (absolute(a + limit) - absolute(a - limit)) / 2
+def body_attitude(air_velocity: NDArray, angle: float, bank: float) -> NDArray:
+    """R_WB (3, 3) of flight through the air without sideslip, as that of a rigid body.
+
+    Body axes are x forward, y to the right, z downwards: with the lift along l,
+
+        x_b = cos α x + sin α l,   z_b = sin α x − cos α l,   y_b = z_b × x_b.
+
+    Args:
+        air_velocity: v − w (3,), m/s, in W, not vertical.
+        angle: α, rad.
+        bank: μ, rad, positive to the right.
+    """
+    frame = air_frame(air_velocity)
+    lift = frame.lift_direction(np.array(bank))
+    forward = np.cos(angle) * frame.forward + np.sin(angle) * lift
+    down = np.sin(angle) * frame.forward - np.cos(angle) * lift
+    return np.stack([forward, cross(down, forward), down], axis=1)
+
+
+def turn_rate(air_velocity: NDArray, acceleration: NDArray) -> NDArray:
+    """Angular velocity ω (3,), rad/s, in W, of `air_frame` in a steady wind.
+
+    With the rate of the direction x of flight, ẋ = (v̇ − (v̇·x) x)/V, it is the sum of a turn
+    about the vertical and a pitching about the right y: ω = −ẋ·y/√(1 − x₃²) e₃ + ẋ·z′ y.
+
+    Args:
+        air_velocity: V_a = v − w (3,), m/s, in W, not vertical.
+        acceleration: v̇ (3,), m/s², in W.
+    """
+    frame = air_frame(air_velocity)
+    rate = acceleration / frame.airspeed
+    level = np.sqrt(1 - frame.forward[2] ** 2)
+    return -(rate @ frame.right) / level * _UP + (rate @ frame.up) * frame.right
+
+
+def north_east_down(vectors: NDArray) -> NDArray:
+    """Vectors (..., 3) in W, whose axes are east, north and up, in north, east and down; or back.
+
+    Of a matrix (3, 3) of columns in W, give and take the transposed.
+    """
+    return vectors @ _NORTH_EAST_DOWN

@@ -1,18 +1,10 @@
-"""Cables: massless, tension-only spring-dampers between load and carriers.
-
-They are straight. What that leaves out of cables with drag and mass is told by `cable_bow`,
-`cable_shortening` and `cable_mass`.
-"""
-
-import math
+"""Cables: massless, straight, tension-only spring-dampers between load and carriers."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.rotation import absolute, cross, norm, rotation_matrix
 from drake_nonstop.mechanics.signals import CarrierStates, LoadState
-
-_CABLE_DENSITY = 970.0  # kg/m³, of Dyneema
 
 
 def positive_part(a: NDArray) -> NDArray:
@@ -129,31 +121,3 @@ def wrenches_of(forces: NDArray, levers: NDArray) -> NDArray:
 def _skews(vectors: NDArray) -> NDArray:
     """The matrices (..., 3, 3) that multiply from the left by a cross product."""
     return -np.cross(vectors[..., None, :], np.eye(3))
-
-
-def cable_bow(drag: NDArray, length: float | NDArray, tension: NDArray) -> NDArray:
-    """How far drag bows a taut cable from its chord (...,), m: w_d L²/(16 ∛4 T).
-
-    The cable is carried by an end that moves and hangs on one that rests: its velocity grows
-    linearly, and the drag on its length with the square, up to w_d. It bows farthest at 0.63 of its
-    length; under w_d everywhere it would bow by w_d L²/(8 T). Own derivation, for small bows.
-
-    Args:
-        drag: w_d = ½ ρ C_D d V² (...,), N/m, at the end that moves.
-        length: L, m.
-        tension: T (...,), N.
-    """
-    return drag * length**2 / (16 * 4 ** (1 / 3) * tension)
-
-
-def cable_shortening(drag: NDArray, length: float | NDArray, tension: NDArray) -> NDArray:
-    """By how much the chord of a cable is shorter (...,), m: 9/14 L (w_d L/(12 T))².
-
-    Bow, arguments and source as of `cable_bow`.
-    """
-    return 9 / 14 * length * (drag * length / (12 * tension)) ** 2
-
-
-def cable_mass(diameter: float | NDArray, length: float | NDArray) -> float | NDArray:
-    """The mass of a cable of Dyneema, kg: 970 kg/m³ π d²/4 L, with d and L in m."""
-    return _CABLE_DENSITY * math.pi / 4 * diameter**2 * length

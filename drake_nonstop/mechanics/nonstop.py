@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from drake_nonstop.mechanics.carrier import cable_vectors
 from drake_nonstop.mechanics.internal_force import internal_force
 from drake_nonstop.mechanics.planned_orbit import OrbitTerms
-from drake_nonstop.mechanics.rotation import absolute, cross, quaternion_rate
+from drake_nonstop.mechanics.rotation import clipped, cross, quaternion_rate
 from drake_nonstop.mechanics.signals import LoadState, Parameters, Phase
 
 
@@ -218,6 +218,5 @@ def nearest_squares(gaps: NDArray, gap_rates: NDArray, half_step: float) -> NDAr
     phases, a whole step apart, is not missed. Own derivation.
     """
     nearest = -(gaps * gap_rates).sum(axis=0) / ((gap_rates * gap_rates).sum(axis=0) + 1e-30)
-    nearest = (absolute(nearest + half_step) - absolute(nearest - half_step)) / 2  # clipped to it
-    gaps = gaps + nearest * gap_rates
+    gaps = gaps + clipped(nearest, half_step) * gap_rates
     return (gaps * gaps).sum(axis=0)

@@ -33,6 +33,11 @@ def absolute(a: NDArray) -> NDArray:
     return np.fabs(a)
 
 
+def clipped(a: NDArray, limit: float | NDArray) -> NDArray:
+    """The entries within ± the limit, for any scalar type."""
+    return (absolute(a + limit) - absolute(a - limit)) / 2
+
+
 def skew(a: NDArray) -> NDArray:
     """S(a), the (3, 3) matrix with S(a) b = a × b."""
     return cross(a, np.eye(3)).T
@@ -130,40 +135,48 @@ def angular_motion(
 ) -> tuple[NDArray, NDArray, NDArray]:
     """Angular velocity, acceleration and jerk (3,), in W, of moving roll-pitch-yaw angles.
 
-    ω = E ṙpy, where the columns of E are the axes of roll, pitch and yaw,
-    ω̇ = E r̈py + Ė ṙpy, and ω̈ = E r⃛py + 2 Ė r̈py + Ë ṙpy. Own derivation.
+    Roll's axis turns with yaw and pitch, and pitch's with yaw. Own derivation.
     """
     _, cp, cy = components(np.cos(roll_pitch_yaw))
     _, sp, sy = components(np.sin(roll_pitch_yaw))
-    roll_rate, pitch_rate, yaw_rate = components(rate)
-    zero, one = 0 * cp, 0 * cp + 1
-    roll_axis = np.concatenate([cy * cp, sy * cp, -sp])
+    rates = [components(part) for part in (rate, acceleration, jerk)]
+    zero = 0 * cp
+    yaw_axis = np.concatenate([zero, zero, zero + 1])
     pitch_axis = np.concatenate([-sy, cy, zero])
-    yaw_axis = np.concatenate([zero, zero, one])
-    roll_axis_rate = np.concatenate(
-        [
-            -sy * cp * yaw_rate - cy * sp * pitch_rate,
-            cy * cp * yaw_rate - sy * sp * pitch_rate,
-            -cp * pitch_rate,
+    roll_axis = np.concatenate([cy * cp, sy * cp, -sp])
+    spin = [yaw * yaw_axis for _, _, yaw in rates]
+    for number, axis in ((1, pitch_axis), (0, roll_axis)):
+        first, second, third = (part[number] for part in rates)
+        axis_rate = cross(spin[0], axis)
+        axis_second_rate = cross(spin[1], axis) + cross(spin[0], axis_rate)
+        spin = [
+            spin[0] + first * axis,
+            spin[1] + second * axis + first * axis_rate,
+            spin[2] + third * axis + 2 * second * axis_rate + first * axis_second_rate,
         ]
-    )
-    pitch_axis_rate = np.concatenate([-cy * yaw_rate, -sy * yaw_rate, zero])
-    axes = np.stack([roll_axis, pitch_axis, yaw_axis], axis=1)
-    # The pitch axis turns with ẏaw about yaw's axis, and roll's with ν = ẏaw e₃ + ṗitch e_pitch.
-    roll_acceleration, pitch_acceleration, yaw_acceleration = components(acceleration)
-    pitch_axis_second_rate = cross(yaw_axis, yaw_acceleration * pitch_axis) + cross(
-        yaw_axis, yaw_rate * pitch_axis_rate
-    )
-    spin = yaw_rate * yaw_axis + pitch_rate * pitch_axis
-    spin_rate = (
-        yaw_acceleration * yaw_axis + pitch_acceleration * pitch_axis + pitch_rate * pitch_axis_rate
-    )
-    roll_axis_second_rate = cross(spin_rate, roll_axis) + cross(spin, roll_axis_rate)
-    return (
-        axes @ rate,
-        axes @ acceleration + roll_axis_rate * roll_rate + pitch_axis_rate * pitch_rate,
-        axes @ jerk
-        + 2 * (roll_axis_rate * roll_acceleration + pitch_axis_rate * pitch_acceleration)
-        + roll_axis_second_rate * roll_rate
-        + pitch_axis_second_rate * pitch_rate,
+    return spin[0], spin[1], spin[2]
+
+
+def circular_motion(angle: NDArray, radius: float) -> NDArray:
+    """A point on a circle about the origin of a plane, and four derivatives, (5, 2) in m, s.
+
+    `angle` (5,) is θ, from the first axis towards the second, with its four derivatives in
+    rad, s. With e = (cos θ, sin θ) and n = (−sin θ, cos θ), so that ė = θ̇ n and ṅ = −θ̇ e,
+
+        p = r e,   ṗ = r θ̇ n,   p̈ = r (θ̈ n − θ̇² e),   p⃛ = r ((θ⃛ − θ̇³) n − 3 θ̇ θ̈ e),
+        p⁗ = r ((θ⁗ − 6 θ̇² θ̈) n − (4 θ̇ θ⃛ + 3 θ̈² − θ̇⁴) e).
+    """
+    theta, rate, acceleration, jerk, snap = components(angle)
+    outward = np.concatenate([np.cos(theta), np.sin(theta)])
+    onward = np.concatenate([-np.sin(theta), np.cos(theta)])
+    square = rate * rate
+    return radius * np.stack(
+        [
+            outward,
+            rate * onward,
+            acceleration * onward - rate * rate * outward,
+            (jerk - rate * rate * rate) * onward - 3 * rate * acceleration * outward,
+            (snap - 6 * square * acceleration) * onward
+            - (4 * rate * jerk + 3 * acceleration * acceleration - square * square) * outward,
+        ]
     )

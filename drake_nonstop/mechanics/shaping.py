@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from drake_nonstop.mechanics.rotation import absolute
+from drake_nonstop.mechanics.rotation import clipped
 
 
 class Smoothing:
@@ -42,11 +42,7 @@ class Smoothing:
     def approach(self, first: Any, target: Any) -> Any:
         """ẋ₁ of x₁ and u, until the next sample."""
         rate = self._gain * (target - first)
-        bound = self._max_rate
-        if bound == math.inf:
-            return rate
-        above, below = (absolute(np.asarray(rate + b)) for b in (bound, -bound))
-        return (above - below) / 2
+        return rate if self._max_rate == math.inf else clipped(np.asarray(rate), self._max_rate)
 
     def stage_rates(self, first: Any, second: Any, third: Any) -> tuple[Any, Any]:
         """ẋ₂ and ẋ₃ of x₁, x₂ and x₃."""

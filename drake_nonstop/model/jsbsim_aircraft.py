@@ -35,8 +35,13 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import RollPitchYaw, RotationMatrix
 
-from drake_nonstop.mechanics.aircraft import Aircraft, angle_of_attack
-from drake_nonstop.mechanics.aircraft_attitude import body_attitude, north_east_down, turn_rate
+from drake_nonstop.mechanics.aircraft import (
+    Aircraft,
+    angle_of_attack,
+    body_attitude,
+    north_east_down,
+    turn_rate,
+)
 from drake_nonstop.mechanics.rotation import components, cross
 from drake_nonstop.validation import ScenarioError, require, require_file, require_installed
 

@@ -8,6 +8,7 @@ it is traced once, with exact gradients.
 
 import dataclasses
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -21,11 +22,17 @@ from drake_nonstop.mechanics.aircraft import (
     drawn_power,
     flight_needs,
     needed_force,
+    pressure_force,
     stall_speed,
     thrust_limits,
 )
 from drake_nonstop.mechanics.cable import positive_part
-from drake_nonstop.mechanics.formation_orbit import CarriedLoad, FormationShape, carrier_orbit
+from drake_nonstop.mechanics.formation_orbit import (
+    CarriedLoad,
+    CarrierMotion,
+    FormationShape,
+    carrier_orbit,
+)
 from drake_nonstop.optimization.limits import Limit
 from drake_nonstop.systems.tracing import TracedFunction
 
@@ -49,10 +56,7 @@ class FormationVariables(NamedTuple):
 
 
 _SIZE = len(FormationVariables._fields)
-_AIR = slice(7, 9)  # wind and speed
 _MOTION_SIZE = 12  # of a `LoadMotion`
-# Names of rows: for the separation that is asked for, the reach, and the cables.
-_APART, _APART_REACH, _CABLES = "apart", "apart_reach", "cables"
 
 
 class LoadMotion(NamedTuple):
@@ -114,19 +118,6 @@ class FormationTask:
         return dataclasses.replace(self, motions=self.motions[:count])
 
 
-# What one carrier needs at one phase, and where it is.
-NEEDS = (
-    "lift",  # of C_Lmax
-    "airspeed",  # of the stall speed
-    "bank",  # rad
-    "climb",  # sine of the angle
-    "thrust_above",  # from the thrust to the largest, of the range at that airspeed
-    "thrust_below",  # to the least
-    "share",  # of f₀, the vertical force of its cable
-    "thrust",  # N
-    "power",  # W, drawn
-    *("x", "y", "z"),  # m, beside the load
-)
 # Of a distance that is asked for, below it, and of a run's limit, above it: a whole margin.
 _SEPARATION_MARGIN, _REACH_MARGIN = 0.2, 0.1
 ASKED_MARGIN = 0.1  # likewise, of a limit that is asked for
@@ -136,82 +127,141 @@ _FINE = 24  # phases of a turn
 _LIKELY = 3.0  # of a reserve: a row farther from it hardly matters
 _ROUNDS = 4  # of adding rows that do
 _TOLERANCE = 2e-3  # of a reserve
-# Of the slopes of two cables against the vertical, d their difference and u the direction from one
-# attachment to the other: u·d + 0.85 |d| above this. With u·d = -0.85 |d| the cables come as close
-# as half the distance of their attachments; with u·d = -|d| they meet.
-_CROSSING, _CROSSING_MARGIN = 0.85, 0.015
+_CROSSING, _CROSSING_MARGIN = 0.85, 0.015  # see `_Formation.of_pair`
+_LEAST = 1e-18  # m², beside a squared distance that may vanish
 
 
-def _trace(task: FormationTask, kind: str) -> TracedFunction:
-    """`NEEDS` of the variables, [azimuth, phase], and a `LoadMotion` (12,).
+class _Formation:
+    """The rows of a task and a kind of formation, of numbers or symbols.
 
-    After them the margins of the limits that are asked for.
+    Each is a margin over what is asked of it: 1 where it is kept, 0 at the limit.
     """
-    is_leaning = kind == LEANING
 
-    def needs(values: NDArray, angles: NDArray, motion: NDArray) -> NDArray:
-        x: Any = FormationVariables(*(values[i : i + 1] for i in range(_SIZE)))  # type: ignore[arg-type]
-        share = x.mass * task.load.gravity / task.load.carriers
-        nothing = 0 * share
-        shape = FormationShape(
-            spread=share * x.spread,
-            radial=share * x.radial if is_leaning else nothing,
-            tangential=share * x.tangential if is_leaning else nothing,
-            vertical=share * x.vertical if is_leaning else nothing,
-            frequency=x.frequency if is_leaning else nothing,
-            yaw_rate=nothing if is_leaning else x.frequency,
-            cable_length=x.cable_length,
+    def __init__(self, task: FormationTask, kind: str):
+        self.task, self.is_leaning = task, kind == LEANING
+        own, climb = task.limits, math.sin(task.limits.climb)
+        climb_margin = climb - math.sin(own.climb - own.climb_margin)
+        # Of each quantity its name, the side of its limit, the limit, and the margin from it.
+        self._limits = [
+            ("lift", -1, own.lift_share, own.lift_margin),
+            ("airspeed", 1, own.speed_share, own.speed_margin),
+            ("bank", -1, own.bank, own.bank_margin),
+            ("bank", 1, -own.bank, own.bank_margin),
+            ("climb", -1, climb, climb_margin),
+            ("climb", 1, -climb, climb_margin),
+            ("thrust_above", 1, 0.0, own.thrust_margin),
+            ("thrust_below", 1, 0.0, own.thrust_margin),
+            ("share", 1, 0.0, _LEAST_SHARE),
+        ]
+        asked = [limit.words for limit, _ in own.asked for _ in range(limit.margin_count)]
+        self.names = [*(name for name, *_ in self._limits), *asked]
+
+    def traced(self, function: Callable, sizes: list[int]) -> TracedFunction:
+        """One of the two functions below, with its Jacobian by the variables."""
+        task, limits = self.task, self.task.limits
+        asked = [(limit.field, value) for limit, value in limits.asked]
+        key = function.__name__, self.is_leaning, task.aircraft, task.load, task.wind
+        # The search tries speeds of km/s, too: any finite number will do.
+        return TracedFunction(
+            function,
+            [_SIZE, *sizes],
+            name=lambda: "design",
+            largest=1e100,
+            jacobian_of=0,
+            key=(*key, limits._replace(asked=()), asked),
         )
-        aircraft = task.aircraft._replace(cable_length=x.cable_length)
-        load = task.load._replace(mass=x.mass)
+
+    def of_carrier(self, values: NDArray, angles: NDArray, motion: NDArray) -> NDArray:
+        """The rows of one carrier, and its power, W, at [azimuth, phase] and a `LoadMotion`."""
+        x = _variables(values)
+        aircraft = self.task.aircraft._replace(cable_length=x.cable_length)
         moved = LoadMotion(*(motion[i : i + 3] for i in range(0, _MOTION_SIZE, 3)))
-        velocity, acceleration, jerk, snap = moved.at(x.speed)
-        air_velocity = velocity - x.wind * task.wind
+        orbit, velocity = self._orbit(x, angles, *moved.at(x.speed))
+        force = needed_force(aircraft, orbit.accelerations, orbit.cable_forces)
+        needed = flight_needs(aircraft, force, velocity)
+        airspeed, thrust = needed.airspeed, needed.thrust
+        least, most = thrust_limits(aircraft, airspeed)
+        # Beyond the command's largest angle, where the command alone would not change.
+        along = (force * velocity).sum(axis=-1) / airspeed
+        across = np.sqrt((force * force).sum(axis=-1) - along * along + 1e-9)
+        most_lift = aircraft.lift_at_zero_angle + aircraft.lift_slope * _LARGEST_ANGLE
+        beyond = positive_part(across / pressure_force(aircraft, airspeed) - most_lift)
+        quantities = {
+            "lift": (needed.lift + beyond) / aircraft.max_lift,
+            "airspeed": airspeed / stall_speed(aircraft),
+            "bank": needed.bank,
+            "climb": velocity[:, 2] / airspeed,
+            "thrust_above": (most - thrust) / (most - least),
+            "thrust_below": (thrust - least) / (most - least),
+            "share": orbit.cable_forces[:, 2] / self._share(x),
+        }
+        rows = [
+            side * (quantities[name] - limit) / margin for name, side, limit, margin in self._limits
+        ]
+        for limit, value in self.task.limits.asked:
+            # Margins of squares: by a share of the limit they change by twice of that.
+            margins = limit.margins(aircraft, needed, value)
+            rows += [1 + margin / (2 * ASKED_MARGIN) for margin in margins]
+        return np.concatenate([*rows, drawn_power(aircraft, thrust, airspeed)])
+
+    def of_pair(self, values: NDArray, angles: NDArray) -> NDArray:
+        """The rows of two carriers, and their distance, m, above a load at rest in still air.
+
+        `angles` (4,) are their azimuths and their phases. Of the slopes of two cables against the
+        vertical, d their difference and u the direction from one attachment to the other, the last
+        row asks for u·d + 0.85 |d| above zero. With u·d = -0.85 |d| the cables come as close as
+        half the distance of their attachments; with u·d = -|d| they meet.
+        """
+        x, none = _variables(values), np.zeros(3)
+        x = x._replace(wind=np.zeros(1))
+        task, limits = self.task, self.task.limits
+        places = self._orbit(x, angles, none, none, none, none)[0].positions
+        gap = places[:1] - places[1:]
+        distance = np.sqrt((gap * gap).sum(axis=1) + _LEAST)
+        ends = task.load.radius * np.stack([np.cos(angles[:2]), np.sin(angles[:2])], axis=1)
+        leans = (places[:, :2] - ends) / places[:, 2:]
+        way, lean = ends[0] - ends[1], leans[0] - leans[1]
+        way = way / np.sqrt((way * way).sum(keepdims=True))
+        size = np.sqrt((lean * lean).sum(keepdims=True) + 1e-8)
+        reach = limits.carrier_distance * (task.load.radius + x.cable_length)
+        return np.concatenate(
+            [
+                1 + (distance / limits.separation - 1) / _SEPARATION_MARGIN,
+                (distance / reach - 1) / _REACH_MARGIN,
+                ((way * lean).sum(keepdims=True) + _CROSSING * size) / _CROSSING_MARGIN,
+                distance,
+            ]
+        )
+
+    def _share(self, x: Any) -> Any:
+        return x.mass * self.task.load.gravity / self.task.load.carriers
+
+    def _orbit(
+        self, x: Any, angles: NDArray, velocity: Any, acceleration: Any, jerk: Any, snap: Any
+    ) -> tuple[CarrierMotion, NDArray]:
+        """The motion of carriers at [azimuths, phases], and their velocities through the air."""
+        share, nothing = self._share(x), 0 * x.mass
+        sizes = [*(share * size for size in x[:4]), x.frequency, nothing, x.cable_length]
+        if not self.is_leaning:
+            sizes[1:6] = [nothing] * 4 + [x.frequency]
+        air_velocity = velocity - x.wind * self.task.wind
+        azimuths, phases = np.split(angles, 2)
         orbit = carrier_orbit(
-            shape,
-            load,
-            angles[:1],
-            angles[1:],
+            FormationShape(*sizes),
+            self.task.load._replace(mass=x.mass),
+            azimuths,
+            phases,
             air_velocity=air_velocity,
             acceleration=acceleration,
             jerk=jerk,
             snap=snap,
         )
-        velocity = orbit.velocities + air_velocity
-        force = needed_force(aircraft, orbit.accelerations, orbit.cable_forces)
-        needed = flight_needs(aircraft, force, velocity)
-        airspeed = needed.airspeed
-        least, most = thrust_limits(aircraft, airspeed)
-        asked = [
-            margin
-            for limit, value in task.limits.asked
-            for margin in limit.margins(aircraft, needed, value)
-        ]
-        # Beyond the command's largest angle, where the command alone would not change.
-        along = (force * velocity).sum(axis=-1) / airspeed
-        across = np.sqrt((force * force).sum(axis=-1) - along * along + 1e-9)
-        pressure = aircraft.air_density / 2 * airspeed * airspeed * aircraft.wing_area
-        most_lift = aircraft.lift_at_zero_angle + aircraft.lift_slope * _LARGEST_ANGLE
-        beyond = positive_part(across / pressure - most_lift)
-        return np.concatenate(
-            [
-                (needed.lift + beyond) / aircraft.max_lift,
-                airspeed / stall_speed(aircraft),
-                needed.bank,
-                velocity[:, 2] / airspeed,
-                (most - needed.thrust) / (most - least),
-                (needed.thrust - least) / (most - least),
-                orbit.cable_forces[:, 2] / share,
-                needed.thrust,
-                drawn_power(aircraft, needed.thrust, airspeed),
-                orbit.positions.ravel(),
-                *asked,
-            ]
-        )
+        return orbit, orbit.velocities + air_velocity
 
-    sizes = [_SIZE, 2, _MOTION_SIZE]
-    # The search tries speeds of km/s, too: any finite number will do.
-    return TracedFunction(needs, sizes, name=lambda: "design", largest=1e100, jacobian_of=0)
+
+def _variables(values: NDArray) -> Any:
+    """The variables, each an array (1,)."""
+    return FormationVariables(*(values[i : i + 1] for i in range(_SIZE)))  # type: ignore[arg-type]
 
 
 class FormationProgram:
@@ -226,28 +276,21 @@ class FormationProgram:
         kind: one of `KINDS`.
         phase_turns: κ.
         phases: of a turn.
-        trace: that of another program of the same task and kind.
 
     Attributes:
         row_names: (m,), of the quantities.
     """
 
     def __init__(
-        self,
-        task: FormationTask,
-        kind: str,
-        phase_turns: int = 0,
-        *,
-        phases: int = _FINE,
-        trace: TracedFunction | None = None,
+        self, task: FormationTask, kind: str, phase_turns: int = 0, *, phases: int = _FINE
     ):
         self.task, self.kind, self.phase_turns = task, kind, phase_turns
-        self.trace = trace or _trace(task, kind)
-        is_leaning = kind == LEANING
+        formation, is_leaning = _Formation(task, kind), kind == LEANING
+        self._of_carrier = formation.traced(formation.of_carrier, [2, _MOTION_SIZE])
+        self._of_pair = formation.traced(formation.of_pair, [4])
         n = task.load.carriers
-        turn = 2 * np.pi * np.arange(phases) / phases
+        turn, between = (2 * np.pi * np.arange(k) / k for k in (phases, _FINE))
         places = 2 * np.pi * np.arange(n) / n
-        between = 2 * np.pi * np.arange(_FINE) / _FINE
         pairs = [(p, a) for p in places for a in turn] if is_leaning else [(a, 0.0) for a in turn]
         self._samples = [
             (np.array(angles), np.concatenate(motion))
@@ -256,122 +299,35 @@ class FormationProgram:
         ]
         self._per_motion = len(pairs)
         self._neighbours = [
-            (np.array([0.0, angle]), np.array([step, angle + phase_turns * step]))
+            (np.array([0.0, step, angle, angle + phase_turns * step]),)
             for step in places[1 : n // 2 + 1]
             for angle in (between if is_leaning else between[:1])
         ]
-        self._asked = [
-            limit.words for limit, _ in task.limits.asked for _ in range(limit.margin_count)
-        ]
-        names = np.repeat(
-            [*(name for name, *_ in self._limits()), *self._asked], len(self._samples)
-        )
-        apart = np.repeat([_APART, _APART_REACH, _CABLES], len(self._neighbours))
+        names = np.repeat(formation.names, len(self._samples))
+        apart = np.repeat(["apart", "apart_reach", "cables"], len(self._neighbours))
         self.row_names: NDArray = np.concatenate([names, apart])
-
-    def _limits(self) -> list[tuple[str, int, float, float]]:
-        """Of each quantity of one carrier: its name, the side of its limit, the limit, a margin."""
-        limits = self.task.limits
-        climb = math.sin(limits.climb)
-        climb_margin = climb - math.sin(limits.climb - limits.climb_margin)
-        return [
-            ("lift", -1, limits.lift_share, limits.lift_margin),
-            ("airspeed", 1, limits.speed_share, limits.speed_margin),
-            ("bank", -1, limits.bank, limits.bank_margin),
-            ("bank", 1, -limits.bank, limits.bank_margin),
-            ("climb", -1, climb, climb_margin),
-            ("climb", 1, -climb, climb_margin),
-            ("thrust_above", 1, 0.0, limits.thrust_margin),
-            ("thrust_below", 1, 0.0, limits.thrust_margin),
-            ("share", 1, 0.0, _LEAST_SHARE),
-        ]
-
-    def needs(self, values: NDArray) -> tuple[NDArray, NDArray]:
-        """`NEEDS` (k, 12) of all samples, and their gradients (k, 12, 10).
-
-        After them the margins of the limits that are asked for.
-        """
-        found = np.empty((len(self._samples), len(NEEDS) + len(self._asked)))
-        gradients = np.empty((*found.shape, _SIZE))
-        for k, (angles, motion) in enumerate(self._samples):
-            found[k], gradients[k] = self.trace(values, angles, motion)
-        return found, gradients
 
     def rows(self, values: NDArray) -> tuple[NDArray, NDArray, float, NDArray]:
         """The rows (m,), their gradients (m, 10), one aircraft's mean power, W, and its (10,)."""
-        needs, slopes = self.needs(values)
-        rows, gradients = [], []
-        for name, sign, limit, margin in self._limits():
-            column = NEEDS.index(name)
-            rows.append(sign * (needs[:, column] - limit) / margin)
-            gradients.append(sign * slopes[:, column] / margin)
-        for column in range(len(NEEDS), needs.shape[1]):
-            # Margins of squares: by a share of the limit they change by twice of that.
-            rows.append(1 + needs[:, column] / (2 * ASKED_MARGIN))
-            gradients.append(slopes[:, column] / (2 * ASKED_MARGIN))
-        distances, changes, clearances, clearance_changes = self._beside(values)
-        reach = self.task.load.radius + values[5]
-        share = self.task.limits.carrier_distance
-        for least, slope, kept, margin in (
-            (self.task.limits.separation, 0.0, 1.0, _SEPARATION_MARGIN),
-            (share * reach, share, 0.0, _REACH_MARGIN),
-        ):
-            ratio = distances / least
-            rows.append(kept + (ratio - 1) / margin)
-            change = changes / least
-            change[:, 5] -= ratio * slope / least
-            gradients.append(change / margin)
-        rows.append(clearances / _CROSSING_MARGIN)
-        gradients.append(clearance_changes / _CROSSING_MARGIN)
-        power, at_rest = NEEDS.index("power"), slice(self._per_motion)
-        return (
-            np.concatenate(rows),
-            np.concatenate(gradients),
-            float(needs[at_rest, power].mean()),
-            slopes[at_rest, power].mean(axis=0),
+        (*rows, power), (*gradients, power_gradient) = _evaluated(
+            self._of_carrier, values, self._samples
         )
+        (*beside, _), (*beside_gradients, _) = _evaluated(self._of_pair, values, self._neighbours)
+        at_rest = slice(self._per_motion)
+        return (
+            np.concatenate([*rows, *beside]),
+            np.concatenate([*gradients, *beside_gradients]),
+            float(power[at_rest].mean()),
+            power_gradient[at_rest].mean(axis=0),
+        )
+
+    def separations(self, values: NDArray) -> NDArray:
+        """The distances (p,), m, of pairs above a load at rest in still air."""
+        return _evaluated(self._of_pair, values, self._neighbours)[0][-1]
 
     def closest_row(self, values: NDArray) -> str:
         """The name of the quantity that is the closest to its limit."""
         return str(self.row_names[np.argmin(self.rows(values)[0])])
-
-    def separations(self, values: NDArray) -> tuple[NDArray, NDArray]:
-        """The distances (p,), m, of pairs above a load at rest in still air, and gradients."""
-        return self._beside(values)[:2]
-
-    def _beside(self, values: NDArray) -> tuple[NDArray, NDArray, NDArray, NDArray]:
-        """`separations`, and what tells of `_CROSSING` how near two cables come, with gradients."""
-        count, radius = len(self._neighbours), self.task.load.radius
-        distances, clearances = np.empty(count), np.empty(count)
-        slopes, clearance_slopes = np.empty((count, _SIZE)), np.empty((count, _SIZE))
-        rest = np.zeros(_MOTION_SIZE)
-        values = values.copy()
-        values[_AIR] = 0.0
-        for k, pair in enumerate(self._neighbours):
-            places, changes, leans, lean_changes, ends = [], [], [], [], []
-            for angles in pair:
-                found, gradient = self.trace(values, angles, rest)
-                at = slice(NEEDS.index("x"), len(NEEDS))
-                place, change = found[at].copy(), gradient[at].copy()
-                end = radius * np.array([math.cos(angles[0]), math.sin(angles[0])])
-                lean = (place[:2] - end) / place[2]
-                places.append(place)
-                changes.append(change)
-                ends.append(end)
-                leans.append(lean)
-                lean_changes.append((change[:2] - np.outer(lean, change[2])) / place[2])
-            gap = places[0] - places[1]
-            distances[k] = np.linalg.norm(gap)
-            slopes[k] = gap @ (changes[0] - changes[1]) / max(distances[k], 1e-9)
-            way: NDArray = ends[0] - ends[1]
-            way /= np.linalg.norm(way)
-            lean = leans[0] - leans[1]
-            size = math.sqrt(lean @ lean + 1e-8)
-            clearances[k] = way @ lean + _CROSSING * size
-            slope = way + _CROSSING * lean / size
-            clearance_slopes[k] = slope @ (lean_changes[0] - lean_changes[1])
-        slopes[:, _AIR] = clearance_slopes[:, _AIR] = 0.0
-        return distances, slopes, clearances, clearance_slopes
 
     def solve(
         self,
@@ -452,6 +408,13 @@ class FormationProgram:
         result = SnoptSolver().Solve(program, start / scale, _options())
         found: NDArray = result.get_x_val() * scale
         return np.clip(found, lower, upper) if np.all(np.isfinite(found)) else start
+
+
+def _evaluated(function: TracedFunction, values: NDArray, samples: list) -> tuple[NDArray, NDArray]:
+    """The outputs (o, k) at k samples, and their gradients (o, k, 10) by the variables."""
+    found = [tuple(map(np.copy, function(values, *sample))) for sample in samples]
+    outputs, gradients = map(np.array, zip(*found, strict=True))
+    return outputs.T, gradients.swapaxes(0, 1)
 
 
 def _options() -> SolverOptions:

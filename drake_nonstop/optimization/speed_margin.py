@@ -111,8 +111,8 @@ class SpeedMargin:
     delay: float  # of the feedback
     model: float  # of a wrench that is off by a share of the weight
     disturbance: float  # of steady forces on the load, and `DEVIATIONS` of those of gusts
-    faster: float  # not positive: the carrier is as much faster there than it has to be
-    uncovered: float = 0.0  # not positive: what no orbits cover
+    speed_credit: float  # not positive: the carrier is as much faster there than it has to be
+    deficit: float = 0.0  # not positive: what no orbits cover
 
     @property
     def total(self) -> float:
@@ -164,12 +164,11 @@ def speed_margin(
         NoMarginError: a deviation of the loop grows from turn to turn, or a margin asks for orbits
             that need a larger one.
     """
-    task = _Task(model, limits, motion)
-    loops = _Loops(model, plant, carriers, feedback)
+    task = _OrbitsAlongTask(model, plant, limits, carriers, feedback, motion)
     bound = limits.speed_bound
 
     def shares_at(parameters: NDArray, margin: float) -> SpeedMargin:
-        return _shares(task, loops, parameters, bound + margin, instant_spacing, disturbance)
+        return _shares(task, parameters, bound + margin, instant_spacing, disturbance)
 
     margin = _FIRST * bound
     chosen, is_kept = task.parameters_for(bound + margin)
@@ -194,25 +193,25 @@ def speed_margin(
     # What can be had of it, if its own orbits can be flown.
     covered = min(first.total, _MOST_UNCLOSED * bound)
     chosen, is_kept = task.parameters_for(bound + covered)
-    if (could_be_kept and not is_kept) or loops.turn(task, chosen).rate > _LARGEST_GROWTH:
+    if (could_be_kept and not is_kept) or task.turn(chosen).rate > _LARGEST_GROWTH:
         raise NoMarginError(cause)
-    raise NoMarginError(cause, replace(first, uncovered=covered - first.total))
+    raise NoMarginError(cause, replace(first, deficit=covered - first.total))
 
 
-@dataclass(frozen=True, eq=False)
-class _Derivatives:
-    """Of carriers at k instants and h phases, in the load's frame: (k, h, n, 3) each, SI."""
+class _OrbitsAlongTask:
+    """The planned orbits along a reference, and the linear loop along the orbits."""
 
-    velocities: NDArray
-    accelerations: NDArray
-    jerks: NDArray
-
-
-class _Task:
-    """The planned orbits along a reference."""
-
-    def __init__(self, model: Model, limits: LimitsConfig, motion: Motion):
-        self.model, self.limits, self.motion = model, limits, motion
+    def __init__(
+        self,
+        model: Model,
+        plant: Model,
+        limits: LimitsConfig,
+        carriers: Carriers,
+        feedback: Feedback,
+        motion: Motion,
+    ):
+        self.model, self.limits, self.motion, self.feedback = model, limits, motion, feedback
+        self._loop = model, plant, carriers, feedback
         self._amplitude_weight = with_fields_of(HorizonConfig, limits).amplitude_weight
         horizon = timed(HorizonConfig(), limits.frequency, model.control_period)
         problem = OrbitConstraints(model, limits, horizon, lambda: "speed margin")
@@ -258,21 +257,22 @@ class _Task:
         found = np.array([frequencies[best], amplitudes[best]])
         return found, bool(products[best] <= (1 + _ROUNDING) * found[0] * found[1])
 
-    def derivatives(self, parameters: NDArray) -> _Derivatives:
-        """The carriers' motion for constant [ξ, A] (2,).
+    def derivatives(self, parameters: NDArray) -> list[NDArray]:
+        """Velocities, accelerations and jerks (k, h, n, 3) for constant [ξ, A] (2,), SI.
 
-        Rates of forces are those in the load's frame, which turns slowly beside the orbits.
+        In the load's frame, at k instants and h phases. Rates of forces are those in this frame,
+        which turns slowly beside the orbits.
         """
         forces, (xi, A) = self._forces(parameters), parameters
         u, along, _ = self._directions
         second = self.second_rates[:, None] - A * xi**2 * u
         third = self.third_rates[:, None] - A * xi**3 * along
-        of_load = (
-            self.terms.velocities[:, None],
-            *(part[:, None, None] for part in (self.accelerations, self.jerks)),
-        )
-        _, *rates = cable_vectors([*forces, second, third], **self.cables)
-        return _Derivatives(*map(np.add, rates, of_load))
+        _, swing, bending, jerk = cable_vectors([*forces, second, third], **self.cables)
+        return [
+            swing + self.terms.velocities[:, None],
+            bending + self.accelerations[:, None, None],
+            jerk + self.jerks[:, None, None],
+        ]
 
     def speeds(self, parameters: NDArray, extra: NDArray | float = 0.0) -> NDArray:
         """The carriers' speeds (k, h, n), m/s, for constant [ξ, A] (2,).
@@ -291,7 +291,7 @@ class _Task:
         omega = self.terms.angular_velocity[:, None, None]
         return f, self.terms.rates[:, None] + np.cross(omega, f) + A * xi * along
 
-    def faster(self, parameters: NDArray, speed: float) -> NDArray:
+    def speed_credit(self, parameters: NDArray, speed: float) -> NDArray:
         """How much faster than a speed (m/s) carriers are at phases (h, n), m/s, at least 0.
 
         The least over the task, of the orbits for [ξ, A] (2,) and of those with the nominal ξ or A:
@@ -312,42 +312,22 @@ class _Task:
         _, swing = cable_vectors([forces, rates], **self.cables)
         return Orbit(forces, rates, -(A * xi**2) * u, -(A * xi**3) * along, swing)
 
-
-class _Loops:
-    """The linear loop along the orbits."""
-
-    def __init__(self, model: Model, plant: Model, carriers: Carriers, feedback: Feedback):
-        self.model, self.plant = model, plant
-        self.carriers, self.feedback = carriers, feedback
-        self.places = Inputs.of(model.n)
-
-    @property
-    def _with_delay(self) -> str:
-        late = self.feedback.delay * self.feedback.period
-        return f"with a measurement that is {late:g} s late " if late else ""
-
-    def turn(self, task: _Task, parameters: NDArray) -> TurnOfLoops:
+    def turn(self, parameters: NDArray) -> TurnOfLoops:
         """The loop along the orbits of [ξ, A] (2,)."""
-        return turn_of_loops(
-            self.model,
-            self.plant,
-            self.carriers,
-            self.feedback,
-            float(parameters[0]),
-            partial(task.orbit, parameters),
-        )
+        return turn_of_loops(*self._loop, float(parameters[0]), partial(self.orbit, parameters))
 
-    def responses(self, task: _Task, parameters: NDArray) -> tuple[list[Orbit], Iterator[NDArray]]:
+    def responses(self, parameters: NDArray) -> tuple[list[Orbit], Iterator[NDArray]]:
         """Orbits at phases, and how shortfalls there depend on inputs, for [ξ, A] (2,).
 
         Raises:
             NoMarginError: a deviation grows from turn to turn.
         """
-        found = self.turn(task, parameters)
+        found = self.turn(parameters)
         if found.rate > _LARGEST_GROWTH:
+            late = self.feedback.delay * self.feedback.period
+            with_delay = f"with a measurement that is {late:g} s late " if late else ""
             raise NoMarginError(
-                f"the linear loop {self._with_delay}grows by {found.rate:.3g} per s along the "
-                "orbits"
+                f"the linear loop {with_delay}grows by {found.rate:.3g} per s along the orbits"
             )
         lags = math.ceil(_MEMORY / self.feedback.period)
         count = len(found.loops)
@@ -357,8 +337,7 @@ class _Loops:
 
 
 def _shares(
-    task: _Task,
-    loops: _Loops,
+    task: _OrbitsAlongTask,
     parameters: NDArray,
     speed: float,
     instant_spacing: float,
@@ -366,43 +345,42 @@ def _shares(
 ) -> SpeedMargin:
     """The shares at [ξ, A] (2,), of plans that keep a speed in m/s."""
     motion = task.derivatives(parameters)
-    speeds = np.linalg.norm(motion.velocities, axis=-1)
+    speeds = np.linalg.norm(motion[0], axis=-1)
     # Of each carrier at each phase: (h, n).
     shares = {name: np.zeros(speeds.shape[1:]) for name in SpeedMargin.__dataclass_fields__}
-    for name, values in _of_responses(task, loops, parameters, motion, disturbance).items():
+    for name, values in _of_responses(task, parameters, motion, disturbance).items():
         # The larger of those before and after each phase.
         after = np.arange(_PHASES) * len(values) // _PHASES
         shares[name] += np.maximum(values[after], np.roll(values, -1, axis=0)[after])
     if disturbance is not None and np.any(disturbance.believed):
-        borne = _borne(task, disturbance.believed)  # which plans, those in still air, leave out
+        # Plans, those in still air, leave them out.
+        borne = _cable_forces_from(task, disturbance.believed)
         falls = speeds - task.speeds(parameters, borne)
         shares["disturbance"] += np.max(falls, axis=0, initial=0.0)
     if task.limits.model_error:
         shares["model"] += _of_model_error(task, parameters, speeds)
     shares["grid"] += grid_dip(motion, speeds, instant_spacing).max(axis=0)
     needed = np.sum([*shares.values()], axis=0)
-    shares["faster"] -= np.minimum(task.faster(parameters, speed), needed)
-    worst = np.unravel_index(np.argmax(needed + shares["faster"]), needed.shape)
+    shares["speed_credit"] -= np.minimum(task.speed_credit(parameters, speed), needed)
+    worst = np.unravel_index(np.argmax(needed + shares["speed_credit"]), needed.shape)
     return SpeedMargin(**{name: float(part[worst]) for name, part in shares.items()})
 
 
 def _of_responses(
-    task: _Task,
-    loops: _Loops,
+    task: _OrbitsAlongTask,
     parameters: NDArray,
-    motion: _Derivatives,
+    motion: list[NDArray],
     disturbance: Disturbance | None,
 ) -> dict[str, NDArray]:
     """The shares that follow from the loop's response, by their names: (h, n), at even phases."""
-    n, places, feedback = task.model.n, loops.places, loops.feedback
-    acceleration, jerk = (
-        float(np.max(np.linalg.norm(part, axis=-1)))
-        for part in (motion.accelerations, motion.jerks)
+    n, feedback = task.model.n, task.feedback
+    places = Inputs.of(n)
+    xi, (_, accelerations, jerks) = float(parameters[0]), motion
+    snaps = xi * (np.roll(jerks, -1, axis=1) - jerks) / (2 * math.pi / _PHASES)
+    acceleration, jerk, snap = (
+        float(np.max(np.linalg.norm(part, axis=-1))) for part in (accelerations, jerks, snaps)
     )
-    xi, phase = float(parameters[0]), 2 * math.pi / _PHASES
-    around = (np.roll(motion.jerks, -1, axis=1) - motion.jerks) / phase
-    snap = xi * float(np.max(np.linalg.norm(around, axis=-1)))
-    orbits, found = loops.responses(task, parameters)
+    orbits, found = task.responses(parameters)
     shares = {name: np.zeros((len(orbits), n)) for name in SpeedMargin.__dataclass_fields__}
 
     late = _late(task.motion, feedback) if feedback.delay else None
@@ -428,25 +406,24 @@ def _of_responses(
             note("delay", h, known_response(g[..., places.measurement], late))
         if disturbance is not None:
             wrench = g[..., places.disturbance]
-            forced = _of_disturbance(wrench, disturbance, task, feedback.period)
-            note("disturbance", h, forced)
+            note("disturbance", h, _of_disturbance(wrench, disturbance, task))
     return shares
 
 
-def grid_dip(motion: _Derivatives, speeds: NDArray, instant_spacing: float) -> NDArray:
+def grid_dip(motion: list[NDArray], speeds: NDArray, instant_spacing: float) -> NDArray:
     """By how much (m/s) speeds (k, h, n) kept at instants may be lower between two of them.
 
     A function that is kept at two instants Δ apart is at most Δ²/8 times the largest of its second
     rate below them in between; |v|'' = (a·a + v·j)/|v| − (v·a)²/|v|³.
     """
-    v, a, j = motion.velocities, motion.accelerations, motion.jerks
+    v, a, j = motion
     slow = np.maximum(speeds, _LEAST_SPEED)
     along = (v * a).sum(axis=-1)
     second = ((a * a).sum(axis=-1) + (v * j).sum(axis=-1)) / slow - along**2 / slow**3
     return instant_spacing**2 / 8 * np.maximum(second, 0.0)
 
 
-def _of_jump(g: NDArray, task: _Task, orbit: Orbit) -> NDArray:
+def _of_jump(g: NDArray, task: _OrbitsAlongTask, orbit: Orbit) -> NDArray:
     """By how much (m/s) carriers (n,) are slower than both speeds before and after a planned jump.
 
     Its velocity goes from one to the other, on a chord Δv long, which is Δv²/(8 v) below two speeds
@@ -463,7 +440,7 @@ def _of_jump(g: NDArray, task: _Task, orbit: Orbit) -> NDArray:
     return np.max(overshoot(steps) + chords - kept * sizes, axis=1, initial=0.0)
 
 
-def _velocity_jumps(task: _Task, orbit: Orbit) -> NDArray:
+def _velocity_jumps(task: _OrbitsAlongTask, orbit: Orbit) -> NDArray:
     """The jumps (3n, 3) of the planned velocities for jumps of the reference's jerk, m/s³.
 
     M G† [0; m e], as in `optimization.tethered_loop`.
@@ -481,23 +458,14 @@ def _late(motion: Motion, feedback: Feedback) -> NDArray:
     """
     desired = motion.desired
     late = feedback.delay * feedback.period
-    behind = np.hstack(
-        [
-            motion.in_load_frame(part)
-            for part in (
-                desired.angular_velocity,
-                desired.velocity,
-                desired.angular_acceleration,
-                desired.acceleration,
-            )
-        ]
-    )
+    parts = desired[2:6]  # ω, v, α and a
+    behind = np.hstack([motion.in_load_frame(part) for part in parts])
     samples = np.arange(0.0, motion.times[-1], feedback.period)
     errors = [np.interp(samples, motion.times, column, left=0.0) for column in behind.T]
     return -late * np.stack(errors, axis=-1)
 
 
-def _of_disturbance(g: NDArray, disturbance: Disturbance, task: _Task, period: float) -> NDArray:
+def _of_disturbance(g: NDArray, disturbance: Disturbance, task: _OrbitsAlongTask) -> NDArray:
     """By how much (m/s) gusts and unknown forces on the load slow carriers down, (j n,).
 
     `g` (lags, j n, 6) are the responses to a wrench in the load's frame, as at the start. The gusts
@@ -507,17 +475,17 @@ def _of_disturbance(g: NDArray, disturbance: Disturbance, task: _Task, period: f
     in_world = np.concatenate([g[..., :3] @ start.T, g[..., 3:] @ start.T], axis=-1)
     variance = np.zeros(g.shape[1])
     for gust in disturbance.gusts:
-        variance += waves_deviation(in_world, gust.deviations, gust.frequencies, period) ** 2
+        variance += waves_deviation(in_world, *gust, task.feedback.period) ** 2
     return DEVIATIONS * np.sqrt(variance) + step_response(in_world, disturbance.unknown)
 
 
-def _borne(task: _Task, forces: NDArray) -> NDArray:
+def _cable_forces_from(task: _OrbitsAlongTask, forces: NDArray) -> NDArray:
     """What the cables bear more (k, 1, n, 3), in the load's frame, of forces (k, 3) on it, in W."""
     borne = -task.motion.in_load_frame(forces)
     return (borne @ task.model.pseudo_inverse[:, 3:].T).reshape(-1, 1, task.model.n, 3)
 
 
-def _of_model_error(task: _Task, parameters: NDArray, speeds: NDArray) -> NDArray:
+def _of_model_error(task: _OrbitsAlongTask, parameters: NDArray, speeds: NDArray) -> NDArray:
     """By how much (m/s) speeds fall, (h, n), as the wrench controller adds a share of the weight.
 
     Whatever the model of the load lacks, the feedback adds in the end: a force of up to

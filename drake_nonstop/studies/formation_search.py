@@ -39,7 +39,6 @@ from drake_nonstop.studies.formation_flight import (
     reserve_of,
 )
 from drake_nonstop.studies.run_all import fly
-from drake_nonstop.systems.tracing import TracedFunction
 from drake_nonstop.validation import ScenarioError, message_of
 
 _CANDIDATES = 150  # of a search's starts, of which the best are taken
@@ -75,7 +74,6 @@ class FormationSearch:
         self.turns = turns
         self.lower, self.upper = design_bounds(request, carriers, kind)
         self.most_reserve = -np.eye(len(self.lower))[-1]
-        self._trace: TracedFunction | None = None
         self._observer: float | None = None  # the weight, once it is known
 
     def program(
@@ -83,9 +81,7 @@ class FormationSearch:
     ) -> FormationProgram:
         """The program of the first motions, at phases of a turn."""
         task, turns = self.task.with_motions(motions), self.turns if turns is None else turns
-        program = FormationProgram(task, self.kind, turns, phases=phases, trace=self._trace)
-        self._trace = program.trace
-        return program
+        return FormationProgram(task, self.kind, turns, phases=phases)
 
     def formations(self) -> list[DesignedFormation | Refusal]:
         """Those at rising reserves, each of the least power, or why there is none."""
@@ -239,7 +235,7 @@ class FormationSearch:
     def _refusal(self, program: FormationProgram, best: NDArray) -> Refusal:
         flight = flight_of(self.way, self.kind, variables_of(best))
         missed = [each.text for each in missed_limits(self.task, flight, 1.0)]
-        apart = float(program.separations(best)[0].min())
+        apart = float(program.separations(best).min())
         if apart < 0.999 * self.request.separation:
             missed.append(f"carriers {apart:.3g} m apart (at least {self.request.separation:g} m)")
         if not missed:

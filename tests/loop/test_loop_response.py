@@ -240,7 +240,7 @@ OF_LOOPS = {
             "noise": 6.66627992e-06,
             "model": 0.00312958975,
             "disturbance": 0.0161346745,
-            "faster": -0.0198835966,
+            "speed_credit": -0.0198835966,
         },
     ),
     "late and pushed": (
@@ -257,7 +257,7 @@ OF_LOOPS = {
             "noise": 0.0224734428,
             "delay": 0.00234362675,
             "disturbance": 0.0162820803,
-            "faster": -0.285496781,
+            "speed_credit": -0.285496781,
         },
     ),
     "open loop": (
@@ -267,7 +267,7 @@ OF_LOOPS = {
             "carrier_controller=!CarrierPid {integral_gain: 5}",
             *("carrier_trajectory.hold=velocity", "optimization_layer.instants=8"),
         ],
-        {"tracking": 0.017989257, "grid": 1.5047844e-05, "faster": -0.0180043049},
+        {"tracking": 0.017989257, "grid": 1.5047844e-05, "speed_credit": -0.0180043049},
     ),
 }
 
@@ -309,9 +309,9 @@ def test_what_fast_carriers_lose_does_not_count():
         needed = margin.total
         if bound == 0.2:
             assert margin.total == pytest.approx(0)
-            assert -margin.faster == pytest.approx(margin.disturbance, rel=0.1)
+            assert -margin.speed_credit == pytest.approx(margin.disturbance, rel=0.1)
     assert needed > 0.05
-    assert margin.faster == 0
+    assert margin.speed_credit == 0
 
 
 @pytest.mark.nightly("studies")
@@ -320,7 +320,7 @@ def test_where_no_margin_suffices_what_is_covered_is_used_and_that_is_said():
     found = margin_with("control_period=0.02", "optimization_layer.amplitude=3", gust)
     bound = load_scenario("three_carriers").speed_bound
     assert found.margin.total == pytest.approx(bound)
-    assert found.margin.uncovered < -bound
+    assert found.margin.deficit < -bound
     assert "m/s above the bound needs faster orbits, and" in found.left_out[0]
 
 

@@ -4,8 +4,12 @@ import numpy as np
 import pytest
 from pydrake.math import RollPitchYaw
 
-from drake_nonstop.mechanics.aircraft import air_frame
-from drake_nonstop.mechanics.aircraft_attitude import body_attitude, north_east_down, turn_rate
+from drake_nonstop.mechanics.aircraft import (
+    air_frame,
+    body_attitude,
+    north_east_down,
+    turn_rate,
+)
 
 
 @pytest.fixture(params=range(4))

@@ -5,10 +5,7 @@ import pytest
 from helpers import SHAPES, Motion, difference, irregular, rotation
 
 from drake_nonstop.mechanics.cable import (
-    cable_bow,
     cable_forces_and_tensions,
-    cable_mass,
-    cable_shortening,
     forces_under_other_wrench,
     positive_part,
     wrenches_of,
@@ -136,33 +133,3 @@ def test_forces_stay_as_they_are_under_their_own_wrench():
             forces, points, own, rest_length=LENGTH, stiffness=stiffness
         )
         np.testing.assert_allclose(found, forces, atol=1e-12)
-
-
-def drag_of(diameter, speed):
-    return 1.225 / 2 * 1.1 * diameter * speed**2
-
-
-@pytest.mark.parametrize(
-    ("diameter", "bow", "shortening", "mass"),
-    [(0.7e-3, 3.9, 0.29, 0.06), (1e-3, 5.6, 0.60, 0.11), (2e-3, 11.2, 2.4, 0.46)],
-)
-def test_bow_shortening_and_mass_of_an_independent_derivation(diameter, bow, shortening, mass):
-    """Of 150 m of Dyneema that an aircraft pulls at with 25 N and 15.3 m/s."""
-    drag = drag_of(diameter, 15.3)
-    assert cable_bow(drag, 150.0, 25.0) == pytest.approx(bow, abs=0.05)
-    assert cable_shortening(drag, 150.0, 25.0) == pytest.approx(shortening, rel=0.02)
-    assert cable_mass(diameter, 150.0) == pytest.approx(mass, abs=0.005)
-
-
-def test_a_bowed_cable_is_that_of_its_differential_equation():
-    """T y'' = -w_d (s/L)^2 with y = 0 at both ends; the arc is longer by the sum of y'^2/2."""
-    length, tension, drag = 150.0, 25.0, drag_of(1e-3, 15.3)
-    s = np.linspace(0, length, 20001)
-    step = s[1]
-    bent = -drag / tension * (s / length) ** 2
-    slope = np.concatenate([[0], np.cumsum((bent[1:] + bent[:-1]) / 2)]) * step
-    y = np.concatenate([[0], np.cumsum((slope[1:] + slope[:-1]) / 2)]) * step
-    slope, y = slope - y[-1] / length, y - y[-1] * s / length
-    assert cable_bow(drag, length, tension) == pytest.approx(y.max(), rel=1e-6)
-    longer = np.sum((slope[1:] ** 2 + slope[:-1] ** 2) / 4) * step
-    assert cable_shortening(drag, length, tension) == pytest.approx(longer, rel=1e-6)

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from helpers import difference
 
-from drake_nonstop.mechanics.circle import circular_motion
+from drake_nonstop.mechanics.rotation import circular_motion
 
 
 def angle(time):

@@ -10,7 +10,6 @@ from drake_nonstop.mechanics import (
     aircraft,
     cable,
     carrier,
-    circle,
     force_rates,
     grasp,
     internal_force,
@@ -95,7 +94,7 @@ EQUATIONS = {
     "rotate_quaternion": (rotation.rotate_quaternion, [4, 3]),
     "roll_pitch_yaw_to_quaternion": (rotation.roll_pitch_yaw_to_quaternion, [3]),
     "angular_motion": (rotation.angular_motion, [3, 3, 3, 3]),
-    "circular_motion": (lambda angle: circle.circular_motion(angle, 1.3), [5]),
+    "circular_motion": (lambda angle: rotation.circular_motion(angle, 1.3), [5]),
     "grasp_matrix": (lambda b: grasp.grasp_matrix(b.reshape(-1, 3)), [9]),
     "cable_forces_and_rates": (
         lambda *a: grasp.cable_forces_and_rates(*a, **GRASP),

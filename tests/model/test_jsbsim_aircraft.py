@@ -6,8 +6,12 @@ import numpy as np
 import pytest
 
 from drake_nonstop import ScenarioError
-from drake_nonstop.mechanics.aircraft import air_frame, aircraft_acceleration, trimmed_states
-from drake_nonstop.mechanics.aircraft_attitude import body_attitude
+from drake_nonstop.mechanics.aircraft import (
+    air_frame,
+    aircraft_acceleration,
+    body_attitude,
+    trimmed_states,
+)
 from drake_nonstop.model.aircraft import AircraftParameters, make_aircraft, values_of
 from drake_nonstop.model.jsbsim_aircraft import (
     TABLE,

@@ -13,13 +13,14 @@ from drake_nonstop.optimization.formation_program import (
     CO_ROTATING,
     KINDS,
     LEANING,
-    NEEDS,
     DesignLimits,
     FormationProgram,
     FormationTask,
+    FormationVariables,
     LoadMotion,
 )
 from drake_nonstop.optimization.limits import Of, limits_of
+from drake_nonstop.studies.formation_flight import formation_needs
 
 GRAVITY, MASS, N, RADIUS = 9.81, 10.0, 4, 1.5
 X = np.eye(3)[0]
@@ -53,9 +54,9 @@ def task(*motions, **aircraft):
     )
 
 
-def needs_at(program, values):
-    found, _ = program.needs(np.array(values))
-    return {name: found[:, i] for i, name in enumerate(NEEDS)}
+def needs_at(given, kind, values, phases):
+    (found,) = formation_needs(given, kind, FormationVariables(*values), phases)
+    return found
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -78,13 +79,36 @@ def test_gradients_are_central_differences(kind, limits):
 
 @pytest.mark.parametrize(("limit", "value"), EVERY, ids=lambda each: getattr(each, "field", ""))
 def test_a_limit_that_is_asked_for_is_a_row_of_one_at_the_limit(limit, value):
-    program = FormationProgram(
-        dataclasses.replace(task(), limits=LIMITS._replace(asked=((limit, value),))), CO_ROTATING
-    )
-    needs = program.needs(np.array([1.2, 0, 0, 0, 0.4, 60.0, MASS, 0.0, 0.0, 0.0]))[0]
-    rows = program.rows(np.array([1.2, 0, 0, 0, 0.4, 60.0, MASS, 0.0, 0.0, 0.0]))[0]
-    asked = rows[len(needs) * 9 :][: len(needs) * limit.margin_count]
-    np.testing.assert_array_equal(asked >= 1, needs[:, len(NEEDS) :].T.ravel() >= 0)
+    given = dataclasses.replace(task(), limits=LIMITS._replace(asked=((limit, value),)))
+    program, values = FormationProgram(given, CO_ROTATING, phases=4), [1.2, 0, 0, 0, 0.4, 60.0]
+    values += [MASS, 0.0, 0.0, 0.0]
+    needs = needs_at(given, CO_ROTATING, values, 4)
+    margins = limit.margins(given.aircraft._replace(cable_length=60.0), needs, value)
+    rows = program.rows(np.array(values))[0]
+    asked = rows[program.row_names == limit.words][-4 * limit.margin_count :]
+    np.testing.assert_allclose(asked, 1 + np.ravel(margins) / 0.2, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_rows_are_the_distances_to_the_limits_over_their_margins(kind):
+    moved = LoadMotion(X, 0.2 * X, 0.1 * X, -0.05 * X)
+    given = dataclasses.replace(task(), motions=(moved,))
+    values = [0.3, 0.15, 0.2, 0.1, 0.6, 150.0, 10.0, 2.0, 1.2, 0.5]
+    if kind == CO_ROTATING:
+        values[1:4] = [0.0, 0.0, 0.0]
+    needs = needs_at(given, kind, values, 3)
+    plane = given.aircraft._replace(cable_length=150.0)
+    least, most = thrust_limits(plane, needs.airspeed)
+    program = FormationProgram(given, kind, 2, phases=3)
+    rows = program.rows(np.array(values))[0]
+    for name, expected in (
+        ("lift", (0.9 - needs.lift / plane.max_lift) / 0.1),
+        ("airspeed", (needs.airspeed / stall_speed(plane) - 1.2) / 0.05),
+        ("thrust_above", (most - needs.thrust) / (most - least) / 0.1),
+        ("thrust_below", (needs.thrust - least) / (most - least) / 0.1),
+    ):
+        found = rows[program.row_names == name]
+        np.testing.assert_allclose(np.sort(found), np.sort(expected), rtol=1e-9, atol=1e-9)
 
 
 def closed_form(plane, outward, rate, length):
@@ -104,14 +128,17 @@ def closed_form(plane, outward, rate, length):
 
 def test_co_rotating_circles_are_those_of_the_closed_form():
     given = task(**STRAIGHT)
-    program = FormationProgram(given, CO_ROTATING, phases=5)
-    found = needs_at(program, [1.2, 0, 0, 0, 0.4, 60.0, MASS, 0.0, 0.0, 0.0])
+    values = [1.2, 0, 0, 0, 0.4, 60.0, MASS, 0.0, 0.0, 0.0]
+    program, found = (
+        FormationProgram(given, CO_ROTATING, phases=5),
+        needs_at(given, CO_ROTATING, values, 5),
+    )
     lift, bank, thrust, speed, apart = closed_form(given.aircraft, 1.2, 0.4, 60.0)
-    np.testing.assert_allclose(found["lift"] * given.aircraft.max_lift, lift, rtol=1e-6)
-    np.testing.assert_allclose(np.abs(found["bank"]), abs(bank), rtol=1e-6)
-    np.testing.assert_allclose(found["thrust"], thrust, rtol=1e-6)
-    np.testing.assert_allclose(found["airspeed"] * stall_speed(given.aircraft), speed, rtol=1e-9)
-    distances, _ = program.separations(np.array([1.2, 0, 0, 0, 0.4, 60.0, MASS, 0, 0, 0]))
+    np.testing.assert_allclose(found.lift, lift, rtol=1e-6)
+    np.testing.assert_allclose(np.abs(found.bank), abs(bank), rtol=1e-6)
+    np.testing.assert_allclose(found.thrust, thrust, rtol=1e-6)
+    np.testing.assert_allclose(found.airspeed, speed, rtol=1e-9)
+    distances = program.separations(np.array(values))
     assert distances.min() == pytest.approx(apart, rel=1e-9)
     opposite = math.sqrt(2) * apart  # of four carriers on a circle
     assert distances.max() == pytest.approx(opposite, rel=1e-9)
@@ -123,18 +150,18 @@ def test_leaning_circles_are_those_of_the_closed_form():
     lean, half_cone, rate, length = 0.3, 0.2, 0.9, 60.0
     size = math.tan(half_cone) / math.cos(lean)
     values = [math.tan(lean), size * math.cos(lean), size, size * math.sin(lean), rate, length]
-    program = FormationProgram(given, LEANING, 2, phases=64)
-    found = needs_at(program, [*values, MASS, 0.0, 0.0, 0.0])
+    found = needs_at(given, LEANING, [*values, MASS, 0.0, 0.0, 0.0], 64)
     speed = rate * length * math.sin(half_cone)
-    np.testing.assert_allclose(found["airspeed"] * stall_speed(given.aircraft), speed, rtol=1e-9)
-    assert np.max(np.abs(found["climb"])) == pytest.approx(math.sin(lean), rel=1e-9)
+    np.testing.assert_allclose(found.airspeed, speed, rtol=1e-9)
+    assert np.max(np.abs(found.climb)) == pytest.approx(lean, rel=1e-9)
     plane = given.aircraft._replace(cable_length=length)
     pressure = plane.air_density / 2 * speed**2 * plane.wing_area
-    lift = found["lift"] * plane.max_lift
-    drag = pressure * (plane.zero_lift_drag + plane.cable_drag_share + plane.induced_drag * lift**2)
+    drag = pressure * (
+        plane.zero_lift_drag + plane.cable_drag_share + plane.induced_drag * found.lift**2
+    )
     swing = plane.mass * GRAVITY * math.sin(lean)
-    assert np.max(found["thrust"] - drag) == pytest.approx(swing, rel=0.01)
-    assert np.min(found["thrust"] - drag) == pytest.approx(-swing, rel=0.01)
+    assert np.max(found.thrust - drag) == pytest.approx(swing, rel=0.01)
+    assert np.min(found.thrust - drag) == pytest.approx(-swing, rel=0.01)
 
 
 def test_the_least_power_is_that_of_the_closed_form():
