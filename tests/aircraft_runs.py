@@ -93,7 +93,7 @@ def instant_of(run, row):
     """A sample of a run."""
     return Snapshot.from_signals(
         run.time[row],
-        speed_bound=0.0,
+        speed_bound=np.zeros(1),
         **{
             name: run.signal(name)[row]
             for name in (

@@ -1,6 +1,7 @@
 """The scene's bodies: an instant of a run, their poses, the parts they are made of, and colours."""
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,16 +45,12 @@ class Snapshot:
         load_state: NDArray,
         reference: NDArray,
         carrier_state: NDArray,
-        **others: NDArray,
+        speed_bound: NDArray,
+        **others: Any,
     ) -> "Snapshot":
-        """The instant at which the loop's signals have these values, SI.
+        """The instant (s) at which the loop's signals have these values.
 
-        Args:
-            time: in s.
-            load_state: (13,).
-            reference: (22,).
-            carrier_state: (6n,).
-            others: fields by the names of signals; `speed_bound` is a number.
+        `others` are the fields that signals have the names of.
         """
         load, desired = Pose.view(load_state), Pose.view(reference)
         carriers = CarrierStates.view(carrier_state)
@@ -65,7 +62,8 @@ class Snapshot:
             reference_position=desired.position,
             carriers=carriers.positions,
             velocities=carriers.velocities,
-            **others,  # type: ignore[arg-type]
+            speed_bound=float(speed_bound[0]),
+            **others,
         )
 
     @property

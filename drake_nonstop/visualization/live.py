@@ -129,19 +129,12 @@ class _Controls:
         self.is_steered = False
 
     @property
-    def is_stopped(self) -> bool:
-        """Whether "stop" was pressed, in this run or before."""
+    def is_stopped(self) -> bool:  # in this run or before
         return self._meshcat.GetButtonClicks(STOP) > 0
 
     @property
-    def is_restarted(self) -> bool:
-        """Whether "restart" was pressed since the run started."""
+    def is_restarted(self) -> bool:  # since the run started
         return self._meshcat.GetButtonClicks(RESTART) > self._clicks[RESTART]
-
-    @property
-    def is_paused(self) -> bool:
-        """Whether "pause / resume" was pressed an odd number of times since the run started."""
-        return (self._meshcat.GetButtonClicks(PAUSE) - self._clicks[PAUSE]) % 2 == 1
 
     def after_step(self, simulator: Simulator, nonstop: Diagram) -> StepAction:
         """Applies the sliders that were moved, and shows the slowest speed in the page."""
@@ -155,18 +148,18 @@ class _Controls:
                 is_of_no_effect = not hasattr(layer, method) or (name == BOUND and is_commanded)
                 if is_of_no_effect and name in self._meshcat.GetSliderNames():
                     self._meshcat.DeleteSlider(name)
+        own = layer.GetMyMutableContextFromRoot(root)
         for name, value in self._take_changes().items():
+            self.is_steered |= name != RATE
             if name == RATE:
                 simulator.set_target_realtime_rate(value)
                 simulator.ResetStatistics()  # or it would make up for the time before
             elif name == BOUND:
                 bound = value if value >= LEAST_BOUND else 0.0
                 bound = min(bound, 0.999 * getattr(layer, "highest_speed_bound", math.inf))
-                layer.set_speed_bound(layer.GetMyMutableContextFromRoot(root), bound)
-                self.is_steered = True
+                layer.set_speed_bound(own, bound)
             else:
-                layer.set_enabled(layer.GetMyMutableContextFromRoot(root), value > 0)
-                self.is_steered = True
+                layer.set_enabled(own, value > 0)
         now = time.perf_counter()
         if now - self._last_gauge > _GAUGE_PERIOD:
             self._last_gauge = now
@@ -175,14 +168,13 @@ class _Controls:
             self._meshcat.SetSliderValue(SLOWEST, carrier_speeds(states[None]).min())
         if self.is_stopped or self.is_restarted:
             return StepAction.END
-        return StepAction.WAIT if self.is_paused else StepAction.CONTINUE
+        is_paused = (self._meshcat.GetButtonClicks(PAUSE) - self._clicks[PAUSE]) % 2 == 1
+        return StepAction.WAIT if is_paused else StepAction.CONTINUE
 
     def _take_changes(self) -> dict[str, float]:
         """The sliders' values that have changed since the last call, by name."""
-        names = set(self._meshcat.GetSliderNames())
-        values = {
-            name: self._meshcat.GetSliderValue(name) for name in self._applied if name in names
-        }
+        names = self._applied.keys() & set(self._meshcat.GetSliderNames())
+        values = {name: self._meshcat.GetSliderValue(name) for name in names}
         changes = {name: value for name, value in values.items() if value != self._applied[name]}
         self._applied |= changes
         return changes

@@ -3,7 +3,6 @@
 import math
 import time
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -160,13 +159,12 @@ class NonstopVisualizer(LeafBlock):
         return EventStatus.DidNothing()
 
     def _show(self, context: Context) -> EventStatus:
-        given: dict[str, Any] = {
+        given = {
             name: port.Eval(context)
             for name, port in self._ports.items()
             if name not in _OPTIONAL or port.HasValue(context)
         }
-        bound = given.get("speed_bound", [self._default_speed_bound])
-        given["speed_bound"] = float(bound[0])
+        given.setdefault("speed_bound", np.array([self._default_speed_bound]))
         snapshot = Snapshot.from_signals(context.get_time(), **given)
         if not snapshot.is_finite:  # the block at fault raises the error
             return EventStatus.DidNothing()

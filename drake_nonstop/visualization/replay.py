@@ -12,7 +12,7 @@ from string import Template
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.geometry import Meshcat, MeshcatAnimation
+from pydrake.geometry import MeshcatAnimation
 
 from drake_nonstop.mechanics.signals import SIGNAL_PERIOD, AircraftState
 from drake_nonstop.scenario.scene_config import SceneConfig
@@ -35,6 +35,10 @@ _MOST_POSES = 45_000  # of carriers and loads in all frames: below 20 MB
 _COMMAND = re.compile(
     r'fetch\("data:application/octet-binary;base64,([\w+/=]+)"\)'
     r"\s*\.then\(res => res\.arrayBuffer\(\)\)"
+)
+_SIGNALS = (  # that are shown, of those that the run has
+    *("load_state", "reference", "carrier_state", "tensions"),
+    *("speed_bound", "aircraft_state", "wind", "load_wind"),
 )
 _LARGE = 100_000  # characters of a command
 
@@ -74,18 +78,13 @@ def _recorded(scene: Scene, snapshots: list[Snapshot], frame_rate: float) -> str
         path = np.array([snapshot.reference_position for snapshot in snapshots])
         scene.set_stage(meshcat, path, np.array([snapshot.carriers for snapshot in snapshots]))
         scene.draw(meshcat)
-        _animate(meshcat, scene, snapshots, frame_rate)
+        canvas = RecordingCanvas(MeshcatAnimation(frame_rate))
+        for frame, snapshot in enumerate(snapshots):
+            canvas.frame = frame
+            scene.show(canvas, snapshot)
+        canvas.finish()
+        meshcat.SetAnimation(canvas.animation)
     return meshcat.StaticHtml()
-
-
-def _animate(meshcat: Meshcat, scene: Scene, snapshots: list[Snapshot], frame_rate: float) -> None:
-    animation = MeshcatAnimation(frame_rate)
-    canvas = RecordingCanvas(animation)
-    for frame, snapshot in enumerate(snapshots):
-        canvas.frame = frame
-        scene.show(canvas, snapshot)
-    canvas.finish()
-    meshcat.SetAnimation(animation)
 
 
 def _affordable_rate(samples: int, n: int) -> float:
@@ -109,19 +108,13 @@ def _compressed(command: re.Match[str]) -> str:
 def _snapshots(run: Run, frame_rate: float) -> list[Snapshot]:
     """The run at the instants of the frames, up to the first that cannot be shown."""
     frames = np.unique(np.floor(run.time * frame_rate + 1e-6), return_index=True)[1]
-    speed_bounds = np.full(len(frames), run.scenario.speed_bound)
-    with contextlib.suppress(UnknownSignalError):
-        speed_bounds = run.signal("speed_bound")[frames, 0]
-    names = ("load_state", "reference", "carrier_state", "tensions")
-    signals = {name: run.signal(name)[frames] for name in names}
-    for name in ("aircraft_state", "wind", "load_wind"):
+    signals = {"speed_bound": np.full((len(frames), 1), run.scenario.speed_bound)}
+    for name in _SIGNALS:
         with contextlib.suppress(UnknownSignalError):
             signals[name] = run.signal(name)[frames]
     snapshots = (
         Snapshot.from_signals(
-            run.time[frame],
-            speed_bound=speed_bounds[k],
-            **{name: values[k] for name, values in signals.items()},
+            run.time[frame], **{name: values[k] for name, values in signals.items()}
         )
         for k, frame in enumerate(frames)
     )
