@@ -109,16 +109,9 @@ def _object(config: type) -> Schema:
         properties[field.name] = _of(kinds[field.name])
         if about.get(field.name):
             properties[field.name]["description"] = about[field.name]
-        if _is_shown(field.default):
+        if isinstance(field.default, (bool, int, str, float)) and field.default != math.inf:
             properties[field.name]["default"] = field.default
     return {"type": "object", "properties": properties, "additionalProperties": False}
-
-
-def _is_shown(default: Any) -> bool:
-    """Whether a default has a form in JSON."""
-    if isinstance(default, float):
-        return math.isfinite(default)
-    return isinstance(default, (bool, int, str))
 
 
 def _of(kind: Any) -> Schema:

@@ -130,13 +130,9 @@ def _apply(tree: Tree, override: str, trusted: Trusted) -> None:
         name = value.removeprefix("!").partition("{")[0].strip()
         remedy = f"give it without quotes, or the name alone: {name}"
         require(not value.startswith("!"), path, f"'{value}'", remedy)
-        value = _swapped(path, tree[path], value, trusted)
+        # Parameters that both blocks have stay as they were.
+        old, new = (config_class_of(path, t, trusted) for t in (tree[path]["_tag"], f"!{value}"))
+        keeps_defaults = path not in BOXES or BOXES[path].swap_keeps_defaults
+        kept = kept_parameters(tree[path], old, new, keeps_defaults)
+        value = {**kept, "_tag": f"!{value}"}
     branch[last] = value
-
-
-def _swapped(name: str, entry: Tree, block: str, trusted: Trusted) -> Tree:
-    """The entry of another block in a box; parameters that both have stay as they were."""
-    old = config_class_of(name, entry["_tag"], trusted)
-    new = config_class_of(name, f"!{block}", trusted)
-    keeps_defaults = name not in BOXES or BOXES[name].swap_keeps_defaults
-    return {**kept_parameters(entry, old, new, keeps_defaults), "_tag": f"!{block}"}

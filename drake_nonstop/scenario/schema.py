@@ -4,6 +4,7 @@ import copy
 import copyreg
 import dataclasses
 import functools
+import itertools
 import math
 import operator
 import re
@@ -35,6 +36,7 @@ from drake_nonstop.validation import (
     StrictFields,
     fields_of,
     is_number,
+    of_given,
     require,
     require_fields,
     require_non_negative,
@@ -82,12 +84,6 @@ def require_current_block(box: str, block: str, tag: str) -> None:
 copyreg.pickle(SimulatorConfig, distributions.reduced)
 
 
-def _default_simulator_config() -> SimulatorConfig:
-    return SimulatorConfig(
-        integration_scheme="runge_kutta3", max_step_size=0.005, use_error_control=False
-    )
-
-
 @dataclass(kw_only=True)
 class _Common(StrictFields):
     """The fields of a scenario that belong to no box."""
@@ -103,7 +99,11 @@ class _Common(StrictFields):
     # What the run is held against: beyond which figures it is not ok, or not plausible.
     limits: RunLimits = field(default_factory=RunLimits)
     # Of Drake's Simulator: max_step_size in s, and the rest as in SimulatorConfig.
-    simulator_config: SimulatorConfig = field(default_factory=_default_simulator_config)
+    simulator_config: SimulatorConfig = field(
+        default_factory=lambda: SimulatorConfig(
+            integration_scheme="runge_kutta3", max_step_size=0.005, use_error_control=False
+        )
+    )
     # What the controllers believe of load, cables and carriers.
     system: SystemParameters = field(default_factory=SystemParameters)
     # Fields of system that differ in the simulated plant.
@@ -237,7 +237,13 @@ CHOICES: dict[str, tuple[type, ...]] = {
 _ALL_CONFIGS = {config for choices in CHOICES.values() for config in choices}
 
 # Parts of a scenario that are no boxes.
-_PARTS = (RunLimits, SystemParameters, SystemOverrides, SimulatorConfig)
+_PARTS = (
+    RunLimits,
+    SystemParameters,
+    SystemOverrides,
+    SimulatorConfig,
+    ReferenceGovernorConfig,
+)
 
 _MAX_STEPS = 1e8  # of a run, which takes days
 _LONGEST_PERIOD = 10.0  # s, of the controllers
@@ -282,17 +288,23 @@ def check(scenario: Scenario) -> None:
         if path in CHOICES:
             _check_choice(path, value)
             require_fields(path, value)
-        elif kind in _PARTS:
-            require(isinstance(value, kind), path, value, f"give a {kind.__name__}")
-            require_fields(path, value)
-        elif path == "reference_governor":
-            is_part = value is None or isinstance(value, ReferenceGovernorConfig)
-            require(is_part, path, value, "give a ReferenceGovernorConfig, or None")
-            require_type(path, value, kind)
+        elif (part := of_given(kind)) in _PARTS:
+            or_none = "" if part is kind else ", or None"
+            is_part = isinstance(value, part) or (or_none and value is None)
+            require(is_part, path, value, f"give a {part.__name__}{or_none}")
+            if value is not None:
+                require_fields(path, value)
         else:
             require_type(f"{scenario.name}.{path}", value, kind)
-    for owner in ("system", "simulated"):
-        _check_is_read(owner, getattr(scenario, owner))
+    for owner, name in itertools.product(
+        ("system", "simulated"), ("load_file", "attachment_frames")
+    ):  # a file that was named after the scenario was loaded
+        value = getattr(getattr(scenario, owner), name)
+        remedy = (
+            f"it is read as a scenario is loaded: give {owner}.load_file and "
+            f"{owner}.attachment_frames in its file, or as overrides of load_scenario"
+        )
+        require(not value, f"{owner}.{name}", value, remedy)
     duration, period = scenario.simulation_duration, scenario.control_period
     require_positive(scenario.name, simulation_duration=duration)
     is_seed = 0 <= seed <= _LARGEST_SEED
@@ -345,18 +357,11 @@ def sample(
     scenario = distributions.mapped(scenario, Scenario, "", draw)
     if values:
         check(scenario)
-    return _with_speed_bound(scenario), values
-
-
-def _with_speed_bound(scenario: Scenario) -> Scenario:
-    """The scenario with a speed bound in m/s, where it is stated as a multiple of another speed."""
-    layer = scenario.optimization_layer
-    if not isinstance(getattr(layer, "speed_bound", None), str):
-        return scenario
-    scenario, layer = copy.copy(scenario), copy.copy(layer)
-    layer.speed_bound = scenario.speed_bound
-    scenario.optimization_layer = layer
-    return scenario
+    if isinstance(getattr(scenario.optimization_layer, "speed_bound", None), str):
+        bound, scenario = scenario.speed_bound, copy.copy(scenario)
+        scenario.optimization_layer = copy.copy(scenario.optimization_layer)
+        scenario.optimization_layer.speed_bound = bound
+    return scenario, values
 
 
 def check_name(name: str) -> None:
@@ -388,14 +393,3 @@ def _check_choice(name: str, config: Any) -> None:
         for needed, meaning in BOXES[name].config_fields.items():
             remedy = f"give {kind.__name__} a field {needed} ({meaning})"
             require(hasattr(config, needed), name, import_path(kind), remedy)
-
-
-def _check_is_read(owner: str, system: Any) -> None:
-    """Raises ScenarioError for a load's file that was named after the scenario was loaded."""
-    for name in ("load_file", "attachment_frames"):
-        value = getattr(system, name)
-        remedy = (
-            f"it is read as a scenario is loaded: give {owner}.load_file and "
-            f"{owner}.attachment_frames in its file, or as overrides of load_scenario"
-        )
-        require(not value, f"{owner}.{name}", value, remedy)

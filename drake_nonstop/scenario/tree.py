@@ -97,7 +97,13 @@ def from_tree(
             filled(key, {} if given is None else given, part, kinds)
     filled(name, fields, scenario, other_keys=[BASE])
     scenario.name = name
-    _read_files(scenario)
+    for owner in ("system", "simulated"):
+        system = getattr(scenario, owner)
+        if system.load_file:
+            read = read_load(system.load_file, system.attachment_frames or [])
+            read |= {"load_file": "", "attachment_frames": []}
+            setattr(scenario, owner, dataclasses.replace(system, **read))
+    _resolve_configs(scenario)
     check(scenario)
     return scenario
 
@@ -207,17 +213,6 @@ def config_class_of(name: str, tag: str, trusted: Trusted) -> type:
     return matching[0]
 
 
-def _read_files(scenario: Scenario) -> None:
-    """Puts what files say in the place of the files' names."""
-    for owner in ("system", "simulated"):
-        system = getattr(scenario, owner)
-        if system.load_file:
-            fields = read_load(system.load_file, system.attachment_frames or [])
-            fields |= {"load_file": "", "attachment_frames": []}
-            setattr(scenario, owner, dataclasses.replace(system, **fields))
-    _resolve_configs(scenario)
-
-
 def _resolve_configs(scenario: Scenario) -> None:
     """Puts what files say in the place of the files' names, in the boxes' configs."""
     for name in CHOICES:
@@ -227,25 +222,19 @@ def _resolve_configs(scenario: Scenario) -> None:
 
 
 def _checked_entry(name: str, entry: Any, trusted: Trusted) -> tuple[type, Tree]:
-    """The config class of a box's entry, and its fields, which the class has."""
+    """The config class of a box's entry, and its fields, none of other blocks of the box alone."""
     entry = {} if entry is None else entry
     default = block_name(CHOICES[name][0])
     remedy = f"name a block by its tag, without quotes, such as !{default} {{}}"
     require(isinstance(entry, dict), name, entry, remedy)
     fields = dict(entry)
     config_class = config_class_of(name, fields.pop("_tag", f"!{default}"), trusted)
-    _check_block_fields(name, fields, config_class)
+    own = {field.name for field in fields_of(config_class)}
+    for key in (key for key in fields if key not in own):
+        others = [
+            choice for choice in CHOICES[name] if any(f.name == key for f in fields_of(choice))
+        ]
+        names = ", ".join(map(block_name, others))
+        remedy = f"{block_name(config_class)} has none; make {name} one of {names}"
+        require(not others, f"{name}.{key}", fields[key], remedy)
     return config_class, fields
-
-
-def _check_block_fields(name: str, fields: Tree, config_class: type) -> None:
-    """Raises ScenarioError for the first key that is a field of other blocks of the box alone."""
-    of_others = {key: value for key, value in fields.items() if not _has_field(config_class, key)}
-    for key, value in of_others.items():
-        others = [block_name(choice) for choice in CHOICES[name] if _has_field(choice, key)]
-        remedy = f"{block_name(config_class)} has none; make {name} one of {', '.join(others)}"
-        require(not others, f"{name}.{key}", value, remedy)
-
-
-def _has_field(config_class: type, key: str) -> bool:
-    return any(field.name == key for field in fields_of(config_class))

@@ -59,8 +59,10 @@ def record_replay(run: Run, *, frame_rate: float | None = None) -> str:
     """
     system = simulated_system(run)
     scene = Scene(system, run.scenario.scene)
-    if frame_rate is None:
-        frame_rate = _affordable_rate(len(run.time), len(system.attachments))
+    if frame_rate is None:  # a whole part of the signals'
+        most = max(_MOST_POSES // (len(system.attachments) + 1), 1)
+        stride = max(round(1 / (SIGNAL_PERIOD * _FRAME_RATE)), math.ceil(len(run.time) / most))
+        frame_rate = 1 / (SIGNAL_PERIOD * stride)
     frame_rate = min(frame_rate, 1 / SIGNAL_PERIOD)
     snapshots = _snapshots(run, frame_rate)
     page = _COMMAND.sub(_compressed, _recorded(scene, snapshots, frame_rate))
@@ -85,13 +87,6 @@ def _recorded(scene: Scene, snapshots: list[Snapshot], frame_rate: float) -> str
         canvas.finish()
         meshcat.SetAnimation(canvas.animation)
     return meshcat.StaticHtml()
-
-
-def _affordable_rate(samples: int, n: int) -> float:
-    """Frames per second, a whole part of the signals', of that many samples of n carriers."""
-    most = max(_MOST_POSES // (n + 1), 1)
-    stride = max(round(1 / (SIGNAL_PERIOD * _FRAME_RATE)), math.ceil(samples / most))
-    return 1 / (SIGNAL_PERIOD * stride)
 
 
 def _compressed(command: re.Match[str]) -> str:

@@ -80,7 +80,10 @@ class Scene:
         *,
         root: str = ROOT,
     ):
-        _check_root(root)
+        is_path = isinstance(root, str) and re.fullmatch(r"(/[\w.-]+)+", root)
+        is_free = is_path and root.split("/")[1] not in _MESHCATS_OWN
+        remedy = f"give a path such as {ROOT}_2, below none of /{', /'.join(_MESHCATS_OWN)}"
+        require(is_free, "visualizer.path", root, remedy)
         self._root = root
         self.config = config or SceneConfig()
         require_ranges("scene", self.config)
@@ -298,14 +301,6 @@ def stall_shares(aircraft: Aircraft, state: AircraftState) -> NDArray:
     """How near aircraft (n,) are to their stall, by lift or by airspeed, from 0 to 1."""
     by_speed = (stall_speed(aircraft) / np.maximum(state.airspeed, SMALL)) ** 2
     return np.maximum(state.lift / aircraft.max_lift, by_speed)
-
-
-def _check_root(root: str) -> None:
-    """Raises ScenarioError for a root that Meshcat, or the rest of its page, would not take."""
-    is_path = isinstance(root, str) and re.fullmatch(r"(/[\w.-]+)+", root)
-    is_free = is_path and root.split("/")[1] not in _MESHCATS_OWN
-    remedy = f"give a path such as {ROOT}_2, below none of /{', /'.join(_MESHCATS_OWN)}"
-    require(is_free, "visualizer.path", root, remedy)
 
 
 def _draw(meshcat: Meshcat, path: str, parts: list[Part], rgba: Rgba) -> None:
