@@ -9,12 +9,10 @@ from drake_nonstop.cli.ending import FAILED
 from drake_nonstop.cli.run import run_into
 from drake_nonstop.scenario.schema import AUTO, COMPILED
 from drake_nonstop.studies.run_all import COMPLETED, DIVERGED, SerialExecutor
-from drake_nonstop.studies.sweep import Sweep, sweep, sweep_settings
+from drake_nonstop.studies.sweep import sweep, sweep_settings
 from drake_nonstop.studies.sweep_spec import read_sweep
 from drake_nonstop.studies.variants import labels, varied
 from drake_nonstop.visualization.progress import TaskProgress
-
-_MAX_ERRORS = 5  # that are printed
 
 
 def add_to(commands: Commands) -> None:
@@ -63,20 +61,6 @@ def _sweep(options: argparse.Namespace) -> int:
             trust=options.trust,
             progress=progress,
         )
-    for line in _errors(done):
-        print(line)
-    print(", ".join(f"{count} {ending}" for ending, count in sorted(done.endings.items())))
-    outcomes = ", ".join(f"{count} {outcome}" for outcome, count in done.outcomes.items())
-    print(f"outcomes: {outcomes or 'none'}")
+    print(done.summary())
     print(f"results: {done.table}")
     return 0 if done.endings.keys() <= {COMPLETED, DIVERGED} else FAILED
-
-
-def _errors(done: Sweep) -> list[str]:
-    """Why runs did not complete: a line for each of the most frequent messages."""
-    errors = list(done.errors.items())
-    lines = [f"{count} {ending}: {message}" for (ending, message), count in errors]
-    told = sum(count for _, count in errors[:_MAX_ERRORS])
-    rest = sum(count for ending, count in done.endings.items() if ending != COMPLETED) - told
-    more = [f"{rest} more for other reasons: column `error` of the table"] if rest else []
-    return [*lines[:_MAX_ERRORS], *more]

@@ -43,6 +43,7 @@ _SPEC, _SCENARIO = "spec.yaml", "scenario.yaml"
 
 _CHECKED_RUNS = 20  # one of them has to make a scenario before any run is simulated
 _ROW_GROUP = 10_000  # rows of a table that are held in memory at a time
+_MOST_SHOWN = 5  # messages in a summary
 _MAX_MESSAGES = 1000  # that are counted
 _WALL_TIME_PATHS = {metric.path for metric in METRICS if metric.is_wall_time}
 _RESULT = {"drawn": dict, "ending": str, "error": str, "metrics": dict, "wall_times": dict}
@@ -68,6 +69,17 @@ class Sweep:
     endings: dict[str, int]
     errors: dict[tuple[str, str], int] = field(default_factory=dict)
     outcomes: dict[str, int] = field(default_factory=dict)  # of those that have metrics
+
+    def summary(self) -> str:
+        """Why runs did not complete, and how many had each ending and outcome, in lines."""
+        errors = [*self.errors.items()][:_MOST_SHOWN]
+        lines = [f"{count} {ending}: {message}" for (ending, message), count in errors]
+        failed = sum(count for ending, count in self.endings.items() if ending != COMPLETED)
+        rest = failed - sum(count for _, count in errors)
+        more = [f"{rest} more for other reasons: column `error` of the table"] if rest else []
+        endings = ", ".join(f"{count} {ending}" for ending, count in sorted(self.endings.items()))
+        outcomes = ", ".join(f"{count} {outcome}" for outcome, count in self.outcomes.items())
+        return "\n".join([*lines, *more, endings, f"outcomes: {outcomes or 'none'}"])
 
 
 def sweep(

@@ -1,5 +1,6 @@
 """The scene's bodies: an instant of a run, their poses, the parts they are made of, and colours."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -10,6 +11,7 @@ from pydrake.math import RigidTransform
 
 from drake_nonstop.mechanics.aircraft import Aircraft, angle_of_attack
 from drake_nonstop.mechanics.rotation import cross
+from drake_nonstop.mechanics.signal_layouts import SIGNALS
 from drake_nonstop.mechanics.signals import AircraftState, CarrierStates, Pose
 
 Colour = tuple[float, float, float]  # red, green and blue, from 0 to 1
@@ -17,6 +19,11 @@ Colour = tuple[float, float, float]  # red, green and blue, from 0 to 1
 SMALL = 1e-6  # m, m/s: a shorter vector has no direction
 SHADES = 33  # in which marks and cables change their colour
 X_AXIS, Z_AXIS = np.eye(3)[[0, 2]]
+
+
+def signal_sizes(names: Iterable[str], n: int) -> dict[str, int]:
+    """The sizes of vector signals of the loop, for n carriers."""
+    return {name: layout.count(n, 0) for name in names if (layout := SIGNALS[name]) is not None}
 
 
 @dataclass(kw_only=True)

@@ -28,7 +28,7 @@ from pydrake.systems.framework import Context, DiagramBuilder, System
 
 from drake_nonstop.mechanics.aircraft import Aircraft
 from drake_nonstop.mechanics.rotation import rotation_matrix
-from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, CarrierStates, Pose
+from drake_nonstop.mechanics.signals import CarrierStates, Pose
 from drake_nonstop.model.load_file import read_load_shapes
 from drake_nonstop.model.system import aircraft_in, overridden
 from drake_nonstop.scenario.schema import Scenario, check
@@ -43,18 +43,12 @@ from drake_nonstop.visualization.bodies import (
     carrier_rotations,
     cylinder_poses,
     load_parts,
+    signal_sizes,
     stack_poses,
 )
 from drake_nonstop.visualization.scene import Scene
 
-_NEEDED = "load_state", "carrier_state"  # ports; others may be left unconnected
 _HALF_CABLE = 0.6  # of the unstretched length; the two halves of a cable overlap
-
-
-def _inputs(n: int) -> dict[str, int]:
-    """The input ports and their sizes for n carriers."""
-    needed = {"load_state": LOAD_STATE_SIZE, "carrier_state": 6 * n}
-    return needed | {"aircraft_state": 4 * n, "wind": 3 * n}
 
 
 class NonstopGeometry(DiagramBlock):
@@ -74,21 +68,7 @@ class NonstopGeometry(DiagramBlock):
     Converted to AutoDiffXd or Expression it makes no poses: to ask for them raises ScenarioError.
 
     Cables do not collide with themselves, with the load, or with the carriers at their ends.
-
-    .. pydrake_system::
-
-        name: NonstopGeometry
-        input_ports:
-        - load_state
-        - carrier_state
-        - aircraft_state
-        - wind
-        output_ports:
-        - geometry_pose
-
-    The inputs are the loop's signals (`mechanics.signal_layouts`), for n carriers: `load_state`
-    (13), `carrier_state` (6n), and, which may be left unconnected, `aircraft_state` (4n) and `wind`
-    (3n). `geometry_pose` is a FramePoseVector, for the SceneGraph's pose port of `source`.
+    `geometry_pose` is a FramePoseVector, for the SceneGraph's pose port of `source`.
 
     Args:
         scene_graph: where the geometry is registered.
@@ -109,6 +89,10 @@ class NonstopGeometry(DiagramBlock):
         ScenarioError: a field of the scene is out of range, the SceneGraph has a source of that
             name, or the file cannot be read, has no shapes or is of another load.
     """
+
+    reads = "load_state", "carrier_state", "aircraft_state", "wind"
+    optional_inputs = reads[2:]
+    makes = ("geometry_pose",)
 
     def __init__(
         self,
@@ -179,7 +163,7 @@ class NonstopGeometry(DiagramBlock):
         frames = [self.load_frame, *self.carrier_frames, *lower_halves, *upper_halves]
         inner = DiagramBuilder()
         poses = inner.AddNamedSystem("poses", _Poses(attachments, frames, aircraft_in(system)))
-        for port in _inputs(len(attachments)):
+        for port in self.reads:
             inner.ExportInput(poses.GetInputPort(port), port)
         inner.ExportOutput(poses.get_output_port(), "geometry_pose")
         inner.BuildInto(self)
@@ -194,10 +178,8 @@ class _Poses(InnerBlock):
     def __init__(self, attachments: NDArray, frames: list[FrameId], aircraft: Aircraft | None):
         super().__init__()
         self._attachments, self._frames, self._aircraft = attachments, frames, aircraft
-        self._inputs = [
-            self.DeclareVectorInputPort(name, size)
-            for name, size in _inputs(len(attachments)).items()
-        ]
+        sizes = signal_sizes(NonstopGeometry.reads, len(attachments))
+        self._inputs = [self.DeclareVectorInputPort(name, size) for name, size in sizes.items()]
         make = FramePoseVector_[self.scalar]
         self.DeclareAbstractOutputPort(
             "geometry_pose",
@@ -208,9 +190,8 @@ class _Poses(InnerBlock):
 
     def _calc_poses(self, context: Context, output: AbstractValue) -> None:
         self.require_floats("look at the scene in a context of the diagram that was converted")
-        count = len(_NEEDED) if self._aircraft is None else len(self._inputs)
-        ports = self._inputs[:count]
-        ports = [port for port in ports if port.get_name() in _NEEDED or port.HasValue(context)]
+        optional = self._inputs[2:] if self._aircraft is not None else []
+        ports = [*self._inputs[:2], *(port for port in optional if port.HasValue(context))]
         given = {port.get_name(): port.Eval(context) for port in ports}
         load = Pose.view(given.pop("load_state"))
         carriers = CarrierStates.view(given.pop("carrier_state"))
@@ -270,8 +251,9 @@ def AddGeometry(  # noqa: N802
         remedy = f"give a {kind.__name__} that builder.AddSystem was given before"
         require(isinstance(system, kind) and is_there, field, system, remedy)
     n, sizes = len(overridden(scenario.system, scenario.simulated).attachments), output_sizes(loop)
-    expected = {port: size for port, size in _inputs(n).items() if port in (*_NEEDED, *sizes)}
-    for port, size in expected.items():
+    optional = NonstopGeometry.optional_inputs
+    ports = [port for port in NonstopGeometry.reads if port not in optional or port in sizes]
+    for port, size in signal_sizes(ports, n).items():
         has = f"{sizes[port]} values" if port in sizes else "no such output port"
         remedy = f"give a loop with {size} values there, for the scenario's {n} attachments"
         require(sizes.get(port) == size, f"loop.{port}", has, remedy)
@@ -280,7 +262,7 @@ def AddGeometry(  # noqa: N802
         scene_graph, scenario, name=name, load_file=load_file, proximity=proximity
     )
     builder.AddNamedSystem(f"{name}_geometry", geometry)
-    for port in expected:
+    for port in ports:
         builder.Connect(loop.GetOutputPort(port), geometry.GetInputPort(port))
     builder.Connect(
         geometry.GetOutputPort("geometry_pose"), scene_graph.get_source_pose_port(geometry.source)

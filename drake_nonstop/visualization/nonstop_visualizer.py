@@ -15,13 +15,12 @@ from drake_nonstop.scenario.scene_config import SceneConfig
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.systems.block import LeafBlock
 from drake_nonstop.validation import is_number, require
-from drake_nonstop.visualization.bodies import Snapshot
+from drake_nonstop.visualization.bodies import Snapshot, signal_sizes
 from drake_nonstop.visualization.canvas import ROOT, LiveCanvas
 from drake_nonstop.visualization.scene import Scene
 
 FRAME_RATE = 30.0  # 1/s of wall time
 _PATH_SAMPLES = 100
-_OPTIONAL = "speed_bound", "aircraft_state", "wind", "load_wind"  # ports
 
 
 class NonstopVisualizer(LeafBlock):
@@ -36,23 +35,6 @@ class NonstopVisualizer(LeafBlock):
     While the Meshcat records (`meshcat.StartRecording()`), each step that begins a frame of the
     recording is shown as well, and all that is shown is recorded; trails then begin with the
     recording, and the camera stands still. `meshcat.PublishRecording()` plays it back.
-
-    .. pydrake_system::
-
-        name: NonstopVisualizer
-        input_ports:
-        - load_state
-        - reference
-        - carrier_state
-        - tensions
-        - speed_bound
-        - aircraft_state
-        - wind
-        - load_wind
-
-    These are the loop's signals (`mechanics.signal_layouts`), for n carriers: `load_state` (13),
-    `reference` (22), `carrier_state` (6n), `tensions` (n), and, which may be left unconnected,
-    `speed_bound` (1), `aircraft_state` (4n), `wind` (3n), `load_wind` (3).
 
     Args:
         system: the load, attachments and cables that are shown.
@@ -69,6 +51,12 @@ class NonstopVisualizer(LeafBlock):
     Raises:
         ScenarioError: a field of the config, the frame rate or the path is out of range.
     """
+
+    reads = (
+        *("load_state", "reference", "carrier_state", "tensions"),
+        *("speed_bound", "aircraft_state", "wind", "load_wind"),
+    )
+    optional_inputs = reads[4:]
 
     def __init__(
         self,
@@ -97,13 +85,8 @@ class NonstopVisualizer(LeafBlock):
         self._canvas = LiveCanvas(meshcat, path)
         self._last_time = math.inf  # s, of the instant shown
         self._next_frame = -math.inf  # s of wall time, when it is due
-        n = len(system.attachments)
-        required = {"load_state": 13, "reference": 22, "carrier_state": 6 * n, "tensions": n}
-        optional = {"speed_bound": 1, "aircraft_state": 4 * n, "wind": 3 * n, "load_wind": 3}
-        self._ports = {
-            name: self.DeclareVectorInputPort(name, size)
-            for name, size in (required | optional).items()
-        }
+        sizes = signal_sizes(self.reads, len(system.attachments))
+        self._ports = {k: self.DeclareVectorInputPort(k, size) for k, size in sizes.items()}
         if self.scalar is float:
             self.DeclarePerStepPublishEvent(self._publish)
             self.DeclareForcedPublishEvent(self._show)
@@ -144,7 +127,7 @@ class NonstopVisualizer(LeafBlock):
             )
         )
         for name, port in visualizer._ports.items():
-            if name not in _OPTIONAL or nonstop.HasOutputPort(name):
+            if name not in visualizer.optional_inputs or nonstop.HasOutputPort(name):
                 builder.Connect(nonstop.GetOutputPort(name), port)
         return visualizer
 
@@ -162,7 +145,7 @@ class NonstopVisualizer(LeafBlock):
         given = {
             name: port.Eval(context)
             for name, port in self._ports.items()
-            if name not in _OPTIONAL or port.HasValue(context)
+            if name not in self.optional_inputs or port.HasValue(context)
         }
         given.setdefault("speed_bound", np.array([self._default_speed_bound]))
         snapshot = Snapshot.from_signals(context.get_time(), **given)

@@ -3,7 +3,6 @@
 import base64
 import html
 import io
-from pathlib import Path
 from typing import Any
 
 from pydrake.systems.framework import Diagram
@@ -15,7 +14,6 @@ from drake_nonstop.visualization.replay import record_replay
 from drake_nonstop.visualization.run_figures import make_figure
 
 _FIGURE = "carrier_speeds"
-_MOST_ROWS = 8
 
 
 def run_html(run: Run) -> str:
@@ -41,12 +39,8 @@ def diagram_html(diagram: Diagram) -> str:
 
 
 def sweep_html(done: Any) -> str:
-    """How many runs of a sweep had each ending and outcome, its errors, and where its table is."""
-    endings = ", ".join(f"{count} {ending}" for ending, count in done.endings.items())
-    outcomes = ", ".join(f"{count} {outcome}" for outcome, count in done.outcomes.items())
-    errors = sorted(done.errors.items(), key=lambda item: -item[1])[:_MOST_ROWS]
-    lines = [endings, *(f"{count} x {ending}: {text}" for (ending, text), count in errors)]
-    return _preformatted("\n".join([*lines, f"outcomes: {outcomes}", f"table: {Path(done.table)}"]))
+    """A sweep's endings, outcomes and errors, and where its table is."""
+    return _preformatted(f"{done.summary()}\ntable: {done.table}")
 
 
 def _preformatted(text: str) -> str:

@@ -34,5 +34,5 @@ def test_a_sweep_shows_its_endings(tmp_path):
     done = sweep(scenario, spec, tmp_path, executor=SerialExecutor())
     shown = done._repr_html_()
     assert "1 completed, 1 unbuildable" in shown
-    assert "1 x unbuildable: system.load_mass = -1.0" in shown
+    assert "1 unbuildable: system.load_mass = -1.0" in shown
     assert "runs.parquet" in shown
