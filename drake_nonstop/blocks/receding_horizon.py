@@ -46,7 +46,10 @@ _PREVIEW = "reference_preview"  # an optional input
 _MANY_ITERATIONS = 20  # of a plan that no earlier one leads to
 _MOST_ITERATIONS = 100  # of any other
 _FAR_FROM_FEASIBLE = 0.01  # slack of plans that may be on a branch from which no step leads
-_ANEW = 0.0  # in place of a factor of `_Effort`: constant ξ and A that are searched for
+_REPEATS = 4  # of the iterations of a plan that needs slack
+# Factors of the ξ of its start, from which it begins again: where a carrier would all but stop, no
+# small change helps. 0 stands for constant ξ and A that are searched for.
+_STARTS: tuple[float, ...] = (0.0, 1.1, 0.9)
 _NO_PLAN = 0.0  # in place of a scale
 # States: a flat `_PlanState`, and the values of its plan (8,) at the last sample.
 _LAST, _VALUES = "last_plan", "values"
@@ -336,25 +339,6 @@ class _Planned(NamedTuple):
     solve_time: float  # s, of wall time
 
 
-class _Effort(NamedTuple):
-    """How much is tried for a plan that needs slack from the start that it has."""
-
-    repeats: int  # of its iterations, from each start
-    # Factors of the ξ of its start, from which it begins again: where a carrier would all but
-    # stop, no small change helps.
-    starts: tuple[float, ...]
-
-    def after_relaxed(self, number: int) -> "_Effort":
-        """That of a plan whose predecessor has tried all of it in vain; `number` counts plans.
-
-        The starts take turns, until a plan needs no slack.
-        """
-        return _Effort(1, (self.starts[number % len(self.starts)],))
-
-
-_MOST_EFFORT = _Effort(4, (_ANEW, 1.1, 0.9))
-
-
 class _Planner(threading.local):
     """Makes plans; they depend on the arguments alone.
 
@@ -406,20 +390,21 @@ class _Planner(threading.local):
         is_new = is_first or speed_bound != last.speed_bound
         scale = 1.0 if is_new else max(last.scale, LEAST_START_SCALE)
         arrays = judged.flat_terms, judged.flat_flight, start, numbers.beliefs
-        effort = _MOST_EFFORT
+        starts, repeats = _STARTS, _REPEATS
         if not is_new and last.slack > PLAN_TOLERANCE:
-            effort = effort.after_relaxed(round(start_time / spacing))
-        numbers_of = (start_time, angle, speed_bound, is_new, scale, effort)
+            # The last plan has tried all in vain: starts take turns until one needs no slack.
+            repeats, starts = 1, (_STARTS[round(start_time / spacing) % len(_STARTS)],)
+        numbers_of = (start_time, angle, speed_bound, is_new, scale, repeats, starts)
         key = (*numbers_of, *(array.tobytes() for array in arrays))
         known = self._last
         if known is None or known[0] != key:
-            made = self._make(solver, data, start, scale, is_new, effort)
+            made = self._make(solver, data, start, scale, is_new, repeats, starts)
             if not np.all(np.isfinite(made[0].coefficients)):
                 raise NotFiniteError(problem.name())
             if is_first:
                 slacks = judge.slacks(judge.margins(judged, made[0].coefficients))
                 if slacks.max() > PLAN_TOLERANCE:
-                    made = self._make(judging, judged, start, scale, is_new, effort)
+                    made = self._make(judging, judged, start, scale, is_new, repeats, starts)
             slowest = float(judge.speeds(judged, made[0].coefficients).min())
             self._last = known = key, (*made, slowest)
         answer, outcome, slowest = known[1]
@@ -460,7 +445,8 @@ class _Planner(threading.local):
         start: NDArray,
         scale: float,
         is_new: bool,
-        effort: _Effort,
+        repeats: int,
+        starts: tuple[float, ...],
     ) -> tuple[PlanAnswer, Outcome]:
         def improved(coefficients: NDArray, scale: float) -> PlanAnswer:
             iterations = _MANY_ITERATIONS if is_new else self._config.max_iterations
@@ -470,16 +456,16 @@ class _Planner(threading.local):
             return solver.solve(
                 data,
                 answer.coefficients,
-                max_iterations=effort.repeats * iterations,
+                max_iterations=repeats * iterations,
                 scale=max(answer.scale, LEAST_START_SCALE),
                 until_feasible=True,
             )
 
         answer = improved(start, scale)
-        for factor in effort.starts:
-            if factor == _ANEW and (is_new or answer.slack > _FAR_FROM_FEASIBLE):
+        for factor in starts:
+            if not factor and (is_new or answer.slack > _FAR_FROM_FEASIBLE):
                 other = solver.first_guess(data, start[:, : solver.fixed])
-            elif factor != _ANEW and not answer.is_feasible:
+            elif factor and not answer.is_feasible:
                 other = start.copy()
                 other[0, solver.fixed :] *= factor
             else:

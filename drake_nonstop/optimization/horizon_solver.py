@@ -84,7 +84,10 @@ class HorizonSolver:
         self._weights = problem.slack_weights
         angles = problem.angle_rows()[:, self.fixed :]
         self._angle_rows = np.hstack([angles, np.zeros(angles.shape)])
-        self._rate_rows = _difference_rows(problem.largest_differences, count, self.fixed)
+        rows = _difference_rows(count, self.fixed)
+        largest = np.repeat(problem.largest_differences, len(rows) // 2)
+        limited = np.isfinite(largest)
+        self._differences, self._largest_differences = rows[limited], largest[limited]
         self._little_slack = PLAN_TOLERANCE * float(self._weights.min())
         self._program = _StepProgram(self)
 
@@ -219,7 +222,7 @@ class _StepProgram(threading.local):
         self._box = program.AddBoundingBoxConstraint(
             np.zeros(size), np.zeros(size), self._step
         ).evaluator()
-        self._fixed_rows = np.vstack([solver._angle_rows, solver._rate_rows.matrix])
+        self._fixed_rows = np.vstack([solver._angle_rows, solver._differences[:, solver._free]])
         zero = np.zeros(len(self._fixed_rows))
         self._fixed_constraint = program.AddLinearConstraint(
             self._fixed_rows, zero, zero, self._step
@@ -251,7 +254,8 @@ class _StepProgram(threading.local):
             np.clip(low - part, -radius, 0.0).ravel(), np.clip(high - part, 0.0, radius).ravel()
         )
         angle = np.full(len(owner._angle_rows), scale * _ANGLE_RADIUS)
-        below, above = owner._rate_rows.bounds_at(x)
+        differences, most = owner._differences @ flat, owner._largest_differences
+        below, above = np.minimum(-most - differences, 0), np.maximum(most - differences, 0)
         self._fixed_constraint.set_bounds(
             np.concatenate([-angle, below]), np.concatenate([angle, above])
         )
@@ -298,29 +302,12 @@ class _StepProgram(threading.local):
         return values[:count], values[count:]
 
 
-class _DifferenceRows(NamedTuple):
-    """Rows of the differences of neighbouring coefficients, of which one at least is free."""
+def _difference_rows(count: int, fixed: int) -> NDArray:
+    """The matrix (2r, 2N) of both splines' differences of neighbouring coefficients.
 
-    matrix: NDArray  # (r, free), of a step
-    whole: NDArray  # (r, 2N), of all coefficients
-    largest: NDArray  # (r,), of the differences
-
-    def bounds_at(self, x: NDArray) -> tuple[NDArray, NDArray]:
-        """The bounds (r,) of the rows of a step from coefficients x (2, N)."""
-        differences = self.whole @ x.ravel()
-        return np.minimum(-self.largest - differences, 0), np.maximum(self.largest - differences, 0)
-
-
-def _difference_rows(largest: NDArray, count: int, fixed: int) -> _DifferenceRows:
-    """The rows for the limits (2, 1) of both splines, of which only the finite ones have rows."""
-    free = np.arange(fixed, count)
-    one = (np.eye(count) - np.eye(count, k=-1))[max(fixed, 1) :]
-    rows = [np.kron(np.eye(2)[i], one) for i in range(2) if np.isfinite(largest[i, 0])]
-    whole = np.vstack([*rows, np.zeros((0, 2 * count))])
-    limits = [np.full(len(one), limit) for limit in largest[:, 0] if np.isfinite(limit)]
-    return _DifferenceRows(
-        whole[:, np.concatenate([free, count + free])], whole, np.concatenate([*limits, []])
-    )
+    Of each difference one coefficient at least is free.
+    """
+    return np.kron(np.eye(2), (np.eye(count) - np.eye(count, k=-1))[max(fixed, 1) :])
 
 
 def _constant_parameters(problem: HorizonProblem, data: HorizonData) -> NDArray:
