@@ -117,7 +117,7 @@ class BoundedTensionDistribution(CableForceDistribution):
             f"give more than min_tension = {config.min_tension:g} N, or .inf for no limit",
         )
 
-    def _evaluated(self, context: Context, name: str) -> NDArray:
+    def _evaluated(self, context: Context, name: str | int) -> NDArray:
         """As of `TracedBlock`, within the bounds."""
         forces, rates = _OUTPUTS
         found = self._least(context, forces)

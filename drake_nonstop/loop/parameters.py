@@ -6,8 +6,7 @@ otherwise; `simulated.load_mass` is the plant's alone; `pattern.spread` belongs 
 """
 
 import dataclasses
-import functools
-from collections.abc import Hashable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -154,16 +153,16 @@ class _Loop:
                 yield f"{_PATTERN}.offset", value, "N, in L, 3 for each cable"
                 config = parameters.model.pattern_config
                 if hasattr(config, _SPREAD):
-                    about = _meanings(type(config))[_SPREAD]
+                    about = meanings(type(config))[_SPREAD]
                     yield f"{_PATTERN}.{_SPREAD}", _spread_of(parameters.model, value), about
                 continue
             kind = AircraftParameters if name.startswith(AIRCRAFT) else SystemParameters
-            about = _meanings(kind).get(name.removeprefix(AIRCRAFT), "")
+            about = meanings(kind).get(name.removeprefix(AIRCRAFT), "")
             yield f"{holder.role}.{name}", value, about
             if holder.role == _SIMULATED and self._follows(name):
                 yield f"{_SYSTEM}.{name}", value, about
         for name in parameters.own:
-            about = _meanings(type(parameters.config)).get(name, "")
+            about = meanings(type(parameters.config)).get(name, "")
             yield f"{holder.box}.{name}", self._value(holder, name), about
 
     def set(self, path: str, value: Any) -> None:
@@ -195,15 +194,9 @@ class _Loop:
             self._require_no_other_mass(models, path, value)
         known = sorted(entry.path for entry in self.listed() if entry.path.startswith(f"{scope}."))
         is_of_system = scope in (_SYSTEM, _SIMULATED)
-        require(
-            bool(writes),
-            path,
-            value,
-            "no block of the loop goes by it"
-            if is_of_system
-            else f"it is no parameter of the context, which has {', '.join(known) or 'none'} here; "
-            f"{_BUILD}",
-        )
+        there = f"it is no parameter of the context, which has {', '.join(known) or 'none'} here"
+        remedy = "no block of the loop goes by it" if is_of_system else f"{there}; {_BUILD}"
+        require(bool(writes), path, value, remedy)
         for holder, new in writes:
             can_lead = name in holder.parameters.of_system
             following = self._following(holder) if can_lead else []
@@ -217,9 +210,8 @@ class _Loop:
         """The models with the value, by their roles."""
         if scope in (_SYSTEM, _SIMULATED):
             require_known(field, list(_FIELDS), "parameter", path)
-            require(
-                field not in _GEOMETRY, path, value, f"it is fixed as the loop is built; {_BUILD}"
-            )
+            remedy = f"it is fixed as the loop is built; {_BUILD}"
+            require(field not in _GEOMETRY, path, value, remedy)
             require_type(path, _plain(value), _FIELDS[field])
             roles = [scope]
             if scope == _SYSTEM and self._follows(field):
@@ -261,7 +253,7 @@ class _Loop:
                 kind = {f.name: f.type for f in dataclasses.fields(config)}[name]
                 require_type(path, plain, kind)
                 shape = parameters.defaults[name].shape
-                require_array(path, plain, shape, _meanings(type(config)).get(name, ""))
+                require_array(path, plain, shape, meanings(type(config)).get(name, ""))
             config = dataclasses.replace(config, **(present | own))
         rules.check(model, config)
         value = [*own.values()] or [getattr(model.system, path.partition(".")[2], None)]
@@ -275,14 +267,9 @@ class _Loop:
         return model.pattern.offset
 
     def _require_following(self, holder: _Holder, name: str, path: str, value: Any) -> None:
-        block = type(holder.block).__name__
         is_kept = holder.group is None or name in holder.parameters.rules.fixed
-        require(
-            not is_kept,
-            path,
-            value,
-            f"{holder.box} = {block} keeps what it was built with; {_BUILD}",
-        )
+        block = f"{holder.box} = {type(holder.block).__name__}"
+        require(not is_kept, path, value, f"{block} keeps what it was built with; {_BUILD}")
 
     def _require_effect(self, holder: _Holder, name: str, value: Any) -> None:
         """Raises ScenarioError where a signal that the block reads takes the parameter's place."""
@@ -331,10 +318,9 @@ class _Loop:
                 k.removeprefix(AIRCRAFT): v for k, v in own.items()
             }
             if given != values_of(system.aircraft):
+                mass = own.get(_MASS, system.carrier_mass)
                 aircraft = AircraftParameters(**given)
-                system = dataclasses.replace(
-                    system, aircraft=aircraft, carrier_mass=own.get(_MASS, system.carrier_mass)
-                )
+                system = dataclasses.replace(system, aircraft=aircraft, carrier_mass=mass)
         if system == built.system and np.array_equal(offset, built.pattern.offset):
             return built
         pattern = dataclasses.replace(built.pattern, offset=offset)
@@ -498,13 +484,3 @@ def _are_same(one: Any, other: Any) -> bool:
 
 def _floats(vector: Iterable[Any]) -> NDArray:
     return np.array([v.value() if isinstance(v, AutoDiffXd) else float(v) for v in vector])
-
-
-@functools.cache
-def _cached_meanings(config: Hashable) -> dict[str, str]:
-    assert isinstance(config, type)
-    return meanings(config)
-
-
-def _meanings(config: Any) -> dict[str, str]:
-    return _cached_meanings(config)

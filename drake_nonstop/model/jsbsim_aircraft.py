@@ -135,15 +135,14 @@ class FleetState(NamedTuple):
 
 
 class JsbsimAircraft:
-    """One aircraft with its autopilot.
+    """One aircraft of a file, with its autopilot.
 
     Args:
         path: the aircraft's file.
         aircraft: the model's aircraft.
         step: s, of each `advance`.
         hook: (3,), m, where the cable is fastened: forward, right and up of the centre of gravity.
-        owner: the block's name in error messages, whose fields `aircraft_file` and `hook` are.
-        field: the model's name in error messages.
+        owner, field: the block's and the model's name in error messages.
 
     Attributes:
         hook: (3,), m, in body axes.
@@ -226,9 +225,9 @@ class JsbsimAircraft:
             remedy = f"it is {places[value > 0]} from the centre of gravity; give a value within"
             remedy += f" {-limit:.3g} and {limit:.3g}"
             require(abs(value) <= limit, f"{self._owner}.hook[{i}]", value, remedy)
-        centre = [self._get(f"inertia/cg-{axis}-in") for axis in "xyz"]
-        for axis, at, offset in zip("xyz", centre, hook * [-1, 1, 1], strict=True):
-            self._set(f"external_reactions/cable/location-{axis}-in", at + offset / _INCH)
+        for axis, offset in zip("xyz", hook * [-1, 1, 1], strict=True):
+            place = self._get(f"inertia/cg-{axis}-in") + offset / _INCH
+            self._set(f"external_reactions/cable/location-{axis}-in", place)
 
     def _write_model(self) -> None:
         """Sets the file's properties of the model."""
@@ -262,13 +261,9 @@ class JsbsimAircraft:
     ) -> None:
         """Starts in coordinated flight, with filters and servos at rest.
 
-        Args:
-            position: of the hook (3,), m.
-            velocity: of the hook (3,), m/s.
-            acceleration: (3,), m/s², which the aircraft turns with.
-            command: C_L, bank (rad) and thrust (N) (3,), which it starts with.
-            pull: of the cable, on the load (3,), N.
-            wind: (3,), m/s.
+        Position and velocity are the hook's, the acceleration is that which the aircraft turns
+        with, the command C_L, bank (rad) and thrust (N), and the pull that of the cable on the
+        load: SI, in W, each (3,).
         """
         told = _told(*(part[None] for part in (command, pull, wind)))[0]
         slope = float(np.squeeze(self._aircraft.lift_slope))
@@ -326,11 +321,7 @@ class JsbsimAircraft:
 
 
 class JsbsimFleet:
-    """Aircraft that fly together.
-
-    Args:
-        aircraft: n of them, with the same hook.
-    """
+    """Aircraft with the same hook that fly together."""
 
     def __init__(self, aircraft: Sequence[JsbsimAircraft]):
         self._aircraft, self._hook = aircraft, aircraft[0].hook
@@ -351,13 +342,10 @@ class JsbsimFleet:
         return self._shown()
 
     def advance(self, commands: NDArray, pulls: NDArray, winds: NDArray) -> FleetState:
-        """What they show a step later.
+        """What they show a step later; the arguments are as of `start`.
 
-        Args:
-            commands: C_L, bank (rad) and thrust (N) of each (n, 3).
-            pulls: of the cables, on the load (n, 3), N, at the end of the step: JSBSim moves by
-                the forces of the step before, and then evaluates the new ones.
-            winds: (n, 3), m/s.
+        The pulls are those at the end of the step: JSBSim moves by the forces of the step before,
+        and then evaluates the new ones.
 
         Raises:
             ArithmeticError: JSBSim cannot go on from the state.
@@ -404,13 +392,9 @@ def _in_world(vectors: NDArray, cosines: NDArray, sines: NDArray) -> NDArray:
 
 
 def aircraft_file(given: str, model: str | None, owner: str, field: str) -> Path:
-    """The file of the aircraft.
+    """The file at a given path, or, where that is empty, the package's of a model of the table.
 
-    Args:
-        given: its path, empty for that of the package.
-        model: the aircraft's name in the table, None where it has none.
-        owner: the block's name in error messages.
-        field: the model's name in error messages.
+    `owner` and `field` are the block's and the model's name in error messages.
 
     Raises:
         ScenarioError: the package has none, or there is no file of that path.
@@ -444,10 +428,9 @@ def _fault(path: Path, changed: int) -> str:
     So a process of its own tries the file first.
     """
     command = [sys.executable, "-c", _TRIAL, str(path.parent), path.stem]
+    options: dict[str, Any] = {"capture_output": True, "text": True, "timeout": _TRIAL_TIME}
     try:
-        tried = subprocess.run(
-            command, capture_output=True, text=True, check=False, timeout=_TRIAL_TIME
-        )
+        tried = subprocess.run(command, check=False, **options)
     except subprocess.TimeoutExpired:
         return f"it has made no step after {_TRIAL_TIME:g} s"
     if tried.returncode == 0:

@@ -92,6 +92,7 @@ class TracedBlock(LeafBlock):
 
     has_rates = False
     _declarations = 0  # of states and events
+    sample_period: float  # s, of the samples of the state; 0: it is continuous, or there is none
 
     def __init__(
         self,
@@ -114,9 +115,10 @@ class TracedBlock(LeafBlock):
         is_held: bool = False,
     ):
         super().__init__()
-        self._initial, self._period = np.array([] if state is None else state, float), period
+        self._initial = np.array([] if state is None else state, float)
         self.updates_first, self._start, self._state_port = updates_first, start, state_port
         size = len(self._initial)
+        self.sample_period = period if size > 0 else 0.0
         if size > 0 and not self.has_rates:
             raise TypeError("state: give it to TracedDynamics, which has rates")
         if size == 0 and (state_port or start):
@@ -152,10 +154,9 @@ class TracedBlock(LeafBlock):
         self._parts: list[_Part] = []
         self._entries: list[Any] = []  # of the parts in the cache: their index and ticket
         self._places: dict[str, tuple[int, slice]] = {}  # of the outputs: part, and where in it
-        # What evaluates each output, and what gives that its arguments.
-        self._evaluators: dict[str, tuple[Callable, list[Callable[[Context], NDArray]]]] = {}
+        # What evaluates each output, and some parts by their numbers, and what gives it arguments.
+        self._evaluators: dict[str | int, tuple[Callable, list[Callable]]] = {}
         self._tickets: dict[str, set[Any]] = {}  # what each output depends on
-        self._wholes: dict[int, tuple[Callable, list]] = {}  # as the evaluators, of whole parts
         dependence = trace.dependence
         if is_joint:
             dependence = [set().union(*dependence)] * len(dependence)
@@ -185,11 +186,6 @@ class TracedBlock(LeafBlock):
         return self._of_function == (self.num_output_ports(), self._declarations)
 
     @property
-    def sample_period(self) -> float:
-        """Of the samples of the state, s; 0: it is continuous, or there is none."""
-        return self._period if len(self._initial) else 0.0
-
-    @property
     def trace_key(self) -> Any:
         """The functions of the parts, and how the state goes on and starts."""
         keys = tuple(part.key for part in self._parts)
@@ -212,7 +208,7 @@ class TracedBlock(LeafBlock):
     def _add(
         self,
         trace: Trace,
-        group: tuple[list[int], list[int]],
+        group: "_Group",
         read: Sequence[str],
         made: Sequence[str],
         *,
@@ -228,7 +224,7 @@ class TracedBlock(LeafBlock):
         tickets = {self._ticket(name) for name in part.reads} or {self.nothing_ticket()}
         entry, name_of_block = None, weakly(self.box)
         if is_shared or (len(part.outputs) > 1 and self._is_costly(part)):
-            self._wholes[k] = part.evaluator(self.scalar, name_of_block), readers
+            self._evaluators[k] = part.evaluator(self.scalar, name_of_block), readers
             produced = ValueProducer(Value(np.zeros(0)).Clone, _calc_whole(weakref.ref(self), k))
             entry = self.DeclareCacheEntry(f"part {k}", produced, tickets)
             self._entries.append((entry.cache_index(), entry.ticket()))
@@ -271,11 +267,11 @@ class TracedBlock(LeafBlock):
             quantity = weakly(self._quantity)
             return lambda context: quantity(context, name)
         if name == _STATE:
-            return _continuous_state_of if self._period == 0 else _discrete_state_of
+            return _continuous_state_of if self.sample_period == 0 else _discrete_state_of
         return {_NUMBERS: _parameters_of, _TIME: _time_of}[name]
 
-    def _evaluated(self, context: Context, name: str) -> NDArray:
-        """An output as it is made, in a view of scratch memory."""
+    def _evaluated(self, context: Context, name: str | int) -> NDArray:
+        """An output as it is made, or a part, in a view of scratch memory."""
         evaluate, readers = self._evaluators[name]
         return evaluate([read(context) for read in readers])
 
@@ -294,15 +290,15 @@ class TracedBlock(LeafBlock):
 
     def _declare_state(self) -> None:
         vector = BasicVector_[self.scalar](self._initial)
-        if self._period == 0:
+        if self.sample_period == 0:
             self._state_index = self.DeclareContinuousState(vector)
             return
         self._state_index = self.DeclareDiscreteState(vector)
-        times = self._period, self._period
-        if self.updates_first:  # Drake makes unrestricted updates before discrete ones
-            self.DeclarePeriodicUnrestrictedUpdateEvent(*times, weakly(self._step_first))
-        else:
-            self.DeclarePeriodicDiscreteUpdateEvent(*times, weakly(self._step))
+        # Drake makes unrestricted updates before discrete ones.
+        declare: Any = self.DeclarePeriodicDiscreteUpdateEvent
+        if self.updates_first:
+            declare = self.DeclarePeriodicUnrestrictedUpdateEvent
+        declare(self.sample_period, self.sample_period, weakly(self._step))
 
     def _declare_output(self, name: str, size: int) -> None:
         if name == self._state_port:
@@ -315,9 +311,10 @@ class TracedBlock(LeafBlock):
             calc = _calc(weakref.ref(self), name)
             self.DeclareVectorOutputPort(name, size, calc, self._tickets[name])
 
-    def _step(self, context: Context, discrete_state: DiscreteValues) -> None:
+    def _step(self, context: Context, after: DiscreteValues | State) -> None:
+        discrete_state = after.get_mutable_discrete_state() if self.updates_first else after
         rate = self._evaluated(context, _RATE)
-        state = _discrete_state_of(context) + self._period * rate
+        state = _discrete_state_of(context) + self.sample_period * rate
         self._hold(context, discrete_state)
         discrete_state.set_value(0, state)
 
@@ -329,13 +326,10 @@ class TracedBlock(LeafBlock):
         assert self._start is not None
         make, names = self._start
         values = make(*(self._inputs[name].Eval(context) for name in names))
-        if self._period == 0:
+        if self.sample_period == 0:
             state.get_mutable_continuous_state().SetFromVector(values)
         else:
             state.get_mutable_discrete_state().set_value(0, values)
-
-    def _step_first(self, context: Context, state: State) -> None:
-        self._step(context, state.get_mutable_discrete_state())
 
     # As of `systems.diagram_trace`.
 
@@ -357,7 +351,7 @@ class TracedBlock(LeafBlock):
         return self._traced_update
 
     def _traced_update(self, at: At) -> list[NDArray]:
-        state = self._traced_state(at) + self._period * self.traced_rates(at)
+        state = self._traced_state(at) + self.sample_period * self.traced_rates(at)
         return [state, *(self._traced_result(name, at) for name in self._held)]
 
     @property
@@ -376,7 +370,7 @@ class TracedBlock(LeafBlock):
         return [state, *(self._traced(k, at, state)[place] for k, place in places)]
 
     def _traced_state(self, at: At) -> NDArray:
-        return at.state(0 if self._period == 0 else 1)
+        return at.state(0 if self.sample_period == 0 else 1)
 
     def _traced_result(self, name: str, at: At) -> NDArray:
         """What is made, and not what is held."""
@@ -431,7 +425,7 @@ class TracedDynamics(TracedBlock):
         self, context: Context, derivatives: ContinuousState
     ) -> None:
         """As LeafSystem's."""
-        if self._period == 0 and len(self._initial):
+        if self.sample_period == 0 and len(self._initial) > 0:
             derivatives.SetFromVector(self._evaluated(context, _RATE))
 
 
@@ -442,15 +436,11 @@ _Group = tuple[list[int], list[int]]
 def _groups(
     dependence: list[set[int]], made: Sequence[int], inner: set[int], *, has_state: bool = False
 ) -> list[_Group]:
-    """Outputs in groups, in the order of their first ones.
+    """Outputs `made` in groups, by their `dependence` on ports, in the order of their first ones.
 
-    Args:
-        dependence: as of `Trace`.
-        made: the numbers of the outputs.
-        inner: the numbers of the inputs that are no ports. An output is taken to depend on
-            one of these where another one of its group does.
-        has_state: the first output goes into the state: no port shows on which inputs it
-            depends, and it is made with others that read these and more.
+    Inputs that are `inner` are no ports. Where there `has_state`, the first output goes into the
+    state: no port shows on which inputs it depends, and it is made with others that read these and
+    more.
     """
     ports = {i: frozenset(dependence[i] - inner) for i in made}
     if has_state:
@@ -516,11 +506,8 @@ def _time_of(context: Context) -> NDArray:
 
 
 def _calc_whole(block: Callable[[], Any], k: int) -> Callable[[Context, Any], None]:
-    def calc(context: Context, value: Any) -> None:
-        evaluate, readers = block()._wholes[k]
-        value.set_value(evaluate([read(context) for read in readers]).copy())
-
-    return calc
+    made = TracedBlock._evaluated  # and not what a class below makes of outputs
+    return lambda context, value: value.set_value(made(block(), context, k).copy())
 
 
 def _calc(block: Callable[[], Any], name: str) -> Callable[[Context, BasicVector], None]:

@@ -180,9 +180,7 @@ def signals_read(
 ) -> dict[str, dict[str, str]]:
     """The signal that each input port is named after, or what is held of it, by names of blocks.
 
-    Args:
-        blocks: by their names.
-        sources: the names of the signals' makers. An optional input of no signal is left out.
+    `sources` are the names of the signals' makers. An optional input of no signal is left out.
     """
     held = {
         port: f"{HELD}{port}"
@@ -410,17 +408,9 @@ def require_own_context(field: str, diagram: Diagram, context: Context) -> None:
 
 
 def require_context(field: str, system: System, context: Context) -> None:
-    """Checks that a context is that of a system of floats.
+    """Raises ScenarioError unless the context, of that name in errors, is that of the system.
 
     Drake's own functions end the process where they copy states of other sizes.
-
-    Args:
-        field: what the error calls it.
-        system: the system.
-        context: what should be its context.
-
-    Raises:
-        ScenarioError: it is another one's.
     """
     remedy = "give a context, such as diagram.CreateDefaultContext()"
     require(isinstance(context, Context), field, type(context).__name__, remedy)
@@ -438,16 +428,9 @@ def nested(diagram: Diagram, signals: Collection[str]) -> list[Diagram]:
 
     The outermost is the first, and no subsystem of the last makes all of them.
     """
-    found = [diagram]
-    while True:
-        inner = [
-            part
-            for part in found[-1].GetSystems()
-            if isinstance(part, Diagram) and _makes(part, found[-1], signals)
-        ]
-        if not inner:
-            return found
-        found.append(inner[0])
+    parts = [part for part in diagram.GetSystems() if isinstance(part, Diagram)]
+    inner = next((part for part in parts if _makes(part, diagram, signals)), None)
+    return [diagram] if inner is None else [diagram, *nested(inner, signals)]
 
 
 def _makes(part: Diagram, diagram: Diagram, signals: Collection[str]) -> bool:
@@ -505,11 +488,8 @@ def _is_of_hold(port: str) -> bool:
 
 def connections(diagram: Diagram) -> list[str]:
     """The wires "block.port -> block.port" that a built diagram really has."""
-    result = []
-    for (target, target_index), (source, source_index) in diagram.connection_map().items():
-        output: OutputPort = source.get_output_port(source_index)
-        result.append(
-            f"{source.get_name()}.{output.get_name()} -> "
-            f"{target.get_name()}.{target.get_input_port(target_index).get_name()}"
-        )
-    return result
+    return [
+        f"{source.get_name()}.{source.get_output_port(k).get_name()} -> "
+        f"{target.get_name()}.{target.get_input_port(i).get_name()}"
+        for (target, i), (source, k) in diagram.connection_map().items()
+    ]
