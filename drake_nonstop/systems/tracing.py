@@ -378,13 +378,13 @@ def _traced(
 
     def make() -> casadi.Function:
         symbols, expressions = _expressions(function, input_sizes)
-        symbol, stacked = casadi.vertcat(*symbols), casadi.vertcat(*expressions)
+        expressions = casadi.cse(expressions)  # before a Jacobian, of which it would take long
+        stacked = casadi.vertcat(*expressions)
         expressions.append(casadi.densify(casadi.sumsqr(stacked)))
         if jacobian_of is not None:
-            ends = np.cumsum([0, *input_sizes])
-            columns = slice(int(ends[jacobian_of]), int(ends[jacobian_of + 1]))
-            expressions.append(casadi.densify(casadi.jacobian(stacked, symbol)[:, columns]))
-        return casadi.Function("mechanics", [symbol], casadi.cse(expressions))
+            jacobian = casadi.jacobian(stacked, symbols[jacobian_of])
+            expressions.append(casadi.densify(jacobian))
+        return casadi.Function("mechanics", [casadi.vertcat(*symbols)], expressions)
 
     return _cached(make, list(input_sizes), jacobian_of, key)
 
