@@ -15,7 +15,7 @@ from drake_nonstop.analysis.aircraft_margins import margins_at_rest
 from drake_nonstop.blocks.load_trajectory import RestToRest, RestToRestConfig
 from drake_nonstop.mechanics.aircraft import stall_speed
 from drake_nonstop.mechanics.grasp import grasp_matrix
-from drake_nonstop.mechanics.planned_orbit import OrbitTerms, planned_speeds
+from drake_nonstop.mechanics.planned_orbit import OrbitTerms, PlannedOrbit, planned_speeds
 from drake_nonstop.model.pattern import HamiltonianCycleConfig
 from drake_nonstop.model.system import Model, SystemParameters
 from drake_nonstop.optimization.horizon_config import HorizonConfig, timed
@@ -195,17 +195,14 @@ class _Orbit:
         preview = trajectory.GetOutputPort("reference_preview").Eval(context)
         times = motion.start_time + np.arange(0.0, motion.move_time, STEP)
         terms = self._problem.all_terms(preview.references(times))
-        speeds = planned_speeds(
+        squares, _ = planned_speeds(
             OrbitTerms.view(np.array(terms)),
             self._problem.axes,
-            self._frequency * times,
-            np.full(len(times), self._frequency),
-            np.full(len(times), self._amplitude),
-            np.zeros(len(times)),
+            PlannedOrbit.constant(self._frequency * times, self._frequency, self._amplitude),
             rest_length=self._model.cable_length,
             compliance=self._model.cable_compliance,
         )
-        return float(np.sqrt(np.min(speeds.squares)))
+        return float(np.sqrt(np.min(squares)))
 
 
 def _tagged(name: str, values: dict) -> str:

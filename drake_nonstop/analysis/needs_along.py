@@ -7,13 +7,14 @@ from numpy.typing import NDArray
 
 from drake_nonstop.analysis.aircraft_margins import asked_load
 from drake_nonstop.analysis.task import Task
-from drake_nonstop.mechanics.aircraft import FlightNeeds, flight_needs, needed_force
+from drake_nonstop.mechanics.aircraft import FlightNeeds
 from drake_nonstop.mechanics.cable import forces_under_other_wrench, wrenches_of
 from drake_nonstop.mechanics.planned_orbit import (
     FlightTerms,
     OrbitMotion,
     PlannedOrbit,
     flight_along_reference,
+    needs_of_motion,
     orbit_motion,
     pattern_directions,
 )
@@ -47,9 +48,7 @@ class NeedsAlong:
 
     def needs(self, planned: NDArray) -> FlightNeeds:
         """What they need, (k, n) each, of the plan's values (k, 8), in the mean wind up there."""
-        motion, up = self._motion(planned), self._terms.up[:, None]
-        force = needed_force(self._aircraft, motion.accelerations, motion.forces, up)
-        return flight_needs(self._aircraft, force, motion.velocities, up)
+        return needs_of_motion(self._aircraft, self._motion(planned), self._terms.up[:, None])
 
     def cable_forces(self, planned: NDArray) -> NDArray:
         """The forces (k, n, 3) of the cables on the load, N, in L, of the plan's values (k, 8)."""

@@ -191,30 +191,6 @@ def flight_needs(
     sideward = (cross(force, air_velocity) * up).sum(axis=-1) / (airspeed * climb_cosine)
     upward = ((force * up).sum(axis=-1) - climb_sine * along) / climb_cosine
     across = np.sqrt(sideward * sideward + upward * upward + _LEAST)
-    lift, thrust = lift_and_thrust(aircraft, along, across, airspeed)
-    return FlightNeeds(
-        airspeed,
-        np.sqrt((force * force).sum(axis=-1) + _LEAST),
-        lift,
-        2 * np.arctan(sideward / (across + upward + _LEAST)),
-        np.arctan(climb_sine / climb_cosine),
-        thrust,
-    )
-
-
-def lift_and_thrust(
-    aircraft: Aircraft, along: NDArray, across: NDArray, airspeed: NDArray
-) -> tuple[NDArray, NDArray]:
-    """C_L and thrust (...,) that make given forces along and across the flight through the air.
-
-    See `flight_needs`.
-
-    Args:
-        aircraft: the parameters.
-        along: F_x (...,), N.
-        across: the size N (...,) of the part of F across the flight, N.
-        airspeed: V (...,), m/s.
-    """
     pressure = pressure_force(aircraft, airspeed)
     slope = aircraft.lift_slope
     without_thrust = angle_of_attack(aircraft, across / pressure)
@@ -234,7 +210,14 @@ def lift_and_thrust(
     angle = clipped(angle, LARGEST_ANGLE)
     lift = aircraft.lift_at_zero_angle + slope * angle
     thrust = (along + pressure * drag_coefficient(aircraft, lift)) / np.cos(angle)
-    return lift, thrust
+    return FlightNeeds(
+        airspeed,
+        np.sqrt((force * force).sum(axis=-1) + _LEAST),
+        lift,
+        2 * np.arctan(sideward / (across + upward + _LEAST)),
+        np.arctan(climb_sine / climb_cosine),
+        thrust,
+    )
 
 
 def thrust_limits(aircraft: Aircraft, airspeed: NDArray) -> tuple[NDArray, NDArray]:
@@ -309,13 +292,6 @@ def thrust_power(thrust: NDArray, airspeed: NDArray) -> NDArray:
 def drawn_power(aircraft: Aircraft, thrust: NDArray, airspeed: NDArray) -> NDArray:
     """`thrust_power` over η (...,), W: what is drawn from the battery."""
     return thrust_power(thrust, airspeed) / aircraft.efficiency
-
-
-def gust_lift(aircraft: Aircraft, air_velocity: NDArray, bank: NDArray, gust: NDArray) -> NDArray:
-    """C_Lα δα (...,) of gusts (..., 3), m/s, in W, that are fast: δα = gust·l/V."""
-    frame = air_frame(air_velocity)
-    upwash = (gust * frame.lift_direction(bank)).sum(axis=-1)
-    return aircraft.lift_slope * upwash / frame.airspeed[..., 0]
 
 
 def limited_lift(aircraft: Aircraft, lift: NDArray) -> NDArray:
@@ -425,8 +401,11 @@ def trimmed_states(
 def _lift_in_gusts(
     aircraft: Aircraft, own: FlightStates, air_velocity: NDArray, wind: NDArray
 ) -> NDArray:
+    """C_L (n,) with that of fast gusts, C_Lα δα, δα = gust·l/V."""
+    frame = air_frame(air_velocity)
     gust = (wind - own.slow_wind).reshape(-1, 3)
-    return limited_lift(aircraft, own.lift + gust_lift(aircraft, air_velocity, own.bank, gust))
+    upwash = (gust * frame.lift_direction(own.bank)).sum(axis=-1)
+    return limited_lift(aircraft, own.lift + aircraft.lift_slope * upwash / frame.airspeed[..., 0])
 
 
 def body_attitude(air_velocity: NDArray, angle: float, bank: float) -> NDArray:

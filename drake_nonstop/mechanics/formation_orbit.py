@@ -2,7 +2,7 @@
 
 The attachments are a regular polygon about the load's centre of mass. Then a force on the load
 shares out evenly over the cables, and the motion of each carrier follows from its azimuth and its
-phase alone: in closed form, without the grasp matrix.
+phase alone, without the grasp matrix.
 """
 
 from typing import NamedTuple
@@ -10,9 +10,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.mechanics.carrier import carrier_motion
-from drake_nonstop.mechanics.rotation import components, cross
-from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE, POSE_SIZE
+from drake_nonstop.mechanics.planned_orbit import (
+    FlightTerms,
+    OrbitMotion,
+    PlannedOrbit,
+    flight_terms,
+    orbit_directions,
+    orbit_motion,
+)
+from drake_nonstop.mechanics.signals import POSE_SIZE
 
 _UP = np.array([0.0, 0.0, 1.0])
 _NONE = np.zeros(3)
@@ -44,18 +50,6 @@ class CarriedLoad(NamedTuple):
     compliance: float | NDArray  # 1/K_c, m/N
 
 
-class CarrierMotion(NamedTuple):
-    """The motion of carriers at k pairs of azimuth and phase, in axes of W that move with the load.
-
-    Velocities are those beside the load's; accelerations are whole.
-    """
-
-    positions: NDArray  # (k, 3), m
-    velocities: NDArray  # (k, 3), m/s
-    accelerations: NDArray  # (k, 3), m/s²
-    cable_forces: NDArray  # (k, 3), N, on the load
-
-
 def carrier_orbit(
     shape: FormationShape,
     load: CarriedLoad,
@@ -66,8 +60,8 @@ def carrier_orbit(
     acceleration: NDArray,
     jerk: NDArray = _NONE,
     snap: NDArray = _NONE,
-) -> CarrierMotion:
-    """The carriers' motion at azimuths ψ and phases φ (k,) each, rad.
+) -> OrbitMotion:
+    """The motion (k, 3) of carriers at azimuths ψ and phases φ (k,) each, rad, in W's axes.
 
     With the outward r = (cos ψ, sin ψ, 0) and the tangential t = e₃ × r, of ψ̇ = Ω and φ̇, a cable
     pulls with
@@ -75,10 +69,9 @@ def carrier_orbit(
         f = F/n + (C + A_r cos φ) r + A_t sin φ t − B cos φ e₃,
         F = M (g e₃ + p̈_L) + B_L (ṗ_L − w),
 
-    and with its two rates `carrier_motion` follows: F changes with the
-    load's acceleration, jerk and snap, in a constant wind. The forces beside F/n have no wrench
-    where φ_i = θ + κ β_i with a κ that suits n, see `EllipticCarouselConfig`; carrier i is at
-    ψ = β_i = 2π i/n + Ω t.
+    where F changes with the load's acceleration, jerk and snap, in a constant wind. The rest has no
+    wrench where φ_i = θ + κ β_i with a κ that suits n, see `EllipticCarouselConfig`; carrier i is
+    at ψ = β_i = 2π i/n + Ω t.
 
     Args:
         shape: of the formation.
@@ -90,40 +83,34 @@ def carrier_orbit(
         jerk: of the load (3,), m/s³, in W.
         snap: of the load (3,), m/s⁴, in W.
     """
-    cosine, sine = np.cos(azimuths)[:, None], np.sin(azimuths)[:, None]
+    count, cosine, sine = len(azimuths), np.cos(azimuths)[:, None], np.sin(azimuths)[:, None]
     zero = 0 * cosine
     outward = np.concatenate([cosine, sine, zero], axis=1)
     onward = np.concatenate([-sine, cosine, zero], axis=1)
-    cosine, sine = np.cos(phases)[:, None], np.sin(phases)[:, None]
-    # The parts along r, t and e₃, and their rates as these turn.
-    rate, omega = shape.frequency, shape.yaw_rate * _UP
-    swing = np.concatenate(
-        [shape.radial * cosine, shape.tangential * sine, -shape.vertical * cosine], axis=1
-    )
-    swing_rate = rate * np.concatenate(
-        [-shape.radial * sine, shape.tangential * cosine, shape.vertical * sine], axis=1
-    )
-    pull = swing + shape.spread * np.array([1.0, 0.0, 0.0])
-    pull_rate = swing_rate + cross(omega, pull)
-    pull_second_rate = cross(omega, swing_rate) + cross(omega, pull_rate) - rate * rate * swing
-    held = (
+    pulls = (
         load.mass * (load.gravity * _UP + acceleration) + load.drag * air_velocity,
         load.mass * jerk + load.drag * acceleration,
         load.mass * snap + load.drag * jerk,
     )
-    forces = [
-        part / load.carriers + x * outward + y * onward + z * _UP
-        for part, (x, y, z) in zip(
-            held, map(components, (pull, pull_rate, pull_second_rate)), strict=True
-        )
-    ]
-    still = np.eye(POSE_SIZE)[0]
-    rest = np.zeros(LOAD_REFERENCE_SIZE - POSE_SIZE - 3)
-    positions, velocities, own = carrier_motion(
-        np.concatenate([still, omega, rest]),
-        *forces,
+    level, omega = np.eye(POSE_SIZE)[0], shape.yaw_rate * _UP
+    motion = np.concatenate([level, omega, air_velocity, _NONE, acceleration, jerk])
+    even = np.hstack([np.zeros((3, 3)), np.eye(3) / load.carriers])
+    terms = flight_terms(
+        motion,
+        motion,
+        *(np.concatenate([_NONE, pull]) for pull in pulls),
+        pseudo_inverse=np.tile(even, (count, 1)),
+        offset=(shape.spread * outward).ravel(),
         attachments=load.radius * outward,
+    )
+    axes = shape.radial * outward - shape.vertical * _UP, shape.tangential * onward
+    of_each = orbit_directions((axes[0][:, None], axes[1][:, None]), phases)
+    u, along, bending = (direction.swapaxes(0, 1) for direction in of_each)
+    found = orbit_motion(
+        FlightTerms(*(part[None] for part in terms)),
+        (u, along, bending),
+        PlannedOrbit.constant(np.zeros(1), shape.frequency, 1.0),
         rest_length=shape.cable_length,
         compliance=load.compliance,
     )
-    return CarrierMotion(positions, velocities, own + acceleration, forces[0])
+    return OrbitMotion(*(part[0] for part in found))

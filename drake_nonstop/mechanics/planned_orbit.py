@@ -136,12 +136,12 @@ class PlannedOrbit(NamedTuple):
 
 
 class OrbitMotion(NamedTuple):
-    """The motion of n carriers at k instants, in L."""
+    """The motion of n carriers at k instants, (k, n, 3) each, in L."""
 
-    forces: NDArray  # (k, n, 3), N, of the cables on the load
-    cables: NDArray  # (k, n, 3), m, from the attachments to the carriers
-    velocities: NDArray  # (k, n, 3), m/s, through the air
-    accelerations: NDArray  # (k, n, 3), m/s²
+    forces: NDArray  # N, of the cables on the load
+    cables: NDArray  # m, from the attachments to the carriers
+    velocities: NDArray  # m/s, through the air
+    accelerations: NDArray  # m/s²
 
 
 def flight_terms(
@@ -354,43 +354,18 @@ def orbit_motion(
     )
 
 
-class PlannedSpeeds(NamedTuple):
-    """Squared speeds and tensions at k instants."""
-
-    squares: NDArray  # (k, n), m²/s²
-    tension_squares: NDArray  # (k, n), N²
-
-
 def planned_speeds(
-    terms: OrbitTerms,
-    axes: Axes,
-    angle: NDArray,
-    frequency: NDArray,
-    amplitude: NDArray,
-    amplitude_rate: NDArray,
-    *,
-    rest_length: Any,
-    compliance: Any,
-) -> PlannedSpeeds:
-    """The carriers' squared speeds at k instants of a plan, of numbers or symbols.
+    terms: OrbitTerms, axes: Axes, orbit: PlannedOrbit, *, rest_length: Any, compliance: Any
+) -> tuple[NDArray, NDArray]:
+    """The carriers' squared speeds, m²/s², and tensions, N², (k, n) each; see `orbit_motion`.
 
-    Args:
-        terms: at k instants.
-        axes: p and q.
-        angle: θ (k,), rad.
-        frequency: ξ (k,), rad/s.
-        amplitude: A (k,), N.
-        amplitude_rate: Ȧ (k,), N/s.
-        rest_length: L₀, m.
-        compliance: 1/K_c, m/N.
+    Neither depends on the second rates of ξ and A.
     """
     none = np.zeros((1, 1, 3))
     flight = FlightTerms(*terms[:2], none, terms.velocities, none, terms[3], none[0], none[0])
-    zero = np.zeros(1)
-    orbit = PlannedOrbit(angle, frequency, zero, amplitude, amplitude_rate, zero)
     cables = {"rest_length": rest_length, "compliance": compliance}
-    motion = orbit_motion(flight, orbit_directions(axes, angle), orbit, **cables)
-    return PlannedSpeeds(
+    motion = orbit_motion(flight, orbit_directions(axes, orbit.angle), orbit, **cables)
+    return (
         (motion.velocities * motion.velocities).sum(axis=-1),
         (motion.forces * motion.forces).sum(axis=-1),
     )
@@ -399,32 +374,29 @@ def planned_speeds(
 def planned_gaps(
     forces: NDArray,
     axes: Axes,
-    angle: NDArray,
-    amplitude: NDArray,
+    orbit: PlannedOrbit,
     *,
     attachments: NDArray,
     pairs: NDArray,
     rest_length: Any,
     compliance: Any,
 ) -> NDArray:
-    """The squared distances (k, m), m², between carriers at k instants.
+    """The squared distances (k, m), m², between the carriers of `pairs` (2, m) at k instants.
 
-    Args:
-        forces: f₀ (k, n, 3), N, of `OrbitTerms`.
-        axes: as of `planned_speeds`, and so are the angle and the amplitude (k,).
-        angle: θ, rad.
-        amplitude: A, N.
-        attachments: (n, 3), in L, m.
-        pairs: (2, m), the numbers of the carriers.
-        rest_length: L₀, m.
-        compliance: 1/K_c, m/N.
+    Of the `forces` (k, n, 3) of `OrbitTerms`; others as of `orbit_motion` and `flight_terms`.
     """
-    force = forces + amplitude[:, None, None] * orbit_directions(axes, angle)[0]
+    force = forces + orbit.amplitude[:, None, None] * orbit_directions(axes, orbit.angle)[0]
     (cables,) = cable_vectors([force], rest_length=rest_length, compliance=compliance)
     first, second = pairs
     places = attachments + cables
     gaps = places[:, first] - places[:, second]
     return (gaps * gaps).sum(axis=-1)
+
+
+def needs_of_motion(aircraft: Aircraft, motion: OrbitMotion, up: NDArray = _UP) -> FlightNeeds:
+    """What aircraft need to move so, with `up` e₃ (..., 3) in the motion's frame."""
+    force = needed_force(aircraft, motion.accelerations, motion.forces, up)
+    return flight_needs(aircraft, force, motion.velocities, up)
 
 
 def planned_needs(
@@ -439,19 +411,17 @@ def planned_needs(
     """What aircraft need (k, n) at k instants, of numbers or symbols; see `orbit_motion`."""
     cables = {"rest_length": rest_length, "compliance": compliance}
     motion = orbit_motion(terms, orbit_directions(axes, orbit.angle), orbit, **cables)
-    up = terms.up[:, None]
-    force = needed_force(aircraft, motion.accelerations, motion.forces, up)
-    return flight_needs(aircraft, force, motion.velocities, up)
+    return needs_of_motion(aircraft, motion, terms.up[:, None])
 
 
 class CarrierOrbits(NamedTuple):
-    """The motion of n carriers, and their cables, at k instants, in W."""
+    """The motion of n carriers, and their cables, at k instants, (k, n, 3) each, in W."""
 
-    positions: NDArray  # (k, n, 3), m
-    velocities: NDArray  # (k, n, 3), m/s
-    accelerations: NDArray  # (k, n, 3), m/s²
-    cable_forces: NDArray  # (k, n, 3), N, of the cables on the load
-    cable_ends: NDArray  # (k, n, 3), m, at the load
+    positions: NDArray  # m
+    velocities: NDArray  # m/s
+    accelerations: NDArray  # m/s²
+    cable_forces: NDArray  # N, of the cables on the load
+    cable_ends: NDArray  # m, at the load
 
 
 def resting_orbits(
@@ -484,14 +454,14 @@ def resting_orbits(
         parameters: [ξ (rad/s), A (N)] (2,).
         yaw_rate: Ω, rad/s.
         load_wind: w (3,), m/s, in W.
-        attachments: b (n, 3), m, in L.
-        pseudo_inverse: G₀† (3n, 6), in L.
-        basis: N₀ (3n, m), in L.
-        phases: φ (m,), rad.
-        orders: h (m,), of the harmonics.
-        offset: f̃⁰ (3n,), N, in L.
-        rest_length: L₀ of the cables, m.
-        compliance: 1/K_c of the cables, m/N.
+        attachments: as `pseudo_inverse` and `offset` of `flight_terms`.
+        pseudo_inverse: in L.
+        basis: as `phases` and `orders` of `pattern_directions`.
+        phases: rad.
+        orders: of the harmonics.
+        offset: N, in L.
+        rest_length: as `compliance` of `orbit_motion`.
+        compliance: m/N.
     """
     reference = resting_reference()
     own = LoadReference.view(reference)

@@ -29,10 +29,10 @@ from drake_nonstop.mechanics.aircraft import (
 from drake_nonstop.mechanics.cable import positive_part
 from drake_nonstop.mechanics.formation_orbit import (
     CarriedLoad,
-    CarrierMotion,
     FormationShape,
     carrier_orbit,
 )
+from drake_nonstop.mechanics.planned_orbit import OrbitMotion
 from drake_nonstop.optimization.limits import Limit
 from drake_nonstop.systems.tracing import TracedFunction
 
@@ -67,10 +67,10 @@ class LoadMotion(NamedTuple):
     jerk: NDArray = np.zeros(3)  # (3,), m/s³, with its cube
     snap: NDArray = np.zeros(3)  # (3,), m/s⁴, with its fourth power
 
-    def at(self, speed: Any) -> tuple[Any, Any, Any, Any]:
-        """Velocity, acceleration, jerk and snap (3,) each for a largest speed in m/s."""
+    def at(self, speed: Any) -> "LoadMotion":
+        """That of a largest speed in m/s."""
         square = speed * speed
-        return (
+        return LoadMotion(
             speed * self.velocity,
             square * self.acceleration,
             square * speed * self.jerk,
@@ -117,6 +117,34 @@ class FormationTask:
         """The same with the first motions only."""
         return dataclasses.replace(self, motions=self.motions[:count])
 
+    def share(self, x: FormationVariables) -> Any:
+        """f₀, N."""
+        return x.mass * self.load.gravity / self.load.carriers
+
+    def orbit(
+        self, kind: str, x: FormationVariables, angles: NDArray, load_motion: LoadMotion
+    ) -> OrbitMotion:
+        """The motion (k, 3) of carriers at [azimuths, phases] (2k,), of numbers or symbols.
+
+        Of variables that are numbers or arrays (1,), and a load that moves at their speed.
+        """
+        share, nothing = self.share(x), 0 * x.mass
+        sizes = [*(share * size for size in x[:4]), x.frequency, nothing, x.cable_length]
+        if kind != LEANING:
+            sizes[1:6] = [nothing] * 4 + [x.frequency]
+        velocity, acceleration, jerk, snap = load_motion
+        azimuths, phases = np.split(angles, 2)
+        return carrier_orbit(
+            FormationShape(*sizes),
+            self.load._replace(mass=x.mass),
+            azimuths,
+            phases,
+            air_velocity=velocity - x.wind * self.wind,
+            acceleration=acceleration,
+            jerk=jerk,
+            snap=snap,
+        )
+
 
 # Of a distance that is asked for, below it, and of a run's limit, above it: a whole margin.
 _SEPARATION_MARGIN, _REACH_MARGIN = 0.2, 0.1
@@ -138,7 +166,7 @@ class _Formation:
     """
 
     def __init__(self, task: FormationTask, kind: str):
-        self.task, self.is_leaning = task, kind == LEANING
+        self.task, self.kind = task, kind
         own, climb = task.limits, math.sin(task.limits.climb)
         climb_margin = climb - math.sin(own.climb - own.climb_margin)
         # Of each quantity its name, the side of its limit, the limit, and the margin from it.
@@ -160,7 +188,7 @@ class _Formation:
         """One of the two functions below, with its Jacobian by the variables."""
         task, limits = self.task, self.task.limits
         asked = [(limit.field, value) for limit, value in limits.asked]
-        key = function.__name__, self.is_leaning, task.aircraft, task.load, task.wind
+        key = function.__name__, self.kind, task.aircraft, task.load, task.wind
         # The search tries speeds of km/s, too: any finite number will do.
         return TracedFunction(
             function,
@@ -176,8 +204,9 @@ class _Formation:
         x = _variables(values)
         aircraft = self.task.aircraft._replace(cable_length=x.cable_length)
         moved = LoadMotion(*(motion[i : i + 3] for i in range(0, _MOTION_SIZE, 3)))
-        orbit, velocity = self._orbit(x, angles, *moved.at(x.speed))
-        force = needed_force(aircraft, orbit.accelerations, orbit.cable_forces)
+        orbit = self.task.orbit(self.kind, x, angles, moved.at(x.speed))
+        velocity = orbit.velocities
+        force = needed_force(aircraft, orbit.accelerations, orbit.forces)
         needed = flight_needs(aircraft, force, velocity)
         airspeed, thrust = needed.airspeed, needed.thrust
         least, most = thrust_limits(aircraft, airspeed)
@@ -193,7 +222,7 @@ class _Formation:
             "climb": velocity[:, 2] / airspeed,
             "thrust_above": (most - thrust) / (most - least),
             "thrust_below": (thrust - least) / (most - least),
-            "share": orbit.cable_forces[:, 2] / self._share(x),
+            "share": orbit.forces[:, 2] / self.task.share(x),
         }
         rows = [
             side * (quantities[name] - limit) / margin for name, side, limit, margin in self._limits
@@ -212,14 +241,13 @@ class _Formation:
         row asks for u·d + 0.85 |d| above zero. With u·d = -0.85 |d| the cables come as close as
         half the distance of their attachments; with u·d = -|d| they meet.
         """
-        x, none = _variables(values), np.zeros(3)
-        x = x._replace(wind=np.zeros(1))
+        x = _variables(values)._replace(wind=np.zeros(1))
         task, limits = self.task, self.task.limits
-        places = self._orbit(x, angles, none, none, none, none)[0].positions
-        gap = places[:1] - places[1:]
-        distance = np.sqrt((gap * gap).sum(axis=1) + _LEAST)
+        cables = task.orbit(self.kind, x, angles, LoadMotion(*np.zeros((4, 3)))).cables
         ends = task.load.radius * np.stack([np.cos(angles[:2]), np.sin(angles[:2])], axis=1)
-        leans = (places[:, :2] - ends) / places[:, 2:]
+        leans, level = cables[:, :2] / cables[:, 2:], ends + cables[:, :2]
+        gap = np.concatenate([level[0] - level[1], cables[0, 2:] - cables[1, 2:]])
+        distance = np.sqrt((gap * gap).sum(keepdims=True) + _LEAST)
         way, lean = ends[0] - ends[1], leans[0] - leans[1]
         way = way / np.sqrt((way * way).sum(keepdims=True))
         size = np.sqrt((lean * lean).sum(keepdims=True) + 1e-8)
@@ -232,31 +260,6 @@ class _Formation:
                 distance,
             ]
         )
-
-    def _share(self, x: Any) -> Any:
-        return x.mass * self.task.load.gravity / self.task.load.carriers
-
-    def _orbit(
-        self, x: Any, angles: NDArray, velocity: Any, acceleration: Any, jerk: Any, snap: Any
-    ) -> tuple[CarrierMotion, NDArray]:
-        """The motion of carriers at [azimuths, phases], and their velocities through the air."""
-        share, nothing = self._share(x), 0 * x.mass
-        sizes = [*(share * size for size in x[:4]), x.frequency, nothing, x.cable_length]
-        if not self.is_leaning:
-            sizes[1:6] = [nothing] * 4 + [x.frequency]
-        air_velocity = velocity - x.wind * self.task.wind
-        azimuths, phases = np.split(angles, 2)
-        orbit = carrier_orbit(
-            FormationShape(*sizes),
-            self.task.load._replace(mass=x.mass),
-            azimuths,
-            phases,
-            air_velocity=air_velocity,
-            acceleration=acceleration,
-            jerk=jerk,
-            snap=snap,
-        )
-        return orbit, orbit.velocities + air_velocity
 
 
 def _variables(values: NDArray) -> Any:

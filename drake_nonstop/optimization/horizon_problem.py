@@ -433,11 +433,12 @@ class HorizonProblem(OrbitConstraints):
 
         `scale` are the bound on its speed and the unit of that, m/s.
         """
-        angle, xi, _, A, A_rate, _ = orbit[:, None]
         own, axis = OrbitTerms.view(terms[None]), (axes[None, :3], axes[None, 3:])
-        found = planned_speeds(own, axis, angle, xi, A, A_rate, **self._cables)
-        tensions = self._constraints.of_squares(Of.TENSION, found.tension_squares)
-        return [*self._constraints.of_speeds(found.squares, scale[:1], scale[1:]), *tensions]
+        squares, tension_squares = planned_speeds(
+            own, axis, PlannedOrbit(*orbit[:, None]), **self._cables
+        )
+        tensions = self._constraints.of_squares(Of.TENSION, tension_squares)
+        return [*self._constraints.of_speeds(squares, scale[:1], scale[1:]), *tensions]
 
     def _gap_margins(self, orbit: NDArray, *both: NDArray) -> list[NDArray]:
         """The margins of the distance of one pair of carriers at an instant."""
@@ -445,8 +446,7 @@ class HorizonProblem(OrbitConstraints):
         squares = planned_gaps(
             forces[None],
             (p, q),
-            orbit[:1],
-            orbit[3:4],
+            PlannedOrbit(*orbit[:, None]),
             attachments=attachments,
             pairs=np.array([[0], [1]]),
             **self._cables,

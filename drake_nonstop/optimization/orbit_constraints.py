@@ -191,23 +191,11 @@ class OrbitConstraints:
 
         In m/s, N or m.
         """
-        angle, amplitude = orbit.angle, orbit.amplitude
         if of is Of.SEPARATION:
-            squares = planned_gaps(
-                terms.forces,
-                self.axes,
-                angle,
-                amplitude,
-                attachments=self.model.attachments,
-                pairs=self._pairs,
-                **self._cables,
-            )
-            return np.sqrt(squares)
-        rate = orbit.amplitude_rate
-        found = planned_speeds(
-            terms, self.axes, angle, orbit.frequency, amplitude, rate, **self._cables
-        )
-        return np.sqrt(found.squares if of is Of.SPEED else found.tension_squares)
+            ends = {"attachments": self.model.attachments, "pairs": self._pairs}
+            return np.sqrt(planned_gaps(terms.forces, self.axes, orbit, **ends, **self._cables))
+        speeds, tensions = planned_speeds(terms, self.axes, orbit, **self._cables)
+        return np.sqrt(speeds if of is Of.SPEED else tensions)
 
     def _traced(self, terms: Callable[..., NDArray]) -> TracedFunction:
         """The flat terms that a function has of a load, a reference, a wind and a model."""

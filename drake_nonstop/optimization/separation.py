@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.nonstop import nearest_squares, orbit_positions
+from drake_nonstop.mechanics.planned_orbit import orbit_directions
 from drake_nonstop.optimization.constraints import FEASIBILITY_TOLERANCE
 
 _PHASES = 36  # of a whole turn, at which carriers are kept apart
@@ -32,11 +33,11 @@ class SeparationConstraint:
 
     def __init__(self, min_separation: float, axes: tuple[NDArray, NDArray]):
         self.min_separation = min_separation
-        phases = 2 * np.pi * np.arange(_PHASES)[:, None] / _PHASES
-        cosine, sine = np.cos(phases), np.sin(phases)
-        p, q = (axis.T[:, None] for axis in axes)
-        self.directions = cosine * p + sine * q  # (3, phases, n)
-        self.direction_rates = cosine * q - sine * p
+        u, along, _ = orbit_directions(axes, 2 * np.pi * np.arange(_PHASES) / _PHASES)
+        # (3, phases, n) each
+        self.directions, self.direction_rates = (
+            np.ascontiguousarray(np.moveaxis(part, -1, 0)) for part in (u, along)
+        )
 
 
 class Separation:

@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.analysis.aircraft_margins import aircraft_needs
 from drake_nonstop.analysis.flight_envelope import FlightEnvelope
 from drake_nonstop.mechanics.aircraft import (
     FlightNeeds,
@@ -20,7 +19,8 @@ from drake_nonstop.mechanics.aircraft import (
     thrust_limits,
     thrust_share,
 )
-from drake_nonstop.mechanics.formation_orbit import CarriedLoad, FormationShape, carrier_orbit
+from drake_nonstop.mechanics.formation_orbit import CarriedLoad
+from drake_nonstop.mechanics.planned_orbit import needs_of_motion
 from drake_nonstop.optimization.formation_program import (
     ASKED_MARGIN,
     LEANING,
@@ -178,24 +178,10 @@ def formation_needs(
     azimuths, angles = turn, np.zeros(phases)
     if is_leaning:
         azimuths, angles = np.repeat(places, phases), np.tile(turn, n)
-    share = x.mass * GRAVITY / n
-    rates = (x.frequency, 0.0) if is_leaning else (0.0, x.frequency)
-    shape = FormationShape(*[*(share * force for force in x[:4]), *rates, x.cable_length])
     aircraft = task.aircraft._replace(cable_length=x.cable_length)
     for motion in task.motions:
-        velocity, acceleration, jerk, snap = motion.at(x.speed)
-        air = velocity - x.wind * task.wind
-        orbit = carrier_orbit(
-            shape,
-            task.load._replace(mass=x.mass),
-            azimuths,
-            angles,
-            air_velocity=air,
-            acceleration=acceleration,
-            jerk=jerk,
-            snap=snap,
-        )
-        yield aircraft_needs(aircraft, orbit, -air)  # type: ignore[arg-type]
+        orbit = task.orbit(kind, x, np.concatenate([azimuths, angles]), motion.at(x.speed))
+        yield needs_of_motion(aircraft, orbit)
 
 
 def flight_of(

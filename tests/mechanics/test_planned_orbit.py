@@ -8,6 +8,7 @@ from drake_nonstop.mechanics.grasp import cable_forces_and_rates
 from drake_nonstop.mechanics.internal_force import orbit_axes
 from drake_nonstop.mechanics.planned_orbit import (
     OrbitTerms,
+    PlannedOrbit,
     orbit_along_reference,
     orbit_directions,
     planned_speeds,
@@ -41,10 +42,10 @@ def test_speeds_are_those_that_force_distribution_and_carrier_trajectory_command
     rng = np.random.default_rng(n)
     times = rng.uniform(0, 9, 5)
     numbers = rng.uniform([0, 0.5, 0.3, -0.5], [6, 3, 1.5, 0.5], (5, 4))
+    (angles, frequencies, amplitudes, rates), none = numbers.T, np.zeros(5)
+    orbit = PlannedOrbit(angles, frequencies, none, amplitudes, rates, none)
     references = [motion.reference(time) for time in times]
-    speeds = planned_speeds(
-        terms_of(system, references), axes_of(system), *numbers.T, **CABLES
-    ).squares
+    speeds, _ = planned_speeds(terms_of(system, references), axes_of(system), orbit, **CABLES)
     for reference, (angle, xi, A, rate), squares in zip(references, numbers, speeds, strict=True):
         angles = angle + system.pattern.phases
         internal = [A * np.cos(angles), rate * np.cos(angles) - A * xi * np.sin(angles)]
@@ -74,12 +75,8 @@ def test_at_constant_parameters_they_are_the_speeds_of_one_update():
     c, b, a, tension_squared = nonstop.speed_squares(
         nonstop.polynomial_values(polynomials, A), **CABLES
     )
-    found = planned_speeds(
-        terms,
-        axes_of(system),
-        *np.array([[angle], [xi], [A], [0.0]]),
-        **CABLES,
-    )
+    orbit = PlannedOrbit.constant(np.array([angle]), xi, A)
+    squares, tension_squares = planned_speeds(terms, axes_of(system), orbit, **CABLES)
     s = A * xi
-    np.testing.assert_allclose(found.squares, c + 2 * b * s + a * s * s, rtol=1e-9)
-    np.testing.assert_allclose(found.tension_squares, tension_squared, rtol=1e-9)
+    np.testing.assert_allclose(squares, c + 2 * b * s + a * s * s, rtol=1e-9)
+    np.testing.assert_allclose(tension_squares, tension_squared, rtol=1e-9)

@@ -9,7 +9,7 @@ from helpers import Motion, difference, irregular, nightly_beyond, regular, spat
 
 from drake_nonstop.mechanics.carrier import carrier_motion
 from drake_nonstop.mechanics.grasp import cable_forces_and_rates
-from drake_nonstop.mechanics.planned_orbit import OrbitTerms, planned_speeds
+from drake_nonstop.mechanics.planned_orbit import OrbitTerms, PlannedOrbit, planned_speeds
 from drake_nonstop.mechanics.wrench import NO_FEEDBACK, wrench_and_rate
 from drake_nonstop.model.pattern import (
     EllipticCarouselConfig,
@@ -212,18 +212,13 @@ def test_the_terminal_set_keeps_the_limits_at_all_phases(name):
 
     def squares(s):
         shared = OrbitTerms(*(np.repeat(part, len(angles), axis=0) for part in terms))
-        one = np.ones(len(angles))
-        found = planned_speeds(
+        return planned_speeds(
             shared,
             problem.axes,
-            angles,
-            s / A * one,
-            A * one,
-            0 * one,
+            PlannedOrbit.constant(angles, s / A, A),
             rest_length=problem.rest_length,
             compliance=problem.compliance,
         )
-        return found.squares, found.tension_squares
 
     least, most = terminal.least_products[k, j], terminal.most_products[k, j]
     assert np.sqrt(squares(least)[0].min()) == pytest.approx(1.02 * 0.4, rel=0.01)

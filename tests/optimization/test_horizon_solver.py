@@ -5,7 +5,7 @@ import pytest
 from helpers import Motion, model, nightly_beyond
 
 from drake_nonstop.blocks import load_trajectory
-from drake_nonstop.mechanics.planned_orbit import OrbitTerms, planned_speeds
+from drake_nonstop.mechanics.planned_orbit import OrbitTerms, PlannedOrbit, planned_speeds
 from drake_nonstop.model.pattern import HamiltonianCycleConfig
 from drake_nonstop.model.system import Model, SystemParameters
 from drake_nonstop.optimization.horizon_config import HorizonConfig
@@ -123,14 +123,14 @@ def least_speed(system, problem, plan, reference, times):
     """The slowest carrier of a plan at times, which need not be its instants."""
     terms = OrbitTerms.view(problem.all_terms(np.array([reference(time) for time in times])))
     values = np.array([plan.values(time) for time in times])
-    speeds = planned_speeds(
+    squares, _ = planned_speeds(
         terms,
         problem.axes,
-        *values[:, [0, 1, 2, 4]].T,
+        PlannedOrbit.of_planned(values),
         rest_length=system.cable_length,
         compliance=system.cable_compliance,
     )
-    return np.sqrt(speeds.squares.min())
+    return np.sqrt(squares.min())
 
 
 @pytest.mark.parametrize("name", nightly_beyond(1, "studies", ["quintic", "line"]))
