@@ -16,7 +16,6 @@ from drake_nonstop.analysis.task import Task
 from drake_nonstop.mechanics.nonstop import polynomial_values, speed_squares
 from drake_nonstop.mechanics.planned_orbit import OrbitTerms, PlannedOrbit
 from drake_nonstop.mechanics.rotation import rotation_matrix
-from drake_nonstop.mechanics.signals import PLANNED_SIZE, PlannedParameters
 from drake_nonstop.optimization.horizon_config import HorizonConfig
 from drake_nonstop.optimization.horizon_problem import HorizonData, HorizonProblem
 from drake_nonstop.optimization.horizon_solver import HorizonSolver
@@ -148,13 +147,7 @@ def check_speeds(task: Task, *, is_quick: bool = False) -> SpeedCheck:
 
 
 def _limits_in_turn(task: Task, times: NDArray, planned: NDArray) -> tuple[LimitAlong, ...]:
-    """The limits of aircraft whose load turns at a ξ that a layer changes.
-
-    Args:
-        task: what is flown.
-        times: (k,), s.
-        planned: (k, 8), as of `Task.planned`.
-    """
+    """The limits of aircraft whose load turns at a ξ that a layer changes, see `Task.planned`."""
     aircraft, asked_for = task.flown.aircraft, [*asked(task.limits, Of.FLIGHT)]
     if task.turn is None or aircraft is None or not asked_for:
         return ()
@@ -221,11 +214,7 @@ def constant_speeds(task: Task, times: NDArray) -> NDArray:
     """The carriers' speeds (k, n), m/s, at times (k,), with the nominal ξ and A; any pattern."""
     model, winds = task.model, [task.wind_at(time) for time in times]
     terms = terms_along(task, model, model.load, times, winds)
-    planned = np.zeros((len(times), PLANNED_SIZE))
-    parts = PlannedParameters.view(planned)
-    parts.frequency[:], parts.amplitude[:] = task.nominal
-    parts.angle[:] = task.limits.frequency * times[:, None]
-    velocities = motion_above(model, terms, planned).velocities
+    velocities = motion_above(model, terms, task.planned(None, times)).velocities
     if not task.counts_wind:
         poses = np.array([task.reference(time)[:4] for time in times])
         velocities = velocities + np.array(winds)[:, None] @ rotation_matrix(poses)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.internal_force import internal_force, planned_internal_force
-from drake_nonstop.mechanics.signals import Phase
+from drake_nonstop.mechanics.signals import Phase, PlannedParameters
 from drake_nonstop.model.block import Block
 from drake_nonstop.validation import StrictFields
 
@@ -54,7 +54,8 @@ class PlannedInternalForce(Block):
 
     @staticmethod
     def equations(planned: NDArray, *, phases: NDArray, orders: NDArray) -> tuple[NDArray, NDArray]:
-        rates = planned_internal_force(planned, phases=phases, orders=orders)
+        plan = PlannedParameters.view(planned)
+        rates = planned_internal_force(plan, phases=phases, orders=orders)
         return np.concatenate(rates[:2]), np.concatenate(rates[2:])
 
 

@@ -145,19 +145,6 @@ def air_force(
     return along[..., None] * frame.forward + across[..., None] * frame.lift_direction(bank)
 
 
-def aircraft_acceleration(
-    aircraft: Aircraft,
-    air_velocity: NDArray,
-    lift: NDArray,
-    bank: NDArray,
-    thrust: NDArray,
-    cable_force: NDArray,
-) -> NDArray:
-    """v̇ (..., 3), m/s², in W; `cable_force` (..., 3), N, is on the load; others as `air_force`."""
-    force = air_force(aircraft, air_velocity, lift, bank, thrust) - cable_force
-    return force / aircraft.mass - aircraft.gravity * _UP
-
-
 def needed_force(
     aircraft: Aircraft, acceleration: NDArray, cable_force: NDArray, up: NDArray = _UP
 ) -> NDArray:
@@ -338,8 +325,9 @@ def flight_acceleration(
     own = FlightStates.view(states)
     air_velocity = (own.carriers[len(wind) :] - wind).reshape(-1, 3)
     lift = _lift_in_gusts(aircraft, own, air_velocity, wind)
-    pull = cable_forces.reshape(-1, 3)
-    return aircraft_acceleration(aircraft, air_velocity, lift, own.bank, own.thrust, pull).ravel()
+    force = air_force(aircraft, air_velocity, lift, own.bank, own.thrust)
+    force = force - cable_forces.reshape(-1, 3)
+    return (force / aircraft.mass - aircraft.gravity * _UP).ravel()
 
 
 def flight_rate(

@@ -116,13 +116,13 @@ def internal_force(
     frequency, amplitude = Parameters.view(parameters)
     zero = np.zeros(1)
     plan = PlannedParameters(phase, frequency, amplitude, zero, zero, zero, zero, zero)
-    return _rates_along(plan, phases, orders)
+    return planned_internal_force(plan, phases=phases, orders=orders)
 
 
 def planned_internal_force(
-    planned: NDArray, *, phases: NDArray, orders: float | NDArray = 1
+    plan: PlannedParameters, *, phases: NDArray, orders: float | NDArray = 1
 ) -> tuple[NDArray, NDArray, NDArray, NDArray]:
-    """λ, λ̇, λ̈ and λ⃛ (m,) each, of ξ and A that change: of `PlannedParameters` (8,).
+    """λ, λ̇, λ̈ and λ⃛ (..., m) each, of ξ and A that change.
 
     With φ = h θ + φ_k, ω = h ξ and the orders h (m,) of the harmonics,
 
@@ -132,12 +132,6 @@ def planned_internal_force(
 
     Own derivation.
     """
-    return _rates_along(PlannedParameters.view(planned), phases, orders)
-
-
-def _rates_along(
-    plan: PlannedParameters, phases: NDArray, orders: float | NDArray
-) -> tuple[NDArray, NDArray, NDArray, NDArray]:
     angles = orders * plan.angle + phases
     cosine, sine = np.cos(angles), np.sin(angles)
     speed, speed_rate = orders * plan.frequency, orders * plan.frequency_rate

@@ -128,11 +128,8 @@ class Separation:
 
     def _scan(self, amplitude: float) -> tuple[float, NDArray]:
         """The worst margin at an amplitude, and the closest encounters (3, m); see above."""
-        if amplitude not in self._scans:
-            self._scans[amplitude] = self._scanned(amplitude)
-        return self._scans[amplitude]
-
-    def _scanned(self, amplitude: float) -> tuple[float, NDArray]:
+        if amplitude in self._scans:
+            return self._scans[amplitude]
         constraint = self._constraint
         with np.errstate(divide="ignore", invalid="ignore"):
             positions, rates = orbit_positions(
@@ -144,18 +141,18 @@ class Separation:
                 **self._cables,
             )  # (3, phases, n)
         close = _close_encounters(positions, rates, _NEAR * constraint.min_separation)
-        if not np.isfinite(positions.sum()):
-            return np.nan, close
-        if close.shape[1] == 0:
-            return np.inf, close
-        phases, first, second = close
-        margins = self._margins(
-            positions[:, phases, first] - positions[:, phases, second],
-            rates[:, phases, first] - rates[:, phases, second],
-        )
-        closest = np.argsort(margins, kind="stable")[:_MOST_LEARNED]
-        worst = float(margins[closest[0]])
-        return worst if worst < 0 else np.inf, close[:, closest]
+        worst = np.inf if np.isfinite(positions.sum()) else np.nan
+        if worst == np.inf and close.shape[1] > 0:
+            phases, first, second = close
+            margins = self._margins(
+                positions[:, phases, first] - positions[:, phases, second],
+                rates[:, phases, first] - rates[:, phases, second],
+            )
+            closest = np.argsort(margins, kind="stable")[:_MOST_LEARNED]
+            least, close = float(margins[closest[0]]), close[:, closest]
+            worst = least if least < 0 else np.inf
+        self._scans[amplitude] = worst, close
+        return worst, close
 
 
 def _close_encounters(positions: NDArray, rates: NDArray, distance: float) -> NDArray:

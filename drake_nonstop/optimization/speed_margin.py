@@ -354,7 +354,8 @@ def _shares(
         shares[name] += np.maximum(values[after], np.roll(values, -1, axis=0)[after])
     if disturbance is not None and np.any(disturbance.believed):
         # Plans, those in still air, leave them out.
-        borne = _cable_forces_from(task, disturbance.believed)
+        borne = -task.motion.in_load_frame(disturbance.believed)
+        borne = (borne @ task.model.pseudo_inverse[:, 3:].T).reshape(-1, 1, task.model.n, 3)
         falls = speeds - task.speeds(parameters, borne)
         shares["disturbance"] += np.max(falls, axis=0, initial=0.0)
     if task.limits.model_error:
@@ -430,25 +431,17 @@ def _of_jump(g: NDArray, task: _OrbitsAlongTask, orbit: Orbit) -> NDArray:
     v, and overshoots. A horizon keeps a share of Δv there by itself: what is left counts. `g`
     (lags, j n, 3n) are the responses to jumps of the planned velocities.
     """
-    columns = _velocity_jumps(task, orbit) @ task.motion.jerk_jumps.T
-    n, limits = task.model.n, task.limits
+    model, n, limits = task.model, task.model.n, task.limits
+    # The rates of the forces jump by M G† [0; m e], as in `optimization.tethered_loop`.
+    rates = (model.pseudo_inverse[:, 3:] * model.load_mass).reshape(n, 3, 3)
+    _, jumps = cable_vectors([orbit.forces[..., None], rates], axis=1, **task.cables)
+    columns = jumps.reshape(-1, 3) @ task.motion.jerk_jumps.T
     # The first output, just after the jump, is the jump itself.
     steps = (g.reshape(len(g), -1, n, g.shape[-1]) @ columns).reshape(-1, n, columns.shape[1])
     sizes = np.linalg.norm(columns.reshape(n, 3, -1), axis=1)
     chords = np.minimum(sizes**2 / (8 * max(limits.speed_bound, _LEAST_SPEED)), sizes)
     kept = getattr(limits, "overshoot", 0.0)
     return np.max(overshoot(steps) + chords - kept * sizes, axis=1, initial=0.0)
-
-
-def _velocity_jumps(task: _OrbitsAlongTask, orbit: Orbit) -> NDArray:
-    """The jumps (3n, 3) of the planned velocities for jumps of the reference's jerk, m/s³.
-
-    M G† [0; m e], as in `optimization.tethered_loop`.
-    """
-    model = task.model
-    rates = (model.pseudo_inverse[:, 3:] * model.load_mass).reshape(model.n, 3, 3)
-    jumps = [cable_vectors([orbit.forces, rates[..., axis]], **task.cables)[1] for axis in range(3)]
-    return np.stack(jumps, axis=-1).reshape(-1, 3)
 
 
 def _late(motion: Motion, feedback: Feedback) -> NDArray:
@@ -477,12 +470,6 @@ def _of_disturbance(g: NDArray, disturbance: Disturbance, task: _OrbitsAlongTask
     for gust in disturbance.gusts:
         variance += waves_deviation(in_world, *gust, task.feedback.period) ** 2
     return DEVIATIONS * np.sqrt(variance) + step_response(in_world, disturbance.unknown)
-
-
-def _cable_forces_from(task: _OrbitsAlongTask, forces: NDArray) -> NDArray:
-    """What the cables bear more (k, 1, n, 3), in the load's frame, of forces (k, 3) on it, in W."""
-    borne = -task.motion.in_load_frame(forces)
-    return (borne @ task.model.pseudo_inverse[:, 3:].T).reshape(-1, 1, task.model.n, 3)
 
 
 def _of_model_error(task: _OrbitsAlongTask, parameters: NDArray, speeds: NDArray) -> NDArray:

@@ -10,6 +10,7 @@ from drake_nonstop.mechanics.internal_force import (
     orbit_axes,
     planned_internal_force,
 )
+from drake_nonstop.mechanics.signals import PlannedParameters
 
 
 @over_shapes
@@ -90,7 +91,9 @@ def test_planned_internal_force_has_the_differences_of_what_is_below_as_rates(rn
     phases, orders = rng.uniform(0, 6, 5), np.array([1.0, 2, 1, 2, 3])
 
     def force(time):
-        return planned_internal_force(plan(time), phases=phases, orders=orders)
+        return planned_internal_force(
+            PlannedParameters.view(plan(time)), phases=phases, orders=orders
+        )
 
     for time in (0.0, 0.7, 2.5):
         expected = plan(time)[2] * np.cos(orders * plan(time)[0] + phases)
@@ -103,7 +106,7 @@ def test_planned_internal_force_has_the_differences_of_what_is_below_as_rates(rn
 def test_planned_internal_force_without_rates_is_that_of_constant_parameters(rng):
     phases, orders = rng.uniform(0, 6, 5), np.array([1.0, 2, 1, 2, 3])
     parameters = np.array([1.7, 0.8])
-    still = np.array([0.4, *parameters, 0, 0, 0, 0, 0])
+    still = PlannedParameters.view(np.array([0.4, *parameters, 0, 0, 0, 0, 0]))
     force = planned_internal_force(still, phases=phases, orders=orders)
     known = internal_force(parameters, np.array([0.4]), phases=phases, orders=orders)
     np.testing.assert_array_equal(force, known)

@@ -27,6 +27,7 @@ from drake_nonstop.mechanics.planned_orbit import (
     turning_terms,
 )
 from drake_nonstop.mechanics.rotation import quaternion_product, rotation_matrix
+from drake_nonstop.mechanics.signals import PlannedParameters
 from drake_nonstop.mechanics.wrench import NO_FEEDBACK, wrench_and_rate
 from drake_nonstop.model.aircraft import AircraftParameters
 from drake_nonstop.model.pattern import ConstantSpreadConfig, EllipticCarouselConfig
@@ -99,7 +100,7 @@ def commanded(model, reference, orbit, wind):
     planned = np.array([angle, xi, A, xi_rate, A_rate, 0.0, A_second, 0.0])
     pattern = model.pattern
     values, rates, seconds, thirds = planned_internal_force(
-        planned, phases=pattern.phases, orders=pattern.orders
+        PlannedParameters.view(planned), phases=pattern.phases, orders=pattern.orders
     )
     wrenches = wrench_and_rate(
         model.load, reference[:13], reference, np.zeros(6), wind, feedforward=1.0, **NO_FEEDBACK

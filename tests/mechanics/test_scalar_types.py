@@ -20,6 +20,7 @@ from drake_nonstop.mechanics import (
     shaping,
     wrench,
 )
+from drake_nonstop.mechanics.signals import PlannedParameters
 from drake_nonstop.systems.tracing import TracedFunction
 
 N = 3
@@ -102,7 +103,9 @@ EQUATIONS = {
     ),
     "internal_force": (lambda *a: internal_force.internal_force(*a, phases=PHASES), [2, 1]),
     "planned_internal_force": (
-        lambda planned: internal_force.planned_internal_force(planned, phases=PHASES),
+        lambda planned: internal_force.planned_internal_force(
+            PlannedParameters.view(planned), phases=PHASES
+        ),
         [8],
     ),
     "smoothed": (smoothed, [3, 1]),
