@@ -1,7 +1,7 @@
 """How a small deviation of the load grows while its carriers follow their references exactly.
 
 A quick analysis of a formation: the load and the integrals of its controller, without the carriers'
-own dynamics and without samples. `studies.stability` has the whole loop, and takes minutes.
+own dynamics and without samples. `studies.stability` has the whole loop, and takes seconds.
 """
 
 import functools

@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +12,6 @@ from pydrake.systems.analysis import (
     ApplySimulatorConfig,
     InitializeParams,
     Simulator,
-    SimulatorConfig,
 )
 from pydrake.systems.framework import Context, Diagram, System
 
@@ -24,13 +23,8 @@ from drake_nonstop.blocks.phase import AccumulatedPhaseConfig
 from drake_nonstop.diagrams.nonstop import BOXES, SAMPLE_AND_HOLD, box_of, make_nonstop
 from drake_nonstop.loop.compiled_loop import CompiledLoop, reason_against
 from drake_nonstop.loop.equilibrium import set_equilibrium
-from drake_nonstop.mechanics.rotation import (
-    quaternion_conjugate,
-    quaternion_product,
-    rotate_quaternion,
-    rotation_vector,
-)
-from drake_nonstop.mechanics.signals import LoadState
+from drake_nonstop.mechanics.rotation import quaternion_rate
+from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, LoadState
 from drake_nonstop.scenario.schema import Scenario, check
 from drake_nonstop.simulation.step_size import stable_config
 from drake_nonstop.systems.port_state import PortState, set_state_values, state_values
@@ -39,7 +33,7 @@ from drake_nonstop.validation import require
 _NOISES = ("position_noise", "orientation_noise", "velocity_noise", "angular_velocity_noise")
 _STEP = 1e-6  # of differences, in SI units
 _PHASES = 15  # of a turn, at which the loop is linearized
-_ONE_THREAD = 2**17  # multiplications in a product; OpenBLAS starts threads above 2^18
+_SMALLEST = 1e-6  # of the largest singular value: what a port does not show
 NEUTRAL = 1 + 1e-4  # above the multipliers of slow integrators, with rounding
 _CHANGES_OF_WIND = ("start_time", "rise_time", "gust", "load_gust")  # fields of its blocks
 _LOAD = box_of("load_state")
@@ -133,6 +127,8 @@ def linearize(scenario: Scenario) -> Stability:
     Raises:
         ScenarioError: the scenario cannot be built.
     """
+    from scipy.linalg import block_diag  # here: the import takes 0.2 s, which runs do not need
+
     check(scenario)
     scenario = scenario.sampled()
     resting = at_rest(scenario)
@@ -144,13 +140,11 @@ def linearize(scenario: Scenario) -> Stability:
     samples = max(1, round(turn / sample))
     config = stable_config(resting.simulator_config, nonstop, context)
 
-    coordinates = _Coordinates(nonstop, context)
-    sample_map: _DifferencedMaps | _ExactMaps
-    sample_map = _DifferencedMaps(coordinates, nonstop, context, config, sample)
+    states = _States(nonstop)
+    own = states.deviations(context)
+    loop = None
     if not reason_against(nonstop, config, sample, compiles=False):
         loop = CompiledLoop(nonstop, config, sample, signals=(), compiles=False)
-        if not loop.blocks_without_derivatives:
-            sample_map = _ExactMaps(coordinates, loop, context)
 
     # Before each phase the loop runs from its equilibrium until the delays are filled.
     delay = getattr(scenario.load_feedback, "delay", 0.0)
@@ -158,18 +152,27 @@ def linearize(scenario: Scenario) -> Stability:
     steps = []
     for phase in 2 * math.pi * np.arange(_PHASES) / _PHASES:
         _start_orbit(nonstop, context, phase - 2 * math.pi * lead / samples)
-        steps.append(sample_map.after(lead))
-    monodromy = _product(_interpolated(np.array(steps), samples), coordinates.size)
-    multipliers, vectors = np.linalg.eig(monodromy)
+        if loop and not loop.blocks_without_derivatives:
+            steps.append(_exact_map(states, loop, context, lead))
+        else:
+            simulator = Simulator(nonstop, context)
+            ApplySimulatorConfig(config, simulator)
+            steps.append(_differenced_map(states, simulator, lead, sample))
+    # By `einsum`, which starts no threads: in a process per core they would wait for each other.
+    turned = np.eye(states.size)
+    for step in _interpolated(np.array(steps), samples):
+        turned = np.einsum("ij,jk->ik", step, turned)
+    deviations = block_diag(*own.values())
+    back = np.linalg.pinv(deviations)
+    multipliers, vectors = np.linalg.eig(back @ turned @ deviations)
     order = np.argsort(-np.abs(multipliers), kind="stable")
     mode = vectors[:, order[0]]
     # The mode's change in the first sample gives its frequency, up to half the sampling rate.
-    after_a_sample = np.vdot(mode, steps[0] @ mode)
+    after_a_sample = np.vdot(mode, back @ steps[0] @ deviations @ mode)
     weights = np.abs(mode) ** 2
-    shares = {
-        name: float(weights[places].sum() / weights.sum())
-        for name, places in coordinates.places.items()
-    }
+    ends = np.cumsum([matrix.shape[1] for matrix in own.values()])
+    parts = np.split(weights / weights.sum(), ends[:-1])
+    shares = {name: float(part.sum()) for name, part in zip(own, parts, strict=True)}
     return Stability(
         period=samples * sample,
         multipliers=multipliers[order],
@@ -190,19 +193,6 @@ def _interpolated(values: NDArray, count: int) -> Iterator[NDArray]:
         yield np.einsum("k,k...->...", weights, values)
 
 
-def _product(steps: Iterable[NDArray], size: int) -> NDArray:
-    """The product of square matrices, the first one on the right.
-
-    By parts so small that NumPy's OpenBLAS starts no threads, as `einsum` starts none: in a process
-    per core they would wait for each other, a hundred times as long as the products take.
-    """
-    width = max(1, _ONE_THREAD // size**2)
-    parts = np.split(np.eye(size), range(width, size, width), axis=1)
-    for step in steps:
-        parts = [step @ part for part in parts]
-    return np.hstack(parts)
-
-
 def _start_orbit(nonstop: Diagram, context: Context, phase: float) -> None:
     """Sets a context to the loop's equilibrium at t = 0, with the carriers at a phase (rad)."""
     context.SetTimeStateAndParametersFrom(nonstop.CreateDefaultContext())
@@ -215,203 +205,94 @@ def _start_orbit(nonstop: Diagram, context: Context, phase: float) -> None:
     set_equilibrium(nonstop, context)
 
 
-class _DifferencedMaps:
-    """The Jacobians of the map over a sample by central differences of the diagram.
+def _differenced_map(states: "_States", simulator: Simulator, lead: int, sample: float) -> NDArray:
+    """The Jacobian (k, k) of the map over a sample (s) after some others, by central differences.
 
-    Args:
-        coordinates: what is differentiated.
-        nonstop: the loop.
-        context: at the start of a flight, each time.
-        config: the integrator's step.
-        sample: s.
+    The simulator's context is at the start of a flight.
     """
+    simulator.Initialize()
+    simulator.AdvanceTo(lead * sample)
+    context = simulator.get_mutable_context()
+    at = context.Clone()
+    values = states.read(at)
 
-    def __init__(
-        self,
-        coordinates: "_Coordinates",
-        nonstop: Diagram,
-        context: Context,
-        config: SimulatorConfig,
-        sample: float,
-    ):
-        self._coordinates, self._sample = coordinates, sample
-        self._simulator = Simulator(nonstop, context)
-        ApplySimulatorConfig(config, self._simulator)
+    def advanced(change: NDArray) -> NDArray:
+        context.SetTimeStateAndParametersFrom(at)
+        states.write(context, values + change)
+        # With this instant's events, but without those of an initialization.
+        simulator.Initialize(InitializeParams(suppress_initialization_events=True))
+        simulator.AdvanceTo(at.get_time() + sample)
+        return states.read(context)
 
-    def after(self, lead: int) -> NDArray:
-        """The Jacobian (k, k) of the sample after some others."""
-        self._simulator.Initialize()
-        self._simulator.AdvanceTo(lead * self._sample)
-        context, coordinates = self._simulator.get_mutable_context(), self._coordinates
-        at = context.Clone()
-
-        def advanced(change: NDArray) -> dict[str, NDArray]:
-            context.SetTimeStateAndParametersFrom(at)
-            coordinates.move(context, change)
-            # With this instant's events, but without those of an initialization.
-            self._simulator.Initialize(InitializeParams(suppress_initialization_events=True))
-            self._simulator.AdvanceTo(at.get_time() + self._sample)
-            return coordinates.read(context)
-
-        columns = [
-            coordinates.difference(advanced(step), advanced(-step)) / (2 * _STEP)
-            for step in _STEP * np.eye(coordinates.size)
-        ]
-        return np.column_stack(columns)
+    steps = _STEP * np.eye(states.size)
+    return np.column_stack([(advanced(step) - advanced(-step)) / (2 * _STEP) for step in steps])
 
 
-class _ExactMaps:
-    """The same by a loop's exact derivatives.
-
-    Args:
-        coordinates: what is differentiated.
-        loop: that of the diagram.
-        context: at the start of a flight, each time.
-    """
-
-    def __init__(self, coordinates: "_Coordinates", loop: CompiledLoop, context: Context):
-        self._coordinates, self._loop, self._context = coordinates, loop, context
-        self._places = coordinates.places_in(self._loop.state_of)
-
-    def after(self, lead: int) -> NDArray:
-        """The Jacobian (k, k) of the sample after some others."""
-        flight = self._loop.fly_with_derivatives(self._context)
-        nothing = flight.start(np.zeros((len(flight.state), 0)))
-        for _ in range(lead):
-            flight.advance(nothing)
-        before = self._coordinates.slopes(flight.state, self._places)
-        slopes = flight.advance(before)
-        after = self._coordinates.slopes(flight.state, self._places)
-        return np.linalg.lstsq(after, slopes, rcond=None)[0]
+def _exact_map(states: "_States", loop: CompiledLoop, context: Context, lead: int) -> NDArray:
+    """The same by a loop's exact derivatives, from a context at the start of a flight."""
+    places = states.places_in(loop)
+    flight = loop.fly_with_derivatives(context)
+    nothing = flight.start(np.zeros((len(flight.state), 0)))
+    for _ in range(lead):
+        flight.advance(nothing)
+    return flight.advance(np.eye(len(flight.state))[:, places])[places]
 
 
-class _Coordinates:
-    """Small deviations of a diagram's states; that of the load's attitude is a rotation vector.
+class _States:
+    """The states that are perturbed, of one block after the other."""
 
-    The load's state may have another form than `load_state`, or more entries. The deviations are
-    then those of the state, but for the one that changes the norm of the quaternion.
-
-    Args:
-        nonstop: the loop.
-        context: at the start.
-    """
-
-    def __init__(self, nonstop: Diagram, context: Context):
+    def __init__(self, nonstop: Diagram):
         self._nonstop = nonstop
+        context = nonstop.CreateDefaultContext()
         blocks = [block for block in nonstop.GetSystems() if block.get_name() not in _EXOGENOUS]
-        sizes = [len(self._values(block, context)) for block in blocks]
-        self._directions: NDArray | None = None  # (states, coordinates) of a load of another form
-        if _LOAD in (names := [block.get_name() for block in blocks]):
-            place = names.index(_LOAD)
-            self._directions = _directions(blocks[place], self._own(blocks[place], context))
-            sizes[place] = (
-                sizes[place] - 1 if self._directions is None else self._directions.shape[1]
-            )
-        ends = np.cumsum(sizes)
-        self._blocks = {
-            block.get_name(): (block, slice(end - size, end))
-            for block, size, end in zip(blocks, sizes, ends, strict=True)
-            if size > 0
-        }
-        self.places = {name: place for name, (_, place) in self._blocks.items()}
-        self.size = int(ends[-1])
+        counts = [len(state_values(self._own(block, context))) for block in blocks]
+        self._counts = {block: n for block, n in zip(blocks, counts, strict=True) if n > 0}
+        self.size = sum(counts)
 
     def _own(self, block: System, context: Context) -> Context:
         return self._nonstop.GetMutableSubsystemContext(block, context)
 
-    def _values(self, block: System, context: Context) -> NDArray:
-        return state_values(self._own(block, context))
+    def read(self, context: Context) -> NDArray:
+        """The states (size,) in a context of the loop."""
+        return np.concatenate([state_values(self._own(block, context)) for block in self._counts])
 
-    def move(self, context: Context, change: NDArray) -> None:
-        """Moves the states of a context by a small change (k,)."""
-        for name, (block, place) in self._blocks.items():
-            by = change[place]
-            if not np.any(by):
-                continue
-            values = self._values(block, context)
-            if name != _LOAD:
-                values += by
-            elif self._directions is not None:
-                values += self._directions @ by
-            else:
-                quaternion, *others = LoadState.view(values)
-                rotated = rotate_quaternion(quaternion, by[:3])
-                values = np.concatenate([rotated, np.concatenate(others) + by[3:]])
-            set_state_values(self._own(block, context), values)
+    def write(self, context: Context, values: NDArray) -> None:
+        """Sets them in a context of the loop."""
+        parts = np.split(values, np.cumsum([*self._counts.values()])[:-1])
+        for block, part in zip(self._counts, parts, strict=True):
+            set_state_values(self._own(block, context), part)
 
-    def places_in(self, state_of: Callable[[Context], NDArray]) -> dict[str, NDArray]:
-        """Where the states of each block are in another order of all of the diagram's.
+    def places_in(self, loop: CompiledLoop) -> list[int]:
+        """Where each state is among those of a loop."""
+        context = self._nonstop.CreateDefaultContext()
+        numbers = 2.0**40 + np.arange(self.size)  # each state's own, that no state has
+        self.write(context, numbers)
+        found = loop.state_of(context)
+        return [int(np.flatnonzero(found == number)[0]) for number in numbers]
 
-        Args:
-            state_of: the states of a context in that order.
+    def deviations(self, context: Context) -> dict[str, NDArray]:
+        """Each block's deviations (states, coordinates): of all of its states but one.
+
+        Those of the load's are a rotation vector and the changes of what else `load_state` shows,
+        and orthonormal ones of what it does not show; its quaternion's norm has none.
         """
-        context, count = self._nonstop.CreateDefaultContext(), 2.0**40  # that no state has
-        numbers = {}
-        for name, (block, _) in self._blocks.items():
-            size = len(self._values(block, context))
-            numbers[name] = count + np.arange(size)  # each state's own
-            set_state_values(self._own(block, context), numbers[name])
-            count += size
-        found = state_of(context)
         return {
-            name: np.array([int(np.flatnonzero(found == number)[0]) for number in own])
-            for name, own in numbers.items()
+            block.get_name(): (
+                _load_deviations(block, self._own(block, context))
+                if block.get_name() == _LOAD
+                else np.eye(count)
+            )
+            for block, count in self._counts.items()
         }
 
-    def slopes(self, state: NDArray, places: dict[str, NDArray]) -> NDArray:
-        """The derivatives (states, k) of all states by the coordinates.
 
-        Args:
-            state: all states, in another order.
-            places: of those of the blocks in it, see `places_in`.
-        """
-        slopes = np.zeros((len(state), self.size))
-        for name, (_, place) in self._blocks.items():
-            own = np.eye(place.stop - place.start)
-            if name == _LOAD and self._directions is not None:
-                own = self._directions
-            elif name == _LOAD:
-                w, x, y, z = LoadState.view(state[places[name]]).quaternion
-                own = np.vstack([np.zeros(len(own)), own])  # the quaternion has an entry more
-                own[:4, :3] = np.array([[-x, -y, -z], [w, z, -y], [-z, w, x], [y, -x, w]]) / 2
-            slopes[places[name], place] = own
-        return slopes
+def _load_deviations(load: System, context: Context) -> NDArray:
+    from scipy.linalg import block_diag, null_space  # likewise
 
-    def read(self, context: Context) -> dict[str, NDArray]:
-        """The states, an array per block."""
-        return {name: self._values(block, context) for name, (block, _) in self._blocks.items()}
-
-    def difference(self, after: dict[str, NDArray], before: dict[str, NDArray]) -> NDArray:
-        """The small change (k,) that leads from one reading to another."""
-        changes = []
-        for name in self._blocks:
-            if name != _LOAD:
-                changes.append(after[name] - before[name])
-                continue
-            if self._directions is not None:
-                changes.append(self._directions.T @ (after[name] - before[name]))
-                continue
-            (start, *start_others), (end, *end_others) = (
-                LoadState.view(reading[name]) for reading in (before, after)
-            )
-            rotation = rotation_vector(quaternion_product(end, quaternion_conjugate(start)))
-            changes += [rotation, np.concatenate(end_others) - np.concatenate(start_others)]
-        return np.concatenate(changes)
-
-
-def _directions(load: System, context: Context) -> NDArray | None:
-    """Orthonormal deviations (states, coordinates) of a load's state, but for its norm's.
-
-    None where the state is the `load_state` itself.
-    """
     port = load.GetOutputPort("load_state")
+    quaternion = LoadState.view(port.Eval(context)).quaternion
+    rotations = [quaternion_rate(quaternion, axis) for axis in np.eye(3)]
+    shown = block_diag(np.transpose(rotations), np.eye(LOAD_STATE_SIZE - 4))
     slopes = PortState(load, port).slopes(context)
-    if slopes.shape[0] == slopes.shape[1] and np.allclose(slopes, np.eye(len(slopes)), atol=1e-9):
-        return None
-    stretched = np.zeros(len(slopes))
-    LoadState.view(stretched).quaternion[:] = LoadState.view(port.Eval(context)).quaternion
-    direction = np.linalg.pinv(slopes) @ stretched
-    if not np.allclose(slopes @ direction, stretched, atol=1e-6):
-        return np.eye(slopes.shape[1])  # the port shows no norm of a quaternion
-    _, _, rows = np.linalg.svd(direction[None])
-    return rows[1:].T
+    hidden = null_space(slopes, rcond=_SMALLEST)
+    return np.hstack([np.linalg.pinv(slopes, rcond=_SMALLEST) @ shown, hidden])
