@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,6 +23,7 @@ from drake_nonstop.diagrams.nonstop import BOXES, SAMPLE_AND_HOLD, box_of, make_
 from drake_nonstop.loop.compiled_loop import CompiledLoop, reason_against
 from drake_nonstop.loop.equilibrium import set_equilibrium
 from drake_nonstop.mechanics.rotation import quaternion_rate
+from drake_nonstop.mechanics.sampled_loop import map_of_turn
 from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, LoadState
 from drake_nonstop.scenario.schema import Scenario, check
 from drake_nonstop.simulation.step_size import stable_config
@@ -158,13 +158,10 @@ def linearize(scenario: Scenario) -> Stability:
             simulator = Simulator(nonstop, context)
             ApplySimulatorConfig(config, simulator)
             steps.append(_differenced_map(states, simulator, lead, sample))
-    # By `einsum`, which starts no threads: in a process per core they would wait for each other.
-    turned = np.eye(states.size)
-    for step in _interpolated(np.array(steps), samples):
-        turned = np.einsum("ij,jk->ik", step, turned)
     deviations = block_diag(*own.values())
     back = np.linalg.pinv(deviations)
-    multipliers, vectors = np.linalg.eig(back @ turned @ deviations)
+    turn_map = back @ map_of_turn(np.stack(steps), samples) @ deviations
+    multipliers, vectors = np.linalg.eig(turn_map)
     order = np.argsort(-np.abs(multipliers), kind="stable")
     mode = vectors[:, order[0]]
     # The mode's change in the first sample gives its frequency, up to half the sampling rate.
@@ -179,18 +176,6 @@ def linearize(scenario: Scenario) -> Stability:
         frequency=float(abs(np.angle(after_a_sample)) / sample),
         shares=shares,
     )
-
-
-def _interpolated(values: NDArray, count: int) -> Iterator[NDArray]:
-    """A function of the phase at `count` even phases of a turn, from an odd number k of (k, …).
-
-    By trigonometric interpolation, whose error for a smooth periodic function is near rounding.
-    """
-    orders = np.fft.fftfreq(len(values), 1 / len(values))
-    spectrum = np.fft.fft(np.eye(len(values)), axis=0) / len(values)
-    for phase in 2 * math.pi * np.arange(count) / count:
-        weights = (np.exp(1j * orders * phase) @ spectrum).real
-        yield np.einsum("k,k...->...", weights, values)
 
 
 def _start_orbit(nonstop: Diagram, context: Context, phase: float) -> None:

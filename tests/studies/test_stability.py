@@ -7,22 +7,6 @@ from helpers import nightly_beyond
 from drake_nonstop import LeafBlock, load_scenario
 from drake_nonstop.studies import stability
 
-
-def test_matrices_are_interpolated(rng):
-    """Trigonometric polynomials of order 7 are met exactly."""
-    size, count, phases = 97, 20, 2 * np.pi * np.arange(stability._PHASES) / stability._PHASES
-    constant = np.eye(size)
-    cosine, sine = rng.standard_normal((2, size, size)) / size
-
-    def exact(phase):
-        return constant + np.cos(3 * phase) * cosine + np.sin(7 * phase) * sine
-
-    values = np.array([exact(phase) for phase in phases])
-    steps = [*stability._interpolated(values, count)]
-    expected = [exact(phase) for phase in 2 * np.pi * np.arange(count) / count]
-    np.testing.assert_allclose(steps, expected, rtol=0, atol=1e-12)
-
-
 WEAK = ["carrier_controller.velocity_gain=0.05"]
 FINE = ["simulator_config.max_step_size=0.0004"]  # 25 steps in a sample
 HEAVY = ["cables=IndividualCables", "simulated.load_mass=1.1"]
