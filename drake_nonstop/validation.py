@@ -1,7 +1,9 @@
 """Errors that tell the field, the value and the remedy, and the checks that raise them."""
 
+import copy
 import dataclasses
 import difflib
+import functools
 import importlib.util
 import math
 import os
@@ -24,6 +26,7 @@ _LEAST = 1e-12  # of a number that has to be above zero
 SHORTEST_PERIOD = 1e-4  # s, between samples
 _LARGEST_FILE = 16_000_000  # bytes
 _DEEPEST = 20  # lists within lists
+_Config = typing.TypeVar("_Config")
 
 
 class ScenarioWarning(UserWarning):
@@ -112,78 +115,105 @@ def listed(field: str, value: Any, remedy: str) -> list[Any]:
     return [*typing.cast(Any, items)]
 
 
-def require_positive(owner: str, **values: float) -> None:
-    """Raises ScenarioError for the first value that is not a number above zero, up to 1e9."""
-    for name, value in values.items():
-        _check_positive(f"{owner}.{name}", value)
-
-
-def require_non_negative(owner: str, **values: float) -> None:
-    """Raises ScenarioError for the first value that is not a number from zero to 1e9."""
-    for name, value in values.items():
-        _check_non_negative(f"{owner}.{name}", value)
-
-
-def _check_positive(field: str, value: Any) -> None:
+def require_positive(field: str, value: Any) -> None:
+    """Raises ScenarioError for what is no number above zero, from 1e-12 to 1e9."""
     is_positive = is_number(value) and value > 0
     require(is_positive, field, value, "give a finite number greater than zero")
     is_within = _LEAST <= value <= _LARGEST
     require(is_within, field, value, f"give {_LEAST:g} to {_LARGEST:g}, in SI units")
 
 
-def _check_non_negative(field: str, value: Any) -> None:
+def require_non_negative(field: str, value: Any) -> None:
+    """Raises ScenarioError for what is no number from zero to 1e9."""
     is_natural = is_number(value) and value >= 0
     require(is_natural, field, value, "give a finite number that is not negative")
     require(value <= _LARGEST, field, value, f"give at most {_LARGEST:g}, in SI units")
 
 
-def checked(default: Any, check: Callable[[str, Any], None]) -> Any:
-    """A dataclass's field with its default and its check, which `require_ranges` calls.
+def checked(default: Any, *checks: Callable[[str, Any], Any]) -> Any:
+    """A dataclass's field with its default and its checks, which `require_ranges` calls.
 
     Args:
-        default: of the field; a list is copied for each object.
-        check: called with the field's path and value; raises ScenarioError.
+        default: of the field; a list is copied for each object, and None passes unchecked.
+        checks: called with the field's path and value; they raise ScenarioError.
     """
+    declared: dict[str, Any] = {"metadata": {"checks": checks}}
     if isinstance(default, list):
-        return dataclasses.field(default_factory=lambda: [*default], metadata={"check": check})
-    return dataclasses.field(default=default, metadata={"check": check})
+        return dataclasses.field(default_factory=lambda: copy.deepcopy(default), **declared)
+    return dataclasses.field(default=default, **declared)
 
 
-def positive(default: float | None) -> Any:
-    """A field of a number above zero, up to 1e9."""
-    return checked(default, _check_positive)
+def positive(default: float | None, *checks: Callable[[str, Any], Any]) -> Any:
+    """A field of a number above zero, up to 1e9, with further checks."""
+    return checked(default, require_positive, *checks)
 
 
-def non_negative(default: float | None) -> Any:
-    """A field of a number from zero to 1e9."""
-    return checked(default, _check_non_negative)
+def non_negative(default: float | None, *checks: Callable[[str, Any], Any]) -> Any:
+    """A field of a number from zero to 1e9, with further checks."""
+    return checked(default, require_non_negative, *checks)
 
 
 def fulfilling(default: Any, condition: Callable[[Any], Any], remedy: str) -> Any:
-    """A field of a number, finite or not, that fulfils a condition, or of None by default."""
+    """A field of a number, finite or not, that fulfils a condition."""
+    return checked(default, number_with(condition, remedy))
+
+
+def number_with(condition: Callable[[Any], Any], remedy: str) -> Callable[[str, Any], None]:
+    """A check of a number, finite or not, that fulfils a condition."""
 
     def check(field: str, value: Any) -> None:
-        is_left_out = default is None and value is None
         is_one = is_number(value) or value in (math.inf, -math.inf)
-        require(is_left_out or (is_one and condition(value)), field, value, remedy)
+        require(is_one and condition(value), field, value, remedy)
 
-    return checked(default, check)
+    return check
 
 
-def require_ranges(owner: str, config: Any, values: Mapping[str, Any] | None = None) -> None:
-    """Raises ScenarioError for the first field of a dataclass that its declaration refuses.
+def whole(default: int, least: int, most: int) -> Any:
+    """A field of a whole number from the least to the most."""
+    return checked(default, lambda field, value: require_whole(field, value, least, most))
 
-    `values` are those of the fields where they are not the dataclass's own.
+
+def require_whole(field: str, value: Any, least: int, most: int) -> None:
+    """Raises ScenarioError for what is no whole number from the least to the most."""
+    is_whole = isinstance(value, int) and not isinstance(value, bool) and least <= value <= most
+    remedy = f"give {least}" if least == most else f"give a whole number from {least} to {most}"
+    require(is_whole, field, value, remedy)
+
+
+def vector(default: list[float], meaning: str, *checks: Callable[[str, Any], Any]) -> Any:
+    """A field of three finite numbers, with further checks; `meaning` as of `require_array`."""
+    is_vector = functools.partial(require_array, shape=[3], meaning=meaning)
+    return checked(default, is_vector, *checks)
+
+
+def one_of(options: Collection[Any], remedy: str) -> Callable[[str, Any], None]:
+    """A check of what is one of some options."""
+    return lambda field, value: require(value in options, field, value, remedy)
+
+
+def require_ranges(owner: str, config: _Config, values: Mapping[str, Any] | None = None) -> _Config:
+    """The dataclass, whose fields are as they are declared.
+
+    Args:
+        owner: its name in error messages.
+        config: the dataclass.
+        values: those of the fields where they are not the dataclass's own.
+
+    Raises:
+        ScenarioError: the declaration of a field refuses its value.
     """
     values = vars(config) if values is None else values
-    for field in dataclasses.fields(config):
-        if "check" in field.metadata:
-            field.metadata["check"](f"{owner}.{field.name}", values[field.name])
+    for field in dataclasses.fields(typing.cast(Any, config)):
+        for check in field.metadata.get("checks", ()):
+            value = values[field.name]
+            if value is not None or field.default is not None:
+                check(f"{owner}.{field.name}", value)
+    return config
 
 
 def require_period(field: str, value: float) -> None:
     """Raises ScenarioError for what is no time between samples (s) that a run can go on with."""
-    _check_positive(field, value)
+    require_positive(field, value)
     require(value >= SHORTEST_PERIOD, field, value, f"give at least {SHORTEST_PERIOD:g} s")
 
 

@@ -17,7 +17,12 @@ from drake_nonstop.mechanics.tuning import pid_gains
 from drake_nonstop.model.block import Block
 from drake_nonstop.model.descriptions import CarrierControl
 from drake_nonstop.model.system import Model
-from drake_nonstop.validation import StrictFields, require_non_negative, require_positive
+from drake_nonstop.validation import (
+    StrictFields,
+    non_negative,
+    positive,
+    require_ranges,
+)
 
 _BOX = "carrier_controller"
 _ACCELERATION = "carrier_reference_acceleration"
@@ -58,7 +63,7 @@ class _PositionPid(Block):
 
     @classmethod
     def check(cls, model: Model, config: Any) -> None:
-        require_non_negative(_BOX, **asdict(config))
+        require_ranges(_BOX, config)
 
     def constants(self, model: Model, config: Any) -> dict[str, Any]:
         return {"law": self.law}
@@ -102,17 +107,12 @@ class _Tuned(_PositionPid):
         gains = pid_gains(poles["frequency"], poles["damping"], poles["integral_rate"])
         return {name: carrier_mass * gain for name, gain in zip(names, gains, strict=True)}
 
-    @classmethod
-    def check(cls, model: Model, config: Any) -> None:
-        super().check(model, config)
-        require_positive(_BOX, frequency=config.frequency)
-
 
 @dataclass(kw_only=True)
 class _Gains(StrictFields):
-    position_gain: float = 1000.0  # N/m
-    velocity_gain: float = 10.0  # N s/m; the paper's 1.5 is a damping ratio of 0.075
-    integral_gain: float = 0.0  # N/(m s)
+    position_gain: float = non_negative(1000.0)  # N/m
+    velocity_gain: float = non_negative(10.0)  # N s/m; the paper's 1.5 is a damping ratio of 0.075
+    integral_gain: float = non_negative(0.0)  # N/(m s)
 
 
 @dataclass(kw_only=True)
@@ -152,9 +152,10 @@ class FeedforwardCarrierPid(_WithFeedforward):
 
 @dataclass(kw_only=True)
 class _Poles(StrictFields):
-    frequency: float = 100.0  # rad/s, natural frequency of a carrier about its reference
-    damping: float = 0.5  # damping ratio
-    integral_rate: float = 0.0  # rad/s, of the pole that an integral adds; 0: no integral
+    frequency: float = positive(100.0)  # rad/s, natural frequency of a carrier about its reference
+    damping: float = non_negative(0.5)  # damping ratio
+    # rad/s, of the pole that an integral adds; 0: no integral
+    integral_rate: float = non_negative(0.0)
 
 
 @dataclass(kw_only=True)
@@ -196,8 +197,8 @@ class TunedFeedforwardCarrierPid(_Tuned, _WithFeedforward):
 class LoadedCarrierPidConfig(StrictFields):
     """Gains on each axis."""
 
-    position_gain: float = 1000.0  # N/m
-    velocity_gain: float = 10.0  # N s/m
+    position_gain: float = non_negative(1000.0)  # N/m
+    velocity_gain: float = non_negative(10.0)  # N s/m
 
 
 class LoadedCarrierPid(Block):
@@ -222,7 +223,7 @@ class LoadedCarrierPid(Block):
 
     @classmethod
     def check(cls, model: Model, config: Any) -> None:
-        require_non_negative(_BOX, **asdict(config))
+        require_ranges(_BOX, config)
 
     @property
     def gains(self) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """The controller half of box "Carrier Controller + Dynamics" for carriers that are aircraft."""
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -22,9 +22,10 @@ from drake_nonstop.model.system import Model
 from drake_nonstop.systems.traced_block import Start
 from drake_nonstop.validation import (
     StrictFields,
-    require,
-    require_non_negative,
-    require_positive,
+    non_negative,
+    number_with,
+    positive,
+    require_ranges,
 )
 
 _BOX = "carrier_controller"
@@ -35,14 +36,18 @@ _LIMITS = ("lift_share", "max_bank", "speed_share")
 class FixedWingControllerConfig(StrictFields):
     """Poles of the carriers about their references, observer and limits."""
 
-    frequency: float = 1.5  # rad/s, natural frequency of a carrier about its reference
-    damping: float = 0.9  # damping ratio
-    lead: float = 1.0  # weight of the lead along the reference; 0: none
-    observer: float = 1.0  # weight of the observed disturbance; 0: none
-    observer_time: float = 0.1  # s, time constant of the disturbance observer
-    lift_share: float = 0.9  # of C_Lmax, the largest lift coefficient that is commanded
-    max_bank: float = 0.8726646259971648  # rad, the largest bank that is commanded, 50 degrees
-    speed_share: float = 1.2  # of the stall speed, below which thrust is added
+    frequency: float = positive(1.5)  # rad/s, natural frequency of a carrier about its reference
+    damping: float = non_negative(0.9)  # damping ratio
+    lead: float = non_negative(1.0)  # weight of the lead along the reference; 0: none
+    observer: float = non_negative(1.0)  # weight of the observed disturbance; 0: none
+    observer_time: float = positive(0.1)  # s, time constant of the disturbance observer
+    lift_share: float = positive(  # of C_Lmax, the largest lift coefficient that is commanded
+        0.9, number_with(lambda share: share <= 1, "give at most 1")
+    )
+    max_bank: float = positive(  # rad, the largest bank that is commanded, 50 degrees
+        0.8726646259971648, number_with(lambda b: b < math.pi / 2, "give less than pi/2 rad")
+    )
+    speed_share: float = non_negative(1.2)  # of the stall speed, below which thrust is added
 
 
 class FixedWingController(Block):
@@ -144,17 +149,7 @@ class FixedWingController(Block):
     @classmethod
     def check(cls, model: Model, config: Any) -> None:
         required_aircraft(model, _BOX, "FixedWingController")
-        values = asdict(config)
-        weights = {name: values[name] for name in ("damping", "lead", "observer", "speed_share")}
-        require_non_negative(_BOX, **weights)
-        require_positive(_BOX, **{k: v for k, v in values.items() if k not in weights})
-        require(config.lift_share <= 1, f"{_BOX}.lift_share", config.lift_share, "give at most 1")
-        require(
-            config.max_bank < math.pi / 2,
-            f"{_BOX}.max_bank",
-            config.max_bank,
-            "give less than pi/2 rad",
-        )
+        require_ranges(_BOX, config)
 
     def state(self, model: Model) -> NDArray:
         return np.zeros(5 * model.n)

@@ -22,7 +22,13 @@ from drake_nonstop.model.block_parameters import BlockParameters
 from drake_nonstop.model.descriptions import PseudoInverse
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import weakly
-from drake_nonstop.validation import StrictFields, is_number, require, require_non_negative
+from drake_nonstop.validation import (
+    StrictFields,
+    is_number,
+    non_negative,
+    require,
+    require_ranges,
+)
 
 _OUTPUTS = ("desired_cable_forces", "desired_cable_force_rates")
 
@@ -69,7 +75,7 @@ class CableForceDistribution(Block):
 class BoundedTensionDistributionConfig(StrictFields):
     """The bounds on the tension of every cable."""
 
-    min_tension: float = 1.0  # N
+    min_tension: float = non_negative(1.0)  # N
     max_tension: float = math.inf  # N
 
 
@@ -108,7 +114,7 @@ class BoundedTensionDistribution(CableForceDistribution):
 
     @classmethod
     def check(cls, model: Model, config: BoundedTensionDistributionConfig) -> None:
-        require_non_negative(_BOX, min_tension=config.min_tension)
+        require_ranges(_BOX, config)
         limit = config.max_tension
         require(
             (is_number(limit) and limit > config.min_tension) or limit == math.inf,

@@ -1,7 +1,7 @@
 """The variant of box "Carrier Dynamics" that JSBSim flies: aircraft with six degrees of freedom."""
 
 import itertools
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -29,11 +29,17 @@ from drake_nonstop.model.jsbsim_aircraft import (
 from drake_nonstop.model.system import AIRCRAFT, Model
 from drake_nonstop.systems.block import DiagramBlock, InnerBlock
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
-from drake_nonstop.validation import ScenarioError, StrictFields, is_number, require, require_array
+from drake_nonstop.validation import (
+    ScenarioError,
+    StrictFields,
+    fulfilling,
+    require,
+    require_ranges,
+    vector,
+)
 
 _BOX = "carrier_dynamics"
 _SELF = f"{_BOX} = JsbsimCarriers"
-_STEPS = (0.001, 0.01)  # s
 _REASON = "JSBSim keeps the state of its aircraft outside of the context, where nothing copies it"
 _numbers = itertools.count(1)  # of flights, one for all diagrams: a context knows its own
 
@@ -43,10 +49,13 @@ class JsbsimCarriersConfig(StrictFields):
     """The aircraft's file, the hook, the step, and what a stall does to a run."""
 
     aircraft_file: str = ""  # path of a JSBSim aircraft; empty: the package's of system.aircraft
-    hook: list[float] = field(  # m, the cable's end, forward, right and up of the centre of gravity
-        default_factory=lambda: [0.0, 0.0, -0.1]
+    # m, the cable's end, forward, right and up of the centre of gravity
+    hook: list[float] = vector([0.0, 0.0, -0.1], "m forward, right and up of the centre of gravity")
+    step: float = fulfilling(  # s, of JSBSim, from 0.001 to 0.01
+        0.005,
+        lambda step: 0.001 <= step <= 0.01,
+        "give 0.001 to 0.01 s, which the autopilot is made for",
     )
-    step: float = 0.005  # s, of JSBSim, from 0.001 to 0.01
     stops_at_stall: bool = (
         True  # the run ends at the first stall; false: with stalled lift it goes on
     )
@@ -192,13 +201,8 @@ class _Hangar:
     def __init__(self, model: Model, config: JsbsimCarriersConfig):
         self.aircraft = required_aircraft(model, _BOX, "JsbsimCarriers")
         require_jsbsim(_BOX)
-        least, most = _STEPS
-        self.n, self.step = model.n, config.step
-        remedy = f"give {least:g} to {most:g} s, which the autopilot is made for"
-        is_step = is_number(self.step) and least <= self.step <= most
-        require(is_step, f"{_BOX}.step", self.step, remedy)
-        meaning = "m forward, right and up of the centre of gravity"
-        hook = require_array(f"{_BOX}.hook", config.hook, [3], meaning)
+        require_ranges(_BOX, config)
+        self.n, self.step, hook = model.n, config.step, np.array(config.hook, float)
         parameters = model.system.aircraft
         name = None if parameters is None else parameters.model
         is_given = any(name.startswith(AIRCRAFT) for name in model.overridden)

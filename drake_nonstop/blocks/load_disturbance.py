@@ -1,7 +1,7 @@
 """Box "load_disturbance": the wrench on the load besides cables and gravity."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -20,11 +20,12 @@ from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import LeafBlock, number
 from drake_nonstop.validation import (
     StrictFields,
-    require_array,
-    require_non_negative,
+    checked,
+    non_negative,
     require_period,
-    require_positive,
+    require_ranges,
     require_seed,
+    vector,
 )
 
 _BOX = "load_disturbance"
@@ -53,12 +54,12 @@ class NoDisturbance(Block):
 class DisturbanceForceConfig(StrictFields):
     """A constant force, and a gust on top of it."""
 
-    force: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])  # N, in W
-    torque: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])  # N m, in W
-    start_time: float = 0.0  # s, nothing before it
-    gust_force: float = 0.0  # N, standard deviation on each axis
-    gust_time: float = 1.0  # s, correlation time of the gust
-    seed: int = 0  # of the gust
+    force: list[float] = vector([0.0, 0.0, 0.0], "in W")  # N, in W
+    torque: list[float] = vector([0.0, 0.0, 0.0], "in W")  # N m, in W
+    start_time: float = non_negative(0.0)  # s, nothing before it
+    gust_force: float = non_negative(0.0)  # N, standard deviation on each axis
+    gust_time: float = checked(1.0, require_period)  # s, correlation time of the gust
+    seed: int = checked(0, require_seed)  # of the gust
 
 
 class DisturbanceForce(LeafBlock):
@@ -76,14 +77,8 @@ class DisturbanceForce(LeafBlock):
 
     def __init__(self, model: Model, config: DisturbanceForceConfig | None = None):
         super().__init__()
-        config = config or DisturbanceForceConfig()
-        force = require_array(f"{_BOX}.force", config.force, [3], "in W")
-        torque = require_array(f"{_BOX}.torque", config.torque, [3], "in W")
-        require_non_negative(_BOX, gust_force=config.gust_force, start_time=config.start_time)
-        require_positive(_BOX, gust_time=config.gust_time)
-        require_period(f"{_BOX}.gust_time", config.gust_time)
-        require_seed(f"{_BOX}.seed", config.seed)
-        self._wrench = np.concatenate([torque, force])
+        config = require_ranges(_BOX, config or DisturbanceForceConfig())
+        self._wrench = np.array([*config.torque, *config.force], float)
         self._start_time = config.start_time
         random = np.random.default_rng(config.seed)
         bands: dict[str, Any] = {"count": 32, "highest": 30.0}

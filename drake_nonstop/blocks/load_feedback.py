@@ -26,10 +26,12 @@ from drake_nonstop.systems.in_context import InContext, shown
 from drake_nonstop.systems.tracing import chosen
 from drake_nonstop.validation import (
     StrictFields,
+    checked,
+    non_negative,
+    positive,
     require,
-    require_non_negative,
     require_period,
-    require_positive,
+    require_ranges,
     require_seed,
 )
 
@@ -110,13 +112,14 @@ class DesiredAttitudeFeedback(SelectorBlock):
 class MeasurementConfig(StrictFields):
     """Standard deviations on each axis, and the delay."""
 
-    position_noise: float = 0.0  # m
-    orientation_noise: float = 0.0  # rad
-    velocity_noise: float = 0.0  # m/s
-    angular_velocity_noise: float = 0.0  # rad/s
-    delay: float = 0.0  # s, a multiple of the period
-    period: float = 0.01  # s, between samples of the noise and of the delayed state
-    seed: int = 0  # of the noise
+    position_noise: float = non_negative(0.0)  # m
+    orientation_noise: float = non_negative(0.0)  # rad
+    velocity_noise: float = non_negative(0.0)  # m/s
+    angular_velocity_noise: float = non_negative(0.0)  # rad/s
+    delay: float = non_negative(0.0)  # s, a multiple of the period
+    # s, between samples of the noise and of the delayed state
+    period: float = checked(0.01, require_period)
+    seed: int = checked(0, require_seed)  # of the noise
 
 
 @dataclass(kw_only=True)
@@ -147,13 +150,9 @@ class NoisyFeedback(LeafBlock):
 
     def __init__(self, model: Model, config: MeasurementConfig | None = None):
         super().__init__()
-        config = config or NoisyFeedbackConfig()
+        config = require_ranges(_BOX, config or NoisyFeedbackConfig())
         parts = ("orientation", "position", "angular_velocity", "velocity")
-        deviations = {f"{part}_noise": getattr(config, f"{part}_noise") for part in parts}
-        require_non_negative(_BOX, delay=config.delay, **deviations)
-        require_positive(_BOX, period=config.period)
-        require_period(f"{_BOX}.period", config.period)
-        require_seed(f"{_BOX}.seed", config.seed)
+        deviations = [getattr(config, f"{part}_noise") for part in parts]
         self.delay_periods = round(config.delay / config.period)
         require(
             abs(self.delay_periods * config.period - config.delay) < 1e-9
@@ -163,7 +162,7 @@ class NoisyFeedback(LeafBlock):
             f"give a multiple of the period {config.period:g} s, at most 1000 of them",
         )
         self.period, self._seed = config.period, config.seed
-        self.deviations = np.repeat(list(deviations.values()), 3)
+        self.deviations = np.repeat(deviations, 3)
         self.DeclareVectorInputPort("load_state", LOAD_STATE_SIZE)
         if self.delay_periods > 0:
             # The last samples, the newest first, their number, and the time of the newest.
@@ -259,12 +258,12 @@ _DUE = 0.999  # of a period, after which the next measurement is taken
 class EstimatedFeedbackConfig(MeasurementConfig):
     """The measurement's, and what the filter believes of it and of the load's motion."""
 
-    believed_position_noise: float = 0.01  # m
-    believed_orientation_noise: float = 0.02  # rad
-    believed_velocity_noise: float = 0.0  # m/s; 0: measured exactly
-    believed_angular_velocity_noise: float = 0.0  # rad/s; 0: measured exactly
-    process_acceleration: float = 0.05  # m/s², deviation of its mean over a period
-    process_angular_acceleration: float = 0.05  # rad/s², likewise
+    believed_position_noise: float = non_negative(0.01)  # m
+    believed_orientation_noise: float = non_negative(0.02)  # rad
+    believed_velocity_noise: float = non_negative(0.0)  # m/s; 0: measured exactly
+    believed_angular_velocity_noise: float = non_negative(0.0)  # rad/s; 0: measured exactly
+    process_acceleration: float = positive(0.05)  # m/s², deviation of its mean over a period
+    process_angular_acceleration: float = positive(0.05)  # rad/s², likewise
 
 
 class EstimatedFeedback(NoisyFeedback):
@@ -301,9 +300,6 @@ class EstimatedFeedback(NoisyFeedback):
     def __init__(self, model: Model, config: EstimatedFeedbackConfig | None = None):
         config = config or EstimatedFeedbackConfig()
         super().__init__(model, config)
-        values = vars(config).items()
-        require_non_negative(_BOX, **{k: v for k, v in values if k.startswith("believed")})
-        require_positive(_BOX, **{k: v for k, v in values if k.startswith("process")})
         self.rotation_gain = steady_state_gain(
             config.believed_orientation_noise,
             config.believed_angular_velocity_noise,

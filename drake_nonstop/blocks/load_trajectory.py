@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -17,11 +17,16 @@ from drake_nonstop.model.pose_samples import read_samples, sample_array
 from drake_nonstop.model.system import Model
 from drake_nonstop.validation import (
     StrictFields,
-    is_number,
+    checked,
+    fulfilling,
+    non_negative,
+    number_with,
+    one_of,
+    positive,
     require,
     require_array,
-    require_non_negative,
-    require_positive,
+    require_ranges,
+    vector,
 )
 
 _BOX = "load_trajectory"
@@ -65,29 +70,23 @@ def _along_legs(
 class _Move(StrictFields):
     """Where a move starts and how smooth it is, for the configs of several blocks."""
 
-    start_position: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])  # m
-    start_roll_pitch_yaw: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])  # rad
+    start_position: list[float] = vector([0.0, 0.0, 0.0], "metres")  # m
+    start_roll_pitch_yaw: list[float] = vector([0.0, 0.0, 0.0], "angles in rad")  # rad
     # "c3": what changes is continuous with two derivatives, a quintic; "c4": with three, a septic.
-    blend: str = "c3"
+    blend: str = checked("c3", one_of(_SMOOTH_STEPS, f"give {' or '.join(_SMOOTH_STEPS)}"))
 
     def start_pose(self) -> NDArray:
-        """[roll, pitch, yaw, x, y, z] (6,), checked."""
-        return _pose(self, "start_position", "start_roll_pitch_yaw")
-
-    def smooth_step(self) -> NDArray:
-        """The coefficients of the polynomial, from 0 to 1 on [0, 1], that `blend` names."""
-        remedy = f"give {' or '.join(_SMOOTH_STEPS)}"
-        require(self.blend in _SMOOTH_STEPS, f"{_BOX}.blend", self.blend, remedy)
-        return _SMOOTH_STEPS[self.blend]
+        """[roll, pitch, yaw, x, y, z] (6,)."""
+        return _pose(self.start_position, self.start_roll_pitch_yaw)
 
 
 @dataclass(kw_only=True)
 class _Displacement(_Move):
     """A displacement from rest to rest."""
 
-    displacement: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])  # m
-    start_time: float = 0.0  # s, of the displacement
-    move_time: float = 10.0  # s, of the displacement
+    displacement: list[float] = vector([0.0, 0.0, 0.0], "metres")  # m
+    start_time: float = non_negative(0.0)  # s, of the displacement
+    move_time: float = positive(10.0)  # s, of the displacement
 
 
 def _array(config: _Move, name: str, meaning: str, *shape: int | None) -> NDArray:
@@ -95,19 +94,16 @@ def _array(config: _Move, name: str, meaning: str, *shape: int | None) -> NDArra
     return require_array(f"{_BOX}.{name}", getattr(config, name), shape, meaning)
 
 
-def _pose(config: _Move, position: str, angles: str = "", meaning: str = "metres") -> NDArray:
-    """[roll, pitch, yaw, x, y, z] (6,) of the fields of these names; without angles these are 0."""
-    roll_pitch_yaw = _array(config, angles, "angles in rad", 3) if angles else np.zeros(3)
-    return np.concatenate([roll_pitch_yaw, _array(config, position, meaning, 3)])
+def _pose(position: list[float], angles: Sequence[float] = (0.0, 0.0, 0.0)) -> NDArray:
+    """[roll, pitch, yaw, x, y, z] (6,) of [roll, pitch, yaw] and [x, y, z]."""
+    return np.array([*angles, *position], float)
 
 
 def _rest_to_rest(
     config: "_Displacement | CircleConfig", start: NDArray, change: NDArray
 ) -> PiecewisePolynomial:
     """Coordinates that change from rest to rest, from `start_time` on, in `move_time`."""
-    require_non_negative(_BOX, start_time=config.start_time)
-    require_positive(_BOX, move_time=config.move_time)
-    leg = config.move_time, config.smooth_step(), change
+    leg = config.move_time, _SMOOTH_STEPS[config.blend], change
     return _along_legs(start, config.start_time, [leg])
 
 
@@ -115,7 +111,7 @@ def _rest_to_rest(
 class RestToRestConfig(_Displacement):
     """Rest, a move in which each coordinate follows a polynomial from rest to rest, and rest."""
 
-    roll_pitch_yaw: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])  # rad, change
+    roll_pitch_yaw: list[float] = vector([0.0, 0.0, 0.0], "angles in rad")  # rad, change
 
 
 class RestToRest(LoadTrajectory):
@@ -129,8 +125,8 @@ class RestToRest(LoadTrajectory):
     """
 
     def __init__(self, model: Model, config: RestToRestConfig | None = None):
-        config = config or RestToRestConfig()
-        change = _pose(config, "displacement", "roll_pitch_yaw")
+        config = require_ranges(_BOX, config or RestToRestConfig())
+        change = _pose(config.displacement, config.roll_pitch_yaw)
         super().__init__(_rest_to_rest(config, config.start_pose(), change))
 
 
@@ -138,10 +134,10 @@ class RestToRest(LoadTrajectory):
 class ConstantVelocityMoveConfig(_Move):
     """Rest, a straight move at constant velocity, and rest."""
 
-    velocity: list[float] = field(default_factory=lambda: [0.7, 0.0, 0.0])  # m/s
-    start_time: float = 5.0  # s
-    move_time: float = 20.0  # s
-    blend_time: float = 1.0  # s, of each change of velocity, centred on it; 0: a step
+    velocity: list[float] = vector([0.7, 0.0, 0.0], "m/s")  # m/s
+    start_time: float = non_negative(5.0)  # s
+    move_time: float = positive(20.0)  # s
+    blend_time: float = non_negative(1.0)  # s, of each change of velocity, centred on it; 0: a step
 
 
 class ConstantVelocityMove(LoadTrajectory):
@@ -158,9 +154,7 @@ class ConstantVelocityMove(LoadTrajectory):
     """
 
     def __init__(self, model: Model, config: ConstantVelocityMoveConfig | None = None):
-        config = config or ConstantVelocityMoveConfig()
-        require_non_negative(_BOX, start_time=config.start_time, blend_time=config.blend_time)
-        require_positive(_BOX, move_time=config.move_time)
+        config = require_ranges(_BOX, config or ConstantVelocityMoveConfig())
         blend_time = config.blend_time
         require(
             blend_time / 2 <= config.start_time and blend_time <= config.move_time,
@@ -169,9 +163,9 @@ class ConstantVelocityMove(LoadTrajectory):
             "give at most twice start_time and at most move_time, since a blend is centred "
             "on the step in velocity that it replaces",
         )
-        velocity = _pose(config, "velocity", meaning="m/s")
+        velocity = _pose(config.velocity)
         # The integral of the velocity's smooth step: from rest to one unit of velocity.
-        step = config.smooth_step()
+        step = _SMOOTH_STEPS[config.blend]
         blend = np.concatenate([[0.0], step / np.arange(1, len(step) + 1)])
         cruise = config.move_time - blend_time
         legs = [
@@ -211,8 +205,8 @@ class Waypoints(LoadTrajectory):
     """
 
     def __init__(self, model: Model, config: WaypointsConfig | None = None):
-        config = config or WaypointsConfig()
-        start, step = config.start_pose(), config.smooth_step()
+        config = require_ranges(_BOX, config or WaypointsConfig())
+        start, step = config.start_pose(), _SMOOTH_STEPS[config.blend]
         positions = _array(config, "positions", "metres, a row per waypoint", None, 3)
         count = len(positions)
         angles, rests = np.tile(start[:3], (count, 1)), np.zeros(count)
@@ -234,16 +228,21 @@ class Waypoints(LoadTrajectory):
         super().__init__(_along_legs(start, rests[0], legs[1:]))  # it rests before its first leg
 
 
+_check_finite = number_with(math.isfinite, "give a finite number")
+
+
 @dataclass(kw_only=True)
 class CircleConfig(_Move):
     """Rest, a level circle or a part of it, and rest; it begins at the start position."""
 
-    radius: float = 1.0  # m
-    centre_direction: float = math.pi / 2  # rad, of the centre seen from the start, x to y
-    turns: float = 1.0  # number of rounds, counter-clockwise from above; negative: clockwise
+    radius: float = positive(1.0)  # m
+    # rad, of the centre seen from the start, x to y
+    centre_direction: float = checked(math.pi / 2, _check_finite)
+    # number of rounds, counter-clockwise from above; negative: clockwise
+    turns: float = checked(1.0, _check_finite)
     turns_with_path: bool = False  # whether the load's yaw rotates as much as its path
-    start_time: float = 0.0  # s
-    move_time: float = 20.0  # s
+    start_time: float = non_negative(0.0)  # s
+    move_time: float = positive(20.0)  # s
 
 
 class Circle(LoadTrajectory):
@@ -259,11 +258,8 @@ class Circle(LoadTrajectory):
     """
 
     def __init__(self, model: Model, config: CircleConfig | None = None):
-        config = config or CircleConfig()
-        require_positive(_BOX, radius=config.radius)
+        config = require_ranges(_BOX, config or CircleConfig())
         radius, direction = config.radius, config.centre_direction
-        for name, value in (("centre_direction", direction), ("turns", config.turns)):
-            require(is_number(value), f"{_BOX}.{name}", value, "give a finite number")
 
         def pose(values: NDArray) -> NDArray:
             """[roll, pitch, yaw, x, y, z] of that on the centre, and θ, each with derivatives."""
@@ -281,7 +277,12 @@ class Circle(LoadTrajectory):
 class SteadyTurnConfig(_Displacement):
     """A turn about the vertical at a constant rate, at rest or on the way from rest to rest."""
 
-    yaw_rate: float = 0.4  # rad/s, at all times, counter-clockwise from above; not 0
+    yaw_rate: float = fulfilling(  # rad/s, at all times, counter-clockwise from above; not 0
+        0.4,
+        lambda rate: 1e-6 <= abs(rate) <= 100,
+        "give 1e-6 to 100 rad/s, or the negative of such a number; RestToRest is for loads that do "
+        "not turn",
+    )
 
 
 class SteadyTurn(LoadTrajectory):
@@ -297,17 +298,9 @@ class SteadyTurn(LoadTrajectory):
     """
 
     def __init__(self, model: Model, config: SteadyTurnConfig | None = None):
-        config = config or SteadyTurnConfig()
-        rate = config.yaw_rate
-        require(
-            is_number(rate) and 1e-6 <= abs(rate) <= 100,
-            f"{_BOX}.yaw_rate",
-            rate,
-            "give 1e-6 to 100 rad/s, or the negative of such a number; RestToRest is for loads "
-            "that do not turn",
-        )
-        trajectory = _rest_to_rest(config, config.start_pose(), _pose(config, "displacement"))
-        super().__init__(trajectory, yaw_rate=rate)
+        config = require_ranges(_BOX, config or SteadyTurnConfig())
+        trajectory = _rest_to_rest(config, config.start_pose(), _pose(config.displacement))
+        super().__init__(trajectory, yaw_rate=config.yaw_rate)
 
 
 @dataclass(kw_only=True)
@@ -331,14 +324,14 @@ class PlannedTurn(AlongTrajectory):
     makes = ("reference", "reference_higher_rates")
 
     def __init__(self, model: Model, config: PlannedTurnConfig | None = None):
-        config = config or PlannedTurnConfig()
+        config = require_ranges(_BOX, config or PlannedTurnConfig())
 
         def reference(planned: NDArray, values: NDArray) -> tuple[NDArray, NDArray]:
             plan = PlannedParameters.view(planned)
             rates = plan.frequency, plan.frequency_rate, plan.frequency_second_rate
             return reference_along(values, np.concatenate([plan.angle, *rates, np.zeros(1)]))
 
-        trajectory = _rest_to_rest(config, config.start_pose(), _pose(config, "displacement"))
+        trajectory = _rest_to_rest(config, config.start_pose(), _pose(config.displacement))
         super().__init__(trajectory, reference, inputs={"planned": PLANNED_SIZE})
 
 

@@ -43,7 +43,15 @@ from drake_nonstop.systems.in_context import InContext
 from drake_nonstop.systems.parameters import declare_parameters
 from drake_nonstop.systems.requirements import LoopBlocks
 from drake_nonstop.systems.tracing import chosen
-from drake_nonstop.validation import StrictFields, require, require_non_negative, require_positive
+from drake_nonstop.validation import (
+    StrictFields,
+    checked,
+    positive,
+    require,
+    require_non_negative,
+    require_positive,
+    require_ranges,
+)
 
 
 @dataclass(kw_only=True)
@@ -283,9 +291,10 @@ def step_towards(
 class ConstantParametersConfig(StrictFields):
     """The internal force's parameters, and the bound with which the metrics compare speeds."""
 
-    frequency: float = 2.0  # rad/s, ξ
+    frequency: float = positive(2.0)  # rad/s, ξ
     amplitude: float = 1.2  # N, A; 0 for a constant pattern, and for no other
-    speed_bound: SpeedBound = 0.2  # m/s, ε; reported, not enforced; also "1.4 V_s"
+    # m/s, ε; reported, not enforced; also "1.4 V_s"
+    speed_bound: SpeedBound = checked(0.2, require_non_negative)
 
 
 class ConstantParameters(LeafBlock):
@@ -327,7 +336,7 @@ class ConstantParameters(LeafBlock):
             ScenarioError: the bound is negative, or `speed_bound_command` is connected.
         """
         self.require_effect(context, "speed_bound", speed_bound)
-        require_non_negative(BOX, speed_bound=speed_bound)
+        require_non_negative(f"{BOX}.speed_bound", speed_bound)
         values = context.get_mutable_numeric_parameter(0)
         values.SetAtIndex(self.parameters.place("speed_bound").start, speed_bound)
 
@@ -357,12 +366,12 @@ class ConstantParameters(LeafBlock):
         if self._command.HasValue(context):
             bound = self._command.Eval(context)
             if self.scalar is float:
-                require_non_negative(BOX, **{COMMAND: float(bound[0])})
+                require_non_negative(f"{BOX}.{COMMAND}", float(bound[0]))
         output.SetFromVector(bound)
 
 
 def _check_constants(model: Model, config: ConstantParametersConfig) -> None:
-    require_positive(BOX, frequency=config.frequency)
+    require_ranges(BOX, config)
     if model.pattern.is_constant:
         require(
             config.amplitude == 0,
@@ -371,8 +380,7 @@ def _check_constants(model: Model, config: ConstantParametersConfig) -> None:
             "the pattern has no orbits that it could size; give 0, or a pattern with orbits",
         )
     else:
-        require_positive(BOX, amplitude=config.amplitude)
-    require_non_negative(BOX, speed_bound=config.speed_bound)
+        require_positive(f"{BOX}.amplitude", config.amplitude)
 
 
 # The blocks that the box can be, the default first.

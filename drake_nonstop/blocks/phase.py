@@ -22,7 +22,13 @@ from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import LeafBlock, weakly
 from drake_nonstop.systems.in_context import InContext, shown
 from drake_nonstop.systems.requirements import LoopBlocks
-from drake_nonstop.validation import StrictFields, require_positive
+from drake_nonstop.validation import (
+    StrictFields,
+    checked,
+    positive,
+    require_positive,
+    require_ranges,
+)
 
 _BOX = "phase"
 _STATE_SIZE = 8  # θ, the stages of ξ and of A, and whether they have started
@@ -89,13 +95,18 @@ class PaperPhase(Block):
         return np.concatenate([angle, time]), planned
 
 
+def _check_rate(field: str, value: Any) -> None:
+    if value != math.inf:
+        require_positive(field, value)
+
+
 @dataclass(kw_only=True)
 class ShapedPhaseConfig(StrictFields):
     """How fast ξ and A follow the parameters that a layer asks for."""
 
-    bandwidth: float = 80.0  # rad/s, of each of three equal poles
-    max_frequency_rate: float = math.inf  # rad/s², of ξ
-    max_amplitude_rate: float = math.inf  # N/s, of A
+    bandwidth: float = positive(80.0)  # rad/s, of each of three equal poles
+    max_frequency_rate: float = checked(math.inf, _check_rate)  # rad/s², of ξ
+    max_amplitude_rate: float = checked(math.inf, _check_rate)  # N/s, of A
 
 
 class ShapedPhase(LeafBlock):
@@ -134,18 +145,13 @@ class ShapedPhase(LeafBlock):
 
     def __init__(self, model: Model, config: ShapedPhaseConfig | None = None):
         super().__init__()
-        config = config or ShapedPhaseConfig()
-        require_positive(_BOX, bandwidth=config.bandwidth)
-        max_rates = {
-            "max_frequency_rate": config.max_frequency_rate,
-            "max_amplitude_rate": config.max_amplitude_rate,
-        }
-        require_positive(_BOX, **{k: v for k, v in max_rates.items() if v != math.inf})
+        config = require_ranges(_BOX, config or ShapedPhaseConfig())
+        max_rates = config.max_frequency_rate, config.max_amplitude_rate
         period = model.control_period
-        self._shape = config.bandwidth, *max_rates.values(), period
+        self._shape = config.bandwidth, *max_rates, period
         self._frequency, self._amplitude = (
             Smoothing(bandwidth=config.bandwidth, period=period, max_rate=max_rate)
-            for max_rate in max_rates.values()
+            for max_rate in max_rates
         )
         self.DeclareVectorInputPort("parameters", PARAMETERS_SIZE)
         self._plan = self.DeclareVectorInputPort("plan", PLANNED_SIZE)

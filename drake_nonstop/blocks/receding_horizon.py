@@ -34,13 +34,18 @@ from drake_nonstop.optimization.horizon_solver import (
     PlanAnswer,
 )
 from drake_nonstop.optimization.plan import DEGREE, Plan, traced_plan_values
-from drake_nonstop.optimization.problem_config import LimitsConfig, check_limits, check_pattern
+from drake_nonstop.optimization.problem_config import (
+    LimitsConfig,
+    check_limits,
+    check_pattern,
+    points,
+)
 from drake_nonstop.optimization.update_data import Beliefs
 from drake_nonstop.systems.block import weakly
 from drake_nonstop.systems.diagram_trace import At, FastUpdate
 from drake_nonstop.systems.in_context import InContext
 from drake_nonstop.systems.tracing import NotFiniteError
-from drake_nonstop.validation import require
+from drake_nonstop.validation import fulfilling, require
 
 _PREVIEW = "reference_preview"  # an optional input
 _MANY_ITERATIONS = 20  # of a plan that no earlier one leads to
@@ -62,8 +67,10 @@ class RecedingHorizonOptimizerConfig(HorizonConfig, LimitsConfig):
     tightening: float | str = 0.02  # the solver aims at (1 + tightening) ε; "auto": computed
     preview: bool = True  # read the motion ahead; without it the motion goes on as it does
     wind: bool = True  # count the wind that aircraft fly in; without it their ground speed counts
-    max_iterations: int = 2  # quadratic programs of a plan
-    time_limit: float = float("inf")  # s, of wall time, beyond which the plan that exists goes on
+    max_iterations: int = points(2, _MOST_ITERATIONS)  # quadratic programs of a plan
+    time_limit: float = fulfilling(  # s, of wall time, beyond which the plan that exists goes on
+        float("inf"), lambda time: time > 0, "give a time above zero"
+    )
 
     def instant_spacing(self, control_period: float) -> float:
         """As of `LimitsConfig`."""
@@ -203,14 +210,6 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
         check_limits(BOX, config, model)
         check_horizon(BOX, config, config, model)
         check_pattern(BOX, model, "RecedingHorizonOptimizer")
-        require(
-            1 <= config.max_iterations <= _MOST_ITERATIONS,
-            f"{BOX}.max_iterations",
-            config.max_iterations,
-            f"give 1 to {_MOST_ITERATIONS}",
-        )
-        remedy = "give a time above zero"
-        require(config.time_limit > 0, f"{BOX}.time_limit", config.time_limit, remedy)
 
     def begin_anew(self, context: Context) -> None:
         """Lets what has no plan begin with the parameters of the context, its own."""

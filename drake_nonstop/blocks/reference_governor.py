@@ -32,9 +32,11 @@ from drake_nonstop.systems.wiring import input_names, output_names
 from drake_nonstop.validation import (
     ScenarioError,
     StrictFields,
-    is_number,
+    fulfilling,
+    number_with,
+    positive,
     require,
-    require_positive,
+    require_ranges,
     warn_user,
 )
 
@@ -46,9 +48,15 @@ _PREVIEW, _WIND, _LOAD_STATE = "reference_preview", "wind_estimate", "load_state
 class ReferenceGovernorConfig(StrictFields):
     """How far, and how smoothly, a `ReferenceGovernor` slows the load's trajectory down."""
 
-    least_rate: float = 0.2  # of the trajectory's time by real time
-    largest_rate: float = 1.1  # likewise, to catch up afterwards; 1: it stays late
-    change_time: float = 2.0  # s, in which the rate changes by 1 at the fastest
+    least_rate: float = fulfilling(  # of the trajectory's time by real time
+        0.2, lambda rate: 0.01 <= rate <= 1, "give 0.01 to 1"
+    )
+    largest_rate: float = fulfilling(  # likewise, to catch up afterwards; 1: it stays late
+        1.1, lambda rate: 1 <= rate <= 2, "give 1 to 2"
+    )
+    change_time: float = positive(  # s, in which the rate changes by 1 at the fastest
+        2.0, number_with(lambda time: time >= 0.1, "give at least 0.1 s")
+    )
 
 
 class ReferenceGovernor(LeafBlock):
@@ -181,13 +189,7 @@ def governed(
 
 
 def _check(model: Model, config: ReferenceGovernorConfig) -> None:
-    for name, least, most in (("least_rate", 0.01, 1), ("largest_rate", 1, 2)):
-        rate = getattr(config, name)
-        is_rate = is_number(rate) and least <= rate <= most
-        require(is_rate, f"{_FIELD}.{name}", rate, f"give {least:g} to {most:g}")
-    require_positive(_FIELD, change_time=config.change_time)
-    is_long = config.change_time >= 0.1
-    require(is_long, f"{_FIELD}.change_time", config.change_time, "give at least 0.1 s")
+    require_ranges(_FIELD, config)
     require(
         not model.pattern.is_constant,
         _FIELD,

@@ -351,7 +351,7 @@ class SpeedBoundLayer(PeriodicLayer):
 
 def check_bound(highest: float, speed_bound: float, name: str = "speed_bound") -> None:
     """Raises ScenarioError for what is no speed bound, or is not below the highest, both in m/s."""
-    check_speed_bound(BOX, speed_bound, name)
+    check_speed_bound(f"{BOX}.{name}", speed_bound)
     require(
         speed_bound < highest,
         f"{BOX}.{name}",

@@ -22,22 +22,25 @@ from drake_nonstop.optimization.constraints import Constraints
 from drake_nonstop.optimization.problem_config import (
     AircraftLimits,
     SpeedBound,
-    check_count,
+    above_zero,
+    below_one,
     check_flight_limits,
     check_initial,
     check_samples,
     check_speed_bound,
-    require_limit,
+    points,
 )
 from drake_nonstop.optimization.turn_rate import TurnRateSolver, turn_update
 from drake_nonstop.systems.in_context import InContext
 from drake_nonstop.systems.requirements import LoopBlocks
 from drake_nonstop.validation import (
     StrictFields,
+    checked,
+    non_negative,
+    positive,
     require,
-    require_non_negative,
     require_period,
-    require_positive,
+    require_ranges,
 )
 
 _FIXED = (*AIRCRAFT_NUMBERS, "cable_stiffness", OFFSET)
@@ -45,23 +48,24 @@ _FIXED = (*AIRCRAFT_NUMBERS, "cable_stiffness", OFFSET)
 
 @dataclass(kw_only=True)
 class _Turn(StrictFields):
-    speed_bound: SpeedBound = 10.0  # m/s, ε; also "1.4 V_s"
-    tightening: float = 0.01  # the solver aims at (1 + tightening) ε
-    frequency: float = 0.4  # rad/s, ξ at the start
+    speed_bound: SpeedBound = checked(10.0, check_speed_bound)  # m/s, ε; also "1.4 V_s"
+    tightening: float = non_negative(0.01, below_one)  # the solver aims at (1 + tightening) ε
+    frequency: float = positive(0.4)  # rad/s, ξ at the start
     frequency_bounds: list[float] = field(default_factory=lambda: [0.1, 2.0])  # rad/s
-    max_frequency_rate: float = 0.005  # rad/s²
+    max_frequency_rate: float = checked(0.005, above_zero)  # rad/s²
 
 
 @dataclass(kw_only=True)
 class TurnRateOptimizerConfig(AircraftLimits, _Turn):
     """The bound on the airspeed, the limits of the aircraft, and the rate of the turn."""
 
-    max_lift_share: float = 0.85  # of C_Lmax, what aircraft need at most
-    max_bank: float = 0.85  # rad, of aircraft, to either side
-    max_thrust_share: float = 1.0  # of the range of an aircraft's thrust, about its middle
-    anchor_weight: float = 0.0  # of the distance from the initial ξ
-    orbit_points: int = 16  # phases of a turn at which all this holds
-    period: float = 0.04  # s, between updates
+    max_lift_share: float = checked(0.85, above_zero)  # of C_Lmax, what aircraft need at most
+    max_bank: float = checked(0.85, above_zero)  # rad, of aircraft, to either side
+    # of the range of an aircraft's thrust, about its middle
+    max_thrust_share: float = checked(1.0, above_zero)
+    anchor_weight: float = non_negative(0.0)  # of the distance from the initial ξ
+    orbit_points: int = points(16, 64)  # phases of a turn at which all this holds
+    period: float = checked(0.04, require_period)  # s, between updates
 
 
 class TurnRateOptimizer(PeriodicLayer):
@@ -163,13 +167,7 @@ class TurnRateOptimizer(PeriodicLayer):
     @classmethod
     def check(cls, model: Model, config: TurnRateOptimizerConfig) -> None:
         """Raises ScenarioError for a config that cannot be used with the model."""
-        require_positive(BOX, frequency=config.frequency, period=config.period)
-        require_non_negative(BOX, tightening=config.tightening, anchor_weight=config.anchor_weight)
-        require(config.tightening < 1, f"{BOX}.tightening", config.tightening, "give less than 1")
-        require_period(f"{BOX}.period", config.period)
-        check_speed_bound(BOX, config.speed_bound)
-        require_limit(BOX, "max_frequency_rate", config.max_frequency_rate, 0.0)
+        require_ranges(BOX, config)
         check_flight_limits(BOX, config, model.aircraft)
         check_initial(BOX, "frequency", config.frequency, config.frequency_bounds)
-        check_count(BOX, config, "orbit_points", 64)
         check_samples(BOX, config.period, model)

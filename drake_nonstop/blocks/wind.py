@@ -5,7 +5,7 @@ box "carrier_dynamics" have no aerodynamics, and do not feel it.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -26,11 +26,14 @@ from drake_nonstop.systems.block import LeafBlock
 from drake_nonstop.systems.in_context import shown
 from drake_nonstop.validation import (
     StrictFields,
-    is_number,
+    checked,
+    fulfilling,
+    non_negative,
+    number_with,
+    positive,
     require,
     require_array,
-    require_non_negative,
-    require_positive,
+    require_ranges,
     require_seed,
 )
 
@@ -64,26 +67,27 @@ class StillAir(Block):
         return Wind()
 
 
+def _check_velocity(field: str, value: Any) -> None:
+    velocity = require_array(field, value, [3], "m/s, in W")
+    is_wind = np.linalg.norm(velocity) <= _FASTEST
+    require(is_wind, field, value, f"give a velocity of at most {_FASTEST:g} m/s")
+
+
 @dataclass(kw_only=True)
 class _MeanWindFields(StrictFields):  # no config may be below another: YAML could not tell them
     """A velocity, and when it rises."""
 
-    velocity: list[float] = field(default_factory=lambda: [2.0, 0.0, 0.0])  # m/s, in W
-    start_time: float = 0.0  # s, still air before it
-    rise_time: float = 0.0  # s, in which it then rises linearly to the velocity; 0: at once
-    believed: list[float] | None = None  # m/s, in W, wind_estimate; null: the mean wind at the load
+    velocity: list[float] = checked([2.0, 0.0, 0.0], _check_velocity)  # m/s, in W
+    start_time: float = non_negative(0.0)  # s, still air before it
+    # s, in which it then rises linearly to the velocity; 0: at once
+    rise_time: float = non_negative(0.0)
+    # m/s, in W, wind_estimate; null: the mean wind at the load
+    believed: list[float] | None = checked(None, _check_velocity)
 
 
 @dataclass(kw_only=True)
 class SteadyWindConfig(_MeanWindFields):
     """A velocity, and when it rises."""
-
-
-def _checked_velocity(name: str, value: Any) -> NDArray:
-    velocity = require_array(f"{_BOX}.{name}", value, [3], "m/s, in W")
-    is_wind = np.linalg.norm(velocity) <= _FASTEST
-    require(is_wind, f"{_BOX}.{name}", value, f"give a velocity of at most {_FASTEST:g} m/s")
-    return velocity
 
 
 class SteadyWind(LeafBlock):
@@ -98,12 +102,9 @@ class SteadyWind(LeafBlock):
 
     def __init__(self, model: Model, config: _MeanWindFields | None = None):
         super().__init__()
-        config = config or SteadyWindConfig()
-        velocity, believed = _checked_velocity("velocity", config.velocity), None
-        require_non_negative(_BOX, start_time=config.start_time, rise_time=config.rise_time)
-        if config.believed is not None:
-            believed = _checked_velocity("believed", config.believed)
-        mean = MeanWind.of(config, velocity)
+        config = require_ranges(_BOX, config or SteadyWindConfig())
+        believed = None if config.believed is None else np.array(config.believed, float)
+        mean = MeanWind.of(config, np.array(config.velocity, float))
         self._wind = Wind(mean, believed, config.start_time, config.rise_time)
         inputs = (("carrier_state", 6 * model.n), ("load_state", LOAD_STATE_SIZE))
         read = {k: self.DeclareVectorInputPort(k, size) for k, size in inputs if k in self.reads}
@@ -134,13 +135,28 @@ class SteadyWind(LeafBlock):
         return 0.0
 
 
+def _exponent(default: float) -> Any:
+    remedy = f"give at most {_STEEPEST:g}"
+    return non_negative(default, number_with(lambda exponent: exponent <= _STEEPEST, remedy))
+
+
 @dataclass(kw_only=True)
 class _ProfileFields(_MeanWindFields):
     """A velocity, when it rises, and how it grows with the height."""
 
-    exponent: float = 0.14  # of the height; 0.14: open land, 0: the same wind everywhere
-    reference_height: float = 10.0  # m, above the ground, where the wind has the velocity
-    ground_height: float = 0.0  # m, z of the ground in W
+    exponent: float = _exponent(0.14)  # of the height; 0.14: open land, 0: the same wind everywhere
+    reference_height: float = positive(  # m, above the ground, where the wind has the velocity
+        10.0,
+        number_with(
+            lambda height: height >= LOWEST_HEIGHT,
+            f"give at least {LOWEST_HEIGHT:g} m; below that the wind does not change",
+        ),
+    )
+    ground_height: float = fulfilling(  # m, z of the ground in W
+        0.0,
+        lambda height: abs(height) <= _HIGHEST_GROUND,
+        f"give a number of {_HIGHEST_GROUND:g} m at most",
+    )
 
 
 @dataclass(kw_only=True)
@@ -163,21 +179,7 @@ class WindProfile(SteadyWind):
     is_traced = True
 
     def __init__(self, model: Model, config: _ProfileFields | None = None):
-        config = config or WindProfileConfig()
-        super().__init__(model, config)
-        require_non_negative(_BOX, exponent=config.exponent)
-        is_profile = config.exponent <= _STEEPEST
-        require(is_profile, f"{_BOX}.exponent", config.exponent, f"give at most {_STEEPEST:g}")
-        require_positive(_BOX, reference_height=config.reference_height)
-        require(
-            config.reference_height >= LOWEST_HEIGHT,
-            f"{_BOX}.reference_height",
-            config.reference_height,
-            f"give at least {LOWEST_HEIGHT:g} m; below that the wind does not change",
-        )
-        is_height = is_number(config.ground_height) and abs(config.ground_height) <= _HIGHEST_GROUND
-        remedy = f"give a number of {_HIGHEST_GROUND:g} m at most"
-        require(is_height, f"{_BOX}.ground_height", config.ground_height, remedy)
+        super().__init__(model, config or WindProfileConfig())
 
     @property
     def trace_key(self) -> Any:
@@ -191,18 +193,26 @@ class WindProfile(SteadyWind):
         return LoadState.view(at.input("load_state")).position[None]
 
 
+def _deviation(default: float) -> Any:
+    remedy = f"give at most {_FASTEST:g} m/s"
+    return non_negative(default, number_with(lambda deviation: deviation <= _FASTEST, remedy))
+
+
 @dataclass(kw_only=True)
 class GustyWindConfig(_ProfileFields):
     """The mean wind, and the gusts on top of it."""
 
-    velocity: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])  # m/s, in W, the mean
-    exponent: float = 0.0  # of the height; 0.14: open land, 0: the same wind everywhere
-    gust: float = 0.5  # m/s, standard deviation at a carrier, on each horizontal axis
-    vertical_share: float = 0.6  # of that, the standard deviation on the vertical axis
-    gust_length: float = 50.0  # m, correlation length
-    airspeed: float = 15.0  # m/s, at which carriers fly through the gusts
-    load_gust: float = 0.0  # m/s, as gust, of the load's own gusts, which last as long
-    seed: int = 0  # of the gusts
+    velocity: list[float] = checked([0.0, 0.0, 0.0], _check_velocity)  # m/s, in W, the mean
+    exponent: float = _exponent(0.0)  # of the height; 0.14: open land, 0: the same wind everywhere
+    gust: float = _deviation(0.5)  # m/s, standard deviation at a carrier, on each horizontal axis
+    vertical_share: float = non_negative(  # of that, the standard deviation on the vertical axis
+        0.6,
+        number_with(lambda s: s <= 2, "give at most 2, of the horizontal standard deviation"),
+    )
+    gust_length: float = positive(50.0)  # m, correlation length
+    airspeed: float = positive(15.0)  # m/s, at which carriers fly through the gusts
+    load_gust: float = _deviation(0.0)  # m/s, as gust, of the load's own gusts, which last as long
+    seed: int = checked(0, require_seed)  # of the gusts
 
 
 class GustyWind(WindProfile):
@@ -220,18 +230,6 @@ class GustyWind(WindProfile):
     def __init__(self, model: Model, config: GustyWindConfig | None = None):
         config = config or GustyWindConfig()
         super().__init__(model, config)
-        deviations = {"gust": config.gust, "load_gust": config.load_gust}
-        require_non_negative(_BOX, **deviations, vertical_share=config.vertical_share)
-        for name, deviation in deviations.items():
-            remedy = f"give at most {_FASTEST:g} m/s"
-            require(deviation <= _FASTEST, f"{_BOX}.{name}", deviation, remedy)
-        require(
-            config.vertical_share <= 2,
-            f"{_BOX}.vertical_share",
-            config.vertical_share,
-            "give at most 2, of the horizontal standard deviation",
-        )
-        require_positive(_BOX, gust_length=config.gust_length, airspeed=config.airspeed)
         correlation_time = config.gust_length / config.airspeed
         require(
             correlation_time >= _SHORTEST,
@@ -239,7 +237,6 @@ class GustyWind(WindProfile):
             config.gust_length,
             f"give at least {_SHORTEST:g} s times the airspeed, {_SHORTEST * config.airspeed:g} m",
         )
-        require_seed(f"{_BOX}.seed", config.seed)
 
         def waves(number: int) -> Waves:
             random = np.random.default_rng([config.seed, number])

@@ -15,7 +15,15 @@ from drake_nonstop.model.block import Block
 from drake_nonstop.model.block_parameters import AUTO, LOAD, BlockParameters, rigid_load
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import number
-from drake_nonstop.validation import StrictFields, require, require_non_negative, require_positive
+from drake_nonstop.validation import (
+    StrictFields,
+    checked,
+    non_negative,
+    positive,
+    require,
+    require_non_negative,
+    require_ranges,
+)
 
 _BOX = "wrench_controller"
 _FOLLOWED = ("load_mass", "load_inertia", "cable_length", "gravity")  # by gains that are `AUTO`
@@ -65,12 +73,7 @@ class _WrenchPid(Block):
 
     @classmethod
     def check(cls, model: Model, config: Any) -> None:
-        for name, value in asdict(config).items():
-            if isinstance(value, str):
-                remedy = f'give a number, without quotes, or "{AUTO}"'
-                require(value == AUTO, f"{_BOX}.{name}", value, remedy)
-            else:
-                require_non_negative(_BOX, **{name: value})
+        require_ranges(_BOX, config)
 
     def constants(self, model: Model, config: Any) -> dict[str, Any]:
         return {"law": self.law}
@@ -116,23 +119,36 @@ def _following(numbers: Mapping[str, Any]) -> dict[str, Any]:
     return load_gains(numbers["load_mass"], least, numbers["cable_length"], numbers["gravity"])
 
 
+def _check_gain(field: str, value: Any) -> None:
+    if isinstance(value, str):
+        require(value == AUTO, field, value, f'give a number, without quotes, or "{AUTO}"')
+    else:
+        require_non_negative(field, value)
+
+
+def _gain() -> Any:
+    """A field of a gain that follows from load and cables where it is not given."""
+    return checked(AUTO, _check_gain)
+
+
 @dataclass(kw_only=True)
 class _Gains(StrictFields):
     """The gains."""
 
-    position_gain: float | str = AUTO  # N/m, K_p; auto: by mass and cables
-    velocity_gain: float | str = AUTO  # N s/m, K_v; auto: by mass and cables
-    position_integral_gain: float | str = AUTO  # N/(m s), K_i; auto: by mass and cables
-    orientation_gain: float | str = AUTO  # N m, K_R; auto: by inertia and cables
-    angular_velocity_gain: float | str = AUTO  # N m s, K_omega; auto: by inertia and cables
-    orientation_integral_gain: float | str = AUTO  # N m/s, K_iR; auto: by inertia and cables
+    position_gain: float | str = _gain()  # N/m, K_p; auto: by mass and cables
+    velocity_gain: float | str = _gain()  # N s/m, K_v; auto: by mass and cables
+    position_integral_gain: float | str = _gain()  # N/(m s), K_i; auto: by mass and cables
+    orientation_gain: float | str = _gain()  # N m, K_R; auto: by inertia and cables
+    angular_velocity_gain: float | str = _gain()  # N m s, K_omega; auto: by inertia and cables
+    orientation_integral_gain: float | str = _gain()  # N m/s, K_iR; auto: by inertia and cables
 
 
 @dataclass(kw_only=True)
 class WrenchControllerConfig(_Gains):
     """The gains, and the feedforward that the paper's equations leave out."""
 
-    feedforward: float = 1.0  # weight of the reference's own wrench; 0: as in the paper
+    # weight of the reference's own wrench; 0: as in the paper
+    feedforward: float = non_negative(1.0)
 
 
 class WrenchController(_WrenchPid):
@@ -155,7 +171,8 @@ class WrenchController(_WrenchPid):
 class PaperWrenchControllerConfig(_Gains):
     """The gains."""
 
-    feedforward: float = 0.0  # weight of the reference's own wrench; 0: as in the paper
+    # weight of the reference's own wrench; 0: as in the paper
+    feedforward: float = non_negative(0.0)
 
 
 class PaperWrenchController(_WrenchPid):
@@ -186,10 +203,10 @@ class PaperWrenchController(_WrenchPid):
 class GeometricPdConfig(StrictFields):
     """The gains but for those of the integrals."""
 
-    position_gain: float | str = AUTO  # N/m, K_p; auto: by mass and cables
-    velocity_gain: float | str = AUTO  # N s/m, K_v; auto: by mass and cables
-    orientation_gain: float | str = AUTO  # N m, K_R; auto: by inertia and cables
-    angular_velocity_gain: float | str = AUTO  # N m s, K_omega; auto: by inertia and cables
+    position_gain: float | str = _gain()  # N/m, K_p; auto: by mass and cables
+    velocity_gain: float | str = _gain()  # N s/m, K_v; auto: by mass and cables
+    orientation_gain: float | str = _gain()  # N m, K_R; auto: by inertia and cables
+    angular_velocity_gain: float | str = _gain()  # N m s, K_omega; auto: by inertia and cables
 
 
 class GeometricPd(_WrenchPid):
@@ -215,13 +232,14 @@ class GeometricPd(_WrenchPid):
 class TunedWrenchControllerConfig(StrictFields):
     """The desired poles of the error, exact on cables without dynamics."""
 
-    position_frequency: float = 2.0  # rad/s, natural frequency
-    position_damping: float = 0.8  # damping ratio
-    position_integral_rate: float = 0.2  # rad/s, of the pole that the integral adds
-    orientation_frequency: float = 5.0  # rad/s, natural frequency
-    orientation_damping: float = 0.8  # damping ratio
-    orientation_integral_rate: float = 0.2  # rad/s, of the pole that the integral adds
-    feedforward: float = 1.0  # weight of the reference's own wrench
+    position_frequency: float = positive(2.0)  # rad/s, natural frequency
+    position_damping: float = non_negative(0.8)  # damping ratio
+    position_integral_rate: float = non_negative(0.2)  # rad/s, of the pole that the integral adds
+    orientation_frequency: float = positive(5.0)  # rad/s, natural frequency
+    orientation_damping: float = non_negative(0.8)  # damping ratio
+    # rad/s, of the pole that the integral adds
+    orientation_integral_rate: float = non_negative(0.2)
+    feedforward: float = non_negative(1.0)  # weight of the reference's own wrench
 
 
 class TunedWrenchController(_WrenchPid):
@@ -265,11 +283,6 @@ class TunedWrenchController(_WrenchPid):
     @classmethod
     def check(cls, model: Model, config: TunedWrenchControllerConfig) -> None:
         super().check(model, config)
-        require_positive(
-            _BOX,
-            position_frequency=config.position_frequency,
-            orientation_frequency=config.orientation_frequency,
-        )
         gains = cls.law(model.load, **asdict(config))
         for name, damping in (
             ("position", gains["velocity_gain"]),

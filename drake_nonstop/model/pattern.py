@@ -24,11 +24,14 @@ from drake_nonstop.mechanics.internal_force import (
 )
 from drake_nonstop.validation import (
     StrictFields,
-    is_number,
+    checked,
+    non_negative,
+    number_with,
+    positive,
     require,
     require_array,
-    require_non_negative,
-    require_positive,
+    require_ranges,
+    whole,
 )
 
 _MIN_SINE = 1e-3  # of an angle that counts as different from zero
@@ -132,7 +135,7 @@ class SpreadCarouselConfig(StrictFields):
     (`optimization_layer.amplitude_bounds`).
     """
 
-    spread: float = 2.5  # N, the constant outward pull C of every cable
+    spread: float = positive(2.5)  # N, the constant outward pull C of every cable
 
     def make(self, attachments: NDArray) -> InternalForcePattern:
         """The pattern for attachments (n, 3) in L.
@@ -140,7 +143,7 @@ class SpreadCarouselConfig(StrictFields):
         Raises:
             ScenarioError: the spread is not positive, or as `check_pattern`.
         """
-        require_positive("pattern", spread=self.spread)
+        require_ranges("pattern", self)
         attachments = _checked(attachments)
         wheel = CarouselConfig().make(attachments)
         return InternalForcePattern(wheel.basis, wheel.phases, self.spread * spread(attachments))
@@ -148,6 +151,9 @@ class SpreadCarouselConfig(StrictFields):
 
 _MAX_TURNS = 100
 _MAX_SIZE = 1e6
+_check_size = number_with(
+    lambda size: abs(size) <= _MAX_SIZE, f"give a number of at most {_MAX_SIZE:g}"
+)
 _ELLIPSE = ("radial", "tangential", "vertical", "second_harmonic")  # whose sizes are times A
 
 
@@ -172,14 +178,22 @@ class EllipticCarouselConfig(StrictFields):
     2κ ≢ −2 and 2κ ≢ −1. For other attachments they are projected on the null space.
     """
 
-    spread: float = 2.5  # N, the constant outward pull C of every cable
-    phase_turns: int = -2  # κ: turns of the phase in one round of the attachments
-    radial: float = 1.0  # A_r / A
-    tangential: float = 1.0  # A_t / A
-    vertical: float = 0.0  # B / A
-    second_harmonic: float = 0.0  # h: its horizontal force / A
+    spread: float = non_negative(2.5)  # N, the constant outward pull C of every cable
+    # κ: turns of the phase in one round of the attachments
+    phase_turns: int = whole(-2, -_MAX_TURNS, _MAX_TURNS)
+    radial: float = checked(1.0, _check_size)  # A_r / A
+    tangential: float = checked(  # A_t / A
+        1.0,
+        _check_size,
+        number_with(
+            lambda size: size != 0,
+            "give another number than 0: a carrier that swings on a line would stop",
+        ),
+    )
+    vertical: float = checked(0.0, _check_size)  # B / A
+    second_harmonic: float = non_negative(0.0, _check_size)  # h: its horizontal force / A
     # rad, of the flight that it makes the fastest, from x to y in L: that of the wind
-    second_harmonic_direction: float = 0.0
+    second_harmonic_direction: float = checked(0.0, _check_size)
 
     def make(self, attachments: NDArray) -> InternalForcePattern:
         """The pattern for attachments (n, 3) in L.
@@ -191,22 +205,8 @@ class EllipticCarouselConfig(StrictFields):
         """
         attachments = _checked(attachments)
         _require_directions(attachments)
-        require_non_negative("pattern", spread=self.spread, second_harmonic=self.second_harmonic)
-        turns = self.phase_turns
-        is_whole = isinstance(turns, int) and not isinstance(turns, bool)
-        require(
-            is_whole and abs(turns) <= _MAX_TURNS,
-            "pattern.phase_turns",
-            turns,
-            f"give a whole number from -{_MAX_TURNS} to {_MAX_TURNS}",
-        )
-        for name in (*_ELLIPSE, "second_harmonic_direction"):
-            value = getattr(self, name)
-            is_usable = is_number(value) and abs(value) <= _MAX_SIZE
-            require(is_usable, f"pattern.{name}", value, f"give a number of at most {_MAX_SIZE:g}")
-        remedy = "give another number than 0: a carrier that swings on a line would stop"
-        require(self.tangential != 0, "pattern.tangential", self.tangential, remedy)
-        n = len(attachments)
+        require_ranges("pattern", self)
+        n, turns = len(attachments), self.phase_turns
         sizes = {name: getattr(self, name) for name in _ELLIPSE}
         if not self._suits(n, turns, sizes):
             require(False, "pattern.phase_turns", turns, _remedy(self, n, sizes))
@@ -288,7 +288,7 @@ class ConstantSpreadConfig(StrictFields):
     `optimization_layer`, which has to be `ConstantParameters`, is 0.
     """
 
-    spread: float = 2.5  # N, the constant outward pull C of every cable
+    spread: float = positive(2.5)  # N, the constant outward pull C of every cable
 
     def make(self, attachments: NDArray) -> InternalForcePattern:
         """The pattern for attachments (n, 3) in L.
@@ -296,7 +296,7 @@ class ConstantSpreadConfig(StrictFields):
         Raises:
             ScenarioError: the spread is not positive, or an attachment is in the middle of all.
         """
-        require_positive("pattern", spread=self.spread)
+        require_ranges("pattern", self)
         attachments = _checked(attachments)
         _require_directions(attachments)
         nothing = np.zeros((attachments.size, 1))

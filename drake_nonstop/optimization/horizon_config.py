@@ -9,18 +9,19 @@ from drake_nonstop.optimization.plan import DEGREE
 from drake_nonstop.optimization.problem_config import LimitsConfig
 from drake_nonstop.validation import (
     non_negative,
+    number_with,
     positive,
     require,
     require_period,
     require_ranges,
+    require_whole,
+    whole,
 )
 
 _LEAST_INSTANTS = 16  # in a turn
 _MOST_INSTANTS = 20000  # in a horizon
 _MOST_INTERVALS = 200
 _MOST_SMOOTHING = 10.0  # intervals; its sixth power is in the cost
-_LEAST_PHASES, _MOST_PHASES = 8, 360
-_MOST_AMPLITUDES = 1000
 _WHOLE = 1e-6  # how far from a whole number a ratio of times may be
 _Horizon = TypeVar("_Horizon", bound="HorizonConfig")
 
@@ -37,10 +38,16 @@ class HorizonConfig:
     instants: int = 20  # between two knots, at which the carriers' flight is constrained
     terminal_knots: int = 4  # of the last part, in which all phases of the orbit are constrained
     terminal_instants: int = 2  # of it, between two knots
-    terminal_phases: int = 24  # of the orbit
-    terminal_amplitudes: int = 33  # of the table
+    terminal_phases: int = whole(24, 8, 360)  # of the orbit
+    terminal_amplitudes: int = whole(33, 2, 1000)  # of the table
     amplitude_weight: float = positive(4.0)  # w_A
-    smoothing: float = positive(0.4)  # τ, in intervals between knots
+    smoothing: float = positive(  # τ, in intervals between knots
+        0.4,
+        number_with(
+            lambda time: time <= _MOST_SMOOTHING,
+            f"give at most {_MOST_SMOOTHING:g} intervals between knots",
+        ),
+    )
     slack_weight: float = positive(100.0)  # ρ
     fixed_coefficients: int = 4  # the first of ξ and A: 4 for three continuous rates
     overshoot: float = non_negative(0.35)  # of a carrier's velocity, of a jump of the plan's
@@ -79,21 +86,19 @@ def check_horizon(box: str, config: HorizonConfig, limits: LimitsConfig, model: 
         model: what the controllers believe.
     """
     require_ranges(box, config)
-    is_smooth = config.smoothing <= _MOST_SMOOTHING
-    remedy = f"give at most {_MOST_SMOOTHING:g} intervals between knots"
-    require(is_smooth, f"{box}.smoothing", config.smoothing, remedy)
     times = timed(config, limits.frequency, model.control_period)
     turn = 2 * math.pi / limits.frequency
     _check_spacing(box, times.knot_spacing, model.control_period)
     _check_horizon(box, config.horizon, times, turn)
     intervals = round(times.horizon / times.knot_spacing)
     least = math.ceil(_LEAST_INSTANTS * times.knot_spacing / turn - _WHOLE)
-    _check_whole(box, config, "instants", least, max(_MOST_INSTANTS // intervals, least))
-    _check_whole(box, config, "terminal_knots", 1, intervals)
-    _check_whole(box, config, "terminal_instants", 1, config.instants)
-    _check_whole(box, config, "terminal_phases", _LEAST_PHASES, _MOST_PHASES)
-    _check_whole(box, config, "terminal_amplitudes", 2, _MOST_AMPLITUDES)
-    _check_whole(box, config, "fixed_coefficients", DEGREE, intervals + DEGREE - 1)
+    for name, low, high in (
+        ("instants", least, max(_MOST_INSTANTS // intervals, least)),
+        ("terminal_knots", 1, intervals),
+        ("terminal_instants", 1, config.instants),
+        ("fixed_coefficients", DEGREE, intervals + DEGREE - 1),
+    ):
+        require_whole(f"{box}.{name}", getattr(config, name), low, high)
 
 
 def _check_spacing(box: str, spacing: float, control_period: float) -> None:
@@ -141,13 +146,3 @@ def _check_horizon(box: str, given: float, config: HorizonConfig, turn: float) -
 
 def _multiple(spacing: float, count: int) -> str:
     return f"{count * spacing:.10g}"
-
-
-def _check_whole(box: str, config: HorizonConfig, name: str, least: int, most: int) -> None:
-    value = getattr(config, name)
-    require(
-        isinstance(value, int) and not isinstance(value, bool) and least <= value <= most,
-        f"{box}.{name}",
-        value,
-        f"give {least}" if least == most else f"give a whole number from {least} to {most}",
-    )

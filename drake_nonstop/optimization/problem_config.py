@@ -15,8 +15,11 @@ from drake_nonstop.validation import (
     StrictFields,
     checked,
     fields_of,
+    fulfilling,
     is_number,
     non_negative,
+    number_with,
+    one_of,
     positive,
     require,
     require_array,
@@ -37,28 +40,47 @@ else:
     SpeedBound = float | str
 
 
+def check_speed_bound(field: str, speed_bound: Any) -> None:
+    """Raises ScenarioError for what is no speed bound (m/s); a text is checked by its meaning."""
+    is_bound = is_number(speed_bound) and speed_bound >= LEAST_BOUND
+    remedy = f"give 0 (no bound) or at least {LEAST_BOUND:g} m/s"
+    require(speed_bound == 0 or is_bound, field, speed_bound, remedy)
+
+
+def points(default: int, most: int, one: str = "") -> Any:
+    """A field of a number of points; `one` says what 1 stands for."""
+    remedy = f"give 1{one} to {most}"
+    return fulfilling(default, lambda n: isinstance(n, int) and 1 <= n <= most, remedy)
+
+
+below_one = number_with(lambda share: share < 1, "give less than 1")
+above_zero = number_with(lambda x: x > 0, "give a number greater than 0, or .inf for no limit")
+
+
 @dataclass(kw_only=True)
 class AircraftLimits(StrictFields):
     """What limits the flight of aircraft: the rows of `optimization.limits` that are of them."""
 
-    max_lift_share: float = math.inf  # of C_Lmax, what aircraft need at most
-    max_bank: float = math.inf  # rad, of aircraft, to either side
-    max_climb: float = math.inf  # rad, of aircraft, up or down
-    max_thrust_share: float = math.inf  # of the range of an aircraft's thrust, about its middle
+    max_lift_share: float = checked(math.inf, above_zero)  # of C_Lmax, what aircraft need at most
+    max_bank: float = checked(math.inf, above_zero)  # rad, of aircraft, to either side
+    max_climb: float = checked(math.inf, above_zero)  # rad, of aircraft, up or down
+    # of the range of an aircraft's thrust, about its middle
+    max_thrust_share: float = checked(math.inf, above_zero)
 
 
 @dataclass(kw_only=True)
 class _BoundAndLimits(StrictFields):
-    speed_bound: SpeedBound = 0.2  # m/s, ε; of aircraft also "1.4 V_s"
+    speed_bound: SpeedBound = checked(0.2, check_speed_bound)  # m/s, ε; of aircraft also "1.4 V_s"
     tightening: float | str = 0.01  # the solver aims at (1 + tightening) ε; "auto": computed
     speed_margin: float = non_negative(0.0)  # m/s above ε that "auto" aims at; 0: computed
-    model_error: float = non_negative(0.0)  # of the load's weight, by which its wrench may be off
+    # of the load's weight, by which its wrench may be off
+    model_error: float = non_negative(0.0, below_one)
     frequency: float = positive(2.0)  # rad/s, ξ at the start
     amplitude: float = positive(1.2)  # N, A at the start
     frequency_bounds: list[float] = field(default_factory=lambda: [0.1, 20.0])  # rad/s
     amplitude_bounds: list[float] = field(default_factory=list)  # N; none: from the load's weight
-    max_frequency_rate: float = math.inf  # rad/s²
-    max_amplitude_rate: float = math.inf  # N/s
+    max_frequency_rate: float = checked(math.inf, above_zero)  # rad/s²
+    max_amplitude_rate: float = checked(math.inf, above_zero)  # N/s
     max_speed: float = math.inf  # m/s, of a carrier
     min_tension: float = 0.0  # N; 0: any
     max_tension: float = math.inf  # N
@@ -83,17 +105,23 @@ class LimitsConfig(AircraftLimits, _BoundAndLimits):
 class NonstopProblemConfig(LimitsConfig):
     """The bound, the problem of eqs. 24-26 and how it is solved."""
 
-    look_ahead_points: int = 2  # instants from now to the next update; 1: now, as in the paper
+    # instants from now to the next update; 1: now, as in the paper
+    look_ahead_points: int = points(2, 50, " (the instant of the update only)")
     look_ahead_time: float = non_negative(0.08)  # s, from the next update to the orbit ahead
-    orbit_points: int = 16  # phases of the orbit ahead; 1: the present one, as in the paper
+    # phases of the orbit ahead; 1: the present one, as in the paper
+    orbit_points: int = points(16, 64, " (the present phase only)")
     orbit_updates: int = 4  # successive updates that share these phases
-    load_motion: str = "desired"  # of the carriers; "desired", or "measured" as in the paper
+    load_motion: str = checked(  # of the carriers; "desired", or "measured" as in the paper
+        "desired", one_of(("desired", "measured"), 'give "desired" or "measured"')
+    )
     internal_force_weight: float = non_negative(1.0)  # w_pos of eq. 26
     internal_force_rate_weight: float = non_negative(1.0)  # w_vel of eq. 26
     anchor_weight: float = non_negative(0.0)  # of the distance from the initial ξ and A, at rest
     period: float = checked(0.01, require_period)  # s, between updates
     change_time: float = positive(2.0)  # s, in which a bound set during a run takes effect
-    solver: str = "search"  # "search", "grid", "snopt", "ipopt" or "nlopt"
+    solver: str = checked(  # "search", "grid", "snopt", "ipopt" or "nlopt"
+        "search", one_of(_SOLVERS, f"give one of {', '.join(_SOLVERS)}")
+    )
     global_search: bool = True  # compare what snopt, ipopt or nlopt finds with the search
 
     def instant_spacing(self, control_period: float) -> float:
@@ -193,30 +221,19 @@ def highest_speed_bound(config: LimitsConfig) -> float:
     return limit - margin if own == 0 or own + margin > limit else limit / (1 + margin / own)
 
 
-def check_speed_bound(box: str, speed_bound: float, name: str = "speed_bound") -> None:
-    """Raises ScenarioError for what is no speed bound (m/s), by the `name` it has in its `box`."""
-    require(
-        speed_bound == 0 or (is_number(speed_bound) and speed_bound >= LEAST_BOUND),
-        f"{box}.{name}",
-        speed_bound,
-        f"give 0 (no bound) or at least {LEAST_BOUND:g} m/s",
-    )
-
-
 def check_limits(box: str, config: LimitsConfig, model: Model) -> None:
     """Raises ScenarioError for the first limit, of the config's `box`, that cannot be used."""
     if isinstance(config.tightening, str):
         remedy = f'give a number, without quotes, or "{AUTO}"'
         require(config.tightening == AUTO, f"{box}.tightening", config.tightening, remedy)
     least = {limit.field: limit.stated(config) for limit in LIMITS if limit.is_least}
-    require_non_negative(box, tightening=limit_tightening(config), **least)
+    for name, value in {"tightening": limit_tightening(config), **least}.items():
+        require_non_negative(f"{box}.{name}", value)
     require_ranges(box, config)
-    require(config.model_error < 1, f"{box}.model_error", config.model_error, "give less than 1")
     remedy = f"give {box}.tightening: {AUTO}, which alone aims at it, or leave it out"
     for name in ("speed_margin", "model_error"):
         value = getattr(config, name)
         require(value == 0 or config.tightening == AUTO, f"{box}.{name}", value, remedy)
-    check_speed_bound(box, config.speed_bound)
     _check_ratios(box, config)
     check_flight_limits(box, config, model.aircraft)
     for name, start, bounds in (
@@ -229,7 +246,11 @@ def check_limits(box: str, config: LimitsConfig, model: Model) -> None:
 def check_problem(box: str, config: NonstopProblemConfig, model: Model) -> None:
     """Raises ScenarioError for the first field, of the config's `box`, that cannot be used."""
     check_limits(box, config, model)
-    _check_choices(box, config)
+    updates, points = config.orbit_updates, config.orbit_points
+    is_divisor = isinstance(updates, int) and updates >= 1 and points % updates == 0
+    is_used = points > 1 or not isinstance(updates, int) or updates < 1
+    remedy = f"give a whole number that divides orbit_points = {points}"
+    require(is_divisor or not is_used, f"{box}.orbit_updates", updates, remedy)
     check_pattern(box, model, "NonstopOptimizer")
     check_samples(box, config.period, model)
 
@@ -244,13 +265,6 @@ def check_samples(box: str, period: float, model: Model) -> None:
             period,
             f"give a multiple of the control period {model.control_period}",
         )
-
-
-def check_count(box: str, config: Any, name: str, most: int, one: str = "") -> None:
-    """Raises ScenarioError for what is no number of points; `one` says what 1 stands for."""
-    value = getattr(config, name)
-    is_count = isinstance(value, int) and 1 <= value <= most
-    require(is_count, f"{box}.{name}", value, f"give 1{one} to {most}")
 
 
 def check_initial(box: str, name: str, start: float, bounds: Any) -> None:
@@ -275,8 +289,6 @@ def _check_ratios(box: str, config: LimitsConfig) -> None:
         )
     tightening = limit_tightening(config)
     require(tightening < 1, f"{box}.tightening", config.tightening, "give less than 1")
-    for name in ("max_frequency_rate", "max_amplitude_rate"):
-        require_limit(box, name, getattr(config, name), 0.0)
     for limit in LIMITS:
         if not (limit.is_least or limit.is_of_aircraft):
             require_limit(box, limit.field, limit.stated(config), _least_room(limit, config))
@@ -302,38 +314,12 @@ def check_flight_limits(box: str, config: AircraftLimits, aircraft: Aircraft | N
     """Raises ScenarioError for the first limit of aircraft that cannot be."""
     for limit in limits_of(Of.FLIGHT):
         value = getattr(config, limit.field)
-        require_limit(box, limit.field, value, 0.0)
         if value == math.inf:
             continue
         remedy = "it limits aircraft, and system.aircraft is none; give .inf for no limit"
         require(aircraft is not None, f"{box}.{limit.field}", value, remedy)
         remedy = f"give at most {limit.largest:.4g}, or .inf for no limit"
         require(value <= limit.largest, f"{box}.{limit.field}", value, remedy)
-
-
-def _check_choices(box: str, config: NonstopProblemConfig) -> None:
-    check_count(box, config, "look_ahead_points", 50, " (the instant of the update only)")
-    check_count(box, config, "orbit_points", 64, " (the present phase only)")
-    require(
-        isinstance(config.orbit_updates, int)
-        and config.orbit_updates >= 1
-        and (config.orbit_points == 1 or config.orbit_points % config.orbit_updates == 0),
-        f"{box}.orbit_updates",
-        config.orbit_updates,
-        f"give a whole number that divides orbit_points = {config.orbit_points}",
-    )
-    require(
-        config.load_motion in ("desired", "measured"),
-        f"{box}.load_motion",
-        config.load_motion,
-        'give "desired" or "measured"',
-    )
-    require(
-        config.solver in _SOLVERS,
-        f"{box}.solver",
-        config.solver,
-        f"give one of {', '.join(_SOLVERS)}",
-    )
 
 
 def check_pattern(box: str, model: Model, block: str) -> None:

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from drake_nonstop.validation import StrictFields, checked, fulfilling, positive, require
+from drake_nonstop.validation import StrictFields, checked, fulfilling, positive, require, whole
 
 
 def _check_colour(field: str, value: Any) -> None:
@@ -68,8 +68,4 @@ class SceneConfig(StrictFields):
     bar_radius: float = positive(0.022)  # of the load's radius, but at least two cable radii
     trail_radius: float = positive(0.0025)  # of the reach
     trail_time: float = positive(10.0)  # of √(reach/gravity), until a trail has faded
-    trail_pieces: int = fulfilling(  # of one trail, each of constant opacity
-        40,
-        lambda count: isinstance(count, int) and 2 <= count <= 1000,
-        "give a whole number from 2 to 1000",
-    )
+    trail_pieces: int = whole(40, 2, 1000)  # of one trail, each of constant opacity

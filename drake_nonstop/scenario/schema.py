@@ -306,15 +306,17 @@ def check(scenario: Scenario) -> None:
         )
         require(not value, f"{owner}.{name}", value, remedy)
     duration, period = scenario.simulation_duration, scenario.control_period
-    require_positive(scenario.name, simulation_duration=duration)
+    require_positive(f"{scenario.name}.simulation_duration", duration)
     is_seed = 0 <= seed <= _LARGEST_SEED
     require(is_seed, f"{scenario.name}.random_seed", seed, f"give 0 to {_LARGEST_SEED}")
     require_ranges("limits", scenario.limits)
     remedy = f"give {', '.join(ENGINES[:-1])} or {ENGINES[-1]}"
     require(scenario.engine in ENGINES, "engine", scenario.engine, remedy)
     owner, config = "simulator_config", scenario.simulator_config
-    require_positive(owner, max_step_size=config.max_step_size, accuracy=config.accuracy)
-    require_non_negative(owner, target_realtime_rate=config.target_realtime_rate)
+    for name in ("max_step_size", "accuracy"):
+        require_positive(f"{owner}.{name}", getattr(config, name))
+    rate = config.target_realtime_rate
+    require_non_negative(f"{owner}.target_realtime_rate", rate)
     remedy = "give at least 1e-5 s, or the run would not come to an end"
     step = config.max_step_size
     require(step >= 1e-5, f"{owner}.max_step_size", step, remedy)

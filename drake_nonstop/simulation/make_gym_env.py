@@ -40,7 +40,7 @@ def make_gym_env(
     require_installed("make_gym_env", gymnasium="drake-nonstop[gym]")
     check(scenario)
     require_known(action, _NAMES, "action", action)
-    require_positive("make_gym_env", time_step=time_step)
+    require_positive("make_gym_env.time_step", time_step)
     require(reward is None or callable(reward), "reward", reward, "give a function, or None")
     from drake_nonstop.simulation.gym_environment import NonstopEnv
 

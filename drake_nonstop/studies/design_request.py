@@ -1,7 +1,7 @@
 """What a formation of aircraft is to be designed for."""
 
 import inspect
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from drake_nonstop.mechanics.aircraft import Aircraft
 from drake_nonstop.model.aircraft import AircraftParameters, make_aircraft
 from drake_nonstop.model.system import checked_inertia
 from drake_nonstop.optimization.formation_program import KINDS
-from drake_nonstop.optimization.problem_config import AircraftLimits, check_flight_limits
+from drake_nonstop.optimization.problem_config import AircraftLimits, check_flight_limits, points
 from drake_nonstop.scenario.commented import commented_fields
 from drake_nonstop.scenario.overrides import parse_override
 from drake_nonstop.scenario.schema import check_name
@@ -21,31 +21,40 @@ from drake_nonstop.scenario.tree import filled
 from drake_nonstop.scenario.yaml_text import dump_plain, parse_plain
 from drake_nonstop.validation import (
     StrictFields,
+    checked,
+    fulfilling,
+    non_negative,
+    positive,
     read_text,
     require,
     require_array,
     require_fields,
     require_known,
-    require_non_negative,
-    require_positive,
+    require_ranges,
     require_seed,
+    vector,
 )
 
 GRAVITY = 9.81  # m/s²
 _CABLES = (1.0, 5000.0)  # m
-# What a formation can have to do with, far beyond any that was flown: the least and the largest.
-_RANGES = {
-    "load_mass": (1e-3, 1e5, "kg"),
-    "load_radius": (1e-3, 1e3, "m"),
-    "load_drag": (0.0, 1e4, "N s/m"),
-    "cable_stiffness": (1e-2, 1e7, "N/m"),
-    "cable_damping": (0.0, 1e6, "N s/m"),
-    "wind": (0.0, 100.0, "m/s"),
-    "displacement": (0.0, 1e6, "m"),
-}
 _WAY_TIMES = (1.0, 36000.0)  # s, the way's length by the largest speed
 _MOST_CARRIERS = 12
-_MOST_STARTS = 100
+_LIMITS = FlightEnvelope()
+
+
+def _within(low: float, high: float, unit: str) -> Callable[[str, Any], None]:
+    """A check of what a formation can have to do with, far beyond any that was flown."""
+
+    def check(field: str, value: Any) -> None:
+        size = np.linalg.norm(value) if isinstance(value, list) else value
+        require(low <= size <= high, field, value, f"give {low:g} to {high:g} {unit}")
+
+    return check
+
+
+def _below(default: float, limit: float) -> Any:
+    remedy = f"give a number above 0 and below {limit:.3g}, the limit"
+    return fulfilling(default, lambda value: 0 < value < limit, remedy)
 
 
 @dataclass(kw_only=True)
@@ -57,24 +66,36 @@ class _Asked(StrictFields):
     )
     carriers: list[int] = field(default_factory=lambda: [3, 4, 5, 6])  # numbers to be tried
     kinds: list[str] = field(default_factory=lambda: [*KINDS])  # leaning, co_rotating
-    load_mass: float = 10.0  # kg
-    load_radius: float = 1.5  # m, of the circle through the attachments
+    load_mass: float = checked(10.0, _within(1e-3, 1e5, "kg"))  # kg
+    # m, of the circle through the attachments
+    load_radius: float = checked(1.5, _within(1e-3, 1e3, "m"))
     load_inertia: list[list[float]] | None = None  # kg m², in L; none: a disc of that radius
-    load_drag: float = 0.6  # N s/m
+    load_drag: float = checked(0.6, _within(0.0, 1e4, "N s/m"))  # N s/m
     cable_length: list[float] = field(default_factory=lambda: [60.0, 200.0])  # m, least and largest
-    cable_stiffness: float = 120.0  # N/m
-    cable_damping: float = 2.0  # N s/m
-    wind: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])  # m/s, in W
-    displacement: list[float] = field(default_factory=lambda: [50.0, 0.0, 0.0])  # m, of the load
-    speed: float = 1.25  # m/s, the load's largest on the way; 0: it rests
-    separation: float = 12.0  # m, of any two carriers, at least
-    lift_share: float = 0.8  # of C_Lmax, at most; less than where a controller saturates
-    speed_share: float = 1.25  # of the stall speed, at least; more than where thrust is added
-    bank: float = 0.75  # rad, at most; less than where a controller saturates
-    climb: float = 0.45  # rad, up or down at most; a formation beyond 0.52 is refused
-    thrust_reserve: float = 0.1  # of the range of thrust at an airspeed, kept at both of its ends
-    starts: int = 4  # of the search for each number of carriers and kind
-    seed: int = 0  # of the starts
+    cable_stiffness: float = checked(120.0, _within(1e-2, 1e7, "N/m"))  # N/m
+    cable_damping: float = checked(2.0, _within(0.0, 1e6, "N s/m"))  # N s/m
+    # m/s, in W
+    wind: list[float] = vector([0.0, 0.0, 0.0], "m/s, in W", _within(0.0, 100.0, "m/s"))
+    # m, of the load
+    displacement: list[float] = vector([50.0, 0.0, 0.0], "m, in W", _within(0.0, 1e6, "m"))
+    speed: float = non_negative(1.25)  # m/s, the load's largest on the way; 0: it rests
+    separation: float = positive(12.0)  # m, of any two carriers, at least
+    # of C_Lmax, at most; less than where a controller saturates
+    lift_share: float = _below(0.8, _LIMITS.lift_share)
+    # of the stall speed, at least; more than where thrust is added
+    speed_share: float = fulfilling(
+        1.25,
+        lambda share: _LIMITS.speed_share < share <= 10,
+        f"give a number above {_LIMITS.speed_share:g}, the limit, up to 10",
+    )
+    # rad, at most; less than where a controller saturates
+    bank: float = _below(0.75, _LIMITS.bank)
+    # rad, up or down at most; a formation beyond 0.52 is refused
+    climb: float = _below(0.45, _LIMITS.climb)
+    # of the range of thrust at an airspeed, kept at both of its ends
+    thrust_reserve: float = _below(0.1, 0.5)
+    starts: int = points(4, 100)  # of the search for each number of carriers and kind
+    seed: int = checked(0, require_seed)  # of the starts
 
 
 @dataclass(kw_only=True)
@@ -107,14 +128,8 @@ class DesignRequest(AircraftLimits, _Asked):
         for name in ("carriers", "kinds"):
             values = getattr(self, name)
             need(len(set(values)) == len(values), name, "give each of them once")
-        require_positive("request", separation=self.separation, thrust_reserve=self.thrust_reserve)
-        require_non_negative("request", speed=self.speed)
-        require_array("request.wind", self.wind, [3], "m/s, in W")
-        way = require_array("request.displacement", self.displacement, [3], "m, in W")
-        for name, (low, high, unit) in _RANGES.items():
-            value = getattr(self, name)
-            size = np.linalg.norm(value) if isinstance(value, list) else value
-            need(low <= size <= high, name, f"give {low:g} to {high:g} {unit}")
+        require_ranges("request", self)
+        way = np.array(self.displacement, float)
         short, long = require_array("request.cable_length", self.cable_length, [2], "m, in order")
         remedy = "give the least and the largest, above zero, in this order"
         need(0 < short <= long, "cable_length", remedy)
@@ -130,19 +145,6 @@ class DesignRequest(AircraftLimits, _Asked):
             slow, fast = (float(np.linalg.norm(way)) / time for time in _WAY_TIMES[::-1])
             remedy = f"give {slow:.2g} to {fast:.2g}, for the length of the way, or 0 for none"
             need(slow <= self.speed <= fast, "speed", remedy)
-        limits = FlightEnvelope()
-        for name, high in (
-            ("lift_share", limits.lift_share),
-            ("bank", limits.bank),
-            ("climb", limits.climb),
-            ("thrust_reserve", 0.5),
-        ):
-            remedy = f"give a number above 0 and below {high:.3g}, the limit"
-            need(0 < getattr(self, name) < high, name, remedy)
-        remedy = f"give a number above {limits.speed_share:g}, the limit, up to 10"
-        need(limits.speed_share < self.speed_share <= 10, "speed_share", remedy)
-        need(1 <= self.starts <= _MOST_STARTS, "starts", f"give 1 to {_MOST_STARTS}")
-        require_seed("request.seed", self.seed)
         checked_inertia("request.load_inertia", self.inertia)
         aircraft = make_aircraft(
             self.aircraft, cable_length=float(long), gravity=GRAVITY, field="request.aircraft"
