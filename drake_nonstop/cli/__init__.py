@@ -1,1 +1,1 @@
-"""The command `drake-nonstop`, one module per subcommand: parse, call, print; no computation."""
+"""The command `drake-nonstop`: its subcommands parse, call and print; no computation."""

@@ -2,44 +2,12 @@
 
 import argparse
 
-from drake_nonstop.cli import (
-    ablate,
-    bench,
-    blocks,
-    check,
-    design,
-    export,
-    list_scenarios,
-    new,
-    plot,
-    robustness,
-    run,
-    schema,
-    stability,
-    sweep,
-    view,
-)
+from drake_nonstop.cli import bench, check, design, run, scenarios, signals, studies, view
 from drake_nonstop.cli.arguments import add_moved
 from drake_nonstop.version import __version__
 
-# Each has `add_to`, which adds its parser; the help lists them in this order.
-_COMMANDS = (
-    list_scenarios,
-    blocks,
-    new,
-    schema,
-    design,
-    check,
-    run,
-    view,
-    plot,
-    export,
-    stability,
-    robustness,
-    ablate,
-    sweep,
-    bench,
-)
+# Each has `add_to`, which adds its parsers; the help lists them in this order.
+_COMMANDS = (scenarios, design, check, run, view, signals, studies, bench)
 STUDIES = ("design", "stability", "robustness", "ablate", "sweep")
 
 

@@ -103,9 +103,12 @@ def from_entry(path: str, entry: dict[str, Any]) -> Any:
     """The distribution that an entry of a scenario's tree stands for.
 
     Raises:
-        ScenarioError: a field of it is missing, unknown, or not of its type.
+        ScenarioError: there is no such one, or a field of it is missing, unknown, or not of its
+            type.
     """
     name = entry["_tag"].removeprefix("!")
+    remedy = f"give a number, or a distribution: {', '.join(f'!{name}' for name in _KINDS)}"
+    require(name in _KINDS, path, dump_plain(entry), remedy)
     fields = _FIELDS[name.replace("Vector", "")]
     is_list = "Vector" in name or name == "UniformDiscrete"
     values = {field: value for field, value in entry.items() if field != "_tag"}
@@ -117,14 +120,8 @@ def from_entry(path: str, entry: dict[str, Any]) -> Any:
     return _KINDS[name](**values)
 
 
-def require_usable(path: str, distribution: Any, kind: Any) -> None:
-    """Raises ScenarioError for a distribution that nothing can be drawn from for such a field.
-
-    Args:
-        path: of the field.
-        distribution: what stands in it.
-        kind: the field's type.
-    """
+def _require_usable(path: str, distribution: Any, kind: Any) -> None:
+    """Raises ScenarioError for a distribution that nothing can be drawn from for such a field."""
     kind = of_given(kind)
     entry = to_entry(distribution)
     text = dump_plain(entry)
@@ -168,9 +165,9 @@ def mean(path: str, distribution: Any, kind: Any) -> Any:
     """The mean of a distribution for a field of that type.
 
     Raises:
-        ScenarioError: see `require_usable`.
+        ScenarioError: nothing can be drawn from it for such a field.
     """
-    require_usable(path, distribution, kind)
+    _require_usable(path, distribution, kind)
     if isinstance(distribution, DistributionVector):
         return ToDistributionVector(distribution).Mean().tolist()
     value = ToDistribution(distribution).Mean()
@@ -214,25 +211,6 @@ def mapped(value: Any, kind: Any, path: str, change: Change) -> Any:
 def has_distributions(config: Any) -> bool:
     """Whether a field of a dataclass holds a distribution."""
     return mapped(config, type(config), "", lambda *_: 0) is not config
-
-
-def with_objects(path: str, tree: Any, kind: Any) -> Any:
-    """A value of a scenario's tree, for a field of that type, with objects as distributions.
-
-    Raises:
-        ScenarioError: see `from_entry` and `require_usable`.
-    """
-    if is_entry(tree):
-        distribution = from_entry(path, tree)
-        require_usable(path, distribution, kind)
-        return distribution
-    if isinstance(tree, list):
-        item = item_kind(kind)
-        return [with_objects(f"{path}[{i}]", part, item) for i, part in enumerate(tree)]
-    if isinstance(tree, dict) and "_tag" in tree and of_given(kind) in (int, float):
-        remedy = f"give a number, or a distribution: {', '.join(f'!{name}' for name in _KINDS)}"
-        require(False, path, dump_plain(tree), remedy)
-    return tree
 
 
 def item_kind(kind: Any) -> Any:

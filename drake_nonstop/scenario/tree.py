@@ -144,17 +144,23 @@ def filled(
 
 def _typed(path: str, tree: Any, kind: Any, default: Any) -> Any:
     """The value of a field of that type that a tree stands for."""
+    is_tagged = isinstance(tree, dict) and "_tag" in tree
+    if distributions.is_entry(tree) or (is_tagged and of_given(kind) in (int, float)):
+        distribution = distributions.from_entry(path, tree)
+        require_type(path, distributions.mean(path, distribution, kind), kind)
+        return distribution
     part: Any = kind if dataclasses.is_dataclass(kind) else optional_part(kind)
-    if part is not None and not distributions.is_entry(tree):
+    if part is not None:
         return None if tree is None else filled(path, tree, part() if default is None else default)
-    value = distributions.with_objects(path, tree, kind)
-    means = distributions.mapped(value, kind, path, distributions.mean)
-    require_type(path, means, kind)
-    if value is not means or _is_plain(kind):
-        return value if value is not means else _plain(value, kind)
+    if isinstance(tree, list) and _is_plain(kind) and typing.get_origin(of_given(kind)) is list:
+        item = distributions.item_kind(kind)
+        return [_typed(f"{path}[{i}]", value, item, None) for i, value in enumerate(tree)]
+    require_type(path, tree, kind)
+    if _is_plain(kind):
+        return _plain(tree, kind)
     # What only blocks of the user's own have: arrays, mappings, parts.
     holder = dataclasses.make_dataclass("Holder", [("value", kind, None)])
-    data = yaml_dump({"value": value})
+    data = yaml_dump({"value": tree})
     return yaml_load_typed(schema=holder, data=data, defaults=holder(default)).value
 
 

@@ -27,6 +27,7 @@ from drake_nonstop.visualization.bodies import Snapshot
 from drake_nonstop.visualization.canvas import RecordingCanvas
 from drake_nonstop.visualization.figure_style import MOST_POINTS, extreme_samples
 from drake_nonstop.visualization.meshcat_server import start_hidden_meshcat
+from drake_nonstop.visualization.nonstop_visualizer import NonstopVisualizer
 from drake_nonstop.visualization.scene import COLOURED_FROM, Scene, stall_shares
 
 _FRAME_RATE = 25.0  # 1/s
@@ -35,10 +36,6 @@ _MOST_POSES = 45_000  # of carriers and loads in all frames: below 20 MB
 _COMMAND = re.compile(
     r'fetch\("data:application/octet-binary;base64,([\w+/=]+)"\)'
     r"\s*\.then\(res => res\.arrayBuffer\(\)\)"
-)
-_SIGNALS = (  # that are shown, of those that the run has
-    *("load_state", "reference", "carrier_state", "tensions"),
-    *("speed_bound", "aircraft_state", "wind", "load_wind"),
 )
 _LARGE = 100_000  # characters of a command
 
@@ -104,7 +101,7 @@ def _snapshots(run: Run, frame_rate: float) -> list[Snapshot]:
     """The run at the instants of the frames, up to the first that cannot be shown."""
     frames = np.unique(np.floor(run.time * frame_rate + 1e-6), return_index=True)[1]
     signals = {"speed_bound": np.full((len(frames), 1), run.scenario.speed_bound)}
-    for name in _SIGNALS:
+    for name in NonstopVisualizer.reads:
         with contextlib.suppress(UnknownSignalError):
             signals[name] = run.signal(name)[frames]
     snapshots = (

@@ -30,8 +30,7 @@ from drake_nonstop.visualization.bodies import (
     stack_poses,
     unit_vectors,
 )
-from drake_nonstop.visualization.camera import FollowingCamera, fit_view, look
-from drake_nonstop.visualization.canvas import ROOT, Canvas
+from drake_nonstop.visualization.canvas import ROOT, Canvas, FollowingCamera, fit_view, look
 
 _REFERENCE_BAR_RATIO = 1.7  # to the load's bars, which the reference's enclose: both are seen
 _MARK_RADIUS = 0.42  # of the wing span

@@ -17,8 +17,8 @@ import numpy as np
 import pytest
 from helpers import handle_signals_as_a_shell_does
 
-from drake_nonstop.cli import list_scenarios
 from drake_nonstop.cli import run as run_command
+from drake_nonstop.cli import scenarios
 from drake_nonstop.cli.ending import handling_signals
 from drake_nonstop.cli.main import main
 
@@ -279,9 +279,9 @@ def test_a_keyboard_interrupt_that_became_another_error_is_one(monkeypatch, caps
         except KeyboardInterrupt:
             raise TypeError("incompatible constructor arguments") from None
 
-    monkeypatch.setattr(list_scenarios, "scenario_names", convert)
+    monkeypatch.setattr(scenarios, "scenario_names", convert)
     assert main(["list"]) == 130
     assert capsys.readouterr().err == "drake-nonstop: interrupted\n"
-    monkeypatch.setattr(list_scenarios, "scenario_names", lambda: int("a"))
+    monkeypatch.setattr(scenarios, "scenario_names", lambda: int("a"))
     with pytest.raises(ValueError, match="invalid literal"):  # an error of ours is shown whole
         main(["list"])

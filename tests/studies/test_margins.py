@@ -5,7 +5,7 @@ import json
 
 from PIL import Image
 
-from drake_nonstop.cli import stability as command
+from drake_nonstop.cli import studies as command
 from drake_nonstop.cli.ending import BAD_INPUT
 from drake_nonstop.cli.main import main
 from drake_nonstop.studies import margins

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scenes import ListCanvas, snapshot, system
 
-from drake_nonstop.visualization import camera
+from drake_nonstop.visualization import canvas as camera
 from drake_nonstop.visualization.meshcat_server import start_meshcat
 from drake_nonstop.visualization.scene import Scene
 

@@ -6,8 +6,7 @@ import numpy as np
 from pydrake.geometry import MeshcatAnimation
 from scenes import snapshot, system
 
-from drake_nonstop.visualization.camera import FollowingCamera
-from drake_nonstop.visualization.canvas import ROOT, LiveCanvas, RecordingCanvas
+from drake_nonstop.visualization.canvas import ROOT, FollowingCamera, LiveCanvas, RecordingCanvas
 from drake_nonstop.visualization.scene import Scene
 
 
