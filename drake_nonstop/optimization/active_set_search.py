@@ -1,7 +1,6 @@
 """A global search for the cheapest ξ and A that keep every carrier at or above the speed bound."""
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,25 +22,15 @@ _PREDICTION_TOLERANCE = 3e-5  # relative, between the cost that is found and the
 _END_TOLERANCE = 1e-9  # relative, what counts as the end of a forbidden interval
 
 
-def nearest_feasible(
-    problem: SearchProblem,
-    margins: NDArray,
-    margins_at: Callable[[NDArray], NDArray],
-    start: float | None = None,
-) -> tuple[NDArray, float]:
+def nearest_feasible(problem: SearchProblem, start: float | None = None) -> tuple[NDArray, float]:
     """The feasible [ξ, A] (2,) of the least cost, and that cost; inf if none is found.
 
     An active-set search over the constraints on the p speeds. It begins with the one that
     is violated most at [ξ⁻, A⁻]. The optimum under the active constraints is the optimum if it
     fulfils all of them; else the constraint that it violates most becomes active, too.
-
-    Args:
-        problem: of one update.
-        margins: of the p speeds at [ξ⁻, A⁻].
-        margins_at: the margins of the p speeds at any [ξ, A].
-        start: an amplitude (N) to evaluate besides A⁻ at first.
+    `start` is an amplitude (N) to evaluate besides A⁻ at first.
     """
-    allowed = problem.allowed_intervals()
+    allowed, margins = problem.allowed_intervals(), problem.speed_margins(problem.previous)
     active: list[int] = []
     while True:
         worst = int(margins.argmin())
@@ -53,13 +42,13 @@ def nearest_feasible(
         x, cost = search.best
         if not math.isfinite(cost):
             return x, cost
-        margins = margins_at(x)
+        margins = problem.speed_margins(x)
         if margins.min() < -FEASIBILITY_TOLERANCE:
             continue  # an inexact optimum is enough to find a constraint that is missing
         if not is_enough:
             search.refine(allowed)
             x, cost = search.best
-            margins = margins_at(x)
+            margins = problem.speed_margins(x)
         if margins.min() >= -FEASIBILITY_TOLERANCE:
             return x, cost
 

@@ -14,17 +14,16 @@ from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.nonstop import QuadraticChangeCost
 from drake_nonstop.optimization.constraints import FEASIBILITY_TOLERANCE
-from drake_nonstop.optimization.search_problem import least_infeasible
+from drake_nonstop.optimization.search_problem import best_on_grid
 from drake_nonstop.optimization.update_problem import UpdateProblem
 
 _MOST_STEPS, _FEW_STEPS = 12, 3
 _MOST_REFUSALS = 2  # of steps from a point that is not feasible
 _FIRST_RADIUS = 0.2  # relative to ξ and A, of the first step
 _SHORTEST = 1e-5  # relative, a step that ends the search
-_GRID = 12  # points a side
+_GRID = (12, 1)  # points a side, grids
 _FAR = 0.1  # relative, a step of which something closer may lie elsewhere
 _HALVINGS = 6  # of the range of what linearized margins may lack
-_MOST_EXCHANGES = 60
 _ROUNDING = 1e-12
 _SPEED_WEIGHT = 10.0  # of what a margin of the speed bound lacks, beside the others
 
@@ -40,10 +39,12 @@ def nearest_within_limits(problem: UpdateProblem) -> tuple[NDArray, float]:
     size = np.max(np.abs(found.x / previous - 1))
     if _are_narrow(lower, upper) or (found.is_feasible and size < _FAR):
         return found.x, problem.cost(found.x) if found.is_feasible else math.inf
-    other = _descend(problem, _best_of_grid(problem))
+    best, _ = best_on_grid(
+        problem.margins_on_grid, lower, upper, _GRID, cost=problem.cost, previous=previous
+    )
+    other = _descend(problem, best)
     points = sorted((found, other), key=lambda point: _order(problem, point))
-    best = points[-1]
-    return best.x, problem.cost(best.x) if best.is_feasible else math.inf
+    return points[-1].x, problem.cost(points[-1].x) if points[-1].is_feasible else math.inf
 
 
 def _are_narrow(lower: NDArray, upper: NDArray) -> bool:
@@ -161,59 +162,14 @@ def _quadratic(cost: QuadraticChangeCost, x: NDArray) -> tuple[NDArray, NDArray]
 def nearest_in_polygon(point: NDArray, normals: NDArray, offsets: NDArray) -> NDArray | None:
     """The point (2,) of {z: N z ≥ c} that is closest to another one; None: there is none.
 
-    By exchanges of at most two active constraints: what is violated most becomes active, so that
-    the distance grows with each. The rows of N (r, 2) have the norm 1.
+    By the least distance programming of Lawson and Hanson, Solving Least Squares Problems, 1974,
+    chapter 23. The rows of N (r, 2) have the norm 1.
     """
-    active: list[int] = []
-    z = point
-    for _ in range(_MOST_EXCHANGES):
-        slack = normals @ z - offsets
-        worst = int(slack.argmin())
-        if slack[worst] >= -_ROUNDING * (1 + abs(offsets[worst])):
-            return z
-        if worst in active:
-            return z  # by rounding
-        closest, best = math.inf, None
-        for others in ([], *([i] for i in active)):
-            chosen = [worst, *others]
-            candidate = _on_lines(point, normals[chosen], offsets[chosen])
-            if candidate is None:
-                continue
-            trial = [*active, worst]
-            least = (normals[trial] @ candidate - offsets[trial]).min()
-            distance = float(((candidate - point) ** 2).sum())
-            if least >= -1e-9 * (1 + math.sqrt(distance)) and distance < closest:
-                closest, best = distance, (candidate, chosen)
-        if best is None:
-            return None
-        z, active = best
-    return None
+    from scipy.optimize import nnls  # here: the import takes 0.4 s, which few runs need
 
-
-def _on_lines(point: NDArray, normals: NDArray, offsets: NDArray) -> NDArray | None:
-    """The closest point of one line, or where two meet; None: they are parallel."""
-    if len(normals) == 1:
-        return point + (offsets[0] - normals[0] @ point) * normals[0]
-    (a, b), (c, d) = normals.tolist()
-    determinant = a * d - b * c
-    if abs(determinant) < _ROUNDING:
+    rows = np.vstack([normals.T, offsets - normals @ point])
+    multipliers, size = nnls(rows, [0.0, 0.0, 1.0])
+    if size < _ROUNDING**0.5:
         return None
-    p, q = offsets.tolist()
-    return np.array([d * p - b * q, a * q - c * p]) / determinant
-
-
-def _best_of_grid(problem: UpdateProblem) -> NDArray:
-    """The cheapest feasible [ξ, A] (2,) of a grid over the bounds, or the least infeasible one."""
-    frequencies, amplitudes = np.geomspace(*problem.known_bounds, _GRID).T
-    speeds, others = problem.margins_on_grid(amplitudes, frequencies)
-    is_feasible = (speeds >= 0) & (others >= 0)
-    costs = [
-        [
-            problem.cost(np.array([f, a])) if is_feasible[i, j] else math.inf
-            for j, f in enumerate(frequencies)
-        ]
-        for i, a in enumerate(amplitudes)
-    ]
-    chosen = int(np.argmin(costs)) if is_feasible.any() else least_infeasible(speeds, others)
-    i, j = np.unravel_index(chosen, speeds.shape)
-    return np.array([frequencies[j], amplitudes[i]])
+    x, y, z = rows @ multipliers - [0.0, 0.0, 1.0]
+    return point - np.array([x, y]) / z

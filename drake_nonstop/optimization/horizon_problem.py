@@ -116,7 +116,7 @@ class HorizonProblem(OrbitConstraints):
         self._axis_columns = np.hstack(self.axes).T[:, None]
         shape = len(self.instants), model.n
         self._margins_along = [self._elementwise(self._carrier_margins, [6, 12, 6, 2], shape)]
-        if self._separation is not None:
+        if self._keeps_apart:
             shape = len(self.instants), self._pairs.shape[1]
             self._margins_along.append(self._elementwise(self._gap_margins, [6] * 5, shape))
         if self._limits_flight:
@@ -278,7 +278,7 @@ class HorizonProblem(OrbitConstraints):
         columns = np.stack(orbit)[:, :, None]
         scale = np.array([bound, unit])[:, None, None]
         given: list[tuple[NDArray, ...]] = [(data.terms.columns, self._axis_columns, scale)]
-        if self._separation is not None:
+        if self._keeps_apart:
             given.append(self._of_pairs(data.terms.forces))
         functions = zip(self._margins_along, given, strict=True)
         along, by_along = _side_by_side(*(function(columns, *own) for function, own in functions))

@@ -15,7 +15,7 @@ from drake_nonstop.optimization.active_set_search import nearest_feasible
 from drake_nonstop.optimization.constraints import FEASIBILITY_TOLERANCE
 from drake_nonstop.optimization.horizon_problem import HorizonData, HorizonProblem, Linearization
 from drake_nonstop.optimization.plan import Plan
-from drake_nonstop.optimization.search_problem import SearchProblem, least_infeasible_on_grid
+from drake_nonstop.optimization.search_problem import FEW, SearchProblem, best_on_grid
 from drake_nonstop.optimization.terminal_set import orbit_polynomials
 from drake_nonstop.systems.tracing import NotFiniteError
 
@@ -333,14 +333,8 @@ def _constant_parameters(problem: HorizonProblem, data: HorizonData) -> NDArray:
         internal_force_rate_weight=0.0,
         anchor_weight=0.0,
     )
-
-    def margins_at(x: NDArray) -> NDArray:
-        speeds = search.margins(x[1:], x[:1])[0][0, 0]
-        squares = search.speed_unit**2 * speeds + search.speed_bound**2
-        return np.minimum(speeds, 1 - squares / search.max_speed**2)
-
     speeds, others = search.margins(problem.nominal[1:], problem.nominal[:1])
     if min(speeds.min(), others.min()) >= -FEASIBILITY_TOLERANCE:
         return problem.nominal
-    found, cost = nearest_feasible(search, margins_at(problem.nominal), margins_at)
-    return found if np.isfinite(cost) else least_infeasible_on_grid(search)
+    found, cost = nearest_feasible(search)
+    return found if np.isfinite(cost) else best_on_grid(search.margins, low, high, FEW)[0]

@@ -25,12 +25,8 @@ from drake_nonstop.optimization.constraints import Constraints
 from drake_nonstop.optimization.horizon_config import HorizonConfig
 from drake_nonstop.optimization.limits import Of
 from drake_nonstop.optimization.problem_config import LimitsConfig
-from drake_nonstop.optimization.separation import SeparationConstraint
-from drake_nonstop.optimization.terminal_set import (
-    TerminalSet,
-    least_distance_squares,
-    product_limits,
-)
+from drake_nonstop.optimization.separation import OrbitDistances
+from drake_nonstop.optimization.terminal_set import TerminalSet, product_limits
 from drake_nonstop.optimization.update_data import Beliefs, beliefs_of
 from drake_nonstop.systems.tracing import TracedFunction
 
@@ -73,10 +69,9 @@ class OrbitConstraints:
         self.max_speed = self._constraints.max_speed  # m/s, tightened
         self._limits_flight = bool(self._constraints.names(Of.FLIGHT))
         self._orbit_angles = 2 * np.pi * np.arange(config.terminal_phases) / config.terminal_phases
-        self._separation: SeparationConstraint | None = None
-        if self._constraints.min_separation > 0:
-            self._separation = SeparationConstraint(self._constraints.min_separation, self.axes)
-        self._pairs = np.array(np.triu_indices(model.n, 1))
+        self._keeps_apart = self._constraints.min_separation > 0
+        self._distances = OrbitDistances(self.axes)
+        self._pairs, self._encounters = self._distances.pairs(), self._distances.every()
         self._terms = self._traced(orbit_along_reference)
         if self._limits_flight:
             self._flight_terms = self._traced(flight_along_reference)
@@ -172,17 +167,12 @@ class OrbitConstraints:
         for squares in tension_squares:
             for margin in self._constraints.of_squares(Of.TENSION, squares):
                 margins = np.minimum(margins, margin)
-        if self._separation is not None:
+        if self._keeps_apart:
             for row, forces in zip(margins, terms.forces, strict=True):
-                distances = least_distance_squares(
-                    self._separation,
-                    forces,
-                    amplitudes,
-                    attachments=self.model.attachments,
-                    pairs=self._pairs,
-                    **self._cables,
-                )
-                for margin in self._constraints.of_squares(Of.SEPARATION, distances):
+                squares = self._distances.least_squares(
+                    self._encounters, amplitudes, forces, self.model.attachments, **self._cables
+                ).min(axis=1)
+                for margin in self._constraints.of_squares(Of.SEPARATION, squares):
                     np.minimum(row, margin, out=row)
         return TerminalSet(amplitudes, least, most, margins)
 

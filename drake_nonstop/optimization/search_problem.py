@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +16,7 @@ from drake_nonstop.mechanics.nonstop import (
 from drake_nonstop.optimization.amplitude_intervals import allowed_intervals
 
 # Points a side of a grid, and how often one is laid, each within the one before.
-_INFEASIBLE_POINTS, _INFEASIBLE_GRIDS = 9, 6
-_CHEAPEST_POINTS, _CHEAPEST_GRIDS = 40, 5
+FEW, MANY = (9, 6), (40, 5)
 
 
 @dataclass(frozen=True)
@@ -66,21 +65,33 @@ class SearchProblem:
             return [(low, high)]
         return allowed_intervals(self.amplitude_margins, low, high, float(self.previous[1]))
 
-    def margins(self, amplitudes: NDArray, frequencies: NDArray) -> tuple[NDArray, NDArray]:
-        """The margins of the p speeds (k, q, p), and the worst of all other constraints (k, q).
-
-        At amplitudes (k,) and frequencies (q,); the latter is inf where there are none.
-        """
+    def squares(self, amplitudes: NDArray, frequencies: NDArray) -> NDArray:
+        """The p squared speeds (k, q, p), m²/s², at amplitudes (k,) and frequencies (q,)."""
         values = polynomial_values(self.polynomials[:, :, None, None], amplitudes[:, None, None])
         c, b, a, _ = speed_squares(values, rest_length=self.rest_length, compliance=self.compliance)
         s = (amplitudes[:, None] * frequencies)[:, :, None]
-        squares = c + s * (2 * b + s * a)
+        return c + s * (2 * b + s * a)
+
+    def speed_margins(self, x: NDArray) -> NDArray:
+        """The worse margin (p,) of each speed at [ξ, A] (2,): it may have limits on either side."""
+        squares = self.squares(x[1:], x[:1])[0, 0]
+        margins = (squares - self.speed_bound**2) / self.speed_unit**2
+        if math.isfinite(self.max_speed):
+            margins = np.minimum(margins, 1 - squares / self.max_speed**2)
+        return margins
+
+    def margins(self, amplitudes: NDArray, frequencies: NDArray) -> tuple[NDArray, NDArray]:
+        """The worst margin of the speeds (k, q), and that of all other constraints (k, q).
+
+        At amplitudes (k,) and frequencies (q,); the latter is inf where there are none.
+        """
+        squares = self.squares(amplitudes, frequencies)
         others = np.full(squares.shape[:2], np.inf)
         if math.isfinite(self.max_speed):
             others = 1 - squares.max(axis=2) / self.max_speed**2
         if self.amplitude_margins is not None:
             others = np.minimum(others, self.amplitude_margins(amplitudes)[:, None])
-        return (squares - self.speed_bound**2) / self.speed_unit**2, others
+        return (squares.min(axis=2) - self.speed_bound**2) / self.speed_unit**2, others
 
 
 def least_infeasible(speeds: NDArray, others: NDArray) -> int:
@@ -95,61 +106,50 @@ def least_infeasible(speeds: NDArray, others: NDArray) -> int:
     return int(np.argmax(speeds))
 
 
-def least_infeasible_on_grid(problem: SearchProblem) -> NDArray:
-    """The [ξ, A] (2,) within the bounds that is `least_infeasible`.
-
-    Speeds that are the slowest nowhere on the first grid are left out of the others.
-    """
-    lower, upper = np.log(problem.lower), np.log(problem.upper)
-    low, high = lower, upper
-    best = problem.previous
-    for grid in range(_INFEASIBLE_GRIDS):
-        frequencies, amplitudes = np.exp(np.linspace(low, high, _INFEASIBLE_POINTS)).T
-        margins, others = problem.margins(amplitudes, frequencies)
-        i, j = np.unravel_index(least_infeasible(margins.min(axis=2), others), others.shape)
-        best = np.array([frequencies[j], amplitudes[i]])
-        step = (high - low) / (_INFEASIBLE_POINTS - 1)
-        low = np.maximum(np.log(best) - step, lower)
-        high = np.minimum(np.log(best) + step, upper)
-        if grid == 0 and not math.isfinite(problem.max_speed):
-            slowest = np.unique(margins.argmin(axis=2))
-            problem = replace(problem, polynomials=problem.polynomials[:, :, slowest])
-    return np.clip(best, problem.lower, problem.upper)
-
-
-def cheapest_on_grid(
-    problem_at: Callable[[float], SearchProblem],
-    start: float,
-    cost: Callable[[NDArray], float],
+def best_on_grid(
+    margins: Callable[[NDArray, NDArray], tuple[NDArray, NDArray]],
+    lower: NDArray,
+    upper: NDArray,
+    size: tuple[int, int],
+    *,
+    cost: Callable[[NDArray], float] | None = None,
+    previous: NDArray | None = None,
 ) -> tuple[NDArray, float]:
-    """The cheapest feasible [ξ, A] (2,) of a grid, and its cost.
+    """The cheapest feasible [ξ, A] (2,) of grids that zoom in, and its cost.
 
-    The grid is laid over the bounds, then over what can still be cheaper, then it zooms in.
-    Where none of its points is feasible the `least_infeasible` one is sought, and the cost is
-    inf. Phases may depend on ξ: `problem_at` gives the problem of each frequency, `start` is one.
+    Where no point is feasible, or there is no cost, the `least_infeasible` one, and inf. The first
+    grid is laid over the bounds, the next one over what can still be cheaper.
+
+    Args:
+        margins: as of `SearchProblem.margins`.
+        lower: the bounds (2,) of [ξ, A].
+        upper: likewise.
+        size: points a side of a grid, and how many grids.
+        cost: of [ξ, A] (2,), at least the squared change of each from `previous`.
+        previous: [ξ⁻, A⁻] (2,).
     """
-    problem = problem_at(start)
-    lower, upper, previous = problem.lower, problem.upper, problem.previous
-    axes = np.geomspace(lower, upper, _CHEAPEST_POINTS).T
-    best, best_cost = previous, math.inf
-    for grid in range(_CHEAPEST_GRIDS):
-        frequencies, amplitudes = axes.clip(lower[:, None], upper[:, None])
-        rows = [problem_at(f).margins(amplitudes, np.array([f])) for f in frequencies]
-        speeds = np.array([margins.min(axis=2)[:, 0] for margins, _ in rows])
-        others = np.array([worst[:, 0] for _, worst in rows])
-        feasible = np.argwhere((speeds >= 0) & (others >= 0))
-        for i, j in feasible:
-            x = np.array([frequencies[i], amplitudes[j]])
-            x_cost = cost(x)
-            if x_cost < best_cost:
-                best, best_cost = x, x_cost
+    points, grids = size
+    low, high = np.log([lower, upper])
+    best, best_cost = lower, math.inf
+    for grid in range(grids):
+        axes = np.exp(np.linspace(low, high, points)).clip(lower, upper)
+        frequencies, amplitudes = axes.T
+        speeds, others = margins(amplitudes, frequencies)
+        if cost is not None:
+            for i, j in np.argwhere((speeds >= 0) & (others >= 0)):
+                x = np.array([frequencies[j], amplitudes[i]])
+                x_cost = cost(x)
+                if x_cost < best_cost:
+                    best, best_cost = x, x_cost
         if best_cost == math.inf:
             i, j = np.unravel_index(least_infeasible(speeds, others), speeds.shape)
-            best = np.array([frequencies[i], amplitudes[j]])
+            best = np.array([frequencies[j], amplitudes[i]])
+        step = (high - low) / (points - 1)
+        low, high = np.log(best) - step, np.log(best) + step
         if grid == 0 and best_cost < math.inf:
-            # The change of ξ and of A costs at least its square.
-            around, size = previous, np.full(2, math.sqrt(best_cost))
-        else:
-            around, size = best, np.max(np.diff(axes), axis=1)
-        axes = np.linspace(around - size, around + size, _CHEAPEST_POINTS).T
+            assert previous is not None
+            reach = math.sqrt(best_cost)
+            low = np.log(np.maximum(previous - reach, lower))
+            high = np.log(previous + reach)
+        low, high = np.maximum(low, np.log(lower)), np.minimum(high, np.log(upper))
     return best, best_cost

@@ -6,16 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.nonstop import (
-    nearest_squares,
-    orbit_positions,
     polynomial_values,
     speed_polynomials,
     speed_squares,
 )
 from drake_nonstop.mechanics.planned_orbit import OrbitTerms, orbit_directions
-from drake_nonstop.optimization.separation import SeparationConstraint
-
-_MOST_DISTANCES = 2**18  # at a time: bounds the memory
 
 
 class TerminalSet(NamedTuple):
@@ -99,40 +94,3 @@ def product_limits(
     if np.isfinite(max_speed):
         most = upper_roots(max_speed)[1].min(axis=(0, 2))
     return least, most, tension_squares.min(axis=(0, 2)), tension_squares.max(axis=(0, 2))
-
-
-def least_distance_squares(
-    constraint: SeparationConstraint,
-    forces: NDArray,
-    amplitudes: NDArray,
-    *,
-    attachments: NDArray,
-    pairs: NDArray,
-    rest_length: float,
-    compliance: float,
-) -> NDArray:
-    """The least squared distance (a,), m², of the pairs (2, m) of carriers over a whole orbit.
-
-    At amplitudes (a,) in N and an instant of `OrbitTerms.forces` (n, 3), for constant A.
-    """
-    phase_count = constraint.directions.shape[1]
-    first, second = pairs
-    size = max(1, _MOST_DISTANCES // (phase_count * max(len(first), 1)))
-    found = []
-    for start in range(0, len(amplitudes), size):
-        positions, rates = orbit_positions(
-            amplitudes[start : start + size, None, None],
-            forces.T[:, None, None],
-            attachments.T[:, None, None],
-            constraint.directions[:, None],
-            constraint.direction_rates[:, None],
-            rest_length=rest_length,
-            compliance=compliance,
-        )  # (3, amplitudes, phases, n)
-        squares = nearest_squares(
-            positions[..., first] - positions[..., second],
-            rates[..., first] - rates[..., second],
-            np.pi / phase_count,
-        )
-        found.append(squares.min(axis=(1, 2)))
-    return np.concatenate(found)

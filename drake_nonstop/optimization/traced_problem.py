@@ -32,7 +32,7 @@ from drake_nonstop.optimization.limits import Of
 from drake_nonstop.optimization.problem_config import (
     NonstopProblemConfig,
 )
-from drake_nonstop.optimization.separation import SeparationConstraint
+from drake_nonstop.optimization.separation import OrbitDistances
 from drake_nonstop.optimization.update_data import (
     Beliefs,
     UpdateData,
@@ -101,7 +101,7 @@ class TracedProblem:
         self._axes = _without_round_off(axes[0]), _without_round_off(axes[1])
         self.constraints = Constraints(config)
         self.speed_count = len(self._instant_of_row) * model.n
-        self.separation = SeparationConstraint(self.constraints.min_separation, self._axes)
+        self.distances = OrbitDistances(self._axes)
         self.terms = self._compiled(self._trace_terms)
         self.cost = self._compiled(self._trace_cost)
         if self.speed_count < MIN_SPEEDS_FOR_ARRAYS or self.has_flight_limits:

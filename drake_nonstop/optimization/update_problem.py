@@ -14,7 +14,6 @@ from drake_nonstop.optimization.constraints import FEASIBILITY_TOLERANCE
 from drake_nonstop.optimization.diagnostics import BOUND
 from drake_nonstop.optimization.limits import Of
 from drake_nonstop.optimization.search_problem import SearchProblem
-from drake_nonstop.optimization.separation import Separation
 from drake_nonstop.optimization.traced_problem import (
     MIN_SPEEDS_FOR_ARRAYS,
     SpeedTerms,
@@ -22,6 +21,8 @@ from drake_nonstop.optimization.traced_problem import (
 )
 from drake_nonstop.optimization.update_data import Beliefs, UpdateData
 from drake_nonstop.systems.tracing import NotFiniteError
+
+_NEAR = 1.1  # times the least separation: close enough to know of
 
 
 class UpdateProblem:
@@ -39,8 +40,7 @@ class UpdateProblem:
         self.data = data
         self.vector = np.concatenate(data)  # for the functions of `UpdateSolver.functions`
         self.previous = data.previous.copy()
-        # The last x, its margins but for that of the separation, and the least of them: the
-        # search has computed the answer's.
+        # The last x, its margins and the least of them: the search has computed the answer's.
         self._last: tuple[NDArray | None, NDArray, float] = (None, self.previous, 0.0)
         self._search_problem: SearchProblem | None = None
 
@@ -58,10 +58,10 @@ class UpdateProblem:
     def known_bounds(self) -> tuple[NDArray, NDArray]:
         """`bounds`, with A in the interval next to A⁻ that the known encounters allow, if any."""
         lower, upper = self.bounds
-        if self._separation is not None and self._separation.has_known:
+        if self._keeps_apart and self._known_encounters.size > 0:
             start = float(self.previous[1])
             intervals = allowed_intervals(
-                self._separation.known_margins, float(lower[1]), float(upper[1]), start
+                self._known_separation_margins, float(lower[1]), float(upper[1]), start
             )
             if intervals:
                 distances = [max(low - start, start - high) for low, high in intervals]
@@ -85,10 +85,7 @@ class UpdateProblem:
         Raises:
             NotFiniteError: one is not, such as that of a cable without any tension.
         """
-        margins = self._margins_and_worst(x)[0]
-        if self._separation is None:
-            return margins
-        return np.append(margins, self._separation_margin(x))
+        return self._margins_and_worst(x)[0]
 
     @property
     def speed_count(self) -> int:
@@ -100,8 +97,17 @@ class UpdateProblem:
         return min(float(margins[: self.speed_count].min()), 0.0), float(margins.min())
 
     def margins_but_separation(self, x: NDArray) -> NDArray:
-        """The margins (r,) at x but for that of the separation; for reading."""
-        return self._margins_and_worst(x)[0]
+        """The margins (r,) at x but for that of the separation."""
+        traced = self._traced
+        if traced.speed_count < MIN_SPEEDS_FOR_ARRAYS or traced.has_flight_limits:
+            return traced.margins(x, self.vector)[0].copy()
+        frequency, amplitude = Parameters.view(x)
+        terms = self._terms_at(float(frequency[0])) if self.phase_jumps else self._terms
+        with np.errstate(divide="ignore", invalid="ignore"):
+            margins = traced.margins_of(terms, frequency, amplitude, self.data)
+        if not np.isfinite(margins).all():
+            raise NotFiniteError(traced.name())
+        return margins
 
     def margins_and_jacobian(self, x: NDArray) -> tuple[NDArray, NDArray]:
         """The margins (r,) at x but for that of the separation, and their Jacobian (r, 2)."""
@@ -112,13 +118,14 @@ class UpdateProblem:
         """The names of the limits that are not kept at x, as of `missed_limits`."""
         names = self._traced.constraints.names
         kinds = [BOUND, *names(Of.SPEED, Of.TENSION, Of.FLIGHT)]
-        worst = self._margins_and_worst(x)[0].reshape(len(kinds), self.speed_count)
+        margins = self.margins(x)
+        worst = margins[: len(kinds) * self.speed_count].reshape(len(kinds), -1)
         missed = [
             kind
             for kind, least in zip(kinds, worst.min(axis=1), strict=True)
             if least < -FEASIBILITY_TOLERANCE
         ]
-        if self._separation_margin(x) < -FEASIBILITY_TOLERANCE:
+        if self._keeps_apart and margins[-1] < -FEASIBILITY_TOLERANCE:
             missed += names(Of.SEPARATION)
         return missed
 
@@ -127,20 +134,21 @@ class UpdateProblem:
 
         At amplitudes (k,), N, and frequencies (q,), rad/s; with the phases that these give.
         """
-        if self.phase_jumps:
-            columns = [self._on_grid(amplitudes, f) for f in frequencies[:, None]]
-            speeds, others = (
-                np.concatenate(of_all, axis=1) for of_all in zip(*columns, strict=True)
-            )
-            return speeds, others
-        return self._on_grid(amplitudes, frequencies)
+        columns = frequencies[:, None] if self.phase_jumps else [frequencies]
+        parts = [self._on_grid(amplitudes, column) for column in columns]
+        speeds, others = (np.concatenate(of_all, axis=1) for of_all in zip(*parts, strict=True))
+        return speeds, others
 
     def _on_grid(self, amplitudes: NDArray, frequencies: NDArray) -> tuple[NDArray, NDArray]:
         """The same, with the phases of the first frequency."""
         traced, shape = self._traced, (len(amplitudes), len(frequencies))
         first = float(frequencies[0])
-        own = self.search_problem_at(first) if self.phase_jumps else self.search_problem
+        own = self.search_problem
+        if self.phase_jumps:
+            own = self._search_problem_of(self._terms_at(first))
         speeds, others = own.margins(amplitudes, frequencies)
+        if not traced.has_flight_limits:
+            return speeds, others
         x = np.array([first, self.previous[1]])
         flat, angles = (part.copy() for part in traced.flight_terms(x, self.vector))
         rows, count = len(angles), len(amplitudes) * len(frequencies)
@@ -152,43 +160,32 @@ class UpdateProblem:
             self.data,
         )
         worst = np.min([of_kind.reshape(count, -1).min(axis=1) for of_kind in flight], axis=0)
-        return speeds.min(axis=2), np.minimum(others, worst.reshape(shape))
-
-    def speed_margins(self, x: NDArray) -> NDArray:
-        """The worse margin of each speed at x, which may have limits on either side."""
-        count = 1 + len(self._traced.constraints.names(Of.SPEED))
-        margins = self._margins_and_worst(x)[0][: count * self.speed_count]
-        return margins.reshape(count, -1).min(axis=0)
+        return speeds, np.minimum(others, worst.reshape(shape))
 
     def worst_margin(self, x: NDArray) -> float:
         """The least margin of all constraints at x."""
-        return min(self._margins_and_worst(x)[1], self._separation_margin(x))
+        return self._margins_and_worst(x)[1]
 
     def is_feasible(self, x: NDArray) -> bool:
         """Whether x fulfils the constraints."""
-        return (
-            self._margins_and_worst(x)[1] >= -FEASIBILITY_TOLERANCE
-            and self._separation_margin(x) >= -FEASIBILITY_TOLERANCE
-        )
+        return self.worst_margin(x) >= -FEASIBILITY_TOLERANCE
 
     def feasible_cost(self, x: NDArray) -> float:
         """The cost of the step to x, inf where x does not fulfil the constraints."""
         return self.cost(x) if self.is_feasible(x) else np.inf
 
     def learns_from(self, x: NDArray) -> bool:
-        """Whether the closest encounter of carriers at x is too close, and not known.
+        """Whether carriers come too close at x that are not known to.
 
-        `search_problem` and `known_bounds` know of it from now on.
+        `search_problem` and `known_bounds` know of them from now on.
         """
-        if self._separation is None or not self._separation.learns_from(float(x[1])):
+        if not self._keeps_apart or self.margins(x)[-1] >= -FEASIBILITY_TOLERANCE:
             return False
+        known = self._known_encounters
+        near = self._encounters_within(self._traced.constraints.min_separation, x)
+        self._known_encounters = np.unique(np.concatenate([known, near], axis=1), axis=1)
         self._search_problem = None
-        return True
-
-    def learn_previous(self) -> None:
-        """Lets the search know of the closest encounters at A⁻, which are likely to stay so."""
-        if self._separation is not None and self._separation.learn_near(float(self.previous[1])):
-            self._search_problem = None
+        return self._known_encounters.shape != known.shape
 
     def slowest_speed(self, x: NDArray) -> float:
         """The slowest predicted speed (m/s) at x."""
@@ -206,10 +203,6 @@ class UpdateProblem:
             self._search_problem = self._search_problem_of(self._terms)
         return self._search_problem
 
-    def search_problem_at(self, frequency: float) -> SearchProblem:
-        """The problem with the phases that `frequency` (rad/s) gives."""
-        return self._search_problem_of(self._terms_at(frequency))
-
     @cached_property
     def _terms(self) -> SpeedTerms:
         return self._terms_at(float(self.previous[0]))
@@ -218,12 +211,36 @@ class UpdateProblem:
         flat = self._traced.terms(np.array([frequency, self.previous[1]]), self.vector)
         return SpeedTerms.from_flat(*[term.copy() for term in flat])
 
+    @property
+    def _keeps_apart(self) -> bool:
+        return self._traced.constraints.min_separation > 0
+
     @cached_property
-    def _separation(self) -> Separation | None:
-        constraint = self._traced.separation
-        if constraint.min_separation == 0:
-            return None
-        return Separation(constraint, self._terms.forces, self._terms.levers, **self._cables)
+    def _known_encounters(self) -> NDArray:
+        """The encounters (3, m) that the search knows: at first those that are near at A⁻."""
+        return self._encounters_within(
+            _NEAR * self._traced.constraints.min_separation, self.previous
+        )
+
+    def _known_separation_margins(self, amplitudes: NDArray) -> NDArray:
+        """The worst margin (k,) of these at amplitudes (k,), N."""
+        return self._separation_margins(amplitudes, self._known_encounters)
+
+    def _separation_margins(self, amplitudes: NDArray, encounters: NDArray) -> NDArray:
+        """The worst margin (k,) of encounters at amplitudes (k,), N; inf if there are none."""
+        traced, terms = self._traced, self._terms
+        squares = traced.distances.least_squares(
+            encounters, amplitudes, terms.forces, terms.levers, **self._cables
+        )
+        (margins,) = traced.constraints.of_squares(Of.SEPARATION, squares)
+        worst: NDArray = margins.min(axis=1, initial=np.inf)
+        return worst
+
+    def _encounters_within(self, distance: float, x: NDArray) -> NDArray:
+        terms, amplitude = self._terms, float(x[1])
+        return self._traced.distances.near(
+            distance, amplitude, terms.forces, terms.levers, **self._cables
+        )
 
     @property
     def _cables(self) -> dict[str, float]:
@@ -231,14 +248,6 @@ class UpdateProblem:
             "rest_length": float(self.beliefs.rest_length[0]),
             "compliance": float(self.beliefs.compliance[0]),
         }
-
-    def _separation_margin(self, x: NDArray) -> float:
-        if self._separation is None:
-            return math.inf
-        margin = self._separation.worst_margin(float(x[1]))
-        if math.isnan(margin):
-            raise NotFiniteError(self._traced.name())
-        return margin
 
     def _search_problem_of(self, terms: SpeedTerms) -> SearchProblem:
         traced, data, previous, config = self._traced, self.data, self.previous, self._traced.config
@@ -262,10 +271,9 @@ class UpdateProblem:
 
     def _amplitude_margins(self, polynomials: NDArray) -> Callable[[NDArray], NDArray] | None:
         """The worst margin (k,) at amplitudes (k,) in the known constraints that ξ is not in."""
-        constraints, separation = self._traced.constraints, self._separation
-        if separation is not None and not separation.has_known:
-            separation = None
-        if not constraints.names(Of.TENSION) and separation is None:
+        constraints = self._traced.constraints
+        keeps_apart = self._keeps_apart and self._known_encounters.size > 0
+        if not constraints.names(Of.TENSION) and not keeps_apart:
             return None
 
         def worst_margins(amplitudes: NDArray) -> NDArray:
@@ -274,26 +282,25 @@ class UpdateProblem:
             squares = p0 + amplitudes * (p1 + amplitudes * p2)
             for margins in constraints.of_squares(Of.TENSION, squares):
                 worst = np.minimum(worst, margins.min(axis=0))
-            if separation is not None:
-                worst = np.minimum(worst, separation.known_margins(amplitudes))
+            if keeps_apart:
+                worst = np.minimum(worst, self._known_separation_margins(amplitudes))
             return worst
 
         return worst_margins
 
     def _margins_and_worst(self, x: NDArray) -> tuple[NDArray, float]:
         if x is not self._last[0]:
-            margins = self._computed_margins(x)
+            margins = self.margins_but_separation(x)
+            if self._keeps_apart:
+                margins = np.append(margins, self._separation_margin(x))
             self._last = x, margins, float(margins.min())
         return self._last[1], self._last[2]
 
-    def _computed_margins(self, x: NDArray) -> NDArray:
-        traced = self._traced
-        if traced.speed_count < MIN_SPEEDS_FOR_ARRAYS or traced.has_flight_limits:
-            return self._traced.margins(x, self.vector)[0].copy()
-        frequency, amplitude = Parameters.view(x)
-        terms = self._terms_at(float(frequency[0])) if self.phase_jumps else self._terms
+    def _separation_margin(self, x: NDArray) -> float:
+        """The margin of the closest encounter at x; inf where none is too close."""
         with np.errstate(divide="ignore", invalid="ignore"):
-            margins = self._traced.margins_of(terms, frequency, amplitude, self.data)
-        if not np.isfinite(margins).all():
+            near = self._encounters_within(self._traced.constraints.min_separation, x)
+            margin = float(self._separation_margins(x[1:], near)[0])
+        if math.isnan(margin):
             raise NotFiniteError(self._traced.name())
-        return margins
+        return margin if margin < 0 else math.inf

@@ -21,7 +21,7 @@ from drake_nonstop.optimization.problem_config import (
     bound_tightening,
     tightened_bound,
 )
-from drake_nonstop.optimization.search_problem import cheapest_on_grid, least_infeasible_on_grid
+from drake_nonstop.optimization.search_problem import FEW, MANY, best_on_grid
 from drake_nonstop.optimization.traced_problem import TracedProblem
 from drake_nonstop.optimization.update_data import Beliefs, UpdateData
 from drake_nonstop.optimization.update_problem import UpdateProblem
@@ -166,7 +166,6 @@ class UpdateSolver:
         was_feasible = problem.is_feasible(previous)
         if was_feasible and not self._is_anchor_active(problem):
             return _answer(problem, previous, Outcome.KEPT)
-        problem.learn_previous()
         parameters = self._best(problem)
         is_feasible = problem.is_feasible(parameters)
         if was_feasible and (not is_feasible or problem.cost(parameters) >= problem.cost(previous)):
@@ -188,7 +187,7 @@ class UpdateSolver:
             updates: how many there were before.
         """
         config, previous = self._config, data.previous
-        if self._traced.separation.min_separation > 0:
+        if self._traced.constraints.min_separation > 0:
             return 0.0, 0.0
         number = casadi.fmod(updates, config.orbit_updates)
         turn = sum(angle * (number == k) for k, (angle,) in enumerate(self._orbit_turns))
@@ -244,22 +243,23 @@ class UpdateSolver:
         if self._traced.has_flight_limits:
             return nearest_within_limits(problem)
         if self._config.solver == "grid" or problem.phase_jumps:
-            return cheapest_on_grid(
-                problem.search_problem_at, float(problem.previous[0]), problem.cost
+            return best_on_grid(
+                problem.margins_on_grid,
+                *problem.bounds,
+                MANY,
+                cost=problem.cost,
+                previous=problem.previous,
             )
         search_problem = problem.search_problem
-        before = problem.speed_margins(problem.previous)
-        parameters, cost = nearest_feasible(search_problem, before, problem.speed_margins)
+        parameters, cost = nearest_feasible(search_problem)
         if np.isfinite(cost):
             return parameters, cost
-        parameters = least_infeasible_on_grid(search_problem)
+        parameters, _ = best_on_grid(search_problem.margins, *problem.bounds, FEW)
         cost = problem.feasible_cost(parameters)
         if not np.isfinite(cost):
             return parameters, cost
         # The grid found a feasible range of A so narrow that the search had missed it.
-        nearer, lower_cost = nearest_feasible(
-            search_problem, before, problem.speed_margins, float(parameters[1])
-        )
+        nearer, lower_cost = nearest_feasible(search_problem, float(parameters[1]))
         return (nearer, lower_cost) if lower_cost < cost else (parameters, cost)
 
 

@@ -278,7 +278,7 @@ def _zoomed(
 
 def _cheapest_of_grid(problem: SearchProblem) -> float:
     def objective(frequencies: NDArray, amplitudes: NDArray) -> NDArray:
-        margins = problem.margins(amplitudes, frequencies)[0].min(axis=2)
+        margins = problem.margins(amplitudes, frequencies)[0]
         costs = _cost(problem, frequencies, amplitudes)
         return np.where(margins >= -_ROUND_OFF, costs, np.inf)
 
@@ -286,7 +286,7 @@ def _cheapest_of_grid(problem: SearchProblem) -> float:
 
 
 def _largest_margin(problem: SearchProblem) -> float:
-    return -_zoomed(problem, lambda xi, A: -problem.margins(A, xi)[0].min(axis=2), zooms=5)
+    return -_zoomed(problem, lambda xi, A: -problem.margins(A, xi)[0], zooms=5)
 
 
 def _cheapest_of_amplitudes(problem: SearchProblem) -> float:

@@ -23,7 +23,7 @@ from drake_nonstop.optimization.horizon_problem import HorizonProblem, reference
 from drake_nonstop.optimization.horizon_solver import HorizonSolver
 from drake_nonstop.optimization.limits import Of, limits_of
 from drake_nonstop.optimization.problem_config import LimitsConfig
-from drake_nonstop.optimization.separation import Separation, SeparationConstraint
+from drake_nonstop.optimization.separation import OrbitDistances
 
 SMALL = HorizonConfig(
     horizon=4.0, knot_spacing=0.4, instants=10, terminal_phases=36, terminal_amplitudes=17
@@ -225,8 +225,10 @@ def test_the_terminal_set_keeps_the_limits_at_all_phases(name):
     assert np.sqrt(squares(1.02 * least)[0].min()) > 1.02 * 0.4
     assert np.sqrt(squares(most)[0].max()) == pytest.approx(0.98 * 2.0, rel=0.01)
     tensions = np.sqrt(squares(1.0)[1])
-    separation = Separation(
-        SeparationConstraint(0.51, problem.axes),
+    distances = OrbitDistances(problem.axes)
+    apart = distances.least_squares(
+        distances.every(),
+        np.array([A]),
         terms.forces[0],
         system.attachments,
         rest_length=problem.rest_length,
@@ -235,7 +237,7 @@ def test_the_terminal_set_keeps_the_limits_at_all_phases(name):
     margin = min(
         (tensions.min() / 1.53) ** 2 - 1,
         1 - (tensions.max() / 5.88) ** 2,
-        separation.worst_margin(A),
+        apart.min() / 0.51**2 - 1,
     )
     assert terminal.amplitude_margins[k, j] == pytest.approx(margin, abs=2e-3)
 

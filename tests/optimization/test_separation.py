@@ -127,20 +127,17 @@ def test_the_closest_encounter_of_all_pairs_is_found(seed, monkeypatch):
 
 
 @pytest.mark.parametrize("seed", nightly_beyond(3, "studies", range(12)))
-def test_known_encounters_are_some_of_all(seed):
+def test_encounters_are_learned_of_where_carriers_come_too_close(seed):
     drawn = Drawn(seed)
-    at = drawn.problem._separation
-    amplitudes = SHARE * np.array([0.1, 0.4, 1.0, 2.5])
-    assert np.all(at.known_margins(amplitudes) == np.inf)
-    for i, amplitude in enumerate(amplitudes):
-        learned = at.learns_from(amplitude)
-        assert not at.learns_from(amplitude)
-        known = at.known_margins(amplitudes.copy())
-        worst = np.array([at.worst_margin(a) for a in amplitudes])
-        assert np.all((known >= worst - 1e-9) | (worst == np.inf))
-        assert learned <= (worst[i] < 0)
-        if worst[i] < 0:
-            assert known[i] == pytest.approx(worst[i], abs=1e-9)
+    problem = drawn.problem
+    for amplitude in SHARE * np.array([0.1, 0.4, 1.0, 2.5]):
+        x = np.array([2.0, amplitude])
+        is_missed = problem.margins(x)[-1] < -1e-6
+        assert problem.learns_from(x) <= is_missed
+        assert not problem.learns_from(x)
+        if is_missed:
+            (margin,) = problem.search_problem.amplitude_margins(x[1:])
+            assert margin == pytest.approx(problem.margins(x)[-1], abs=1e-9)
 
 
 @pytest.mark.parametrize("seed", nightly_beyond(4, "studies", range(24)))
@@ -152,7 +149,7 @@ def test_answers_keep_apart_and_none_of_a_grid_is_cheaper(seed):
         np.geomspace(*bounds, 60) for bounds in zip(search.lower, search.upper, strict=True)
     )
     amplitudes = amplitudes.clip(search.lower[1], search.upper[1])
-    speeds = search.margins(amplitudes, frequencies)[0].min(axis=2)
+    speeds, _ = search.margins(amplitudes, frequencies)
     separations = np.array([drawn.worst_margin(a) for a in amplitudes])
     is_feasible = (speeds >= 0) & (separations[:, None] >= 0)
     costs = [
@@ -160,7 +157,7 @@ def test_answers_keep_apart_and_none_of_a_grid_is_cheaper(seed):
     ]
     if outcome in (Outcome.KEPT, Outcome.SOLVED):
         assert drawn.worst_margin(found[1]) >= -2e-6
-        assert problem.speed_margins(found).min() >= -2e-6
+        assert search.speed_margins(found).min() >= -2e-6
         assert problem.cost(found) <= min(costs, default=np.inf) * (1 + 1e-3)
     else:
         assert not costs
@@ -182,28 +179,21 @@ def test_other_solvers_agree_with_the_search(seed):
 
 def test_a_cable_without_tension_has_no_margin():
     drawn = Drawn(0)
-    constraint = drawn.solver._traced.separation
-    at = separation.Separation(
-        constraint,
-        0 * drawn.forces,
-        drawn.levers,
-        rest_length=drawn.model.cable_length,
-        compliance=drawn.model.cable_compliance,
-    )
-    assert np.isnan(at.worst_margin(0.0))
-    drawn.problem._separation = at
+    drawn.problem._terms = drawn.problem._terms._replace(forces=0 * drawn.forces)
     with pytest.raises(NotFiniteError, match="optimization_layer made"):
         drawn.problem.margins(np.array([2.0, 0.0]))
 
 
-def test_carriers_that_meet_between_two_phases_are_found_however_fast_they_close_in():
-    """Two come from farther apart than the nearest ones, as fast as any, towards each other."""
-    half_step = separation._HALF_STEP
-    apart = 1.0 + 1.8 * half_step
-    x = np.array([0.0, 1.0, 50.0, 50.0 + apart])
-    positions = np.stack([x, 0 * x, 0 * x])[:, None]
-    rates = np.stack([np.array([0.0, 0.0, 1.0, -1.0]), 0 * x, 0 * x])[:, None]
-    found = separation._close_encounters(positions, rates, distance=2.0)
-    assert {(first, second) for _, first, second in found.T.tolist()} == {(0, 1), (2, 3)}
-    slower = separation._close_encounters(positions, 0.5 * rates, distance=2.0)
-    assert {(first, second) for _, first, second in slower.T.tolist()} == {(0, 1)}
+@pytest.mark.parametrize("seed", nightly_beyond(3, "studies", range(12)))
+def test_encounters_that_are_near_are_all_that_come_so_close(seed):
+    drawn = Drawn(seed)
+    model, amplitude = drawn.model, np.array([0.6 * SHARE])
+    cables = {"rest_length": model.cable_length, "compliance": model.cable_compliance}
+    distances, load = drawn.solver._traced.distances, (drawn.forces, drawn.levers)
+    every = distances.every()
+    assert every.shape == (3, PHASES * model.n * (model.n - 1) // 2)
+    (squares,) = distances.least_squares(every, amplitude, *load, **cables)
+    for distance in np.sqrt(np.quantile(squares, [0.001, 0.01, 0.1])) + 1e-9:
+        near = distances.near(distance, float(amplitude[0]), *load, **cables)
+        assert {*map(tuple, every[:, squares <= distance**2].T)} <= {*map(tuple, near.T)}
+        assert near.shape[1] < every.shape[1]

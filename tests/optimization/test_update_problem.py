@@ -22,7 +22,7 @@ def test_search_problem_has_the_speeds_of_every_amplitude_and_frequency(orbit_po
     inputs = moving(6)
     problem = update_solver(orbit_points=orbit_points).problem(update_data(inputs, 0.5))
     for x in np.random.default_rng(6).uniform([0.3, 0.2], [6, 4], (10, 2)):
-        margins = problem.search_problem.margins(x[1:], x[:1])[0][0, 0]
+        margins = problem.search_problem.speed_margins(x)
         of_now = 0.5 * (1 + TIGHTENING) * np.sqrt(margins[:4] + 1)
         np.testing.assert_allclose(of_now, carrier_speeds(x, inputs), rtol=1e-6)
         assert np.min(margins) == pytest.approx(problem.worst_margin(x), abs=1e-9)
