@@ -2,15 +2,16 @@
 
 import contextlib
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.analysis.load_stability import Growth, LoadDeviations
+from drake_nonstop.analysis.load_stability import Growth
+from drake_nonstop.analysis.orbit_terms import motion_above, orbit_terms
 from drake_nonstop.analysis.sampled_growth import (
     Planned,
     SampledGrowth,
@@ -18,11 +19,12 @@ from drake_nonstop.analysis.sampled_growth import (
     sampled_rate,
 )
 from drake_nonstop.analysis.task import Task
-from drake_nonstop.mechanics.grasp import grasp_matrix, in_load_frame
-from drake_nonstop.mechanics.internal_force import internal_force
+from drake_nonstop.mechanics.grasp import grasp_matrix
+from drake_nonstop.mechanics.planned_orbit import PlannedOrbit
 from drake_nonstop.mechanics.rigid_load import STILL_AIR
-from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, PlannedParameters
-from drake_nonstop.mechanics.wrench import FEEDBACK_GAINS, NO_FEEDBACK, feedforward_wrench
+from drake_nonstop.mechanics.rotation import rotation_matrix
+from drake_nonstop.mechanics.signals import PlannedParameters
+from drake_nonstop.mechanics.wrench import FEEDBACK_GAINS, NO_FEEDBACK
 from drake_nonstop.model.pattern import LinearPatternConfig
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.plan import Plan
@@ -107,22 +109,6 @@ class Formation(NamedTuple):
         return max(self.instants, key=lambda instant: instant.rate)
 
 
-def held_forces(
-    model: Model, reference: NDArray, wind: NDArray | None = None
-) -> tuple[NDArray, NDArray]:
-    """The cables' forces (3n,), N, in L, without the orbits' waves, and R_LW (3, 3).
-
-    Args:
-        model: of load, cables and pattern.
-        reference: (22,) of the load.
-        wind: at the load (3,), m/s, in W; None: there is none.
-    """
-    state = reference[:LOAD_STATE_SIZE]
-    wrench, rate = feedforward_wrench(model.load, reference, STILL_AIR if wind is None else wind)
-    R_LW, _, wrench_L, _ = in_load_frame(state, wrench, rate)
-    return model.pseudo_inverse @ wrench_L + model.pattern.offset, R_LW
-
-
 def cable_loads(
     model: Model, reference: NDArray, parameters: NDArray, wind: NDArray | None = None
 ) -> CableLoads:
@@ -134,12 +120,9 @@ def cable_loads(
         parameters: [ξ (rad/s), A (N)] (2,).
         wind: at the load (3,), m/s, in W.
     """
-    pattern = model.pattern
-    held, R_LW = held_forces(model, reference, wind)
-    values, *_ = internal_force(
-        parameters, _ANGLES[:, None], phases=pattern.phases, orders=pattern.orders
-    )
-    forces = (held + values @ pattern.basis.T).reshape(len(_ANGLES), model.n, 3) @ R_LW
+    terms = orbit_terms(model, [reference], [STILL_AIR if wind is None else wind])
+    orbit = PlannedOrbit.constant(_ANGLES, *parameters)
+    forces = motion_above(model, terms, orbit).forces @ rotation_matrix(reference[:4]).T
     vertical = forces[..., 2]
     shares = vertical * model.n / (model.load_mass * model.gravity)
     elevations = np.arctan2(vertical, np.hypot(forces[..., 0], forces[..., 1]))
@@ -151,24 +134,16 @@ def cable_loads(
     )
 
 
-def formation_at(
-    task: Task,
-    deviations: LoadDeviations,
-    time: float,
-    parameters: NDArray,
-    gains: Mapping[str, Any] | None,
-) -> FormationInstant:
-    """The formation at a time (s) with [ξ, A] (2,); gains as of `Task`."""
-    reference = task.reference(time)
-    controlled = None
-    if gains is not None:
-        controlled = deviations.growth(reference, parameters, gains, wind=task.wind)
+def formation_at(task: Task, time: float, parameters: NDArray) -> FormationInstant:
+    """The formation at a time (s) with [ξ, A] (2,)."""
+    reference, gains = task.reference(time), task.response.measured_gains
+    growth = partial(task.deviations.growth, reference, parameters, wind=task.wind)
     return FormationInstant(
         time,
         parameters,
         cable_loads(task.flown, reference, parameters, task.wind),
-        deviations.growth(reference, parameters, wind=task.wind),
-        controlled,
+        growth(),
+        None if gains is None else growth(gains),
     )
 
 
@@ -180,30 +155,25 @@ def find_formation(task: Task, plan: Plan | None = None, *, count: int = 8) -> F
         plan: of ξ and A; None: they are the nominal ones.
         count: of the instants on the way, at the middles of equal parts of it.
     """
-    deviations, gains = task.deviations(), task.response.measured_gains
     part = task.duration / count
     times = part * (np.arange(count) + 0.5)
     instants = tuple(
-        formation_at(task, deviations, time, values[1:3], gains)
+        formation_at(task, time, values[1:3])
         for time, values in zip(times.tolist(), task.planned(plan, times), strict=True)
     )
-    rate, sampled = math.nan, SampledGrowth()
-    if gains is not None:
-        rate = sampled_rate(task, task.reference(0.0), task.nominal, gains)
-        sampled = _growth_in_samples(task, partial(task.planned, plan), gains)
     return Formation(
-        formation_at(task, deviations, 0.0, task.nominal, gains),
+        formation_at(task, 0.0, task.nominal),
         instants,
         _largest_growth([part * instant.rate for instant in instants]),
-        rate,
-        sampled,
+        sampled_rate(task),
+        _growth_in_samples(task, partial(task.planned, plan)),
     )
 
 
-def _growth_in_samples(task: Task, planned: Planned, gains: Mapping[str, Any]) -> SampledGrowth:
-    found = growth_on_the_way(task, planned, gains)
+def _growth_in_samples(task: Task, planned: Planned) -> SampledGrowth:
+    found = growth_on_the_way(task, planned)
     if found.growth >= _MOST_GROWN_IN_SAMPLES:
-        found = growth_on_the_way(task, planned, gains, phases=_CLOSER)
+        found = growth_on_the_way(task, planned, phases=_CLOSER)
     return found
 
 
@@ -227,12 +197,11 @@ def growth_complaint(task: Task, duration: float, *, in_samples: bool = False) -
     """
     if not duration * task.limits.frequency >= 2 * math.pi:
         return ""
-    deviations, gains = task.deviations(), task.response.measured_gains
+    gains = task.response.measured_gains or NO_FEEDBACK
 
     def rate(of_amplitude: float) -> float:
         parameters = task.nominal * np.array([1.0, of_amplitude])
-        used = NO_FEEDBACK if gains is None else gains
-        return deviations.growth(task.reference(0.0), parameters, used, wind=task.wind).rate
+        return task.deviations.growth(task.reference(0.0), parameters, gains, wind=task.wind).rate
 
     def is_stable(task: Task, of_amplitude: float = 1.0) -> bool:
         return rate(of_amplitude) * duration < _MOST_GROWN
@@ -240,11 +209,9 @@ def growth_complaint(task: Task, duration: float, *, in_samples: bool = False) -
     found = rate(1.0)
     remedy = "let drake-nonstop check try what helps"
     if found * duration < _MOST_GROWN:
-        if not in_samples or gains is None:
+        if not in_samples:
             return ""
-        sampled = _growth_in_samples(
-            replace(task, duration=duration), partial(task.planned, None), gains
-        )
+        sampled = _growth_in_samples(replace(task, duration=duration), partial(task.planned, None))
         if not sampled.growth >= _MOST_GROWN_IN_SAMPLES:
             return ""
         return (
@@ -280,10 +247,7 @@ def find_formation_remedies(
     }
     times = [*first, *sorted(others - {*first})]
 
-    def is_stable(task: Task, gains: Mapping[str, Any] | None = None, of_amplitude: float = 1.0):
-        deviations = task.deviations()
-        used = task.response.measured_gains if gains is None else gains
-
+    def is_stable(task: Task, of_amplitude: float = 1.0) -> bool:
         def planned(times: NDArray) -> NDArray:
             values = task.planned(plan, times)
             PlannedParameters.view(values).amplitude[:] *= of_amplitude
@@ -293,12 +257,11 @@ def find_formation_remedies(
             loads = cable_loads(task.flown, task.reference(time), values[1:3], task.wind)
             if not np.min(loads.shares) > 0:
                 return False
-            instant = formation_at(task, deviations, time, values[1:3], used)
-            if instant.rate * task.duration >= _MOST_GROWN:
+            if formation_at(task, time, values[1:3]).rate * task.duration >= _MOST_GROWN:
                 return False
-        if found.growth >= _MOST_GROWN or used is None:
+        if found.growth >= _MOST_GROWN:
             return True
-        return not growth_on_the_way(task, planned, used).growth >= _MOST_GROWN_IN_SAMPLES
+        return not growth_on_the_way(task, planned).growth >= _MOST_GROWN_IN_SAMPLES
 
     remedies = []
     if (amplitude := _largest_amplitude(task, is_stable)) is not None:
@@ -326,11 +289,13 @@ def _largest_amplitude(task: Task, is_stable: _IsStable) -> float | None:
 
 
 def _other_gains(task: Task, is_stable: _IsStable) -> list[str]:
-    gains = task.response.measured_gains
-    if gains is None or not any(np.any(gain) for gain in gains.values()):
+    response, gains = task.response, task.response.measured_gains
+    if response.feedback is None or not gains or not any(map(np.any, gains.values())):
         return []
     for factor in _GAIN_FACTORS:
-        if is_stable(task, {name: factor * np.asarray(gains[name]) for name in FEEDBACK_GAINS}):
+        others = {name: factor * np.asarray(gains[name]) for name in FEEDBACK_GAINS}
+        feedback = replace(response.feedback, gains={**gains, **others})
+        if is_stable(replace(task, response=replace(response, feedback=feedback))):
             return [f"gains of the wrench controller {factor:g} times as large"]
     return []
 
@@ -348,7 +313,7 @@ def _other_formations(task: Task) -> Iterator[tuple[str, Callable[[], Task]]]:
             offset=np.round(pattern.offset + offset, 12).tolist(),
         )
         said = f"pattern=LinearPattern with the offset {np.round(config.offset, 3).tolist()} N"
-        yield said, lambda: task.with_pattern(config)
+        yield said, lambda: task.changed(config)
     centred = attachments - attachments.mean(axis=0) * [1, 1, 0]
     angles = np.arctan2(centred[:, 1], centred[:, 0])
     first, radius = angles[0], np.linalg.norm(centred[:, :2], axis=1).mean()
@@ -358,7 +323,7 @@ def _other_formations(task: Task) -> Iterator[tuple[str, Callable[[], Task]]]:
     for places, what in ((centred, "about the centre of mass"), (polygon, "a regular polygon")):
         rounded = np.round(places, 3).tolist()
         said = f"system.attachments={rounded}, {what}"
-        yield said, partial(task.with_system, attachments=rounded)
+        yield said, partial(task.changed, attachments=rounded)
 
 
 def _evening_offset(model: Model) -> NDArray | None:

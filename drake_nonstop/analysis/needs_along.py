@@ -1,24 +1,14 @@
 """What the aircraft of a task need along a plan of ξ and A."""
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.analysis.aircraft_margins import asked_load
+from drake_nonstop.analysis.orbit_terms import motion_above, orbit_terms
 from drake_nonstop.analysis.task import Task
 from drake_nonstop.mechanics.aircraft import FlightNeeds
 from drake_nonstop.mechanics.cable import forces_under_other_wrench, wrenches_of
-from drake_nonstop.mechanics.planned_orbit import (
-    FlightTerms,
-    OrbitMotion,
-    PlannedOrbit,
-    flight_along_reference,
-    needs_of_motion,
-    orbit_motion,
-    pattern_directions,
-)
-from drake_nonstop.mechanics.rigid_load import RigidLoad
+from drake_nonstop.mechanics.planned_orbit import OrbitMotion, PlannedOrbit, needs_of_motion
 from drake_nonstop.model.system import Model
 
 
@@ -39,11 +29,12 @@ class NeedsAlong:
         self._believed = task.carried
         above = _height_of_carriers(self._believed)
         winds = [task.wind_at(time, above) for time in times]
+        references = [task.reference(time) for time in times]
         load = asked_load(self._believed, self._plant)
-        self._terms = terms_along(task, self._believed, load, times, winds)
+        self._terms = orbit_terms(self._believed, references, winds, load)
         self._wrenches: NDArray | None = None
         if self._believed is not self._plant:
-            held = terms_along(task, self._plant, self._plant.load, times, winds).forces
+            held = orbit_terms(self._plant, references, winds).forces
             self._wrenches = wrenches_of(held, self._plant.attachments)
 
     def needs(self, planned: NDArray) -> FlightNeeds:
@@ -56,7 +47,7 @@ class NeedsAlong:
 
     def _motion(self, planned: NDArray) -> OrbitMotion:
         """The carriers' motion, and the forces of the simulated cables."""
-        motion = motion_above(self._believed, self._terms, planned)
+        motion = motion_above(self._believed, self._terms, PlannedOrbit.of_planned(planned))
         if self._wrenches is None:
             return motion
         forces = forces_under_other_wrench(
@@ -67,36 +58,6 @@ class NeedsAlong:
             stiffness=self._plant.cable_stiffness,
         )
         return motion._replace(forces=forces)
-
-
-def motion_above(model: Model, terms: FlightTerms, planned: NDArray) -> OrbitMotion:
-    """The motion of a model's carriers at k instants, of a plan's values (k, 8) there."""
-    orbit, pattern = PlannedOrbit.of_planned(planned), model.pattern
-    return orbit_motion(
-        terms,
-        pattern_directions(pattern.basis, pattern.phases, pattern.orders, orbit.angle),
-        orbit,
-        rest_length=model.cable_length,
-        compliance=model.cable_compliance,
-    )
-
-
-def terms_along(
-    task: Task, model: Model, load: RigidLoad, times: NDArray, winds: Sequence[NDArray]
-) -> FlightTerms:
-    """What the orbits of a model depend on besides the plan, at times (k,), s, with their winds."""
-    rows = [
-        flight_along_reference(
-            load,
-            task.reference(time),
-            wind,
-            pseudo_inverse=model.pseudo_inverse,
-            offset=model.pattern.offset,
-            attachments=model.attachments,
-        )
-        for time, wind in zip(times, winds, strict=True)
-    ]
-    return FlightTerms.view(np.array(rows))
 
 
 def _height_of_carriers(model: Model) -> float:

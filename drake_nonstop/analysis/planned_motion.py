@@ -3,17 +3,18 @@
 import contextlib
 import dataclasses
 import math
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.analysis.formation import held_forces
 from drake_nonstop.analysis.limit import find_collisions
+from drake_nonstop.analysis.orbit_terms import motion_above, orbit_terms
 from drake_nonstop.analysis.separations import Spacing, closest_cables, closest_carriers
 from drake_nonstop.analysis.task import Task
-from drake_nonstop.mechanics.internal_force import internal_force
+from drake_nonstop.mechanics.planned_orbit import PlannedOrbit
+from drake_nonstop.mechanics.rotation import rotation_matrix
 from drake_nonstop.mechanics.signals import LoadReference
 from drake_nonstop.model.pattern import SpreadCarouselConfig
 from drake_nonstop.model.system import SystemParameters
@@ -71,40 +72,33 @@ class PlannedMotion(Spacing):
 
     def __init__(self, scenario: Scenario, task: Task, plan: Plan | None = None):
         self.scenario, self._model = scenario, task.flown
-        pattern = task.flown.pattern
         fastest = task.limits.frequency * (1 if plan is None else plan.coefficients[0].max())
         turns = task.duration * fastest / (2 * math.pi)
         self.times = times = np.linspace(0, task.duration, math.ceil(_PER_TURN * (1 + turns)))
         planned = task.planned(plan, times)
         references = np.array([task.reference(time) for time in times])
-        winds = [task.wind_at(time) for time in times]
-        held = map(partial(held_forces, self._model), references, winds)
-        without_waves, R_LW = map(np.array, zip(*held, strict=True))
-        values, *_ = internal_force(
-            planned[:, 1:3], planned[:, :1], phases=pattern.phases, orders=pattern.orders
-        )
-        forces = without_waves + values @ pattern.basis.T
-        self._forces = forces.reshape(len(times), -1, 3) @ R_LW  # (k, n, 3), N, in W
-        self._centres = LoadReference.view(references).position[:, None]
-        self._levers = self._model.attachments @ R_LW
+        terms = orbit_terms(task.flown, references, [task.wind_at(time) for time in times])
+        motion = motion_above(task.flown, terms, PlannedOrbit.of_planned(planned))
+        loads = LoadReference.view(references)
+        R_LW = rotation_matrix(loads.quaternion).swapaxes(1, 2)
+        self._forces = motion.forces @ R_LW  # (k, n, 3), N, in W
+        self._attachments = loads.position[:, None] + self._model.attachments @ R_LW
+        self._carriers = self._attachments + motion.cables @ R_LW
 
     @property
     def system(self) -> SystemParameters:
         """The simulated load, cables and carriers."""
         return self._model.system
 
-    @cached_property
+    @property
     def attachment_positions(self) -> NDArray:
         """Where the cables are attached to the load, (k, n, 3), in W, m."""
-        return self._centres + self._levers
+        return self._attachments
 
-    @cached_property
+    @property
     def carrier_positions(self) -> NDArray:
         """(k, n, 3), in W, m."""
-        model = self._model
-        tensions = np.linalg.norm(self._forces, axis=-1, keepdims=True)
-        lengths = model.cable_length + model.cable_compliance * tensions
-        return self.attachment_positions + lengths * self._forces / tensions
+        return self._carriers
 
     @cached_property
     def collisions(self) -> list[str]:
@@ -176,7 +170,7 @@ def find_motion_remedies(scenario: Scenario, task: Task) -> list[str]:
     for factor in _SPREADS:
         config = SpreadCarouselConfig(spread=float(f"{factor * task.limits.amplitude:.3g}"))
         with contextlib.suppress(ScenarioError):  # a formation that cannot be
-            if PlannedMotion(scenario, task.with_pattern(config)).is_flyable:
+            if PlannedMotion(scenario, task.changed(config)).is_flyable:
                 remedies.append(f"pattern=!SpreadCarousel {{spread: {config.spread:g}}}")
                 break
     for factor in _AMPLITUDES:

@@ -6,23 +6,19 @@ a force moves its carrier by L/T times as much within a sample.
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from drake_nonstop.analysis.orbit_terms import orbit_terms
 from drake_nonstop.analysis.task import Task
-from drake_nonstop.mechanics.grasp import cable_forces_and_rates
-from drake_nonstop.mechanics.internal_force import (
-    internal_force,
-)
-from drake_nonstop.mechanics.rotation import rotation_matrix
+from drake_nonstop.mechanics.internal_force import internal_force
+from drake_nonstop.mechanics.rotation import cross
 from drake_nonstop.mechanics.sampled_loop import largest_growth
-from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, LoadReference
-from drake_nonstop.mechanics.wrench import feedforward_wrench
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.tethered_loop import (
     Carriers,
@@ -55,9 +51,7 @@ class SampledGrowth(NamedTuple):
         return f"{times:.2g} times from t = {self.start:.1f} to {self.end:.1f} s"
 
 
-def growth_on_the_way(
-    task: Task, planned: Planned, gains: Mapping[str, Any] | None = None, *, phases: int = 24
-) -> SampledGrowth:
+def growth_on_the_way(task: Task, planned: Planned, *, phases: int = 24) -> SampledGrowth:
     """That of the loop of `optimization.tethered_loop`, linearized along the plan.
 
     A loop whose Floquet multipliers are small may still lose the load: where a cable is nearly
@@ -67,11 +61,10 @@ def growth_on_the_way(
     Args:
         task: what is flown.
         planned: the plan.
-        gains: in place of the wrench controller's.
         phases: of a nominal turn, at which the loop is linearized. Between them the maps from
             sample to sample are interpolated, which overrates what grows where tension is small.
     """
-    if (loop := _loop_of(task, gains)) is None:
+    if (loop := _loop_of(task)) is None:
         return SampledGrowth()
     period = loop[-1].period
     turn = 2 * math.pi / task.limits.frequency
@@ -95,60 +88,32 @@ def growth_on_the_way(
     return SampledGrowth(math.log(found.times), found.first * period, found.last * period)
 
 
-def sampled_rate(
-    task: Task,
-    reference: NDArray,
-    parameters: NDArray,
-    gains: Mapping[str, Any] | None = None,
-) -> float:
-    """1/s, at which a deviation grows from turn to turn, the largest one; NaN: it is not known.
-
-    Args:
-        task: what is flown.
-        reference: (22,) of the load, whose motion stays as it is.
-        parameters: [ξ (rad/s), A (N)] (2,).
-        gains: in place of the wrench controller's.
-    """
-    if (loop := _loop_of(task, gains)) is None:
+def sampled_rate(task: Task) -> float:
+    """1/s, at which a deviation grows from turn to turn at the task's start; NaN: not known."""
+    if (loop := _loop_of(task)) is None:
         return math.nan
-    orbit = partial(_orbit, task, reference, parameters=parameters)
-    return turn_of_loops(*loop, float(parameters[0]), orbit).rate
+    orbit = partial(_orbit, task, task.reference(0.0), parameters=task.nominal)
+    return turn_of_loops(*loop, float(task.nominal[0]), orbit).rate
 
 
-def _loop_of(
-    task: Task, gains: Mapping[str, Any] | None
-) -> tuple[Model, Model, Carriers, Feedback] | None:
-    """What the loop consists of, with these gains; None: it is not known."""
+def _loop_of(task: Task) -> tuple[Model, Model, Carriers, Feedback] | None:
+    """What the loop consists of; None: it is not known."""
     carriers, feedback = task.response.carriers, task.response.feedback
     if carriers is None or feedback is None or not math.isfinite(task.flown.cable_stiffness):
         return None
-    if gains is not None:
-        feedback = replace(feedback, gains={**feedback.gains, **gains})
+    measured = task.response.measured_gains or {}
+    feedback = replace(feedback, gains={**feedback.gains, **measured})
     return task.model, task.flown, carriers, feedback
 
 
 def _orbit(task: Task, reference: NDArray, angle: float, parameters: NDArray) -> Orbit:
     """The forces and their rates, in the load's frame; velocities, which do not matter, are 1."""
-    model, state = task.model, reference[:LOAD_STATE_SIZE]
-    wrench, rate = feedforward_wrench(model.load, reference, task.wind)
-    pattern = model.pattern
-    *internal, second, third = internal_force(
+    model, pattern = task.model, task.model.pattern
+    terms = orbit_terms(model, [reference], [task.wind])
+    waves = internal_force(
         parameters, np.array([angle]), phases=pattern.phases, orders=pattern.orders
     )
-    forces, rates = cable_forces_and_rates(
-        state,
-        wrench,
-        rate,
-        np.concatenate(internal),
-        pseudo_inverse=model.pseudo_inverse,
-        basis=pattern.basis,
-        offset=pattern.offset,
-    )
-    turned = rotation_matrix(LoadReference.view(reference).quaternion)
-    return Orbit(
-        forces @ turned,
-        rates @ turned,
-        (pattern.basis @ second).reshape(-1, 3),
-        (pattern.basis @ third).reshape(-1, 3),
-        np.ones_like(forces),
-    )
+    internal, rates, second, third = ((pattern.basis @ wave).reshape(-1, 3) for wave in waves)
+    forces = terms.forces[0] + internal
+    rates = terms.rates[0] + rates + cross(terms.angular_velocity[0], forces)
+    return Orbit(forces, rates, second, third, np.ones_like(forces))

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.analysis.limit_along import LimitAlong
-from drake_nonstop.analysis.needs_along import NeedsAlong, motion_above, terms_along
+from drake_nonstop.analysis.needs_along import NeedsAlong
+from drake_nonstop.analysis.orbit_terms import motion_above, orbit_terms
 from drake_nonstop.analysis.task import Task
 from drake_nonstop.mechanics.nonstop import polynomial_values, speed_squares
 from drake_nonstop.mechanics.planned_orbit import OrbitTerms, PlannedOrbit
@@ -213,11 +214,11 @@ def set_over_time(
 def constant_speeds(task: Task, times: NDArray) -> NDArray:
     """The carriers' speeds (k, n), m/s, at times (k,), with the nominal ξ and A; any pattern."""
     model, winds = task.model, [task.wind_at(time) for time in times]
-    terms = terms_along(task, model, model.load, times, winds)
-    velocities = motion_above(model, terms, task.planned(None, times)).velocities
+    references = np.array([task.reference(time) for time in times])
+    orbit = PlannedOrbit.of_planned(task.planned(None, times))
+    velocities = motion_above(model, orbit_terms(model, references, winds), orbit).velocities
     if not task.counts_wind:
-        poses = np.array([task.reference(time)[:4] for time in times])
-        velocities = velocities + np.array(winds)[:, None] @ rotation_matrix(poses)
+        velocities = velocities + np.array(winds)[:, None] @ rotation_matrix(references[:, :4])
     return np.linalg.norm(velocities, axis=-1)
 
 
@@ -463,7 +464,7 @@ def _faster_start(task: Task) -> Iterator[SpeedRemedy]:
 def _longer_cables(task: Task) -> Iterator[SpeedRemedy]:
     def longer(factor: float) -> tuple[Task, str]:
         length = _rounded(factor * task.model.cable_length, 1)
-        return task.with_system(cable_length=length), f"system.cable_length={length:g}"
+        return task.changed(cable_length=length), f"system.cable_length={length:g}"
 
     return _of_factors(longer)
 

@@ -163,6 +163,7 @@ class Task:
             values[:] = [plan.values(time) for time in times]
         return values
 
+    @cached_property
     def deviations(self) -> LoadDeviations:
         """Those of the load."""
         return LoadDeviations(
@@ -181,25 +182,24 @@ class Task:
 
         return dataclasses.replace(self, reference=reference, duration=factor * self.duration)
 
-    def with_system(self, **fields: Any) -> "Task":
-        """The same with other fields of the `SystemParameters`, of model and plant.
+    def changed(self, pattern: Any = None, **fields: Any) -> "Task":
+        """The same with another pattern's config, or other fields of `SystemParameters`.
+
+        Both of model and plant.
 
         Raises:
             ScenarioError: as of `Model`.
         """
-        return dataclasses.replace(
-            self, model=_changed(self.model, **fields), flown=_changed(self.flown, **fields)
+        model, flown = (
+            Model(
+                dataclasses.replace(each.system, **fields),
+                pattern or each.pattern_config,
+                each.control_period,
+                overridden=each.overridden,
+            )
+            for each in (self.model, self.flown)
         )
-
-    def with_pattern(self, pattern: Any) -> "Task":
-        """The same with another pattern's config, of model and plant.
-
-        Raises:
-            ScenarioError: as of `Model`.
-        """
-        return dataclasses.replace(
-            self, model=_patterned(self.model, pattern), flown=_patterned(self.flown, pattern)
-        )
+        return dataclasses.replace(self, model=model, flown=flown)
 
 
 def task_of(scenario: Scenario, loop: Diagram | None = None) -> Task:
@@ -312,14 +312,3 @@ def is_known(nonstop: Diagram) -> bool:
     own = [blocks[name] for name in _ANALYSED if name in blocks and not is_of_package(blocks[name])]
     is_told = all(RESPONSE in vars(type(block)) for block in own)
     return is_told and described(blocks.get("wrench_controller")) is not None
-
-
-def _changed(model: Model, **fields: Any) -> Model:
-    """A model with other fields of its system."""
-    system = dataclasses.replace(model.system, **fields)
-    return Model(system, model.pattern_config, model.control_period, overridden=model.overridden)
-
-
-def _patterned(model: Model, pattern: Any) -> Model:
-    """A model with another pattern."""
-    return Model(model.system, pattern, model.control_period, overridden=model.overridden)

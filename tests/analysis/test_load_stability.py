@@ -3,7 +3,6 @@
 import dataclasses
 import functools
 import math
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -87,7 +86,7 @@ def test_a_load_on_long_even_cables_swings_as_a_damped_pendulum(n):
 def test_growth_without_control_is_that_of_the_whole_loop_and_of_a_run(unstable):
     """1.083 by `studies.stability.linearize`; 1.136 of a run that begins 1 mm beside, in 6 s."""
     task = task_of(unstable)
-    quick = task.deviations().growth(REST, task.nominal)
+    quick = task.deviations.growth(REST, task.nominal)
     assert quick.rate == pytest.approx(1.083, rel=0.02)
     assert quick.rate == pytest.approx(1.136, rel=0.1)
 
@@ -118,10 +117,8 @@ def test_shares_and_elevations_of_a_carousel_are_those_of_its_cones():
 @pytest.mark.parametrize("mass", [1.0, 1.1])
 def test_cables_carry_the_simulated_load(mass):
     """Without internal forces four cables are vertical."""
-    of_no_interest = SimpleNamespace(growth=lambda *arguments, **named: None)
     task = task_of(load_scenario("quintic", [f"simulated.load_mass={mass}"]))
-    parameters = np.array([2.0, 0.0])
-    at_rest = formation_at(task, of_no_interest, 0.0, parameters, None)
+    at_rest = formation_at(task, 0.0, np.array([2.0, 0.0]))
     assert at_rest.loads.least_tension == pytest.approx(mass * task.model.gravity / 4, rel=1e-9)
 
 
@@ -135,7 +132,7 @@ def test_the_attitude_of_a_task_is_fed_back_where_it_is_measured(feedback, is_me
     for name in ("orientation_gain", "angular_velocity_gain"):
         other = gains | {name: 2 * np.asarray(gains[name])}
         own, changed = (
-            task.deviations().jacobians(REST, task.nominal, np.zeros(1), each)
+            task.deviations.jacobians(REST, task.nominal, np.zeros(1), each)
             for each in (gains, other)
         )
         assert (np.max(np.abs(own - changed)) > 1e-3) == is_measured
@@ -174,7 +171,7 @@ def test_what_grows_in_samples_is_what_the_exact_maps_of_the_loop_tell():
     """Commands are half a sample behind cables that turn; a continuous controller hides it."""
     scenario = load_scenario("quintic", [*CAROUSEL, "simulator_config.max_step_size=5e-4"])
     task = task_of(scenario)
-    rate = sampled_rate(task, task.reference(0.0), task.nominal)
+    rate = sampled_rate(task)
     assert rate > 0.8
     assert rate == pytest.approx(linearize(scenario).rate, rel=0.01)
     formation = find_formation(task, count=1)
@@ -190,7 +187,7 @@ def test_a_load_at_rest_grows_on_its_way_by_its_rate():
         growth_on_the_way(dataclasses.replace(task, duration=turns * turn), planned, phases=96)
         for turns in (3, 6)
     )
-    rate = sampled_rate(task, task.reference(0.0), task.nominal)
+    rate = sampled_rate(task)
     assert longer.growth - shorter.growth == pytest.approx(rate * 3 * turn, rel=0.05)
     assert longer.start < turn < 5.5 * turn < longer.end
 
