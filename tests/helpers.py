@@ -2,7 +2,7 @@
 
 import signal
 from collections.abc import Callable, Iterable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -13,7 +13,9 @@ from pydrake.common.value import Value
 from pydrake.math import RollPitchYaw_, RotationMatrix
 from pydrake.systems.framework import Context, LeafSystem, System
 
+from drake_nonstop.analysis.carriers_along import resting_carriers
 from drake_nonstop.blocks.optimization_layer import NonstopOptimizerConfig
+from drake_nonstop.mechanics.planned_orbit import PlannedOrbit
 from drake_nonstop.model.pattern import HamiltonianCycleConfig
 from drake_nonstop.model.system import Model, SystemParameters
 from drake_nonstop.scenario.schema import Scenario
@@ -133,6 +135,36 @@ class Motion:
 def _quaternion(angles: RollPitchYaw_[AutoDiffXd]) -> NDArray:
     quaternion = angles.ToQuaternion()
     return np.array([quaternion.w(), quaternion.x(), quaternion.y(), quaternion.z()])
+
+
+class WorldOrbits(NamedTuple):
+    """The motion of n carriers, and their cables, at k instants, (k, n, 3) each, in W."""
+
+    positions: NDArray
+    velocities: NDArray
+    accelerations: NDArray
+    cable_forces: NDArray
+    cable_ends: NDArray
+
+
+def resting_orbits(
+    model: Any,
+    pose: NDArray,
+    times: NDArray,
+    parameters: NDArray,
+    *,
+    yaw_rate: float = 0.0,
+    load_wind: NDArray,
+) -> WorldOrbits:
+    """The motion of `resting_carriers` at times (k,), s, with the phase θ = ξ t, in W."""
+    carriers, R_WL = resting_carriers(
+        model, model, pose, times, yaw_rate=yaw_rate, load_wind=load_wind
+    )
+    frequency, amplitude = parameters
+    motion = carriers.motion(PlannedOrbit.constant(frequency * times, frequency, amplitude))
+    forces, cables, velocities, accelerations = (part @ R_WL.swapaxes(1, 2) for part in motion)
+    ends = pose[4:7] + model.attachments @ R_WL.swapaxes(1, 2)
+    return WorldOrbits(ends + cables, velocities, accelerations, forces, ends)
 
 
 def rotation(quaternion: NDArray) -> NDArray:

@@ -6,13 +6,13 @@ import typing
 from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
-from itertools import combinations
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.framework import Context, Diagram
 
+from drake_nonstop.analysis.carriers_along import resting_carriers
 from drake_nonstop.analysis.flight_envelope import (
     ROWS,
     FlightEnvelope,
@@ -28,15 +28,11 @@ from drake_nonstop.mechanics.aircraft import (
     Aircraft,
     FlightNeeds,
     drawn_power,
-    flight_needs,
-    needed_force,
     stall_speed,
     thrust_limits,
     thrust_power,
 )
-from drake_nonstop.mechanics.cable import forces_under_other_wrench, wrenches_of
-from drake_nonstop.mechanics.planned_orbit import CarrierOrbits, resting_orbits
-from drake_nonstop.mechanics.rigid_load import RigidLoad
+from drake_nonstop.mechanics.planned_orbit import PlannedOrbit
 from drake_nonstop.mechanics.signals import LoadReference, Parameters, Pose
 from drake_nonstop.mechanics.wind import MeanWind
 from drake_nonstop.model.system import Model
@@ -53,18 +49,6 @@ _CARRIERS_APART = ROWS["separation"]
 _CABLES_APART = dataclasses.replace(_CARRIERS_APART, words="cables apart")
 _STILL_AIR = MeanWind(np.zeros(3))
 _ENVELOPE = FlightEnvelope()
-
-
-def aircraft_needs(aircraft: Aircraft, motion: CarrierOrbits, wind: NDArray) -> FlightNeeds:
-    """What aircraft need to move so, by the exact inverse of their dynamics.
-
-    Args:
-        aircraft: their parameters.
-        motion: of carriers and cables, on any paths.
-        wind: at the carriers (k, n, 3), m/s, in W.
-    """
-    force = needed_force(aircraft, motion.accelerations, motion.cable_forces)
-    return flight_needs(aircraft, force, motion.velocities - wind)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -224,16 +208,6 @@ def aircraft_margins_for(scenario: Scenario, nonstop: Diagram, context: Context)
     )
 
 
-def asked_load(believed: Model, simulated: Model) -> RigidLoad:
-    """The load that the carriers' orbits are for.
-
-    Above its desired position it is the believed one: a lighter load rises by what the cables
-    stretch less, which is too little for a controller to notice. To the side the cables hardly hold
-    it, and the controller comes to ask for what its drag needs.
-    """
-    return dataclasses.replace(believed.load, drag=simulated.load.drag)
-
-
 def _aircraft_of(model: Model) -> Aircraft:
     remedy = "give one, such as --set system.aircraft.model=rascal_110"
     require(model.aircraft is not None, "system.aircraft", None, remedy)
@@ -310,72 +284,44 @@ class _Orbit:
         self.rate = rates[0] or 1.0  # rad/s, of the phase; nothing moves where it is zero
         self.turns = Fraction(rates[-1] / self.rate).limit_denominator(_MOST_TURNS).denominator
         self.limits = limits
-        self._pairs = list(combinations(range(model.n), 2))
 
     def at(
         self, phases: NDArray, wind: MeanWind
     ) -> tuple[FlightNeeds, list[LimitAlong], FlightRanges]:
         """What the aircraft need at phases (k,), rad, all quantities that have limits, ranges."""
-        motion = self._motion(phases, wind)
-        needs = aircraft_needs(self.aircraft, motion, wind.at(motion.positions))
-        of_each = limits_along(self.aircraft, needs, self.limits, phases)
-        ranges = FlightRanges.of(self.aircraft, needs, motion.cable_forces, self.model.attachments)
-        return needs, [*of_each, *self._of_pairs(motion, phases)], ranges
-
-    def _motion(self, phases: NDArray, wind: MeanWind) -> CarrierOrbits:
-        """Of the carriers as the controllers lead them, and of the cables of the simulated load."""
-        model, believed = self.model, self.believed
-        if believed is model:
-            return self._orbits(model, model.load, phases, wind)
-        flown = self._orbits(believed, asked_load(believed, model), phases, wind)
-        held = self._orbits(model, model.load, phases, wind)
-        levers = held.cable_ends - Pose.view(self._reference).position
-        forces = forces_under_other_wrench(
-            flown.cable_forces,
-            levers,
-            wrenches_of(held.cable_forces, levers),
-            rest_length=model.cable_length,
-            stiffness=model.cable_stiffness,
-        )
-        return flown._replace(cable_forces=forces, cable_ends=held.cable_ends)
-
-    def _orbits(
-        self, model: Model, load: RigidLoad, phases: NDArray, wind: MeanWind
-    ) -> CarrierOrbits:
-        pattern = model.pattern
-        return resting_orbits(
-            load,
+        model, position = self.model, Pose.view(self._reference).position
+        frequency, amplitude = self._parameters
+        times = phases / self.rate
+        carriers, R_WL = resting_carriers(
+            self.believed,
+            model,
             self._reference,
-            phases / self.rate,
-            self._parameters,
+            times,
             yaw_rate=self._yaw_rate,
-            load_wind=wind.at(Pose.view(self._reference).position),
-            attachments=model.attachments,
-            pseudo_inverse=model.pseudo_inverse,
-            basis=pattern.basis,
-            phases=pattern.phases,
-            orders=pattern.orders,
-            offset=pattern.offset,
-            rest_length=model.cable_length,
-            compliance=model.cable_compliance,
+            load_wind=wind.at(position),
         )
+        motion = carriers.motion(PlannedOrbit.constant(frequency * times, frequency, amplitude))
+        places = self.believed.attachments + motion.cables
+        winds = wind.at(position + places @ R_WL.swapaxes(1, 2)) @ R_WL
+        needs = carriers.needs(motion._replace(velocities=motion.velocities - winds))
+        of_each = limits_along(self.aircraft, needs, self.limits, phases)
+        ranges = FlightRanges.of(self.aircraft, needs, motion.forces, model.attachments)
+        return needs, [*of_each, *self._of_pairs(places, phases)], ranges
 
-    def _of_pairs(self, motion: CarrierOrbits, phases: NDArray) -> Iterator[LimitAlong]:
-        model = self.model
-        reach = np.linalg.norm(model.attachments, axis=1).max() + model.cable_length
-        apart = [
-            np.linalg.norm(model.attachments[i] - model.attachments[j]) for i, j in self._pairs
-        ]
-        carriers, cables = [], []
-        for i, j in self._pairs:
-            ends, others = ((motion.cable_ends[:, k], motion.positions[:, k]) for k in (i, j))
-            carriers.append(np.linalg.norm(ends[1] - others[1], axis=-1))
-            cables.append(segment_distances(*ends, *others))
+    def _of_pairs(self, places: NDArray, phases: NDArray) -> Iterator[LimitAlong]:
+        """The distances of carriers at `places` (k, n, 3), in L, and of their cables."""
+        model, ends = self.model, self.model.attachments
+        reach = np.linalg.norm(ends, axis=1).max() + model.cable_length
+        first, second = np.triu_indices(model.n, 1)
+        apart = np.linalg.norm(ends[first] - ends[second], axis=1)
+        one, other = places[:, first], places[:, second]
+        carriers = np.linalg.norm(one - other, axis=-1)
+        cables = segment_distances(ends[first], one, ends[second], other)
         for row, distances, limits in (
             (_CARRIERS_APART, carriers, self.limits.carrier_distance * reach),
-            (_CABLES_APART, cables, self.limits.cable_distance * np.array(apart)),
+            (_CABLES_APART, cables, self.limits.cable_distance * apart),
         ):
-            yield LimitAlong(row, limits, phases, np.stack(distances, axis=1))
+            yield LimitAlong(row, limits, phases, distances)
 
 
 def _margins(orbit: _Orbit, wind: MeanWind, name: str) -> AircraftMargins:

@@ -5,11 +5,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from drake_nonstop.analysis.carriers_along import carriers_along
 from drake_nonstop.analysis.flight_envelope import FlightEnvelope, FlightRanges, limits_along
 from drake_nonstop.analysis.limit_along import FlightMargin
-from drake_nonstop.analysis.needs_along import NeedsAlong
 from drake_nonstop.analysis.speed_check import SpeedCheck
 from drake_nonstop.analysis.task import Task
+from drake_nonstop.mechanics.planned_orbit import PlannedOrbit
 
 # Times as long as the way asks for what is beyond the limits commands may be at them: afterwards
 # feedback makes up for it.
@@ -84,15 +85,9 @@ class FlightOfPlan(NamedTuple):
 def flight_of_plan(task: Task, speeds: SpeedCheck, limits: FlightEnvelope) -> FlightOfPlan | None:
     """The margins of a task's aircraft along its best plan, in the mean wind at their mean height.
 
-    The aircraft follow the plan exactly, above the load that the controllers believe in, see
-    `asked_load`, and hold the simulated one. None where there are no aircraft, the internal force
-    has other harmonics than the first, or a layer without a speed bound changes ξ and A: there is
-    no plan.
-
-    Args:
-        task: what is flown.
-        speeds: with its best plan; without one ξ and A are the nominal ones.
-        limits: what the needs are held against.
+    The aircraft follow the plan exactly, see `CarriersAlong`. None where there are no aircraft, the
+    internal force has other harmonics than the first, or a layer without a speed bound changes ξ
+    and A: there is no plan. Without one in `speeds` ξ and A are the nominal ones.
     """
     is_free = task.changes_parameters and speeds.plan is None
     aircraft = task.flown.aircraft
@@ -100,15 +95,16 @@ def flight_of_plan(task: Task, speeds: SpeedCheck, limits: FlightEnvelope) -> Fl
         return None
     times = speeds.plan_times
     planned = task.planned(speeds.plan, times)
-    along = NeedsAlong(task, times)
-    needs, forces = along.needs(planned), along.cable_forces(planned)
+    carriers = carriers_along(task, times)
+    motion = carriers.motion(PlannedOrbit.of_planned(planned))
+    needs = carriers.needs(motion)
     quantities = [*limits_along(aircraft, needs, limits, times)]
     angles = planned[:, 0] % (2 * math.pi)
     missed = [np.any(quantity.left.round(9) < 0, axis=1) for quantity in quantities]
     return FlightOfPlan(
         tuple(quantity.worst_margin(angles) for quantity in quantities),
         tuple(quantity.time for quantity in quantities),
-        FlightRanges.of(aircraft, needs, forces, task.flown.attachments),
+        FlightRanges.of(aircraft, needs, motion.forces, task.flown.attachments),
         float(np.mean(np.any(missed, axis=0))),
         limits.saturated_share,
         task.air.gust,

@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from drake_nonstop.analysis.carriers_along import motion_above, orbit_terms
 from drake_nonstop.analysis.load_stability import Growth
-from drake_nonstop.analysis.orbit_terms import motion_above, orbit_terms
 from drake_nonstop.analysis.sampled_growth import (
     Planned,
     SampledGrowth,
@@ -112,13 +112,9 @@ class Formation(NamedTuple):
 def cable_loads(
     model: Model, reference: NDArray, parameters: NDArray, wind: NDArray | None = None
 ) -> CableLoads:
-    """How the cables share the load's weight over an orbit.
+    """How the cables share the load's weight over an orbit of [ξ, A] (2,).
 
-    Args:
-        model: of load, cables and pattern.
-        reference: (22,) of the load, whose motion stays as it is over the orbit.
-        parameters: [ξ (rad/s), A (N)] (2,).
-        wind: at the load (3,), m/s, in W.
+    The load's motion stays as it is in its reference (22,); the wind (3,) is in m/s, in W.
     """
     terms = orbit_terms(model, [reference], [STILL_AIR if wind is None else wind])
     orbit = PlannedOrbit.constant(_ANGLES, *parameters)
@@ -148,12 +144,9 @@ def formation_at(task: Task, time: float, parameters: NDArray) -> FormationInsta
 
 
 def find_formation(task: Task, plan: Plan | None = None, *, count: int = 8) -> Formation:
-    """The formation at the start, at `count` instants of a task and, in samples, along its plan.
+    """The formation at the start, at the middles of `count` equal parts of the way, and in samples.
 
-    Args:
-        task: what is flown.
-        plan: of ξ and A; None: they are the nominal ones.
-        count: of the instants on the way, at the middles of equal parts of it.
+    The plan is one of ξ and A; None: they are the nominal ones.
     """
     part = task.duration / count
     times = part * (np.arange(count) + 0.5)
@@ -232,13 +225,7 @@ def find_formation_remedies(
     """What makes a formation stable with all cables pulling, where it is worst: each was tried.
 
     Those are a smaller A, an offset in the null space that evens the shares out, other gains, and
-    other attachments.
-
-    Args:
-        task: what is flown.
-        found: its formation.
-        plan: as of `find_formation`.
-        worst: a time in s that counts, too; NaN: none.
+    other attachments. `worst` is a time in s that counts, too; NaN: none.
     """
     first = [time for time in (worst, found.worst.time) if math.isfinite(time)]
     others = {

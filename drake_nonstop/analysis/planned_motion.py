@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from drake_nonstop.analysis.carriers_along import motion_above, orbit_terms
 from drake_nonstop.analysis.limit import find_collisions
-from drake_nonstop.analysis.orbit_terms import motion_above, orbit_terms
 from drake_nonstop.analysis.separations import Spacing, closest_cables, closest_carriers
 from drake_nonstop.analysis.task import Task
 from drake_nonstop.mechanics.planned_orbit import PlannedOrbit

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.analysis.orbit_terms import orbit_terms
+from drake_nonstop.analysis.carriers_along import orbit_terms
 from drake_nonstop.analysis.task import Task
 from drake_nonstop.mechanics.internal_force import internal_force
 from drake_nonstop.mechanics.rotation import cross

@@ -5,14 +5,19 @@ import itertools
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from drake_nonstop.analysis.carriers_along import (
+    CarriersAlong,
+    carriers_along,
+    motion_above,
+    orbit_terms,
+)
 from drake_nonstop.analysis.limit_along import LimitAlong
-from drake_nonstop.analysis.needs_along import NeedsAlong
-from drake_nonstop.analysis.orbit_terms import motion_above, orbit_terms
 from drake_nonstop.analysis.task import Task
 from drake_nonstop.mechanics.nonstop import polynomial_values, speed_squares
 from drake_nonstop.mechanics.planned_orbit import OrbitTerms, PlannedOrbit
@@ -84,6 +89,11 @@ class SpeedCheck(NamedTuple):
         return self.plan is not None and 1 <= self.least < 1 + _RESERVE * (self.aim - 1)
 
     @property
+    def of_limits(self) -> float:
+        """The least margin of the other limits, of each, at most 0."""
+        return min([0.0, *(limit.margin for limit in self.limits)])
+
+    @property
     def missed(self) -> tuple[LimitAlong, ...]:
         """The other limits that the plan does not keep."""
         return tuple(limit for limit in self.limits if not limit.is_kept)
@@ -107,11 +117,8 @@ def check_speeds(task: Task, *, is_quick: bool = False) -> SpeedCheck:
     At each of some instants all constant ξ and A within the bounds are tried, at all phases of the
     orbit: what they keep is on the safe side. The judge is a smooth plan of the whole task with
     predicted phases: of what the optimization makes of several starts it is the one with
-    the largest least speed. Where ξ and A are constant, that is all there is.
-
-    Args:
-        task: what is flown.
-        is_quick: to try two starts only, for changes of a task of which any may help.
+    the largest least speed. Where ξ and A are constant, that is all there is. `is_quick` is to try
+    two starts only, for changes of a task of which any may help.
 
     Raises:
         ScenarioError: a carrier's speed is not finite.
@@ -124,8 +131,7 @@ def check_speeds(task: Task, *, is_quick: bool = False) -> SpeedCheck:
         planned = task.planned(None, fine)
         parameters = planned[:, 1:3]
         speeds = constant_speeds(task, fine)
-        none = np.full(speeds.shape, np.inf)
-        ratios = speeds / bound if bound > 0 else none
+        ratios = _ratios(speeds, bound)
         least = np.interp(times, fine, ratios.min(axis=1))
         starts: tuple[float, ...] = (float(ratios.min()),)
         limits = _limits_in_turn(task, fine, planned)
@@ -140,11 +146,11 @@ def check_speeds(task: Task, *, is_quick: bool = False) -> SpeedCheck:
     found = _planned(task, most=_QUICK_STARTS if is_quick else None)
     best = max(found, key=lambda each: (min(each.least, 1.0), each.of_limits, each.least))
     starts = tuple(each.least for each in found)
-    return SpeedCheck(
-        *(bound, times, constant, best.plan, best.times, best.parameters, best.ratios, starts),
-        aim=tightened_bound(task.limits, bound) / bound if bound > 0 else 1.0,
-        limits=best.limits,
-    )
+    return best._replace(times=times, constant=constant, starts=starts)
+
+
+def _ratios(speeds: NDArray, bound: float) -> NDArray:
+    return speeds / bound if bound > 0 else np.full(speeds.shape, np.inf)
 
 
 def _limits_in_turn(task: Task, times: NDArray, planned: NDArray) -> tuple[LimitAlong, ...]:
@@ -152,7 +158,8 @@ def _limits_in_turn(task: Task, times: NDArray, planned: NDArray) -> tuple[Limit
     aircraft, asked_for = task.flown.aircraft, [*asked(task.limits, Of.FLIGHT)]
     if task.turn is None or aircraft is None or not asked_for:
         return ()
-    needs = NeedsAlong(task, times).needs(planned)
+    carriers = carriers_along(task, times)
+    needs = carriers.needs(carriers.motion(PlannedOrbit.of_planned(planned)))
     return tuple(
         LimitAlong(limit, stated, times, limit.values(aircraft, needs))
         for limit, stated in asked_for
@@ -234,10 +241,9 @@ def find_speed_remedies(task: Task, found: SpeedCheck) -> list[SpeedRemedy]:
         said = "a layer that changes xi and A: optimization_layer=RecedingHorizonOptimizer"
         if (remedy := _tried(layer, said)) is not None:
             remedies.append(remedy)
-    for attempt in (_wider_bounds, _faster_start, _longer_cables, _slower_motion):
-        for remedy in attempt(task):
-            remedies.append(remedy)
-            break
+    remedies += _wider_bounds(task)
+    for make in (_faster_start, _longer_cables, _slower_motion):
+        remedies += itertools.islice(_of_factors(partial(make, task)), 1)
     remedies += _lower_bound(task, found)
     return remedies
 
@@ -267,27 +273,6 @@ def problem_of(task: Task, config: HorizonConfig | None = None) -> HorizonProble
     return HorizonProblem(task.model, task.limits, config, lambda: "the check of a task")
 
 
-class _Planned(NamedTuple):
-    """A plan, and the speeds along it."""
-
-    least: float  # v/ε
-    plan: Plan
-    times: NDArray  # (l,), s
-    parameters: NDArray  # (l, 2)
-    ratios: NDArray  # (l, n), v/ε
-    limits: tuple[LimitAlong, ...]
-
-    @property
-    def of_limits(self) -> float:
-        """The least margin of the limits, of each, at most 0."""
-        return min([0.0, *(limit.margin for limit in self.limits)])
-
-    @property
-    def is_good(self) -> bool:
-        """Whether it keeps the bound and all limits."""
-        return self.least >= 1 and self.of_limits == 0
-
-
 class _Along:
     """What plans of a task make of its carriers, at fine times."""
 
@@ -295,33 +280,38 @@ class _Along:
         self.times = _fine_times(task)
         self._task, self._problem = task, problem
         self._terms = _terms_along(problem, task, self.times)
-        self._needs: NeedsAlong | None = None
+        self._carriers: CarriersAlong | None = None
         if any(asked(task.limits, Of.FLIGHT)):
-            self._needs = NeedsAlong(task, self.times)
+            self._carriers = carriers_along(task, self.times)
 
-    def planned(self, plan: Plan) -> _Planned:
-        """All that is known of a plan."""
+    def planned(self, plan: Plan) -> SpeedCheck:
+        """All that is known of a plan, without other starts and without constant ξ and A."""
         values = self._task.planned(plan, self.times)
         orbit = PlannedOrbit.of_planned(values)
         speeds = self._problem.values_along(Of.SPEED, self._terms, orbit)
         bound = self._task.limits.speed_bound
-        ratios = speeds / bound if bound > 0 else np.full(speeds.shape, np.inf)
-        limits = tuple(self._limits(values))
-        return _Planned(float(ratios.min()), plan, self.times, values[:, 1:3], ratios, limits)
+        ratios = _ratios(speeds, bound)
+        none = np.zeros(0)
+        return SpeedCheck(
+            *(bound, none, none, plan, self.times, values[:, 1:3], ratios, ()),
+            aim=tightened_bound(self._task.limits, bound) / bound if bound > 0 else 1.0,
+            limits=tuple(self._limits(values)),
+        )
 
     def _limits(self, values: NDArray) -> Iterator[LimitAlong]:
-        aircraft = self._task.flown.aircraft
-        needs = None if self._needs is None else self._needs.needs(values)
+        aircraft, needs = self._task.flown.aircraft, None
+        orbit = PlannedOrbit.of_planned(values)
+        if self._carriers is not None:
+            needs = self._carriers.needs(self._carriers.motion(orbit))
         for limit, stated in asked(self._task.limits):
             if needs is not None and aircraft is not None and limit.is_of_aircraft:
                 found = limit.values(aircraft, needs)
             else:
-                orbit = PlannedOrbit.of_planned(values)
                 found = self._problem.values_along(limit.of, self._terms, orbit)
             yield LimitAlong(limit, stated, self.times, found)
 
 
-def _planned(task: Task, *, most: int | None) -> list[_Planned]:
+def _planned(task: Task, *, most: int | None) -> list[SpeedCheck]:
     """What the optimization makes of one start after the other, until a plan keeps all limits.
 
     Where one keeps the bound on the speeds alone, few others are tried.
@@ -332,14 +322,14 @@ def _planned(task: Task, *, most: int | None) -> list[_Planned]:
     coarse = replace(whole, instants=max(2, whole.instants // _COARSE))
     bound = task.limits.speed_bound
     along: _Along | None = None
-    found: list[_Planned] = []
+    found: list[SpeedCheck] = []
     for config in (coarse, whole):
         problem = problem_of(task, config)
         along = along or _Along(task, problem)
         nominal = along.planned(
             Plan(0.0, 0.0, spacing, problem.nominal, problem.nominal_coefficients())
         )
-        if task.changes_parameters and not nominal.is_good:
+        if task.changes_parameters and not (nominal.is_feasible and not nominal.missed):
             # A layer then starts with others.
             problem = problem_of(task, replace(config, fixed_coefficients=0))
         solver = HorizonSolver(problem)
@@ -348,8 +338,9 @@ def _planned(task: Task, *, most: int | None) -> list[_Planned]:
         for start in _starts(task, solver, data, intervals):
             answer = solver.solve(data, start, max_iterations=_MAX_ITERATIONS, tolerance=_TOLERANCE)
             found.append(along.planned(answer.plan))
-            is_enough = len(found) >= _STARTS_FOR_LIMITS and any(p.least >= 1 for p in found)
-            if found[-1].is_good or is_enough or len(found) == most:
+            is_enough = len(found) >= _STARTS_FOR_LIMITS and any(p.is_feasible for p in found)
+            is_good = found[-1].is_feasible and not found[-1].missed
+            if is_good or is_enough or len(found) == most:
                 return found
     return found
 
@@ -450,29 +441,21 @@ def _of_factors(
             yield remedy
 
 
-def _faster_start(task: Task) -> Iterator[SpeedRemedy]:
-    def faster(factor: float) -> tuple[Task, str] | None:
-        frequency = _rounded(factor * task.limits.frequency, 1)
-        if task.changes_parameters and frequency > task.limits.frequency_bounds[1]:
-            return None
-        changed = _with_limits(task, frequency=frequency)
-        return changed, f"optimization_layer.frequency={frequency:g}"
-
-    return _of_factors(faster)
+def _faster_start(task: Task, factor: float) -> tuple[Task, str] | None:
+    frequency = _rounded(factor * task.limits.frequency, 1)
+    if task.changes_parameters and frequency > task.limits.frequency_bounds[1]:
+        return None
+    changed = _with_limits(task, frequency=frequency)
+    return changed, f"optimization_layer.frequency={frequency:g}"
 
 
-def _longer_cables(task: Task) -> Iterator[SpeedRemedy]:
-    def longer(factor: float) -> tuple[Task, str]:
-        length = _rounded(factor * task.model.cable_length, 1)
-        return task.changed(cable_length=length), f"system.cable_length={length:g}"
-
-    return _of_factors(longer)
+def _longer_cables(task: Task, factor: float) -> tuple[Task, str]:
+    length = _rounded(factor * task.model.cable_length, 1)
+    return task.changed(cable_length=length), f"system.cable_length={length:g}"
 
 
-def _slower_motion(task: Task) -> Iterator[SpeedRemedy]:
-    return _of_factors(
-        lambda factor: (task.slowed(factor), f"a motion of the load {factor:g} times as slow")
-    )
+def _slower_motion(task: Task, factor: float) -> tuple[Task, str]:
+    return task.slowed(factor), f"a motion of the load {factor:g} times as slow"
 
 
 def _lower_bound(task: Task, found: SpeedCheck) -> Iterator[SpeedRemedy]:

@@ -83,35 +83,20 @@ class TurnAlong:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Task:
-    """A load's motion, and what carries it.
+    """A load's motion, and what carries it."""
 
-    Attributes:
-        name: of the scenario.
-        model: what the controllers believe.
-        flown: the simulated plant's.
-        limits: ε, the nominal ξ and A, and their bounds.
-        changes_parameters: whether the scenario's layer may change ξ and A.
-        reference: the load's (22,) at a time in s.
-        duration: s.
-        response: what the blocks of the loop say of themselves.
-        air: the wind; where its block says nothing, there is none.
-        counts_wind: whether the speeds that the layer bounds are those through the air.
-        horizon: of plans of ξ and A.
-        turn: the load's, as its layer is predicted to change it; None: it does not.
-    """
-
-    name: str
-    model: Model
-    flown: Model
-    limits: LimitsConfig
-    changes_parameters: bool
-    reference: Callable[[float], NDArray]
-    duration: float
-    response: LoopResponse
-    air: Wind
-    counts_wind: bool
-    horizon: HorizonConfig
-    turn: TurnAlong | None = None
+    name: str  # of the scenario
+    model: Model  # what the controllers believe
+    flown: Model  # the simulated plant's
+    limits: LimitsConfig  # ε, the nominal ξ and A, and their bounds
+    changes_parameters: bool  # whether the scenario's layer may change ξ and A
+    reference: Callable[[float], NDArray]  # the load's (22,) at a time in s
+    duration: float  # s
+    response: LoopResponse  # what the blocks of the loop say of themselves
+    air: Wind  # where its block says nothing, there is none
+    counts_wind: bool  # whether the speeds that the layer bounds are those through the air
+    horizon: HorizonConfig  # of plans of ξ and A
+    turn: TurnAlong | None = None  # as the layer is predicted to change it; None: it does not
 
     @cached_property
     def wind(self) -> NDArray:
@@ -237,13 +222,7 @@ def task_of(scenario: Scenario, loop: Diagram | None = None) -> Task:
 
 
 def _predicted_turn(task: Task, turns: TurnRate, turn: TurnAlong) -> TurnAlong:
-    """The turn of a load at the ξ that its layer makes, update by update.
-
-    Args:
-        task: what is flown, at a constant ξ.
-        turns: the layer.
-        turn: the load's at constant ξ.
-    """
+    """The turn of a load at the ξ that its layer makes, update by update; `turn` is constant."""
     period = max(turns.period, task.duration / _UPDATES)
     rate, angle, rates = turns.frequency, 0.0, []
     times = period * np.arange(int(task.duration / period) + 1)

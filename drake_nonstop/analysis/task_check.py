@@ -32,29 +32,17 @@ from drake_nonstop.validation import finite
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TaskCheck:
-    """What is known of a task before it is flown.
-
-    Attributes:
-        task: the task.
-        speeds: what speeds it can be flown with.
-        formation: at rest and at instants of the best plan.
-        motion: of carriers and cables along the best plan.
-        speed_remedies: of a task that is infeasible, each tried.
-        limit_remedies: of limits that the best plan misses while it keeps the bound, each tried.
-        formation_remedies: of an unstable formation, or of cables that do not pull, each tried.
-        motion_remedies: of carriers or cables that meet, each tried.
-        flight: of aircraft along the best plan; None: there are none, or it is not known.
-    """
+    """What is known of a task before it is flown, along its best plan; each remedy was tried."""
 
     task: Task
     speeds: SpeedCheck
     formation: Formation
     motion: PlannedMotion
-    speed_remedies: tuple[SpeedRemedy, ...] = ()
-    limit_remedies: tuple[SpeedRemedy, ...] = ()
-    formation_remedies: tuple[str, ...] = ()
-    motion_remedies: tuple[str, ...] = ()
-    flight: FlightOfPlan | None = None
+    speed_remedies: tuple[SpeedRemedy, ...] = ()  # of a task that is infeasible
+    limit_remedies: tuple[SpeedRemedy, ...] = ()  # of limits that are missed, not the bound
+    formation_remedies: tuple[str, ...] = ()  # of an unstable one, or of cables that do not pull
+    motion_remedies: tuple[str, ...] = ()  # of carriers or cables that meet
+    flight: FlightOfPlan | None = None  # of aircraft; None: there are none, or it is not known
 
     @property
     def is_sound(self) -> bool:
@@ -211,29 +199,23 @@ def check_task(
     scenario = scenario.sampled()
     motion = PlannedMotion(scenario, task, plan)
     least = motion.least_load
-    remedies: list[SpeedRemedy] = []
-    of_limits: list[SpeedRemedy] = []
-    stabilizing: list[str] = []
-    parting: list[str] = []
+    remedies: dict[str, Sequence[Any]] = {}
     if tries_remedies and not speeds.is_feasible:
-        remedies = find_speed_remedies(task, speeds)
-    if tries_remedies and speeds.is_feasible and speeds.missed:
-        of_limits = find_limit_remedies(task, speeds)
+        remedies["speed_remedies"] = find_speed_remedies(task, speeds)
+    elif tries_remedies and speeds.missed:
+        remedies["limit_remedies"] = find_limit_remedies(task, speeds)
     if tries_remedies and not (formation.is_stable and least.pulls_up):
         worst = math.nan if least.pulls_up else least.time
-        stabilizing = find_formation_remedies(task, formation, plan, worst=worst)
+        remedies["formation_remedies"] = find_formation_remedies(task, formation, plan, worst=worst)
     if tries_remedies and motion.collisions:
-        parting = find_motion_remedies(scenario, task)
+        remedies["motion_remedies"] = find_motion_remedies(scenario, task)
     return TaskCheck(
         task=task,
         speeds=speeds,
         formation=formation,
         motion=motion,
-        speed_remedies=tuple(remedies),
-        limit_remedies=tuple(of_limits),
-        formation_remedies=tuple(stabilizing),
-        motion_remedies=tuple(parting),
         flight=flight_of_plan(task, speeds, flight_envelope_of(scenario)),
+        **{name: tuple(found) for name, found in remedies.items()},
     )
 
 

@@ -48,23 +48,14 @@ Blocks = Mapping[str, System]  # of a loop, by the names of their boxes
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LoopResponse:
-    """What the blocks of a loop say of themselves.
+    """What the blocks of a loop say of themselves."""
 
-    Attributes:
-        carriers: their controllers and references; None: they are not known.
-        feedback: the wrench controller's, with its samples; None: it is not known.
-        measurement: of the load; where it is not known, an exact one.
-        references: of the carriers; where they are not known, above the load's reference.
-        carrier_stiffness: N/m, by which carriers give way along their cables; inf: not at all.
-        left_out: sentences about what is not known.
-    """
-
-    carriers: Carriers | None
-    feedback: Feedback | None
-    measurement: LoadMeasurement
-    references: CarrierReferences
-    carrier_stiffness: float
-    left_out: tuple[str, ...]
+    carriers: Carriers | None  # their controllers and references; None: they are not known
+    feedback: Feedback | None  # the wrench controller's, with its samples; None: it is not known
+    measurement: LoadMeasurement  # where it is not known, an exact one
+    references: CarrierReferences  # where they are not known, above the load's reference
+    carrier_stiffness: float  # N/m, by which carriers give way along cables; inf: not at all
+    left_out: tuple[str, ...]  # sentences about what is not known
 
     @property
     def measured_gains(self) -> Mapping[str, Any] | None:

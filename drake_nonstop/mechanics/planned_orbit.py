@@ -32,14 +32,7 @@ from drake_nonstop.mechanics.force_rates import wrenches_along
 from drake_nonstop.mechanics.internal_force import internal_force
 from drake_nonstop.mechanics.rigid_load import STILL_AIR, RigidLoad
 from drake_nonstop.mechanics.rotation import cross, quaternion_product, rotation_matrix
-from drake_nonstop.mechanics.signals import (
-    LoadReference,
-    PlannedParameters,
-    Pose,
-    Wrench,
-    resting_reference,
-)
-from drake_nonstop.mechanics.wrench import feedforward_wrench
+from drake_nonstop.mechanics.signals import LoadReference, PlannedParameters, Wrench
 
 _UP = np.array([0.0, 0.0, 1.0])
 Axes = tuple[NDArray, NDArray]  # p and q (n, 3), of `orbit_axes`
@@ -276,7 +269,7 @@ def turning_terms(
         angles: (k,), rad, by which the load has turned on from its present yaw.
         **geometry: as of `flight_terms`.
     """
-    moved = _turned(motion, rates, angles)
+    moved = turned_motions(motion, rates, angles)
     omega = LoadReference.view(moved).angular_velocity
     R_WL = rotation_matrix(LoadReference.view(motion).quaternion)
     torque_L = _rotated(Wrench.view(wrench).torque, R_WL)
@@ -294,7 +287,7 @@ def turning_terms(
     return flight_terms(moved, moved, value, rate, second_rate, wind, **geometry)
 
 
-def _turned(motion: NDArray, rates: NDArray, angles: NDArray) -> NDArray:
+def turned_motions(motion: NDArray, rates: NDArray, angles: NDArray) -> NDArray:
     """The motions (k, 22) of a load at other yaws that turns steadily about the vertical."""
     half, zero = angles[:, None] / 2, np.zeros((len(angles), 1))
     moved = np.tile(motion, (len(angles), 1))
@@ -412,84 +405,3 @@ def planned_needs(
     cables = {"rest_length": rest_length, "compliance": compliance}
     motion = orbit_motion(terms, orbit_directions(axes, orbit.angle), orbit, **cables)
     return needs_of_motion(aircraft, motion, terms.up[:, None])
-
-
-class CarrierOrbits(NamedTuple):
-    """The motion of n carriers, and their cables, at k instants, (k, n, 3) each, in W."""
-
-    positions: NDArray  # m
-    velocities: NDArray  # m/s
-    accelerations: NDArray  # m/s²
-    cable_forces: NDArray  # N, of the cables on the load
-    cable_ends: NDArray  # m, at the load
-
-
-def resting_orbits(
-    load: RigidLoad,
-    pose: NDArray,
-    times: NDArray,
-    parameters: NDArray,
-    *,
-    yaw_rate: float,
-    load_wind: NDArray,
-    attachments: NDArray,
-    pseudo_inverse: NDArray,
-    basis: NDArray,
-    phases: NDArray,
-    orders: NDArray,
-    offset: NDArray,
-    rest_length: float,
-    compliance: float,
-) -> CarrierOrbits:
-    """The carriers' motion at `times` (k,), s, with the phase θ = ξ t, above a resting load.
-
-    The load turns about the vertical through its centre of mass at the constant rate Ω and rests
-    otherwise. With w the wind at the load, the cables hold it against its weight and the wind's
-    drag, F = m g e₃ − B_L w, and turn it by the torque ω × J ω + C_L ω in L.
-
-    Args:
-        load: the load.
-        pose: of the load at t = 0 in W (7,), or what begins with one.
-        times: s.
-        parameters: [ξ (rad/s), A (N)] (2,).
-        yaw_rate: Ω, rad/s.
-        load_wind: w (3,), m/s, in W.
-        attachments: as `pseudo_inverse` and `offset` of `flight_terms`.
-        pseudo_inverse: in L.
-        basis: as `phases` and `orders` of `pattern_directions`.
-        phases: rad.
-        orders: of the harmonics.
-        offset: N, in L.
-        rest_length: as `compliance` of `orbit_motion`.
-        compliance: m/N.
-    """
-    reference = resting_reference()
-    own = LoadReference.view(reference)
-    own.quaternion[:], own.angular_velocity[2] = Pose.view(pose).quaternion, yaw_rate
-    turn = np.full(len(times), yaw_rate), yaw_rate * times
-    terms = turning_terms(
-        reference,
-        *feedforward_wrench(load, reference, load_wind),
-        STILL_AIR,
-        *turn,
-        pseudo_inverse=pseudo_inverse,
-        offset=offset,
-        attachments=attachments,
-    )
-    (frequency, amplitude), angles = parameters, parameters[0] * times
-    motion = orbit_motion(
-        terms,
-        pattern_directions(basis, phases, orders, angles),
-        PlannedOrbit.constant(angles, frequency, amplitude),
-        rest_length=rest_length,
-        compliance=compliance,
-    )
-    R_LW = rotation_matrix(_turned(reference, *turn)[:, :4]).swapaxes(1, 2)
-    ends = Pose.view(pose).position + attachments @ R_LW
-    return CarrierOrbits(
-        positions=ends + motion.cables @ R_LW,
-        velocities=motion.velocities @ R_LW,
-        accelerations=motion.accelerations @ R_LW,
-        cable_forces=motion.forces @ R_LW,
-        cable_ends=ends,
-    )

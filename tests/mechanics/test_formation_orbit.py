@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
-from helpers import difference, regular
+from helpers import difference, regular, resting_orbits
 
 from drake_nonstop.mechanics.formation_orbit import CarriedLoad, FormationShape, carrier_orbit
-from drake_nonstop.mechanics.planned_orbit import resting_orbits
 from drake_nonstop.model.pattern import ConstantSpreadConfig, EllipticCarouselConfig
 from drake_nonstop.model.system import Model, SystemParameters
 
@@ -34,21 +33,9 @@ def test_they_are_those_of_the_general_equations(pattern, n, yaw_rate, turns):
         pattern,
     )
     times, frequency = np.linspace(0, 9, 7), 0.6
+    parameters = np.array([frequency, 1.0])
     general = resting_orbits(
-        made.load,
-        np.eye(22)[0],
-        times,
-        np.array([frequency, 1.0]),
-        yaw_rate=yaw_rate,
-        load_wind=WIND,
-        attachments=made.attachments,
-        pseudo_inverse=made.pseudo_inverse,
-        basis=made.pattern.basis,
-        phases=made.pattern.phases,
-        orders=made.pattern.orders,
-        offset=made.pattern.offset,
-        rest_length=150.0,
-        compliance=1 / 120.0,
+        made, np.eye(22)[0], times, parameters, yaw_rate=yaw_rate, load_wind=WIND
     )
     sizes = [getattr(pattern, name, 0.0) for name in SIZES]
     shape = FormationShape(*sizes, frequency, yaw_rate, 150.0)

@@ -4,9 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers import Motion, difference
+from helpers import Motion, difference, resting_orbits
 
-from drake_nonstop.analysis.aircraft_margins import aircraft_needs
 from drake_nonstop.mechanics.aircraft import (
     flight_needs,
     needed_force,
@@ -23,7 +22,6 @@ from drake_nonstop.mechanics.planned_orbit import (
     flight_along_reference,
     flight_terms,
     planned_needs,
-    resting_orbits,
     turning_terms,
 )
 from drake_nonstop.mechanics.rotation import quaternion_product, rotation_matrix
@@ -175,22 +173,12 @@ def test_above_a_resting_load_needs_are_those_of_the_margins(yaw_rate):
     xi, A = 0.595, 0.0 if yaw_rate else 1.0
     reference = np.zeros(22)
     reference[0], reference[9] = 1.0, yaw_rate
+    parameters = np.array([xi, A])
     motion = resting_orbits(
-        model.load,
-        reference,
-        phases / xi,
-        np.array([xi, A]),
-        yaw_rate=yaw_rate,
-        load_wind=WIND,
-        attachments=model.attachments,
-        pseudo_inverse=model.pseudo_inverse,
-        basis=model.pattern.basis,
-        phases=model.pattern.phases,
-        orders=model.pattern.orders,
-        offset=model.pattern.offset,
-        **cables_of(model),
+        model, reference, phases / xi, parameters, yaw_rate=yaw_rate, load_wind=WIND
     )
-    expected = aircraft_needs(model.aircraft, motion, np.broadcast_to(WIND, motion.positions.shape))
+    force = needed_force(model.aircraft, motion.accelerations, motion.cable_forces)
+    expected = flight_needs(model.aircraft, force, motion.velocities - WIND)
     turned = []
     for phase in phases:
         angle = yaw_rate * phase / xi

@@ -1,12 +1,13 @@
 """The exact orbits above a load that rests or turns steadily."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
-from helpers import INERTIA, SHAPES, regular
+from helpers import INERTIA, SHAPES, regular, resting_orbits
 
 from drake_nonstop.mechanics.grasp import grasp_matrix
 from drake_nonstop.mechanics.internal_force import even_phases, hamiltonian_cycle, spread
-from drake_nonstop.mechanics.planned_orbit import resting_orbits
 from drake_nonstop.mechanics.rigid_load import RigidLoad
 from drake_nonstop.mechanics.rotation import rotation_matrix
 
@@ -24,19 +25,16 @@ def orbits(attachments, times, *, load=LOAD, pose=POSE, wind=WIND, **others):
         "orders": 1 + np.arange(len(attachments)) % 2,
         "offset": 2.0 * spread(attachments),
     }
-    return resting_orbits(
-        load,
-        pose,
-        times,
-        np.array([1.7, 1.2]),
-        yaw_rate=YAW_RATE,
-        load_wind=wind,
+    made = SimpleNamespace(
+        load=load,
         attachments=attachments,
         pseudo_inverse=np.linalg.pinv(grasp_matrix(attachments)),
-        rest_length=2.0,
-        compliance=COMPLIANCE,
-        **(cables | others),
+        cable_length=2.0,
+        cable_compliance=COMPLIANCE,
+        pattern=SimpleNamespace(**(cables | others)),
     )
+    parameters = np.array([1.7, 1.2])
+    return resting_orbits(made, pose, times, parameters, yaw_rate=YAW_RATE, load_wind=wind)
 
 
 @pytest.mark.parametrize("name", ["regular-4", "irregular-3", "spatial-5"])

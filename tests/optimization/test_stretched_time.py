@@ -4,7 +4,7 @@ import functools
 
 import numpy as np
 import pytest
-from helpers import difference, model
+from helpers import difference, model, resting_orbits
 
 from drake_nonstop.analysis.aircraft_margins import margins_at_rest
 from drake_nonstop.blocks.load_trajectory import (
@@ -13,7 +13,6 @@ from drake_nonstop.blocks.load_trajectory import (
     RestToRest,
     RestToRestConfig,
 )
-from drake_nonstop.mechanics.planned_orbit import resting_orbits
 from drake_nonstop.mechanics.reference_preview import ReferencePreview
 from drake_nonstop.mechanics.wind import MeanWind
 from drake_nonstop.model.system import Model
@@ -81,22 +80,9 @@ def test_rates_of_a_delay_are_its_differences_and_it_stays_at_its_end():
 def test_a_load_at_rest_is_feasible_up_to_the_speed_of_its_slowest_orbit():
     """For ξ and A that cannot change; the orbit's speeds are those of positions, differenced."""
     system, xi, A = model(), 2.0, 1.2
-    orbits = resting_orbits(
-        system.load,
-        np.eye(7)[0],
-        np.linspace(0, 2 * np.pi / xi, 16, endpoint=False),
-        np.array([xi, A]),
-        yaw_rate=0.0,
-        load_wind=np.zeros(3),
-        attachments=system.attachments,
-        pseudo_inverse=system.pseudo_inverse,
-        basis=system.pattern.basis,
-        phases=system.pattern.phases,
-        orders=system.pattern.orders,
-        offset=system.pattern.offset,
-        rest_length=system.cable_length,
-        compliance=system.cable_compliance,
-    )
+    times = np.linspace(0, 2 * np.pi / xi, 16, endpoint=False)
+    parameters, still = np.array([xi, A]), np.zeros(3)
+    orbits = resting_orbits(system, np.eye(7)[0], times, parameters, load_wind=still)
     slowest = float(np.min(np.linalg.norm(orbits.velocities, axis=-1)))
     rest = np.eye(22)[:1]
     for factor, expected in ((0.995, True), (1.005, False)):

@@ -1,0 +1,158 @@
+"""The motion of carriers above their load, along a plan or at rest, and what aircraft need."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drake_nonstop.analysis.task import Task
+from drake_nonstop.mechanics.aircraft import FlightNeeds
+from drake_nonstop.mechanics.cable import forces_under_other_wrench, wrenches_of
+from drake_nonstop.mechanics.planned_orbit import (
+    FlightTerms,
+    OrbitMotion,
+    PlannedOrbit,
+    flight_along_reference,
+    needs_of_motion,
+    orbit_motion,
+    pattern_directions,
+    turned_motions,
+    turning_terms,
+)
+from drake_nonstop.mechanics.rigid_load import STILL_AIR, RigidLoad
+from drake_nonstop.mechanics.rotation import rotation_matrix
+from drake_nonstop.mechanics.signals import LoadReference, Pose, resting_reference
+from drake_nonstop.mechanics.wrench import feedforward_wrench
+from drake_nonstop.model.system import Model
+
+
+def orbit_terms(
+    model: Model,
+    references: Sequence[NDArray] | NDArray,
+    winds: Sequence[NDArray],
+    load: RigidLoad | None = None,
+) -> FlightTerms:
+    """What orbits depend on besides the plan, at k references (22,) with their winds (3,).
+
+    `load` is what moves so; None: that of the model.
+    """
+    rows = [
+        flight_along_reference(
+            load or model.load,
+            reference,
+            wind,
+            pseudo_inverse=model.pseudo_inverse,
+            offset=model.pattern.offset,
+            attachments=model.attachments,
+        )
+        for reference, wind in zip(references, winds, strict=True)
+    ]
+    return FlightTerms.view(np.array(rows))
+
+
+def motion_above(model: Model, terms: FlightTerms, orbit: PlannedOrbit) -> OrbitMotion:
+    """The motion of a model's carriers at k instants, with terms there or at one."""
+    pattern = model.pattern
+    return orbit_motion(
+        terms,
+        pattern_directions(pattern.basis, pattern.phases, pattern.orders, orbit.angle),
+        orbit,
+        rest_length=model.cable_length,
+        compliance=model.cable_compliance,
+    )
+
+
+class CarriersAlong(NamedTuple):
+    """Carriers that fly the orbits which the controllers believe in exactly, at k instants.
+
+    Above its desired position the load is the believed one: a lighter load rises by what the cables
+    stretch less, which is too little for a controller to notice. To the side the cables hardly hold
+    it, and the controller comes to ask for what its drag needs. The cables hold the simulated load.
+    """
+
+    believed: Model
+    plant: Model
+    terms: FlightTerms
+    held: FlightTerms  # of the simulated load
+
+    @classmethod
+    def of(
+        cls, believed: Model, plant: Model, terms: Callable[[Model, RigidLoad], FlightTerms]
+    ) -> "CarriersAlong":
+        """Those with the `terms` of a model, and of what moves so."""
+        flown = terms(believed, replace(believed.load, drag=plant.load.drag))
+        return cls(believed, plant, flown, flown if believed is plant else terms(plant, plant.load))
+
+    def motion(self, orbit: PlannedOrbit) -> OrbitMotion:
+        """The carriers' motion, and the forces of the simulated cables."""
+        motion, plant = motion_above(self.believed, self.terms, orbit), self.plant
+        if self.believed is plant:
+            return motion
+        forces = forces_under_other_wrench(
+            motion.forces,
+            plant.attachments,
+            wrenches_of(self.held.forces, plant.attachments),
+            rest_length=plant.cable_length,
+            stiffness=plant.cable_stiffness,
+        )
+        return motion._replace(forces=forces)
+
+    def needs(self, motion: OrbitMotion) -> FlightNeeds:
+        """What the simulated aircraft need to move so, (k, n) each."""
+        assert self.plant.aircraft is not None
+        return needs_of_motion(self.plant.aircraft, motion, self.terms.up[:, None])
+
+
+def carriers_along(task: Task, times: NDArray) -> CarriersAlong:
+    """Those of a task at times (k,), s, in the mean wind at their mean height."""
+    above = _height_of_carriers(task.carried)
+    winds = [task.wind_at(time, above) for time in times]
+    references = [task.reference(time) for time in times]
+    return CarriersAlong.of(
+        task.carried, task.flown, lambda model, load: orbit_terms(model, references, winds, load)
+    )
+
+
+def resting_carriers(
+    believed: Model,
+    plant: Model,
+    pose: NDArray,
+    times: NDArray,
+    *,
+    yaw_rate: float,
+    load_wind: NDArray,
+) -> tuple[CarriersAlong, NDArray]:
+    """Carriers above a load that rests, but for a steady turn about the vertical; R_WL (k, 3, 3).
+
+    With w the wind at the load, the cables hold it against its weight and the wind's drag,
+    F = m g e₃ − B_L w, and turn it by the torque ω × J ω + C_L ω in L. Their velocities are those
+    in still air. The pose (7,) is that in W at t = 0, the times (k,) are in s, the `yaw_rate` in
+    rad/s, and the wind (3,) in m/s, in W.
+    """
+    rest = resting_reference()
+    own = LoadReference.view(rest)
+    own.quaternion[:], own.angular_velocity[2] = Pose.view(pose).quaternion, yaw_rate
+    turn = np.full(len(times), yaw_rate), yaw_rate * times
+
+    def terms(model: Model, load: RigidLoad) -> FlightTerms:
+        return turning_terms(
+            rest,
+            *feedforward_wrench(load, rest, load_wind),
+            STILL_AIR,
+            *turn,
+            pseudo_inverse=model.pseudo_inverse,
+            offset=model.pattern.offset,
+            attachments=model.attachments,
+        )
+
+    R_WL = rotation_matrix(turned_motions(rest, *turn)[:, :4])
+    return CarriersAlong.of(believed, plant, terms), R_WL
+
+
+def _height_of_carriers(model: Model) -> float:
+    """How far above their load the carriers are in the mean, m, where it rests without sway."""
+    weight = np.array([0, 0, 0, 0, 0, model.load_mass * model.gravity])
+    forces = (model.pseudo_inverse @ weight + model.pattern.offset).reshape(-1, 3)
+    return model.cable_length * float(np.mean(forces[:, 2] / np.linalg.norm(forces, axis=1)))
