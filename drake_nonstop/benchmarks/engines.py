@@ -15,7 +15,7 @@ from drake_nonstop.simulation.compiled_run import recorded_loop
 from drake_nonstop.simulation.flight import without_warnings
 from drake_nonstop.simulation.metrics import versions
 from drake_nonstop.simulation.preparation import with_chosen_step
-from drake_nonstop.simulation.recording import Recording
+from drake_nonstop.simulation.recording import LogSignals
 from drake_nonstop.simulation.run import Run, StepCheck
 from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.systems.compilation import compiler
@@ -56,9 +56,9 @@ def benchmark_engines(
     period = scenario.control_period
     builder = DiagramBuilder()
     builder.AddSystem(nonstop)
-    recording = Recording(builder, nonstop)  # what a run has is what the loops show
+    logs = LogSignals(builder, nonstop)  # what a run has is what the loops show
     loops = {
-        name: recorded_loop(recording, config, period, compiles=name == "stepped")
+        name: recorded_loop(logs, config, period, compiles=name == "stepped")
         for name in ("stepped", "virtual machine")
     }
     samples = int(scenario.simulation_duration / period + 1e-9)

@@ -15,8 +15,8 @@ from drake_nonstop.loop.compiled_loop import CompiledFlight, CompiledLoop, reaso
 from drake_nonstop.mechanics.signal_layouts import by_name
 from drake_nonstop.mechanics.signals import SIGNAL_PERIOD
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.simulation.monitor import SAME_RATIO, Monitor
-from drake_nonstop.simulation.recording import Recording, RecordingError
+from drake_nonstop.simulation.monitor import SAME_RATIO, Monitor, at_instant
+from drake_nonstop.simulation.recording import LogSignals, RecordingError
 from drake_nonstop.simulation.run import WALL_TIME
 from drake_nonstop.simulation.short_flights import RestorableState, SavedState, flown
 from drake_nonstop.systems.block import is_of_package, release
@@ -33,7 +33,7 @@ _UNUSUAL = 1e-3 * LARGEST  # a value beyond it may become one that a block of th
 
 def compiled_loop_of(
     scenario: Scenario,
-    recording: Recording,
+    logs: LogSignals,
     config: SimulatorConfig,
     steering: Sequence[str],
 ) -> CompiledLoop | None:
@@ -43,13 +43,13 @@ def compiled_loop_of(
 
     Args:
         scenario: of the run.
-        recording: of its loop.
+        logs: of its loop.
         config: the integrator's step.
         steering: the arguments of `simulate` that need the Simulator's own steps.
     """
     period = scenario.control_period
     reason = f"{steering[0]} need the steps of Drake's Simulator" if steering else ""
-    reason = reason or reason_against(recording.nonstop, config, period)
+    reason = reason or reason_against(logs.nonstop, config, period)
     ratio = max(SIGNAL_PERIOD, period) / min(SIGNAL_PERIOD, period) if period > 0 else 1.0
     if not reason and abs(ratio - round(ratio)) > SAME_RATIO * ratio:
         reason = (
@@ -60,20 +60,20 @@ def compiled_loop_of(
         tell_not_compiled(f"{reason};")
         return None
     samples = int(scenario.simulation_duration / period)
-    return recorded_loop(recording, config, period, samples=samples)
+    return recorded_loop(logs, config, period, samples=samples)
 
 
 def recorded_loop(
-    recording: Recording, config: SimulatorConfig, period: float, **options: Any
+    logs: LogSignals, config: SimulatorConfig, period: float, **options: Any
 ) -> CompiledLoop:
-    """The compiled loop that shows what a recording takes, with further options of its class."""
+    """The compiled loop that shows what logs take, with further options of its class."""
     return CompiledLoop(
-        recording.nonstop,
+        logs.nonstop,
         config,
         period,
         signal_period=min(SIGNAL_PERIOD, period),
-        signals=recording.sampled,
-        step_signals=recording.stepped,
+        signals=logs.sampled,
+        step_signals=logs.stepped,
         **options,
     )
 
@@ -102,7 +102,7 @@ class CompiledRun:
 
     Args:
         loop: what is flown.
-        recording: takes the signals.
+        logs: take the signals.
         context: the root context at the start.
         ending: as of `Monitor`.
         compared: of another diagram of the loop, which the first samples are compared with, for
@@ -112,12 +112,12 @@ class CompiledRun:
     def __init__(
         self,
         loop: CompiledLoop,
-        recording: Recording,
+        logs: LogSignals,
         context: Context,
         ending: Sequence[tuple[Any, Context]],
         compared: Simulator | None = None,
     ):
-        self._loop, self._recording, self._context = loop, recording, context
+        self._loop, self._rows, self._context = loop, logs.rows(context), context
         self._start = loop.diagram.CreateDefaultContext()
         self._start.SetTimeStateAndParametersFrom(loop.diagram.GetMyContextFromRoot(context))
         self._flight = loop.fly(self._start, _UNUSUAL)
@@ -139,11 +139,12 @@ class CompiledRun:
         self._context.SetTime(self._flight.time)
         self._flight.write_state(self._loop.diagram.GetMyMutableContextFromRoot(self._context))
 
-    def fly(self, duration: float, monitor: Monitor) -> None:
+    def fly(self, duration: float, monitor: Monitor) -> bool:
         """Flies up to a time in s, and sets the context to the end of what was flown.
 
         What is left then is less than a sample, or follows an error of a block, a value that is not
         finite, or one so large that it may become one: the Simulator flies that, and tells of it.
+        False where nothing was flown.
 
         Raises:
             NotCompilableError: a block does what it has not declared: all of the flight is wrong.
@@ -151,13 +152,13 @@ class CompiledRun:
         period = self._loop.control_period
         samples = int((duration + _ROUNDING) / period)
         if samples == 0:
-            return
+            return False
         try:
             if self._compared is not None:
                 self._expected = self._rows_of(self._compared, min(samples, _COMPARED))
             signals, steps = self._flight.start()
             self._compare(signals[None])
-            self._recording.add(np.zeros(1), signals[None], np.zeros(1), steps[None])
+            self._rows.add(np.zeros(1), signals[None], np.zeros(1), steps[None])
             self._recorded = 0, self._flight.state
             monitor.has_ended = self._is_over(steps[None]) is not None
             ends = monitor.ends(0.0, self._state) or monitor.has_ended
@@ -172,15 +173,14 @@ class CompiledRun:
             tell_not_compiled(f"{one_line(error)}; from t = {self._flight.time:g} s on")
             self._end = self._flight.time
             if self._flight.samples == 0:
-                if self._recording.has_steps:
-                    self._recording.drop_last_step()
-                return
+                return False
         finally:
             self._context.SetTime(self._end)
         if not monitor.has_ended:
             self._write_state()
         if abs(self._flight.time - duration) < _ROUNDING:
             self._context.SetTime(duration)
+        return True
 
     def _advance(self, monitor: Monitor, duration: float, samples: int) -> bool:
         """Flies and records samples, not more than so many; whether the run ends with them."""
@@ -196,15 +196,14 @@ class CompiledRun:
         times[:, -1] = step_times[:, -1] = ends
         times, step_times = times.ravel(), step_times.ravel()
         last = self._is_over(steps)
+        steps, step_times = steps[:last], step_times[:last]
+        # No sample is between the signals' instants, where the control period is a shorter one.
+        kept = at_instant(times) & (times <= step_times[-1] + _ROUNDING)
+        self._rows.add(times[kept], signals[kept], step_times, steps)
         if last is not None:
-            is_before = times <= step_times[last] + _ROUNDING
-            self._recording.add(
-                times[is_before], signals[is_before], step_times[: last + 1], steps[: last + 1]
-            )
-            self._end = float(step_times[last])
+            self._end = float(step_times[-1])
             monitor.has_ended = True
             return True
-        self._recording.add(times, signals, step_times, steps)
         self._recorded, self._end = (self._flight.samples, self._flight.state), float(ends[-1])
         return monitor.ends(self._end, self._state)
 
@@ -237,11 +236,11 @@ class CompiledRun:
                 raise NotCompilableError(maker, f"compiled, {name} is not what its diagram shows")
 
     def _is_over(self, steps: NDArray) -> int | None:
-        """The first step after which a block ends the run."""
+        """How many steps there are until a block ends the run; None: none does."""
         shown = by_name(self._loop.step_signals, steps)
         for k in range(len(steps) if self._ending else 0):
             if any(b.ends_run(context, shown[b.ending_signal][k]) for b, context in self._ending):
-                return k
+                return k + 1
         return None
 
     def _go_back(self) -> None:

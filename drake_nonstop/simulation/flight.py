@@ -32,7 +32,7 @@ from drake_nonstop.simulation.preparation import (
 )
 from drake_nonstop.simulation.recording import (
     RUN_SIGNALS,
-    Recording,
+    LogSignals,
     RecordingError,
     require_room,
 )
@@ -100,7 +100,7 @@ class Flight:
         self.nonstop = nonstop = loop_of(request.make_loop, scenario, self._replacements)
         builder = DiagramBuilder()
         builder.AddSystem(nonstop)
-        self._recording = Recording(builder, nonstop)
+        self._logs = LogSignals(builder, nonstop, uses_files=True)
         remedy = "give functions that take the builder, the loop's diagram and the scenario"
         self._visualizers = [
             called("viewers", remedy, viewer, builder, nonstop, scenario)
@@ -108,7 +108,6 @@ class Flight:
         ]
         self._simulator = Simulator(builder.Build())
         self.context = self._simulator.get_mutable_context()
-        self._recording.start(self.context)
         self._ending = [
             (block, block.GetMyContextFromRoot(self.context))
             for block in nested(nonstop, RUN_SIGNALS)[-1].GetSystems()
@@ -118,7 +117,6 @@ class Flight:
             self._simulator,
             nonstop,
             interruption,
-            take_sample=self._recording.take_sample,
             progress=request.progress,
             after_step=request.after_step,
             ending=self._ending,
@@ -154,16 +152,13 @@ class Flight:
         if not self._is_second:
             self._interruption.collect = lambda: self.run(self._interrupted)
         try:
-            if compiled is not None:
-                compiled.fly(self.scenario.simulation_duration, self.monitor)
-            is_begun = self._recording.has_steps
+            duration = self.scenario.simulation_duration
+            is_begun = compiled is not None and compiled.fly(duration, self.monitor)
             if not (is_begun and self._is_over):
-                if is_begun:
-                    self._recording.drop_last_step()  # it is taken again
                 parameters = InitializeParams(suppress_initialization_events=is_begun)
                 self._simulator.Initialize(parameters)
                 if not self.monitor.has_ended:
-                    self._simulator.AdvanceTo(self.scenario.simulation_duration)
+                    self._simulator.AdvanceTo(duration)
             for visualizer in self._visualizers:  # the last step may have been skipped
                 visualizer.ForcedPublish(visualizer.GetMyContextFromRoot(self.context))
         finally:
@@ -174,7 +169,7 @@ class Flight:
         request = self._request
         given = {"viewers": request.viewers, "after_step": request.after_step}
         steering = [name for name, value in given.items() if value]
-        loop = compiled_loop_of(self.scenario, self._recording, chosen.config, steering)
+        loop = compiled_loop_of(self.scenario, self._logs, chosen.config, steering)
         if loop is None:
             return None
         compared = None
@@ -183,7 +178,7 @@ class Flight:
                 other = loop_of(request.make_loop, self.scenario, self._replacements)
                 compared = Simulator(other)
             ApplySimulatorConfig(chosen.config, compared)
-        return CompiledRun(loop, self._recording, self.context, self._ending, compared)
+        return CompiledRun(loop, self._logs, self.context, self._ending, compared)
 
     @property
     def _is_over(self) -> bool:
@@ -196,7 +191,7 @@ class Flight:
         make_loop = self._request.make_loop
         own = {} if make_loop is make_nonstop else {"make_loop": make_loop}
         return Run.from_logs(
-            self._recording,
+            self._logs,
             self.context,
             self.scenario,
             step=self._simulator.get_integrator().get_maximum_step_size(),

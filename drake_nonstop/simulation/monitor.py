@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from fractions import Fraction
 from typing import Any
 
+import numpy as np
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram, EventStatus
 
@@ -16,9 +17,14 @@ from drake_nonstop.systems.block import LeafBlock
 
 _WAITING_PERIOD = 0.02  # s of wall time, between two questions of a run that waits
 _REPORT_PERIOD = 0.1  # s of wall time, between two calls of `progress`
-AT_SAMPLE = 1e-6  # of the period, from an instant to what counts as there
+AT_INSTANT = 1e-6 * SIGNAL_PERIOD  # s, from an instant to what counts as there
 SAME_RATIO = 1e-13  # of periods that come together again and again: no error adds up
 _MOST_INSTANTS = 100  # in the time after which samples and signals are at one instant again
+
+
+def at_instant(time_: Any) -> Any:
+    """Whether a time, or each of an array, s, is an instant of the signals' samples."""
+    return abs(time_ - SIGNAL_PERIOD * np.round(time_ / SIGNAL_PERIOD)) < AT_INSTANT
 
 
 def other_instants(control_period: float) -> tuple[float, list[float]]:
@@ -53,13 +59,12 @@ class SampleInstants(LeafBlock):
 
 
 class Monitor:
-    """Takes samples, reports progress, asks what to do, and ends the run where it is asked to.
+    """Saves states, reports progress, asks what to do, and ends the run where it is asked to.
 
     Args:
         simulator: of the diagram around the loop.
         nonstop: the loop's diagram.
         interruption: what Ctrl-C leaves.
-        take_sample: records the signals of the diagram.
         progress, after_step: as of `simulate`.
         ending: the blocks that may end the run, with their contexts. A block has
             `ends_run(context, shown)` of what its port shows that `ending_signal` names.
@@ -77,7 +82,6 @@ class Monitor:
         nonstop: Diagram,
         interruption: Interruption,
         *,
-        take_sample: Callable[[], None],
         progress: Callable[[float], None] | None,
         after_step: Callable[[Simulator, Diagram], StepAction] | None,
         ending: Sequence[tuple[Any, Context]],
@@ -85,8 +89,6 @@ class Monitor:
         self._simulator = simulator
         self._nonstop = nonstop
         self._interruption = interruption
-        self._take_sample = take_sample
-        self._samples = 0
         self._progress = progress
         self._after_step = after_step
         self._ending = ending
@@ -98,8 +100,6 @@ class Monitor:
     def __call__(self, root_context: Context) -> EventStatus:
         """What Drake calls after every step."""
         time_ = root_context.get_time()
-        if self._is_sample(time_):
-            self._take_sample()
         if self.ends(
             time_, lambda: SavedState.of(self._nonstop.GetMyContextFromRoot(root_context))
         ):
@@ -110,16 +110,11 @@ class Monitor:
                 return EventStatus.ReachedTermination(self._nonstop, "over")
         return EventStatus.DidNothing()
 
-    def _is_sample(self, time_: float) -> bool:
-        return time_ > (self._samples - AT_SAMPLE) * SIGNAL_PERIOD
-
     def ends(self, time_: float, state: Callable[[], RestorableState]) -> bool:
         """Takes note of a step that ends at a time in s, in a state; whether the run ends there."""
         self.time = time_
-        if self._is_sample(time_):
-            self._samples = int(time_ / SIGNAL_PERIOD + AT_SAMPLE) + 1
-            if time_ >= self.saved.next_time:
-                self.saved.save(state())
+        if time_ >= self.saved.next_time and at_instant(time_):
+            self.saved.save(state())
         if self._interruption.number:
             return True
         now = time.perf_counter()

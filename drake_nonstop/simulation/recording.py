@@ -1,9 +1,13 @@
 """Which signals of a run are recorded, and what records them while it goes on."""
 
 import contextlib
+import math
 import shutil
 import tempfile
+from array import array
 from collections.abc import Mapping
+from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +24,7 @@ from pydrake.systems.primitives import Multiplexer
 
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold
 from drake_nonstop.diagrams.nonstop import BOXES, SIGNALS
-from drake_nonstop.mechanics.signal_layouts import HELD, Entry, Layout, numbered_entries
+from drake_nonstop.mechanics.signal_layouts import HELD, Entry, Layout, by_name, numbered_entries
 from drake_nonstop.mechanics.signals import (
     LOAD_REFERENCE_SIZE,
     LOAD_STATE_SIZE,
@@ -28,9 +32,8 @@ from drake_nonstop.mechanics.signals import (
     SIGNAL_PERIOD,
 )
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.simulation.monitor import AT_SAMPLE, SampleInstants
+from drake_nonstop.simulation.monitor import AT_INSTANT, SampleInstants, at_instant
 from drake_nonstop.simulation.run import WALL_TIME
-from drake_nonstop.simulation.signal_rows import DOUBLE, SignalRows
 from drake_nonstop.systems.block import LOOP, LeafBlock, title
 from drake_nonstop.systems.wiring import (
     maker_of,
@@ -66,58 +69,184 @@ RUN_SIGNALS = {
     "parameters": PARAMETERS_SIZE,
 }
 
-AT_INSTANT = AT_SAMPLE * SIGNAL_PERIOD  # s, from a sample's time to what counts as its instant
+DOUBLE = 8  # bytes
+_nameless_file = partial(tempfile.TemporaryFile, buffering=0)
 
 
 class RecordingError(RuntimeError):
     """The temporary folder cannot take the signals of a run."""
 
 
-class _Log(LeafBlock):
-    """The rows of some ports, which each context has; `publish` adds one.
+class SignalRows:
+    """Values of some ports and their times; the first may be in a file.
+
+    The file has no name: it is gone with the last array that is mapped to it, and with the process,
+    however that ends.
 
     Args:
         sizes: of the ports, by their names.
+
+    Attributes:
+        last_time: of the rows, s.
     """
 
+    TIMES = ""  # no port has this name
+
     def __init__(self, sizes: Mapping[str, int]):
+        self._sizes = {self.TIMES: 1, **sizes}
+        self._width = sum(sizes.values())
+        self._clear()
+
+    def _clear(self) -> None:
+        self._times, self._values = array("d"), array("d")  # of the rows in memory
+        self._file: Any = None
+        self._stored = 0  # rows in the file
+        self.last_time = -math.inf
+
+    def add(self, times: NDArray, values: NDArray) -> None:
+        """Adds times (k,), s, and their values (k, size).
+
+        A row at the time of the last one replaces it; at one before that another flight begins.
+        """
+        if not len(times):
+            return
+        if times[0] < self.last_time:
+            self._clear()
+        elif times[0] == self.last_time and self._times:
+            del self._times[-1:], self._values[-self._width :]
+        elif times[0] == self.last_time:
+            self._stored -= 1  # it is in the file, where the next is written over it
+        self.last_time = float(times[-1])
+        self._times.frombytes(times.tobytes())
+        self._values.frombytes(values.tobytes())
+
+    def __len__(self) -> int:
+        return self._stored + len(self._times)
+
+    @property
+    def memory(self) -> int:
+        """Bytes of the rows in memory."""
+        return DOUBLE * (len(self._times) + len(self._values))
+
+    def _in_memory(self) -> NDArray:
+        """The rows in memory (k, 1 + size), each with its time in front."""
+        values = np.array(self._values).reshape(-1, self._width)
+        return np.column_stack([np.array(self._times), values])
+
+    def columns(self) -> dict[str, NDArray]:
+        """The rows, (rows, size) of each port and (rows,) of the times, which come first.
+
+        Of rows in the file they are mapped to memory, and cannot be written to.
+        """
+        if self._file is not None:
+            with contextlib.suppress(OSError):  # what the file cannot take stays in memory
+                self.store()
+        rows = self._in_memory()
+        if self._file is None:
+            parts = {name: part.copy() for name, part in by_name(self._sizes, rows).items()}
+        else:
+            mapped = np.memmap(self._file, float, "r", shape=(self._stored, 1 + self._width))
+            whole = np.concatenate([mapped, rows]) if len(rows) else np.asarray(mapped)
+            parts = by_name(self._sizes, whole)
+        return parts | {self.TIMES: parts[self.TIMES][:, 0]}
+
+    def store(self) -> None:
+        """Moves the rows in memory to the file.
+
+        Raises:
+            OSError: it has no room for the next ones, or, the first time, for these, which stay in
+                memory then.
+        """
+        rows = self._in_memory()
+        if self._file is None:
+            self._file = _nameless_file()
+        self._file.seek(self._stored * DOUBLE * (1 + self._width))
+        self._write(rows.tobytes())
+        self._stored += len(rows)
+        del self._times[:], self._values[:]
+        # Room for as many and more, so that no full disk comes between the next ones and the file.
+        self._write(bytes(2 * rows.nbytes))
+
+    def _write(self, content: bytes) -> None:
+        while content:
+            content = content[self._file.write(content) :]
+
+
+class LoggedRows:
+    """What is logged of a context: `samples` of all signals, and a few at all `steps`.
+
+    Args:
+        sampled: the sizes of all signals, by their names.
+        stepped: those of the few.
+        limit: bytes in memory; with more of them all go to files.
+    """
+
+    def __init__(self, sampled: Mapping[str, int], stepped: Mapping[str, int], limit: float):
+        self.samples, self.steps = SignalRows(sampled), SignalRows(stepped)
+        self._limit = limit
+
+    def add(self, times: NDArray, samples: NDArray, step_times: NDArray, steps: NDArray) -> None:
+        """Adds samples (k, size) at times (k,), s, and steps (j, size) at theirs.
+
+        Raises:
+            RecordingError: the temporary folder cannot take them.
+        """
+        self.samples.add(times, samples)
+        self.steps.add(step_times, steps)
+        if self.samples.memory + self.steps.memory > self._limit:
+            try:
+                self.samples.store()
+                self.steps.store()
+            except OSError as error:
+                raise RecordingError(
+                    f"the temporary folder {tempfile.gettempdir()} cannot take the signals "
+                    f"({error.strerror}): set TMPDIR to a folder with more room, or give a "
+                    "shorter simulation_duration"
+                ) from None
+
+
+class _Log(LeafBlock):
+    """The `LoggedRows` of each context, with the start and the first step to each instant.
+
+    Args:
+        sizes: of the samples and of the steps, and the limit, as of `LoggedRows`.
+    """
+
+    def __init__(self, *sizes: Any):
         super().__init__()
-        self._values = self.DeclareVectorInputPort("values", sum(sizes.values()))
+        self._samples, self._steps = (
+            self.DeclareVectorInputPort(name, sum(part.values()))
+            for name, part in zip(("samples", "steps"), sizes, strict=False)
+        )
         self._rows = self.DeclareCacheEntry(
             description="rows",
             value_producer=ValueProducer(
-                allocate=lambda: AbstractValue.Make(SignalRows(sizes)), calc=ValueProducer.NoopCalc
+                allocate=lambda: AbstractValue.Make(LoggedRows(*sizes)), calc=ValueProducer.NoopCalc
             ),
             prerequisites_of_calc={self.nothing_ticket()},
         ).cache_index()
+        self.DeclareInitializationPublishEvent(self._publish_start)
+        self.DeclarePerStepPublishEvent(self._publish)
 
-    def publish(self, context: Context) -> None:
-        """Adds the values of now."""
-        self._in(context).add(np.array([context.get_time()]), self._values.Eval(context))
+    def _publish_start(self, context: Context) -> None:
+        time = np.array([context.get_time()])
+        self._in(context).samples.add(time, self._samples.Eval(context))
 
-    def rows(self, context: Context) -> SignalRows:
+    def _publish(self, context: Context) -> None:
+        rows, time = self._in(context), context.get_time()
+        is_sample = at_instant(time) and abs(time - rows.samples.last_time) >= AT_INSTANT
+        times = np.array([time])
+        samples = self._samples.Eval(context) if is_sample else times
+        rows.add(times[: int(is_sample)], samples, times, self._steps.Eval(context))
+
+    def rows(self, context: Context) -> LoggedRows:
         """Those of a context of the whole diagram."""
         return self._in(self.GetMyContextFromRoot(context))
 
-    def _in(self, context: Context) -> SignalRows:
+    def _in(self, context: Context) -> LoggedRows:
         entry = self.get_cache_entry(self._rows).get_mutable_cache_entry_value(context)
-        rows: SignalRows = entry.GetMutableValueOrThrow()
+        rows: LoggedRows = entry.GetMutableValueOrThrow()
         return rows
-
-
-class _LogOfInstants(_Log):
-    """A log with a row for the start, and for the first step to each of the signals' instants."""
-
-    def __init__(self, sizes: Mapping[str, int]):
-        super().__init__(sizes)
-        self.DeclareInitializationPublishEvent(self.publish)
-        self.DeclarePerStepPublishEvent(self._publish_instant)
-
-    def _publish_instant(self, context: Context) -> None:
-        times, time_ = self._in(context).times, context.get_time()
-        is_instant = abs(time_ / SIGNAL_PERIOD - round(time_ / SIGNAL_PERIOD)) < AT_SAMPLE
-        if is_instant and not (times and abs(time_ - times[-1]) < AT_INSTANT):
-            self.publish(context)
 
 
 class LogSignals:
@@ -126,6 +255,7 @@ class LogSignals:
     Each context has logs of its own, as with Drake's `LogVectorOutput`: `Run.from_logs` makes a run
     of those of a context. The integrator's steps end at the instants of the samples. All signals
     are in memory, some 0.3 MB for a second of flight; a run of `simulate` may be in files instead.
+    Signals that are `recorded_where_read` are not among them where no block reads them.
     `AddToBuilder` makes them.
 
     Attributes:
@@ -135,18 +265,25 @@ class LogSignals:
         stepped: the names of those that are recorded at every step.
     """
 
-    _sampling: type[_Log] = _LogOfInstants
-
-    def __init__(self, builder: DiagramBuilder, nonstop: Diagram):
+    def __init__(self, builder: DiagramBuilder, nonstop: Diagram, uses_files: bool = False):
         sampled, stepped = _recorded_ports(nonstop)
         self.nonstop = nonstop
         self.sampled, self.stepped = [*sampled], [*stepped]
-        self._steps = _add_log(builder, stepped, _Log)
-        self._steps.DeclarePerStepPublishEvent(self._steps.publish)
-        self._samples = _add_log(builder, sampled, self._sampling)
+        names, self.entries = _names_and_entries(nonstop, sampled)
+        self._log = builder.AddSystem(
+            _Log(
+                {name: sampled[port].size() for name, port in names.items()},
+                {name: port.size() for name, port in stepped.items()},
+                MEMORY_LIMIT if uses_files else math.inf,
+            )
+        )
+        # One input for all of them, since one for each would slow every step down.
+        for i, ports in enumerate((sampled.values(), stepped.values())):
+            multiplexer = builder.AddSystem(Multiplexer([port.size() for port in ports]))
+            for k, port in enumerate(ports):
+                builder.Connect(port, multiplexer.get_input_port(k))
+            builder.Connect(multiplexer.get_output_port(), self._log.get_input_port(i))
         builder.AddSystem(SampleInstants(control_period_of(nonstop)))
-        self._signal_names, self.entries = _names_and_entries(nonstop, sampled)
-        self._step_names = {STEP_TIME: SignalRows.TIMES} | {name: name for name in stepped}
 
     @staticmethod
     def AddToBuilder(builder: DiagramBuilder, nonstop: Diagram) -> "LogSignals":  # noqa: N802
@@ -171,6 +308,10 @@ class LogSignals:
             nonstop.set_name(LOOP)  # which errors look for, and not where it is in memory
         return LogSignals(builder, nonstop)
 
+    def rows(self, context: Context) -> LoggedRows:
+        """What is logged of a context of the whole diagram."""
+        return self._log.rows(context)
+
     def collect(self, context: Context) -> tuple[NDArray, dict[str, NDArray], dict[str, NDArray]]:
         """The fields `time`, `signals` and `steps` of a `Run`, since time was set back last.
 
@@ -178,42 +319,21 @@ class LogSignals:
             context: of the whole diagram, such as a Simulator's.
 
         Raises:
-            ScenarioError: there is nothing in the logs of the context, or it is another one's.
+            ScenarioError: it is the context of another diagram.
         """
         try:
-            samples, steps = (log.rows(context).columns() for log in (self._samples, self._steps))
+            rows = self.rows(context)
         except (RuntimeError, TypeError):
             raise ScenarioError(
                 f"context = {type(context).__name__} of another diagram: give that of the whole "
                 "diagram with the logs, such as simulator.get_context()"
             ) from None
-        times = samples[SignalRows.TIMES]
-        remedy = "advance a Simulator with this context first"
-        require(len(times) > 0, "logs", "no samples", remedy)
-        instants = np.round(times / SIGNAL_PERIOD)
-        is_instant = np.abs(times - SIGNAL_PERIOD * instants) < AT_INSTANT
-        samples[SignalRows.TIMES] = np.where(is_instant, SIGNAL_PERIOD * instants, times)
-        samples, steps = _last_flight(samples), _last_flight(steps)
-        return samples[SignalRows.TIMES], *self._named(samples, steps)
-
-    def _named(
-        self, samples: dict[str, NDArray], steps: dict[str, NDArray]
-    ) -> tuple[dict[str, NDArray], dict[str, NDArray]]:
-        """The columns of ports by the names of a `Run`."""
-        return (
-            {name: samples[port] for name, port in self._signal_names.items()},
-            {name: steps[port] for name, port in self._step_names.items()},
-        )
-
-
-def _add_log(builder: DiagramBuilder, ports: Mapping[str, OutputPort], kind: type[_Log]) -> _Log:
-    """Adds a log of ports: one sink, since one for each would slow every step down."""
-    sizes = {name: port.size() for name, port in ports.items()}
-    multiplexer, log = builder.AddSystem(Multiplexer([*sizes.values()])), kind(sizes)
-    for i, port in enumerate(ports.values()):
-        builder.Connect(port, multiplexer.get_input_port(i))
-    builder.Connect(multiplexer.get_output_port(), builder.AddSystem(log).get_input_port())
-    return log
+        samples, steps = rows.samples.columns(), rows.steps.columns()
+        times = samples.pop(SignalRows.TIMES)
+        # Without the rounding of the events' times.
+        instants = SIGNAL_PERIOD * np.round(times / SIGNAL_PERIOD)
+        times = np.where(at_instant(times), instants, times)
+        return times, samples, {STEP_TIME: steps.pop(SignalRows.TIMES), **steps}
 
 
 def control_period_of(nonstop: Diagram) -> float:
@@ -239,100 +359,6 @@ def _names_and_entries(
         entries = layout.entries(port, size) if isinstance(layout, Layout) else None
         names[name], found[name] = port, entries or numbered_entries(port, size)
     return names, found
-
-
-def _last_flight(columns: dict[str, NDArray]) -> dict[str, NDArray]:
-    """The rows since time was set back last; of those of one instant the last."""
-    times = columns[SignalRows.TIMES]
-    changes = np.diff(times)
-    start = np.flatnonzero(changes < 0)[-1] + 1 if np.any(changes < 0) else 0
-    kept = np.append(changes != 0, True)[: len(times)]
-    kept[:start] = False
-    return {name: values[kept] for name, values in columns.items()}
-
-
-class Recording(LogSignals):
-    """The logs of a long run, which go to files: of one context, sampled when that is asked for.
-
-    Signals that are `recorded_where_read` are not among them where no block reads them.
-
-    Args:
-        builder: has the diagram already; the logs are added to it.
-        nonstop: the diagram, as `make_nonstop` builds it.
-    """
-
-    _sampling = _Log
-
-    def start(self, context: Context) -> None:
-        """To be called before the run, with the context of what the builder built."""
-        self._context = self._samples.GetMyContextFromRoot(context)
-        self._taken = self._samples.rows(context), self._steps.rows(context)
-        self._is_stored = False
-
-    def take_sample(self) -> None:
-        """Takes a sample of all signals.
-
-        Raises:
-            RecordingError: the temporary folder cannot take them.
-        """
-        self._samples.publish(self._context)
-        self._store_many()
-
-    def add(self, times: NDArray, samples: NDArray, step_times: NDArray, steps: NDArray) -> None:
-        """Adds rows that no Simulator publishes: those of `sampled`, and those of `stepped`.
-
-        Rows that are no sample, where the control period is shorter than the signals', are left
-        out.
-
-        Args:
-            times: (k,), s, of the samples.
-            samples: (k, size).
-            step_times: (j,), s, of the steps.
-            steps: (j, size).
-
-        Raises:
-            RecordingError: the temporary folder cannot take them.
-        """
-        instants = np.floor(times / SIGNAL_PERIOD + AT_SAMPLE)
-        kept = np.diff(instants, prepend=len(self._taken[0]) - 1) > 0
-        self._taken[0].add(times[kept], samples[kept])
-        self._taken[1].add(step_times, steps)
-        self._store_many()
-
-    @property
-    def has_steps(self) -> bool:
-        """Whether a step has been recorded."""
-        return len(self._taken[1]) > 0
-
-    def drop_last_step(self) -> None:
-        """Drops the last row of `stepped`, which a Simulator that goes on publishes again."""
-        self._taken[1].drop_last()
-
-    def _store_many(self) -> None:
-        """Moves the signals to files where they are many."""
-        if sum(rows.memory for rows in self._taken) > MEMORY_LIMIT:
-            self._is_stored = True
-            try:
-                for rows in self._taken:
-                    rows.store()
-            except OSError as error:
-                raise RecordingError(
-                    f"the temporary folder {tempfile.gettempdir()} cannot take the signals "
-                    f"({error.strerror}): set TMPDIR to a folder with more room, or give a "
-                    "shorter simulation_duration"
-                ) from None
-
-    def collect(
-        self, context: Context | None = None
-    ) -> tuple[NDArray, dict[str, NDArray], dict[str, NDArray]]:
-        """The fields `time`, `signals` and `steps` of a `Run`, of the context it started with."""
-        for rows in self._taken if self._is_stored else ():
-            with contextlib.suppress(OSError):  # what the file cannot take stays in memory
-                rows.store()
-        # Of their number, without the rounding of the events' times.
-        times = SIGNAL_PERIOD * np.arange(len(self._taken[0]))
-        samples, steps = (rows.columns() for rows in self._taken)
-        return times, *self._named(samples, steps)
 
 
 def expected_size(nonstop: Diagram, scenario: Scenario) -> float:

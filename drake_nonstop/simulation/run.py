@@ -17,7 +17,7 @@ from drake_nonstop.simulation.signal_table import SignalTable
 from drake_nonstop.validation import require
 
 if TYPE_CHECKING:
-    from drake_nonstop.simulation.recording import LogSignals, Recording
+    from drake_nonstop.simulation.recording import LogSignals
 
 WALL_TIME = "solve_time"  # differs from run to run: kept out of the samples
 
@@ -63,7 +63,7 @@ class Run(SignalTable):
     @classmethod
     def from_logs(
         cls,
-        logs: "LogSignals | Recording",
+        logs: "LogSignals",
         context: Context,
         scenario: Scenario,
         *,
@@ -93,6 +93,8 @@ class Run(SignalTable):
         remedy = "give what LogSignals.AddToBuilder returns"
         require(hasattr(logs, "collect"), "logs", logs, remedy)
         time, signals, steps = logs.collect(context)
+        remedy = "advance a Simulator with this context first"
+        require(len(time) > 0 or stopped != "", "logs", "no samples", remedy)
         # Without the rounding of times.
         longest = float(f"{np.max(np.diff(steps['time']), initial=0.0):.9g}")
         carriers, given = steps["carrier_state"].shape[1] // 6, len(scenario.system.attachments)

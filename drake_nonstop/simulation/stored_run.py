@@ -26,7 +26,8 @@ from drake_nonstop.mechanics.signals import SIGNAL_PERIOD
 from drake_nonstop.scenario.loading import parse_scenario
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.flight import without_warnings
-from drake_nonstop.simulation.recording import AT_INSTANT, EVERY_STEP, RUN_SIGNALS, recorded_sizes
+from drake_nonstop.simulation.monitor import AT_INSTANT
+from drake_nonstop.simulation.recording import EVERY_STEP, RUN_SIGNALS, recorded_sizes
 from drake_nonstop.simulation.run import Run, solve_times_of
 from drake_nonstop.simulation.signal_table import SignalTable
 from drake_nonstop.validation import (

@@ -165,11 +165,11 @@ def test_logs_are_freed_with_their_diagram_and_not_before():
     def sampled():
         builder = DiagramBuilder()
         loop = builder.AddSystem(renamed(scenario))
-        block = weakref.ref(LogSignals.AddToBuilder(builder, loop)._samples)
+        block = weakref.ref(LogSignals.AddToBuilder(builder, loop)._log)
         simulator = Simulator(builder.Build())
         gc.collect()
         simulator.AdvanceTo(0.03)
-        times = block().rows(simulator.get_context()).columns()[""]
+        times = block().rows(simulator.get_context()).samples.columns()[""]
         np.testing.assert_allclose(times, [0, 0.01, 0.02, 0.03], atol=1e-15)
         return block
 

@@ -28,9 +28,9 @@ from drake_nonstop import (
     simulate,
 )
 from drake_nonstop.diagrams.nonstop import make_nonstop
-from drake_nonstop.simulation import recording, signal_rows
+from drake_nonstop.simulation import recording
 from drake_nonstop.simulation.metrics import compute_metrics
-from drake_nonstop.simulation.recording import Recording, require_room
+from drake_nonstop.simulation.recording import LogSignals, require_room
 from drake_nonstop.studies.results_folder import write_results
 
 
@@ -73,15 +73,13 @@ def recorded(samples, steps_per_sample):
     diagram = inner.Build()
     builder = DiagramBuilder()
     builder.AddSystem(diagram)
-    log = Recording(builder, diagram)
+    logs = LogSignals(builder, diagram, uses_files=True)
     simulator = Simulator(builder.Build())
-    log.start(simulator.get_context())
     simulator.Initialize()
     for k in range(samples):
-        log.take_sample()
         for step in range(steps_per_sample):
             simulator.AdvanceTo(0.01 * (k + (step + 1) / steps_per_sample))
-    return log.collect()
+    return logs.collect(simulator.get_context())
 
 
 def is_in_memory(fields):
@@ -101,7 +99,7 @@ def assert_same(stored, in_memory):
 @settings(max_examples=25, deadline=None)
 @given(
     samples=st.integers(0, 40),
-    steps_per_sample=st.integers(0, 4),
+    steps_per_sample=st.integers(1, 4),
     rows=st.integers(1, 12),
     offset=st.integers(-1, 1),
 )
@@ -205,7 +203,7 @@ def test_a_run_that_ends_early_has_all_its_signals(temporary, error, ending):
 @pytest.mark.parametrize("room", nightly_beyond(2, "processes", [65e3, 5e3, 2e4, 5e4]))
 def test_a_full_disk_ends_the_run_in_one_sentence_and_loses_nothing(temporary, monkeypatch, room):
     expected = in_memory()
-    write, sizes = signal_rows.SignalRows._write, {}
+    write, sizes = recording.SignalRows._write, {}
 
     def write_where_room_is(rows, content):
         start, size = rows._file.tell(), sizes.get(rows, 0)
@@ -215,7 +213,7 @@ def test_a_full_disk_ends_the_run_in_one_sentence_and_loses_nothing(temporary, m
         if fitting < len(content):
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(signal_rows.SignalRows, "_write", write_where_room_is)
+    monkeypatch.setattr(recording.SignalRows, "_write", write_where_room_is)
     with pytest.raises(RunStopped, match="cannot take the signals") as caught:
         flown(limit=2e4)
     assert f"{temporary} cannot take the signals (No space left on device)" in str(caught.value)
