@@ -29,11 +29,7 @@ _ACCELERATION = "carrier_reference_acceleration"
 
 
 class _PositionPid(Block):
-    """u = K_p (p_d − p) + K_d (v_d − v) + K_i ∫(p_d − p), for every carrier.
-
-    Where it reads the references' acceleration a_d, there is m_c a_d besides. The integrals of the
-    position errors (3n, m s) are the state, where their gain is not zero.
-    """
+    """PID of every carrier; where it reads the references' acceleration a_d, m_c a_d besides."""
 
     reads: ClassVar[tuple[str, ...]] = ("carrier_reference", "carrier_state")
     makes = ("carrier_forces",)
@@ -77,7 +73,6 @@ class _PositionPid(Block):
 
     @classmethod
     def gains_of(cls, model: Model, config: Any) -> dict[str, Any]:
-        """The gains of a config."""
         return cls.law(**{name: model.number(name) for name in cls.system}, **asdict(config))
 
     @property
@@ -138,12 +133,9 @@ class FeedforwardCarrierPidConfig(_Gains):
 
 
 class FeedforwardCarrierPid(_WithFeedforward):
-    """PID with the references' acceleration as feedforward.
+    """`CarrierPid` with the references' acceleration as feedforward, + m_c a_d.
 
-    u = K_p (p_d − p) + K_d (v_d − v) + K_i ∫(p_d − p) + m_c a_d. A PID without it lags behind its
-    circle by m_c a_d/K_p.
-
-    The integrals of the position errors (3n, m s) are the state, where their gain is not zero.
+    A PID without it lags behind its circle by m_c a_d/K_p.
 
     Raises:
         ScenarioError: a gain is negative or not finite.
@@ -164,11 +156,9 @@ class TunedCarrierPidConfig(_Poles):
 
 
 class TunedCarrierPid(_Tuned):
-    """PID whose gains follow from a natural frequency and the carriers' mass.
+    """`CarrierPid` whose gains follow from a natural frequency and the carriers' mass.
 
-    u = K_p (p_d − p) + K_d (v_d − v) + K_i ∫(p_d − p), gains from `mechanics.tuning.pid_gains`.
-
-    The integrals of the position errors (3n, m s) are the state, where their gain is not zero.
+    They are those of `mechanics.tuning.pid_gains`.
 
     Raises:
         ScenarioError: the frequency is not positive, or another parameter is negative.
@@ -183,10 +173,7 @@ class TunedFeedforwardCarrierPidConfig(_Poles):
 class TunedFeedforwardCarrierPid(_Tuned, _WithFeedforward):
     """`FeedforwardCarrierPid` whose gains follow from a natural frequency and the carriers' mass.
 
-    u = K_p (p_d − p) + K_d (v_d − v) + K_i ∫(p_d − p) + m_c a_d, gains from
-    `mechanics.tuning.pid_gains`.
-
-    The integrals of the position errors (3n, m s) are the state, where their gain is not zero.
+    They are those of `mechanics.tuning.pid_gains`.
 
     Raises:
         ScenarioError: the frequency is not positive, or another parameter is negative.

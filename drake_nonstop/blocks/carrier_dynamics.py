@@ -29,7 +29,6 @@ from drake_nonstop.model.block import Block, SelectorBlock
 from drake_nonstop.model.block_parameters import (
     AIRCRAFT_NUMBERS,
     BlockParameters,
-    Rules,
     aircraft_of,
     required_aircraft,
 )
@@ -78,8 +77,10 @@ class CarrierDynamics(Block):
         return CarrierMotion()
 
     def CalcKineticEnergy(self, context: Context) -> float:
-        """½ m_c Σ ‖v_i‖², J; the context is the block's own. Without weight none is potential."""
-        return _kinetic_energy(self, context)
+        """½ m_c Σ ‖v_i‖², J; the context is the block's own."""
+        state = self.GetOutputPort("carrier_state").Eval(context)
+        mass = parameters_in(self, context)["carrier_mass"]
+        return float(carriers_kinetic_energy(state, mass=mass)[0])
 
     def SetCarrierState(self, context: Context, value: NDArray) -> None:
         context.SetContinuousState(value)
@@ -128,37 +129,25 @@ class LoadedCarrierDynamics(Block):
     def block_parameters(
         self, model: Model, config: LoadedCarrierDynamicsConfig
     ) -> BlockParameters:
-        own = ("max_force",) if _is_limited(model, config) else ()
-        return self.parameters_of(model, config, own, structure=_is_limited)
+        def is_limited(model: Model, config: LoadedCarrierDynamicsConfig) -> bool:
+            return config.max_force < math.inf
+
+        own = ("max_force",) if is_limited(model, config) else ()
+        return self.parameters_of(model, config, own, structure=is_limited)
 
     state = CarrierDynamics.state
     SetCarrierState = CarrierDynamics.SetCarrierState
+    CalcKineticEnergy = CarrierDynamics.CalcKineticEnergy
 
     def describe_response(self) -> CarrierMotion:
         return CarrierMotion(bears_cables=True)
 
-    def CalcKineticEnergy(self, context: Context) -> float:
-        """½ m_c Σ ‖v_i‖², J; the context is the block's own."""
-        return _kinetic_energy(self, context)
-
     def CalcPotentialEnergy(self, context: Context) -> float:
         """Those of the weights, m_c g Σ z_i, J; the context is the block's own."""
         state = self.GetOutputPort("carrier_state").Eval(context)
-        values = parameters_in(self, context)
-        energy = carriers_potential_energy(
-            state, mass=values["carrier_mass"], gravity=values["gravity"]
-        )
-        return float(energy[0])
-
-
-def _kinetic_energy(block: System, context: Context) -> float:
-    state = block.GetOutputPort("carrier_state").Eval(context)
-    mass = parameters_in(block, context)["carrier_mass"]
-    return float(carriers_kinetic_energy(state, mass=mass)[0])
-
-
-def _is_limited(model: Model, config: LoadedCarrierDynamicsConfig) -> bool:
-    return config.max_force < math.inf
+        own = parameters_in(self, context)
+        mass, gravity = own["carrier_mass"], own["gravity"]
+        return float(carriers_potential_energy(state, mass=mass, gravity=gravity)[0])
 
 
 @dataclass(kw_only=True)
@@ -180,7 +169,7 @@ class IdealCarriers(SelectorBlock):
 
     def __init__(self, model: Model, config: IdealCarriersConfig | None = None):
         super().__init__(model, config)
-        self.parameters = BlockParameters(model, rules=Rules(fixed=("carrier_mass",)))
+        self.parameters = BlockParameters(model, fixed=("carrier_mass",))
         self._mass = model.carrier_mass
 
     def CalcKineticEnergy(self, context: Context) -> float:
@@ -220,11 +209,7 @@ class FixedWingDynamics(Block):
 
     @staticmethod
     def equations(
-        states: NDArray,
-        command: NDArray,
-        pull: NDArray,
-        wind: NDArray,
-        **numbers: Any,
+        states: NDArray, command: NDArray, pull: NDArray, wind: NDArray, **numbers: Any
     ) -> tuple[NDArray, ...]:
         flying = aircraft_of(numbers)
         return (
@@ -255,12 +240,7 @@ class FixedWingDynamics(Block):
         context.SetContinuousState(states)
 
     def ends_run(self, context: Context, shown: NDArray) -> bool:
-        """Whether an aircraft is stalled, and a run ends there.
-
-        Args:
-            context: the block's own, whose parameters it goes by.
-            shown: the `aircraft_state`.
-        """
+        """Whether an aircraft is stalled by the `aircraft_state`, and a run ends there."""
         aircraft = self._aircraft_in(context)
         return self.config.stops_at_stall and bool(np.any(is_stalled(aircraft, shown)))
 

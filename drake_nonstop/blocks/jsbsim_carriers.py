@@ -16,7 +16,6 @@ from drake_nonstop.mechanics.signals import AircraftState, CarrierStates
 from drake_nonstop.model.block_parameters import (
     AIRCRAFT_NUMBERS,
     BlockParameters,
-    Rules,
     required_aircraft,
 )
 from drake_nonstop.model.jsbsim_aircraft import (
@@ -104,7 +103,7 @@ class JsbsimCarriers(DiagramBlock):
         config = config or JsbsimCarriersConfig()
         hangar = _Hangar(model, config)
         self._aircraft, self._stops_at_stall = hangar.aircraft, config.stops_at_stall
-        self.parameters = BlockParameters(model, rules=Rules(fixed=AIRCRAFT_NUMBERS))
+        self.parameters = BlockParameters(model, fixed=AIRCRAFT_NUMBERS)
         n, builder = model.n, DiagramBuilder()
         # Drake's, since a LeafSystem in Python cannot have its default state set.
         stays = np.eye(12 * n)

@@ -93,18 +93,15 @@ class DisturbanceForce(LeafBlock):
         return LoadWrench(self._wrench, self._gusts)
 
     def _calc(self, context: Context, output: BasicVector) -> None:
-        time = context.get_time()
-        wrench = np.zeros(WRENCH_SIZE)
-        if number(time) >= self._start_time:
-            force = coloured_noise(time, self._waves, self._gust)
-            wrench = self._wrench + np.concatenate([np.zeros(3), force])
-        output.SetFromVector(wrench)
+        (rows,) = self.known_over(["disturbance_wrench"], np.array([context.get_time()]))
+        output.SetFromVector(rows[0])
 
     def known_over(self, ports: Sequence[str], times: NDArray) -> list[NDArray]:
         """What each of the ports, `disturbance_wrench`, shows at times (k,) in s, (k, 6)."""
         forces = coloured_noise(times[:, None, None], self._waves, self._gust)
         wrenches = self._wrench + np.column_stack([np.zeros((len(times), 3)), forces])
-        wrenches[times < self._start_time] = 0.0
+        has_begun = np.array([number(time) >= self._start_time for time in times])
+        wrenches = np.where(has_begun[:, None], wrenches, 0.0)
         return [wrenches for _ in ports]
 
 

@@ -23,7 +23,7 @@ from drake_nonstop.mechanics.signals import (
     Wrench,
 )
 from drake_nonstop.model.block import Block
-from drake_nonstop.model.block_parameters import LOAD, BlockParameters, Rules, rigid_load
+from drake_nonstop.model.block_parameters import LOAD, BlockParameters, rigid_load
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import DiagramBlock, InnerBlock
 from drake_nonstop.systems.parameters import declare_parameters, parameters_in
@@ -116,9 +116,7 @@ class MultibodyLoadPlant(DiagramBlock):
         plant.mutable_gravity_field().set_gravity_vector([0.0, 0.0, -model.load.gravity])
         plant.Finalize()
         forces = builder.AddNamedSystem("forces", _LoadForces(model, load.index()))
-        self.parameters = BlockParameters(
-            model, rules=Rules(fixed=("load_mass", "load_inertia", "gravity"))
-        )
+        self.parameters = BlockParameters(model, fixed=("load_mass", "load_inertia", "gravity"))
         builder.Connect(plant.get_state_output_port(), forces.GetInputPort("load_state"))
         builder.Connect(forces.get_output_port(), plant.get_applied_spatial_force_input_port())
         for name in ("cable_forces", "disturbance_wrench", "load_wind"):

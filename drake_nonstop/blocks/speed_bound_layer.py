@@ -21,7 +21,7 @@ from pydrake.systems.framework import (
 from drake_nonstop.mechanics.cable import compliance_of
 from drake_nonstop.mechanics.rigid_load import STILL_AIR
 from drake_nonstop.mechanics.signal_layouts import SIGNALS
-from drake_nonstop.model.block_parameters import AIRCRAFT_NUMBERS, LOAD, BlockParameters, Rules
+from drake_nonstop.model.block_parameters import AIRCRAFT_NUMBERS, LOAD, BlockParameters
 from drake_nonstop.model.system import OFFSET, Model
 from drake_nonstop.optimization.diagnostics import (
     DIAGNOSTICS_SIZE,
@@ -242,7 +242,7 @@ class SpeedBoundLayer(PeriodicLayer):
 
     @classmethod
     def structure(cls, model: Model, config: Any) -> Any:
-        """What of model and config decides how the layer is built, see `Rules`."""
+        """What of model and config decides how the layer is built, see `BlockParameters`."""
 
     def block_parameters(self, model: Model, config: Any) -> BlockParameters:
         """As of `PeriodicLayer`; amplitude bounds of zero stand for those from the weight."""
@@ -259,11 +259,9 @@ class SpeedBoundLayer(PeriodicLayer):
             (*LOAD, "cable_length", "cable_stiffness", *model.offset_parameter),
             config=replace(config, amplitude_bounds=config.amplitude_bounds or [0.0, 0.0]),
             own=_OWN,
-            rules=Rules(
-                check=check,
-                structure=kind.structure,
-                fixed=AIRCRAFT_NUMBERS if model.aircraft is not None else (),
-            ),
+            check=check,
+            structure=kind.structure,
+            fixed=AIRCRAFT_NUMBERS if model.aircraft is not None else (),
         )
 
     def set_speed_bound(self, context: Context, speed_bound: float) -> None:

@@ -13,7 +13,6 @@ from drake_nonstop.blocks.speed_bound_layer import BOX, WIND, PeriodicLayer
 from drake_nonstop.model.block_parameters import (
     AIRCRAFT_NUMBERS,
     BlockParameters,
-    Rules,
     required_aircraft,
 )
 from drake_nonstop.model.descriptions import TurnRate
@@ -131,8 +130,8 @@ class TurnRateOptimizer(PeriodicLayer):
 
     def block_parameters(self, model: Model, config: Any) -> BlockParameters:
         """The bound, which a context can change."""
-        rules = Rules(check=self.check, fixed=_FIXED)
-        return BlockParameters(model, config=config, own=("speed_bound",), rules=rules)
+        own = ("speed_bound",)
+        return BlockParameters(model, config=config, own=own, check=self.check, fixed=_FIXED)
 
     def describe_response(self) -> TurnRate:
         def updated(period: float, rate: float, motion: NDArray, *others: NDArray) -> float:

@@ -30,11 +30,7 @@ _FOLLOWED = ("load_mass", "load_inertia", "cable_length", "gravity")  # by gains
 
 
 class _WrenchPid(Block):
-    """PID on the load's pose with feedforward, and the exact rate of its wrench.
-
-    Equations 14-15 and `mechanics.wrench`. The integrals of e_R and e_p (6) are the state, where
-    one of their gains is not zero: continuous, or discrete where the model has a control period.
-    """
+    """PID on the load's pose with feedforward, and the exact rate of its wrench."""
 
     reads = ("measured_load_state", "reference", "wind_estimate")
     makes = ("wrench", "wrench_rate", "tracking_error")
@@ -83,9 +79,8 @@ class _WrenchPid(Block):
 
     @classmethod
     def has_state(cls, model: Model, config: Any) -> bool:
-        found = cls.law(model.load, **_numbers(model, config))
-        names = ("position_integral_gain", "orientation_integral_gain")
-        return any(np.any(found[name]) for name in names)
+        gains = cls.law(model.load, **_numbers(model, config))
+        return any(np.any(gains[f"{part}_integral_gain"]) for part in ("position", "orientation"))
 
     def block_parameters(self, model: Model, config: Any) -> BlockParameters:
         if AUTO not in asdict(type(config)()).values():
@@ -133,8 +128,6 @@ def _gain() -> Any:
 
 @dataclass(kw_only=True)
 class _Gains(StrictFields):
-    """The gains."""
-
     position_gain: float | str = _gain()  # N/m, K_p; auto: by mass and cables
     velocity_gain: float | str = _gain()  # N s/m, K_v; auto: by mass and cables
     position_integral_gain: float | str = _gain()  # N/(m s), K_i; auto: by mass and cables
@@ -182,13 +175,7 @@ class PaperWrenchController(_WrenchPid):
     pose it has little effect: they hold the load upright by themselves. The `tracking_error` has
     the e_ω of the other controllers.
 
-    Gains that are "auto" follow from the model's mass, inertia, cables and gravity, by
-    `mechanics.tuning.load_gains`: for its load the paper's (Table I), but for more damping of the
-    position and a quarter of the torques.
-
-    The integrals of e_R and e_p (6) are the state, where one of their gains is not zero:
-    continuous, or discrete where the model has a control period. The load's drag follows from
-    `wind_estimate`.
+    Gains, state and drag are as of `WrenchController`.
 
     Raises:
         ScenarioError: a gain is negative or not finite, or another word than "auto".
@@ -212,11 +199,7 @@ class GeometricPdConfig(StrictFields):
 class GeometricPd(_WrenchPid):
     """Geometric PD that carries the weight, without integrals and feedforward.
 
-    Gains that are "auto" follow from the model's mass, inertia, cables and gravity, by
-    `mechanics.tuning.load_gains`: for its load the paper's (Table I), but for more damping of the
-    position and a quarter of the torques.
-
-    The load's drag follows from `wind_estimate`.
+    Gains and drag are as of `WrenchController`.
 
     Raises:
         ScenarioError: a gain is negative or not finite, or another word than "auto".
@@ -249,9 +232,7 @@ class TunedWrenchController(_WrenchPid):
     to the inertia, so that roll, pitch and yaw respond alike. The damping of the load's drag is
     taken into account.
 
-    The integrals of e_R and e_p (6) are the state, where one of their gains is not zero:
-    continuous, or discrete where the model has a control period. The load's drag follows from
-    `wind_estimate`.
+    State and drag are as of `WrenchController`.
 
     Raises:
         ScenarioError: a frequency is not positive, another parameter is negative, or the
@@ -260,24 +241,20 @@ class TunedWrenchController(_WrenchPid):
 
     @staticmethod
     def law(load: RigidLoad, **poles: Any) -> dict[str, Any]:
-        position, velocity, integral = pid_gains(
-            poles["position_frequency"], poles["position_damping"], poles["position_integral_rate"]
-        )
-        gains = {
+        def gains_of(motion: str) -> tuple[Any, Any, Any]:
+            names = ("frequency", "damping", "integral_rate")
+            return pid_gains(*(poles[f"{motion}_{name}"] for name in names))
+
+        position, velocity, integral = gains_of("position")
+        turn, turn_rate, turn_integral = gains_of("orientation")
+        return {
             "feedforward": poles["feedforward"],
             "position_gain": load.mass * position,
             "velocity_gain": load.mass * velocity - load.drag,
             "position_integral_gain": load.mass * integral,
-        }
-        position, velocity, integral = pid_gains(
-            poles["orientation_frequency"],
-            poles["orientation_damping"],
-            poles["orientation_integral_rate"],
-        )
-        return gains | {
-            "orientation_gain": load.inertia * position,
-            "angular_velocity_gain": load.inertia * velocity - load.angular_drag * np.eye(3),
-            "orientation_integral_gain": load.inertia * integral,
+            "orientation_gain": load.inertia * turn,
+            "angular_velocity_gain": load.inertia * turn_rate - load.angular_drag * np.eye(3),
+            "orientation_integral_gain": load.inertia * turn_integral,
         }
 
     @classmethod

@@ -13,10 +13,10 @@ from pydrake.systems.framework import Context, PortDataType, System
 from drake_nonstop.loop.block_events import SteppedBlock, sample_times
 from drake_nonstop.loop.functions import Evaluation, LoopFunctions, Reading
 from drake_nonstop.loop.layout import LoopLayout, discrete_state_of
+from drake_nonstop.systems.block import has_own
 from drake_nonstop.systems.diagram_trace import (
     QUANTITIES,
     ROWS,
-    gives_rows,
     updates_in_trace,
 )
 from drake_nonstop.systems.port_state import copied_context, set_discrete_values
@@ -408,7 +408,7 @@ class _Source:
         if isinstance(output, str):
             return True
         port = self._block.get_output_port(output)
-        return gives_rows(self._block) and port.get_data_type() == PortDataType.kVectorValued
+        return has_own(self._block, ROWS) and port.get_data_type() == PortDataType.kVectorValued
 
     def _rows(self, outputs: Sequence[int | str], times: NDArray) -> list[NDArray]:
         """Those of quantities, or of ports.

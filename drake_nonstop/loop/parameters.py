@@ -69,7 +69,7 @@ class _Holder:
 
     def goes_by(self, field: str) -> bool:
         """Whether a field of the system, or `OFFSET`, is a parameter, or what it was built with."""
-        return field in self.parameters.of_system or field in self.parameters.rules.fixed
+        return field in self.parameters.of_system or field in self.parameters.fixed
 
 
 def parameters(loop: Diagram, context: Context) -> list[LoopParameter]:
@@ -201,7 +201,7 @@ class _Loop:
             can_lead = name in holder.parameters.of_system
             following = self._following(holder) if can_lead else []
             self._write(holder, name, new)
-            found = holder.parameters.rules.follow(self._numbers(holder))
+            found = holder.parameters.follow(self._numbers(holder))
             for own in following:
                 self._write(holder, own, found[own])
         self._begin_anew({holder.box: holder.block for holder, _ in writes})
@@ -242,7 +242,7 @@ class _Loop:
         """Raises ScenarioError where the block cannot be so; returns the pattern's offset."""
         parameters = holder.parameters
         model = changed or self._model(holder.role) or parameters.model
-        config, rules = parameters.config, parameters.rules
+        config = parameters.config
         if parameters.own:
             following = self._following(holder)
             present = {
@@ -255,10 +255,11 @@ class _Loop:
                 shape = parameters.defaults[name].shape
                 require_array(path, plain, shape, meanings(type(config)).get(name, ""))
             config = dataclasses.replace(config, **(present | own))
-        rules.check(model, config)
+        parameters.check(model, config)
         value = [*own.values()] or [getattr(model.system, path.partition(".")[2], None)]
         require(
-            rules.structure(model, config) == rules.structure(parameters.model, parameters.config),
+            parameters.structure(model, config)
+            == parameters.structure(parameters.model, parameters.config),
             path,
             value[0],
             f"{holder.box} = {type(holder.block).__name__} is built in another way for it, with "
@@ -267,7 +268,7 @@ class _Loop:
         return model.pattern.offset
 
     def _require_following(self, holder: _Holder, name: str, path: str, value: Any) -> None:
-        is_kept = holder.group is None or name in holder.parameters.rules.fixed
+        is_kept = holder.group is None or name in holder.parameters.fixed
         block = f"{holder.box} = {type(holder.block).__name__}"
         require(not is_kept, path, value, f"{block} keeps what it was built with; {_BUILD}")
 
@@ -347,7 +348,7 @@ class _Loop:
         """The fields of the config that are "auto", but for those set to another value since."""
         parameters = holder.parameters
         numbers = self._numbers(holder)
-        found = parameters.rules.follow(numbers)
+        found = parameters.follow(numbers)
         return [
             name
             for name in parameters.own
@@ -427,7 +428,7 @@ def _holders(loop: Diagram) -> Iterator[_Holder]:
     for block in loop.GetSystems():
         found: Any
         for _, found, group in declared(block, first):
-            if hasattr(found, "rules"):  # of a block's config and system
+            if hasattr(found, "fixed"):  # of a block's config and system
                 place = group if len(found) > 0 else None
                 yield _Holder(title(block), block, found, place)
         first += block.num_numeric_parameter_groups()

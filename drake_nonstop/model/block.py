@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pydrake.systems.primitives import Selector, SelectorParams
 
 from drake_nonstop.mechanics.signal_layouts import HELD, SIGNALS
-from drake_nonstop.model.block_parameters import BlockParameters, Rules
+from drake_nonstop.model.block_parameters import BlockParameters
 from drake_nonstop.model.system import AIRCRAFT, OFFSET, Model
 from drake_nonstop.systems.block import BlockType
 from drake_nonstop.systems.documentation import documented, own_config_class
@@ -233,20 +233,15 @@ class Block(TracedBlock):
     ) -> BlockParameters:
         """The parameters of these fields of the config, and of the `system`.
 
-        The others are as of `Rules`.
+        The others are as of `BlockParameters`.
         """
         system = self.system if system is None else system
         for name in system:
             is_known = name == OFFSET or name.startswith(AIRCRAFT) or hasattr(model.system, name)
             remedy = "give fields of the scenario's system, such as load_mass"
             require(is_known, f"{type(self).__name__}.system", name, remedy)
-        return BlockParameters(
-            model,
-            system,
-            config=config,
-            own=own,
-            rules=Rules(**{"check": self.check, "structure": self.has_state} | rules),
-        )
+        rules = {"check": self.check, "structure": self.has_state} | rules
+        return BlockParameters(model, system, config=config, own=own, **rules)
 
     def _explained(self, member: str, function: Callable, sizes: Mapping[str, int]) -> Callable:
         """A function that returns arrays of these sizes; what is wrong is said in a sentence.

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
 from typing import Any
 
 from drake_nonstop.mechanics.aircraft import Aircraft
@@ -30,23 +29,6 @@ def _none(numbers: Mapping[str, Any]) -> dict[str, Any]:
     return {}
 
 
-@dataclass(frozen=True, kw_only=True)
-class Rules:
-    """What holds for a block's parameters.
-
-    `check` raises ScenarioError for a model and a config that do not make the block; `structure`
-    is what of their numbers decides how it is built, such as whether a gain is zero; `fixed` are
-    fields of the system that it takes over as it is built. `follow` takes the parameters that are
-    of the system, numbers or arrays (1,) or (3, 3), by name, and returns what fields of the config
-    are where they are `AUTO`.
-    """
-
-    check: Callable[[Model, Any], None] = _nothing
-    structure: Callable[[Model, Any], Any] = _nothing
-    fixed: tuple[str, ...] = field(default=())
-    follow: Callable[[Mapping[str, Any]], dict[str, Any]] = _none
-
-
 class BlockParameters(NumericParameters):
     """The parameters of a block, at first those of its model and its config.
 
@@ -55,7 +37,11 @@ class BlockParameters(NumericParameters):
         of_system: the names of fields of the system, and of `Model.offset_parameter`.
         config: the block's, None where it has no parameters of its own.
         own: the names of fields of the config.
-        rules: what holds for them.
+        check: raises ScenarioError for a model and a config that do not make the block.
+        structure: what of their numbers decides how it is built, such as whether a gain is zero.
+        fixed: fields of the system that it takes over as it is built.
+        follow: takes the parameters that are of the system, numbers or arrays (1,) or (3, 3), by
+            name, and returns what fields of the config are where they are `AUTO`.
     """
 
     def __init__(
@@ -65,19 +51,21 @@ class BlockParameters(NumericParameters):
         *,
         config: Any = None,
         own: Iterable[str] = (),
-        rules: Rules | None = None,
+        check: Callable[[Model, Any], None] = _nothing,
+        structure: Callable[[Model, Any], Any] = _nothing,
+        fixed: tuple[str, ...] = (),
+        follow: Callable[[Mapping[str, Any]], dict[str, Any]] = _none,
     ):
-        self.model, self.config, self.rules = model, config, rules or Rules()
+        self.model, self.config, self.fixed = model, config, fixed
+        self.check, self.structure, self.follow = check, structure, follow
         self.of_system, self.own = tuple(of_system), tuple(own)
         values = {name: model.number(name) for name in self.of_system}
-        following = self.rules.follow(values)
-        super().__init__(
-            values
-            | {
-                name: following[name] if self.is_auto(name) else getattr(config, name)
-                for name in self.own
-            }
-        )
+        following = follow(values)
+        of_config = {
+            name: following[name] if self.is_auto(name) else getattr(config, name)
+            for name in self.own
+        }
+        super().__init__(values | of_config)
 
     def is_auto(self, name: str) -> bool:
         """Whether a field of the config is `AUTO`."""

@@ -12,19 +12,15 @@ from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.signals import TRACKING_ERROR_SIZE
 from drake_nonstop.mechanics.wind import MeanWind, risen_share
-from drake_nonstop.systems.block import is_of_package
+from drake_nonstop.systems.block import has_own
 from drake_nonstop.systems.tracing import chosen
 
 RESPONSE, WIND = "describe_response", "describe_wind"
 
 
 def described(block: Any, method: str = RESPONSE) -> Any:
-    """What a block says of itself by a method; None: nothing is known.
-
-    A class of the user's own has to say it itself: what it inherits may not hold for it.
-    """
-    is_own = is_of_package(block) or method in vars(type(block))
-    return getattr(block, method)() if is_own and hasattr(block, method) else None
+    """What a block says of itself by a method, see `has_own`; None: nothing is known."""
+    return getattr(block, method)() if has_own(block, method) else None
 
 
 class CarrierControl(NamedTuple):

@@ -209,6 +209,14 @@ def is_of_package(block: Any) -> bool:
     return type(block).__module__.split(".")[0] == __name__.split(".")[0]
 
 
+def has_own(block: Any, member: str) -> bool:
+    """Whether a block has a member that is the package's, or that its class itself defines.
+
+    What a class of the user's own inherits may not hold for it.
+    """
+    return hasattr(block, member) and (is_of_package(block) or member in vars(type(block)))
+
+
 def title(system: System) -> str:
     """What messages call a system: its name in its diagram, or its class where it has none."""
     name = system.get_name()

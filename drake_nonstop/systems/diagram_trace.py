@@ -36,7 +36,7 @@ from pydrake.systems.primitives import (
     TrajectorySource,
 )
 
-from drake_nonstop.systems.block import is_of_package
+from drake_nonstop.systems.block import has_own
 from drake_nonstop.systems.tracing import constants, object_array
 from drake_nonstop.systems.wiring import systems_in
 
@@ -71,20 +71,11 @@ def knows_beforehand(leaf: System) -> bool:
     return hasattr(leaf, QUANTITIES) or isinstance(leaf, TrajectorySource)
 
 
-def gives_rows(block: System) -> bool:
-    """Whether a block gives rows of its outputs, and no class below computes other values."""
-    kind = type(block)
-    return hasattr(block, ROWS) and (is_of_package(block) or ROWS in vars(kind))
-
-
 def _has_trace(leaf: System) -> bool:
     """Whether a leaf has methods for a trace, and no class below theirs computes other values."""
-    kind = type(leaf)
-    is_own = is_of_package(leaf) or "traced_output" in vars(kind) or _is_one_function(leaf)
-    has_trace = getattr(leaf, "traced_output", None) is not None and getattr(
-        leaf, "is_traced", True
-    )
-    return has_trace and is_own
+    has_trace = getattr(leaf, "traced_output", None) is not None
+    is_own = has_own(leaf, "traced_output") or _is_one_function(leaf)
+    return has_trace and is_own and getattr(leaf, "is_traced", True)
 
 
 def _is_one_function(leaf: Any) -> bool:
@@ -138,10 +129,9 @@ def _content(system: Any, wires: "Wires", outside: Callable[[System], bool]) -> 
         return (kind, *((k, name, matrix.full().tobytes()) for k, name, matrix in parts))
     if isinstance(system, (Integrator, TrajectorySource)):
         return (kind,)
-    if not hasattr(system, "trace_key"):
-        return None
-    is_own = is_of_package(system) or "trace_key" in vars(kind) or _is_one_function(system)
-    key = system.trace_key if is_own else None
+    key = None
+    if has_own(system, "trace_key") or _is_one_function(system):
+        key = system.trace_key
     return None if key is None else (kind, key)
 
 

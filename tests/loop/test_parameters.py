@@ -422,7 +422,7 @@ def test_every_block_declares_the_numbers_of_the_model_that_it_reads(name, varia
     known = {"pattern_offset"}  # read with the basis and the phases, see the loops above
     for _, found, _ in declared(block):
         if isinstance(found, BlockParameters):
-            known |= {*found.of_system, *found.rules.fixed}
+            known |= {*found.of_system, *found.fixed}
     known |= {name.split(".")[0] for name in known}  # an aircraft by its single figures
     assert model.read <= known
 
