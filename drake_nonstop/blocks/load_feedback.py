@@ -22,7 +22,7 @@ from drake_nonstop.model.block import Block, SelectorBlock
 from drake_nonstop.model.descriptions import Estimator, LoadMeasurement
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import LeafBlock, number
-from drake_nonstop.systems.in_context import InContext, shown
+from drake_nonstop.systems.diagram_trace import InContext, shown
 from drake_nonstop.systems.tracing import chosen
 from drake_nonstop.validation import (
     StrictFields,

@@ -38,8 +38,7 @@ from drake_nonstop.optimization.problem_config import (
 from drake_nonstop.optimization.update_data import UpdateData
 from drake_nonstop.optimization.update_solver import UpdateSolver, traced_tightened
 from drake_nonstop.systems.block import LeafBlock
-from drake_nonstop.systems.diagram_trace import At, FastUpdate
-from drake_nonstop.systems.in_context import InContext
+from drake_nonstop.systems.diagram_trace import At, FastUpdate, InContext
 from drake_nonstop.systems.parameters import declare_parameters
 from drake_nonstop.systems.requirements import LoopBlocks
 from drake_nonstop.systems.tracing import chosen

@@ -20,7 +20,7 @@ from drake_nonstop.mechanics.signals import PARAMETERS_SIZE, PHASE_SIZE, PLANNED
 from drake_nonstop.model.block import Block
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import LeafBlock, weakly
-from drake_nonstop.systems.in_context import InContext, shown
+from drake_nonstop.systems.diagram_trace import InContext, shown
 from drake_nonstop.systems.requirements import LoopBlocks
 from drake_nonstop.validation import (
     StrictFields,

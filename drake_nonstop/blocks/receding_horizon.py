@@ -42,8 +42,7 @@ from drake_nonstop.optimization.problem_config import (
 )
 from drake_nonstop.optimization.update_data import Beliefs
 from drake_nonstop.systems.block import weakly
-from drake_nonstop.systems.diagram_trace import At, FastUpdate
-from drake_nonstop.systems.in_context import InContext
+from drake_nonstop.systems.diagram_trace import At, FastUpdate, InContext
 from drake_nonstop.systems.tracing import NotFiniteError
 from drake_nonstop.validation import fulfilling, require
 

@@ -16,7 +16,7 @@ from drake_nonstop.mechanics.signals import (
 )
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import LeafBlock
-from drake_nonstop.systems.in_context import InContext
+from drake_nonstop.systems.diagram_trace import InContext
 from drake_nonstop.systems.requirements import LoopBlocks
 from drake_nonstop.systems.wiring import WiringError, connect_remaining, require_open
 from drake_nonstop.validation import require

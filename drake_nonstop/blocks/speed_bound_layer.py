@@ -41,9 +41,8 @@ from drake_nonstop.optimization.problem_config import (
 )
 from drake_nonstop.optimization.update_data import Beliefs
 from drake_nonstop.systems.block import LeafBlock, weakly
-from drake_nonstop.systems.diagram_trace import At
+from drake_nonstop.systems.diagram_trace import At, InContext
 from drake_nonstop.systems.documentation import own_config_class
-from drake_nonstop.systems.in_context import InContext
 from drake_nonstop.systems.parameters import declare_parameters
 from drake_nonstop.systems.tracing import chosen
 from drake_nonstop.validation import require

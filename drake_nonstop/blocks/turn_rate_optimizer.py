@@ -30,7 +30,7 @@ from drake_nonstop.optimization.problem_config import (
     points,
 )
 from drake_nonstop.optimization.turn_rate import TurnRateSolver, turn_update
-from drake_nonstop.systems.in_context import InContext
+from drake_nonstop.systems.diagram_trace import InContext
 from drake_nonstop.systems.requirements import LoopBlocks
 from drake_nonstop.validation import (
     StrictFields,

@@ -23,7 +23,7 @@ from drake_nonstop.model.block import Block
 from drake_nonstop.model.descriptions import Gusts, Wind
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import LeafBlock
-from drake_nonstop.systems.in_context import shown
+from drake_nonstop.systems.diagram_trace import shown
 from drake_nonstop.validation import (
     StrictFields,
     checked,

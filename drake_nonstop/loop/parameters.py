@@ -21,7 +21,7 @@ from drake_nonstop.model.block_parameters import AUTO, BlockParameters
 from drake_nonstop.model.pattern import InternalForcePattern
 from drake_nonstop.model.system import AIRCRAFT, OFFSET, Model, SystemParameters
 from drake_nonstop.systems.block import is_converted, title
-from drake_nonstop.systems.field_comments import meanings
+from drake_nonstop.systems.documentation import meanings
 from drake_nonstop.systems.parameters import declared
 from drake_nonstop.systems.wiring import innermost, ports_of, require_own_context
 from drake_nonstop.validation import require, require_array, require_known, require_type

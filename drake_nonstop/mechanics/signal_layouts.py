@@ -175,30 +175,10 @@ _TWIST = (
 
 # The layouts of the `mechanics.signals` and of other vectors between the blocks.
 LOAD_STATE = Layout(*_POSE, *_TWIST)
-LOAD_REFERENCE = Layout(
-    _POSE[0]._replace(meaning="of R_WD, D the desired frame"),
-    _POSE[1],
-    *_TWIST,
-    Part("angular_acceleration", "3", "rad/s²", "W"),
-    Part("acceleration", "3", "m/s²", "W"),
-    Part("jerk", "3", "m/s³", "W"),
-)
-REFERENCE_HIGHER_RATES = Layout(
-    Part("angular_jerk", "3", "rad/s³", "W"), Part("snap", "3", "m/s⁴", "W")
-)
 WRENCH = Layout(
     Part("torque", "3", "N m", "W", "about the load's centre of mass"), Part("force", "3", "N", "W")
 )
-WRENCH_RATE = Layout(Part("torque", "3", "N m/s", "W"), Part("force", "3", "N/s", "W"))
-TRACKING_ERROR = Layout(
-    Part("orientation", "3", "rad", "L", "e_R"),
-    Part("position", "3", "m", "W", "e_p"),
-    Part("angular_velocity", "3", "rad/s", "L", "e_ω"),
-    Part("velocity", "3", "m/s", "W", "e_v"),
-)
 CARRIER_STATES = Layout(Part("positions", "3n", "m", "W"), Part("velocities", "3n", "m/s", "W"))
-PARAMETERS = Layout(Part("frequency", "1", "rad/s", "", "ξ"), Part("amplitude", "1", "N", "", "A"))
-PHASE = Layout(Part("angle", "1", "rad", "", "θ"), Part("slope", "1", "s", "", "∂θ/∂ξ"))
 PLANNED_PARAMETERS = Layout(
     Part("angle", "1", "rad", "", "θ"),
     Part("frequency", "1", "rad/s", "", "ξ"),
@@ -209,22 +189,10 @@ PLANNED_PARAMETERS = Layout(
     Part("amplitude_second_rate", "1", "N/s²", "", "Ä"),
     Part("amplitude_third_rate", "1", "N/s³", "", "A⃛"),
 )
-INTERNAL_FORCE = Layout(Part("values", "m", "N", "", "λ"), Part("rates", "m", "N/s", "", "λ̇"))
-INTERNAL_FORCE_HIGHER_RATES = Layout(
-    Part("second", "m", "N/s²", "", "λ̈"), Part("third", "m", "N/s³", "", "λ⃛")
-)
 AIRCRAFT_COMMAND = Layout(
     Part("lift", "n", "", "", "C_L"),
     Part("bank", "n", "rad", "", "positive to the right"),
     Part("thrust", "n", "N"),
-)
-COMMAND_SATURATION = Layout(
-    *(Part(part.name, "n", "", "", "1 where a limit holds it") for part in AIRCRAFT_COMMAND.parts)
-)
-AIRCRAFT_STATE = Layout(
-    AIRCRAFT_COMMAND.parts[0]._replace(meaning="C_L with the gusts' part, at most its maximum"),
-    *AIRCRAFT_COMMAND.parts[1:],
-    Part("airspeed", "n", "m/s"),
 )
 
 SAMPLE_TIME = "sample_time"  # of what is held
@@ -232,25 +200,43 @@ HELD = "held_"  # begins the name of a signal that is held from one sample to th
 
 # By the names of signals; None: one is no vector. Besides, a block may have `signal_layouts`.
 SIGNALS: dict[str, Layout | None] = {
-    "reference": LOAD_REFERENCE,
-    "reference_higher_rates": REFERENCE_HIGHER_RATES,
+    "reference": Layout(
+        _POSE[0]._replace(meaning="of R_WD, D the desired frame"),
+        _POSE[1],
+        *_TWIST,
+        Part("angular_acceleration", "3", "rad/s²", "W"),
+        Part("acceleration", "3", "m/s²", "W"),
+        Part("jerk", "3", "m/s³", "W"),
+    ),
+    "reference_higher_rates": Layout(
+        Part("angular_jerk", "3", "rad/s³", "W"), Part("snap", "3", "m/s⁴", "W")
+    ),
     "reference_preview": None,
     "reference_delay": Layout(Part("", "1", "s", "", "d of the governed time t − d")),
     "load_state": LOAD_STATE,
     "measured_load_state": LOAD_STATE,
     "wrench": WRENCH,
-    "wrench_rate": WRENCH_RATE,
-    "tracking_error": TRACKING_ERROR,
-    "parameters": PARAMETERS,
+    "wrench_rate": Layout(Part("torque", "3", "N m/s", "W"), Part("force", "3", "N/s", "W")),
+    "tracking_error": Layout(
+        Part("orientation", "3", "rad", "L", "e_R"),
+        Part("position", "3", "m", "W", "e_p"),
+        Part("angular_velocity", "3", "rad/s", "L", "e_ω"),
+        Part("velocity", "3", "m/s", "W", "e_v"),
+    ),
+    "parameters": Layout(
+        Part("frequency", "1", "rad/s", "", "ξ"), Part("amplitude", "1", "N", "", "A")
+    ),
     "plan": PLANNED_PARAMETERS,
     "planned": PLANNED_PARAMETERS,
-    "phase": PHASE,
+    "phase": Layout(Part("angle", "1", "rad", "", "θ"), Part("slope", "1", "s", "", "∂θ/∂ξ")),
     "solve_time": Layout(Part("", "1", "s", "", "wall time of the last update")),
     "speed_bound": Layout(Part("", "1", "m/s", "", "ε, set or commanded")),
     "speed_bound_command": Layout(Part("", "1", "m/s", "", "ε, in place of the one that is set")),
     SAMPLE_TIME: Layout(Part("", "1", "s", "", "of the last sample")),
-    "internal_force": INTERNAL_FORCE,
-    "internal_force_higher_rates": INTERNAL_FORCE_HIGHER_RATES,
+    "internal_force": Layout(Part("values", "m", "N", "", "λ"), Part("rates", "m", "N/s", "", "λ̇")),
+    "internal_force_higher_rates": Layout(
+        Part("second", "m", "N/s²", "", "λ̈"), Part("third", "m", "N/s³", "", "λ⃛")
+    ),
     "desired_cable_forces": Layout(Part("", "3n", "N", "W", "on the load")),
     "desired_cable_force_rates": Layout(Part("", "3n", "N/s", "W")),
     "carrier_reference": CARRIER_STATES,
@@ -258,9 +244,18 @@ SIGNALS: dict[str, Layout | None] = {
     "carrier_reference_jerk": Layout(Part("", "3n", "m/s³", "W")),
     "carrier_forces": Layout(Part("", "3n", "N", "W")),
     "aircraft_command": AIRCRAFT_COMMAND,
-    "command_saturation": COMMAND_SATURATION,
+    "command_saturation": Layout(
+        *(
+            Part(part.name, "n", "", "", "1 where a limit holds it")
+            for part in AIRCRAFT_COMMAND.parts
+        )
+    ),
     "carrier_state": CARRIER_STATES,
-    "aircraft_state": AIRCRAFT_STATE,
+    "aircraft_state": Layout(
+        AIRCRAFT_COMMAND.parts[0]._replace(meaning="C_L with the gusts' part, at most its maximum"),
+        *AIRCRAFT_COMMAND.parts[1:],
+        Part("airspeed", "n", "m/s"),
+    ),
     "carrier_acceleration": Layout(Part("", "3n", "m/s²", "W")),
     "cable_forces": Layout(Part("", "3n", "N", "W", "on the load, at its attachments")),
     "tensions": Layout(Part("", "n", "N", "", "0 where slack")),

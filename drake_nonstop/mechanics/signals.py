@@ -72,15 +72,7 @@ class LoadReference(NamedTuple):
     @classmethod
     def view(cls, values: NDArray) -> "LoadReference":
         """The parts of an array (..., 22)."""
-        return cls(
-            values[..., :4],
-            values[..., 4:7],
-            values[..., 7:10],
-            values[..., 10:13],
-            values[..., 13:16],
-            values[..., 16:19],
-            values[..., 19:22],
-        )
+        return cls(values[..., :4], *(values[..., i : i + 3] for i in range(4, 22, 3)))
 
 
 def resting_reference() -> NDArray:
@@ -143,8 +135,7 @@ class CarrierStates(NamedTuple):
     def flat(self) -> NDArray:
         """The array (..., 6n) of these parts."""
         lead = self.positions.shape[:-2]
-        flat = (part.reshape(*lead, -1) for part in self)
-        return np.concatenate([*flat], axis=-1)
+        return np.concatenate([part.reshape(*lead, -1) for part in self], axis=-1)
 
 
 class Parameters(NamedTuple):

@@ -97,7 +97,8 @@ class Block(TracedBlock):
 
     def __init__(self, model: Model, config: Any = None):
         """Makes the block; it takes a `model` and a `config` (None: the default values)."""
-        config = copy.deepcopy(self.config_of(model, config))  # the caller may change it
+        config = own_config_class(type(self))() if config is None else config
+        config = copy.deepcopy(config)  # the caller may change it
         self.model, self.config = model, config
         self.check(model, config)
         constants, parameters = self.constants(model, config), self.block_parameters(model, config)
@@ -178,10 +179,6 @@ class Block(TracedBlock):
         sizes = {name: outputs[name] for name in between.makes}
         function = self._explained("between_samples", between.function, sizes)
         return between._replace(function=function)
-
-    def config_of(self, model: Model, config: Any) -> Any:
-        """The config that the block goes by; a class may derive it from the one that is given."""
-        return own_config_class(type(self))() if config is None else config
 
     @classmethod
     def check(cls, model: Model, config: Any) -> None:

@@ -7,7 +7,7 @@ from drake_nonstop.scenario.distributions import is_entry
 from drake_nonstop.scenario.schema import CHOICES, Scenario
 from drake_nonstop.scenario.tree import Tree, block_name, to_tree
 from drake_nonstop.scenario.yaml_text import dump_plain
-from drake_nonstop.systems.field_comments import field_comments, meanings
+from drake_nonstop.systems.documentation import field_comments, meanings
 
 _COMMENT_COLUMN = 44  # where comments begin
 _LINE_WIDTH = 100  # characters; a comment for which there is no room stands above its field

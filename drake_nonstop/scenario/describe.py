@@ -18,7 +18,7 @@ from drake_nonstop.model.system import Model
 from drake_nonstop.scenario.schema import PATTERN, PATTERNS, Scenario
 from drake_nonstop.scenario.yaml_text import dump_plain
 from drake_nonstop.systems import wiring
-from drake_nonstop.systems.field_comments import meanings
+from drake_nonstop.systems.documentation import meanings
 from drake_nonstop.validation import ScenarioError, require
 
 

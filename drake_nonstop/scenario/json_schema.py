@@ -17,7 +17,7 @@ from drake_nonstop.loop.box import import_path
 from drake_nonstop.scenario.loading import scenario_names
 from drake_nonstop.scenario.schema import CHOICES, Scenario
 from drake_nonstop.scenario.tree import block_name
-from drake_nonstop.systems.field_comments import meanings
+from drake_nonstop.systems.documentation import meanings
 
 _PLAIN = {float: "number", int: "integer", bool: "boolean", str: "string"}
 _DISTRIBUTION = {"type": "object"}  # a tag with a mapping, in the place of a number

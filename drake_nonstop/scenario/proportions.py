@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.systems.field_comments import meanings
+from drake_nonstop.systems.documentation import meanings
 from drake_nonstop.validation import warn_user
 
 

@@ -1,14 +1,19 @@
-"""What a block's docstring says of its ports and parameters: all of it from its declarations."""
+"""What comments say of a config's fields, and docstrings of a block's ports and parameters."""
 
+import ast
+import contextlib
+import dataclasses
 import functools
 import inspect
+import io
 import re
 import sys
+import textwrap
+import tokenize
 from collections.abc import Iterable
-from typing import Any, TypeVar, cast
+from typing import Any, NamedTuple, TypeVar, cast
 
 from drake_nonstop.mechanics.signal_layouts import HELD, SIGNALS
-from drake_nonstop.systems.field_comments import meanings
 from drake_nonstop.validation import ScenarioError
 
 _Kind = TypeVar("_Kind", bound=type)
@@ -72,26 +77,17 @@ def _declared(kind: Any) -> str:
     """Drake's directive, and lists of the ports and the parameters."""
     if not _declared_names(kind):
         return ""
-    reads, makes = getattr(kind, "reads", ()), getattr(kind, "makes", ())
-    parts = [_directive(kind, reads, makes)]
-    parts += [_list(f"{word}:", _ports(kind, names)) for word, names in _words(reads, makes)]
+    lines, lists = [".. pydrake_system::", "", f"    name: {kind.__name__}"], []
+    for word, head, attribute in (("input", "Reads", "reads"), ("output", "Makes", "makes")):
+        names = getattr(kind, attribute, ())
+        if names:
+            lines += [f"    {word}_ports:", *(f"    - {_where(kind, name)}" for name in names)]
+            lists.append(_list(f"{head}:", (_port(kind, name) for name in names)))
     config = config_class(kind)
     if config and (fields := meanings(config)):
         head = f"Parameters, the fields of `{config.__name__}`:"
-        parts.append(_list(head, (f"`{name}`: {said}" for name, said in fields.items())))
-    return "\n\n".join(parts)
-
-
-def _words(reads: Iterable[str], makes: Iterable[str]) -> list[tuple[str, Iterable[str]]]:
-    return [pair for pair in (("Reads", reads), ("Makes", makes)) if pair[1]]
-
-
-def _directive(kind: Any, reads: Iterable[str], makes: Iterable[str]) -> str:
-    lines = [".. pydrake_system::", "", f"    name: {kind.__name__}"]
-    for word, names in (("input", reads), ("output", makes)):
-        if names:
-            lines += [f"    {word}_ports:", *(f"    - {_where(kind, name)}" for name in names)]
-    return "\n".join(lines)
+        lists.append(_list(head, (f"`{name}`: {said}" for name, said in fields.items())))
+    return "\n\n".join(["\n".join(lines), *lists])
 
 
 def _where(kind: Any, name: str) -> str:
@@ -99,16 +95,71 @@ def _where(kind: Any, name: str) -> str:
     return f"{name} (where {where})" if where else name
 
 
-def _ports(kind: Any, names: Iterable[str]) -> Iterable[str]:
-    layouts = SIGNALS | getattr(kind, "signal_layouts", {})
-    for name in names:
-        layout = layouts.get(name.removeprefix(HELD))
-        size, about = ("abstract", "") if layout is None else (layout.size, str(layout))
-        said = f": {about}" if about else ""
-        when = [f"where {where}"] if (where := getattr(kind, "where", {}).get(name)) else []
-        when += ["may be left unconnected"] if name in getattr(kind, "optional_inputs", ()) else []
-        yield f"`{name}` ({', '.join([size, *when])}){said}"
+def _port(kind: Any, name: str) -> str:
+    layout = (SIGNALS | getattr(kind, "signal_layouts", {})).get(name.removeprefix(HELD))
+    size, about = ("abstract", "") if layout is None else (layout.size, str(layout))
+    said = f": {about}" if about else ""
+    when = [f"where {where}"] if (where := getattr(kind, "where", {}).get(name)) else []
+    when += ["may be left unconnected"] if name in getattr(kind, "optional_inputs", ()) else []
+    return f"`{name}` ({', '.join([size, *when])}){said}"
 
 
 def _list(head: str, items: Iterable[str]) -> str:
     return "\n".join([head, "", *(f"- {item}" for item in items)])
+
+
+class FieldComments(NamedTuple):
+    """What is said of a field: its meaning, and the comment that heads it and those below."""
+
+    meaning: str
+    heading: str
+
+
+def meanings(config: type) -> dict[str, str]:
+    """The comments on the fields of a config class, by name: units and meanings."""
+    return {name: found.meaning for name, found in field_comments(config).items()}
+
+
+def field_comments(config: type) -> dict[str, FieldComments]:
+    """The comments on the fields of a config class, by name."""
+    found: dict[str, FieldComments] = {}
+    for base in reversed(config.__mro__):
+        if dataclasses.is_dataclass(base):
+            with contextlib.suppress(OSError, TypeError):  # a class that no source file has
+                found |= _own_comments(base)
+    return found
+
+
+@functools.cache  # Python parses a whole module for the source of each class in it
+def _own_comments(config: type) -> dict[str, FieldComments]:
+    """Those of the fields that a class body itself has.
+
+    A meaning is the comments on the field's lines, then those in lines of their own right above it;
+    a heading those above an empty line.
+    """
+    source = textwrap.dedent(inspect.getsource(config))
+    lines = source.splitlines()
+    comments = {
+        token.start[0]: token.string.removeprefix("#").strip()
+        for token in tokenize.generate_tokens(io.StringIO(source).readline)
+        if token.type == tokenize.COMMENT
+    }
+
+    def above(line: int) -> str:
+        first = line
+        while first in comments and lines[first - 1].lstrip().startswith("#"):
+            first -= 1
+        return " ".join(comments[k] for k in range(first + 1, line + 1))
+
+    (definition,) = ast.parse(source).body
+    assert isinstance(definition, ast.ClassDef)
+    result = {}
+    for statement in definition.body:
+        if isinstance(statement, ast.AnnAssign) and isinstance(statement.target, ast.Name):
+            start, end = statement.lineno, statement.end_lineno or statement.lineno
+            within = " ".join(comments[k] for k in range(start, end + 1) if k in comments)
+            is_apart = not lines[start - 2].strip()
+            heading, own = (above(start - 2), "") if is_apart else ("", above(start - 1))
+            meaning = "; ".join(filter(None, (within, own)))
+            result[statement.target.id] = FieldComments(meaning, heading)
+    return result
