@@ -45,11 +45,7 @@ def timing_complaint(block: System, period: float, *, at_each: bool = False) -> 
     """What keeps a block's discrete updates from being at samples, to the bit; empty: nothing.
 
     Two instants that differ by a rounding are two to Drake's Simulator, and either may be first.
-
-    Args:
-        block: a leaf or a diagram.
-        period: of the samples, s.
-        at_each: whether there has to be one at each sample.
+    The period of the samples is in s; `at_each` asks for an update at each of them.
     """
     timing = block.GetUniquePeriodicDiscreteUpdateAttribute()
     if timing is None:
@@ -70,8 +66,7 @@ class SteppedBlock:
     """A block that a Simulator of its own steps from sample to sample.
 
     Args:
-        block: to be stepped.
-        context: its own, with a value for each input.
+        context: the block's own, with a value for each input.
         is_held: whether its outputs change at its updates only, as it declares. A user's own one is
             looked at for that; others are stepped for the sake of their events alone.
         may_update: whether it may have discrete updates, at samples and at the start.
@@ -111,11 +106,8 @@ class SteppedBlock:
     def require_declared(self, reads: Mapping[int, tuple[bool, Collection[int]]]) -> None:
         """Checks that a trace reads what its block's outputs are declared to depend on.
 
-        Drake shows an old value where they depend on more.
-
-        Args:
-            reads: whether the trace of an output, by its number, reads the time, and the numbers
-                of the inputs that it reads.
+        Drake shows an old value where they depend on more. `reads` tells of an output, by its
+        number, whether its trace reads the time, and the numbers of the inputs that it reads.
 
         Raises:
             NotCompilableError: it reads more.

@@ -114,12 +114,8 @@ class Box:
 def block_class(box: str, config: type) -> type[System]:
     """The block of a dataclass of parameters: X in the module of XConfig.
 
-    Args:
-        box: what error messages call the box.
-        config: the dataclass.
-
     Raises:
-        ScenarioError: there is no such block.
+        ScenarioError: there is no such block; the message calls the box by that name.
     """
     block = block_of(config)
     require(
@@ -144,13 +140,10 @@ _BOUND = "speed_bound"
 def kept_parameters(
     fields: Mapping[str, Any], old: type, new: type, keeps_defaults: bool
 ) -> dict[str, Any]:
-    """What a swap by a block's name hands on: the fields of the same name and type.
+    """What a swap by a block's name hands on to a `new` config: fields of the same name and type.
 
-    Args:
-        fields: those of a config of the class `old`, by their names.
-        old: the dataclass of the parameters of the block in the box.
-        new: that of the block which takes its place.
-        keeps_defaults: whether fields that are at their defaults are handed on, too.
+    `fields` are those of the config of the class `old`; where it does not keep defaults, those that
+    are at their defaults are left out.
     """
     types = typing.get_type_hints(new)
     shared = [key for key, kind in typing.get_type_hints(old).items() if types.get(key) == kind]

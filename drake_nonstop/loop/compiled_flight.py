@@ -77,13 +77,7 @@ class LoopFlight:
 
 
 class CompiledFlight(LoopFlight):
-    """A flight of a `CompiledLoop`, which is advanced from sample to sample.
-
-    `CompiledLoop.fly` makes it.
-
-    Attributes:
-        samples: the number of those that it has flown.
-    """
+    """A flight that `CompiledLoop.fly` makes, which is advanced from sample to sample."""
 
     def __init__(
         self,
@@ -181,13 +175,9 @@ class CompiledFlight(LoopFlight):
     def advance(self, samples: int = 1) -> tuple[NDArray, NDArray]:
         """Goes on by samples, and ends before the updates of the next one.
 
-        Args:
-            samples: at most so many. It flies fewer of them where that is simpler, but one at
-                least.
-
-        Returns:
-            The `signals` (instants, size), and the `step_signals` (steps, size), since the last
-            sample, with those at its end. Of each sample that was flown, one after the other.
+        It flies fewer than so many where that is simpler, but one at least. Returns the `signals`
+        (instants, size) and the `step_signals` (steps, size) since the last sample, with those at
+        its end, of each sample that was flown, one after the other.
 
         Raises:
             ScenarioError: `samples` is below 1.
@@ -283,11 +273,9 @@ class CompiledFlight(LoopFlight):
         set_discrete_values(context, self._place_of(leaf, state))
 
     def go_to(self, samples: int, state: NDArray) -> None:
-        """Goes on from another sample; that is all of a flight where no blocks are beside it.
+        """Goes on from another sample, by its number; 0: `start` comes next.
 
-        Args:
-            samples: the number of those that were flown; 0: `start` comes next.
-            state: as of `state`.
+        The state is all of a flight where no blocks are beside it.
         """
         self.samples, self._state = samples, np.array(state)
 
@@ -316,11 +304,7 @@ class CompiledFlight(LoopFlight):
     def write_state(self, context: Context, state: NDArray | None = None) -> None:
         """Sets the states of a context of the loop's diagram to those of the last sample.
 
-        Its time stays.
-
-        Args:
-            context: of the diagram.
-            state: that of another sample, as of `state`, where no blocks are beside the trace.
+        Its time stays. Where no blocks are beside the trace, the `state` may be that of another.
         """
         self._layout.write_state(context, self._state if state is None else state)
         for block, stepped in self._stepped.items():

@@ -147,9 +147,7 @@ class CompiledLoop:
     """A loop that is stepped from sample to sample.
 
     Args:
-        diagram: the loop, with a control period.
         config: the integrator's step.
-        control_period: s.
         signal_period: s, between the instants at which signals are shown, at which a step of the
             integrator ends, too; a whole part of the control period, or None: every sample.
         signals: those that are shown at these instants, names of the diagram's vector-valued
@@ -163,10 +161,7 @@ class CompiledLoop:
             C is compiled, which takes seconds. None: it is compiled at once.
 
     Attributes:
-        diagram: as given.
-        control_period: as given.
-        signals: the names of the signals with their sizes, in order.
-        step_signals: likewise.
+        signals, step_signals: the names of the signals with their sizes, in order.
         step_ends: (steps,), s, where the integrator's steps end after a sample.
         shown_per_sample: the number of the signals' instants in a sample.
 
@@ -258,9 +253,7 @@ class CompiledLoop:
     def fly(self, context: Context, largest: float = LARGEST) -> CompiledFlight:
         """A flight from a context of the diagram, at t = 0, which stays as it is.
 
-        Args:
-            context: of the diagram.
-            largest: a value beyond it, in SI units, raises NotFiniteError.
+        In flight a value beyond `largest`, in SI units, raises NotFiniteError.
 
         Raises:
             ScenarioError: the context is at another time, or that of another diagram.
@@ -343,11 +336,8 @@ class CompiledLoop:
     def run(self, context: Context, duration: float) -> tuple[NDArray, dict[str, NDArray]]:
         """The times (instants,), s, and the signals (instants, size) by their names.
 
-        A stall, which ends a run of `simulate`, does not end it.
-
-        Args:
-            context: of the diagram, at t = 0, which stays as it is.
-            duration: s, a multiple of the control period.
+        From a context as of `fly`, for a duration in s, a multiple of the control period. A stall,
+        which ends a run of `simulate`, does not end it.
 
         Raises:
             ScenarioError: the duration is no such multiple, or the context is at another time, or
@@ -360,11 +350,7 @@ class CompiledLoop:
         return times, by_name(self.signals, rows)
 
     def sensitivities(self, context: Context, duration: float) -> Sensitivities:
-        """How the state at the end depends on that of a context, and on its parameters: exactly.
-
-        Args:
-            context: of the diagram, at t = 0, which stays as it is.
-            duration: s, a multiple of the control period.
+        """How the state at the end of a `run` depends on that of its context, and on parameters.
 
         Raises:
             ScenarioError: as of `run` and `fly_with_derivatives`.

@@ -152,17 +152,9 @@ class Evaluation:
         """Evaluates the function of a whole sample again and again, each time from its own state.
 
         It ends before a sample that a block has to make an update for, or at which a result is
-        larger than `largest`, or is no number.
-
-        Args:
-            inputs: all arguments but the time.
-            times: (k,), s, of the samples.
-            outside: (k, size), what stands outside.
-            largest: in SI units.
-
-        Returns:
-            The state after the last sample, and of each the signals and the signals of steps, in
-            rows.
+        larger than `largest` (SI), or is no number. Of samples at times (k,), s, and what stands
+        outside (k, size); `inputs` are the other arguments. Returns the state after the last
+        sample, and of each the signals and the signals of steps, in rows.
         """
         state, parameters, *answers = inputs
         time = np.zeros(1)

@@ -108,12 +108,8 @@ def set_parameter(loop: Diagram, context: Context, path: str, value: Any) -> Non
     stays: for another mass or cable `set_equilibrium` finds the start anew. An optimization layer
     that has not been updated yet begins with the values set.
 
-    Args:
-        loop: as of `parameters`.
-        context: the loop's own, in a bigger diagram `loop.GetMyMutableContextFromRoot(root)`; also
-            that of the loop converted to AutoDiffXd, where a value may have derivatives.
-        path: as in a scenario: "system.load_mass", "wrench_controller.position_gain".
-        value: as in a scenario.
+    Loop and context are as of `parameters`; in that of the loop converted to AutoDiffXd a value may
+    have derivatives. Path and value are as in a scenario, such as "system.load_mass".
 
     Raises:
         ScenarioError: there is no such parameter, the value is out of its range, a block that goes

@@ -135,13 +135,9 @@ def make_aircraft(
     gravity: float,
     field: str = "system.aircraft",
 ) -> Aircraft:
-    """The aircraft of these parameters, checked.
+    """The aircraft of these parameters, checked; `field` is their name in error messages.
 
-    Args:
-        parameters: of the aircraft.
-        cable_length: m.
-        gravity: m/s².
-        field: the parameters' name in error messages.
+    Cable length and gravity are in m and m/s².
 
     Raises:
         ScenarioError: a field is missing or out of its range, or the aircraft cannot fly level

@@ -24,10 +24,8 @@ def read_load(path: str | Path, attachment_frames: list[str]) -> dict[str, Any]:
     The file holds one free body, or several welded together. The load's frame L has the axes
     of the first, and its origin at the centre of mass of all.
 
-    Args:
-        path: an SDF or URDF file.
-        attachment_frames: the names of the frames (or links) with the cables at their origins,
-            in the order of the carriers.
+    `attachment_frames` are the names of the frames (or links) with the cables at their origins, in
+    the order of the carriers.
 
     Raises:
         ScenarioError: the file cannot be read, is not one rigid load, or lacks a frame.
@@ -61,12 +59,8 @@ def read_load(path: str | Path, attachment_frames: list[str]) -> dict[str, Any]:
 def read_load_shapes(path: str | Path, attachments: NDArray) -> list[GeometryInstance]:
     """The visual and collision shapes in a file, with the properties that Drake reads.
 
-    Args:
-        path: an SDF or URDF file, as `read_load` takes.
-        attachments: (n, 3) in m, in L: the file has to have a frame at each, as `read_load` found.
-
-    Returns:
-        Shapes at their poses in the load's frame L (see `read_load`), each with a name of its own.
+    They are at their poses in the load's frame L, as of `read_load`, each with a name of its own.
+    The file has to have a frame at each of the attachments (n, 3), in L, m.
 
     Raises:
         ScenarioError: as `read_load`; or a point is at no frame, or there are no shapes.

@@ -20,11 +20,7 @@ def read_samples(path: str | Path, field: str) -> list[list[float]]:
     """The rows of a CSV file, [t, x, y, z] or [t, x, y, z, roll, pitch, yaw] in s, m and rad.
 
     Its first line names these columns, in this order. Empty lines are skipped. Errors do not show
-    what is in it: a scenario of somebody else may name any file.
-
-    Args:
-        path: the file.
-        field: its name in error messages.
+    what is in it, but the field's name: a scenario of somebody else may name any file.
 
     Raises:
         ScenarioError: the file cannot be read, or as `sample_array`.
@@ -63,10 +59,7 @@ def read_samples(path: str | Path, field: str) -> list[list[float]]:
 def sample_array(rows: list[list[float]], field: str, value: Any) -> NDArray:
     """The rows as an array (n, 7), checked: [t, x, y, z, roll, pitch, yaw], omitted angles 0.
 
-    Args:
-        rows: n rows of 4 or of 7 numbers, in s, m and rad.
-        field: their name in error messages.
-        value: their representation in error messages.
+    n rows of 4 or of 7 numbers, in s, m and rad; field and value are what error messages show.
 
     Raises:
         ScenarioError: there are fewer than 2 rows, they differ in length, a number is not

@@ -112,8 +112,7 @@ class Model:
     rest at the origin and of carriers there: the equilibrium is not known yet.
 
     Args:
-        system: the physical parameters.
-        pattern: the internal-force pattern, for instance HamiltonianCycleConfig().
+        pattern: for instance HamiltonianCycleConfig().
         control_period: the controllers' sample time in s, 0 for continuous.
         field: the system's name in error messages.
         overridden: the fields that `simulated` replaces.

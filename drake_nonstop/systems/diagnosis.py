@@ -35,11 +35,7 @@ def source_of_fault(error: NotFiniteError, nonstop: Diagram, context: Context) -
 
     Where a block was given it, the wires are followed back to the nearest block whose inputs are
     all sound. There is none where the loop as a whole diverges: it is the block of the error then.
-
-    Args:
-        error: what a block of the diagram raised.
-        nonstop: the diagram.
-        context: its context at the instant of the error.
+    The context is the diagram's at the instant of the error.
     """
     shown = {block: box_of(block) for block in _blocks(nonstop)}
     starts = [block for block in shown if shown[block] == error.block]

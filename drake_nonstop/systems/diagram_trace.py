@@ -186,10 +186,8 @@ class Instant:
     """A diagram at one instant: all values in symbols, each found once.
 
     Args:
-        wires: of the diagram.
         states: of each leaf with a state its continuous state, then its discrete groups.
         parameters: the first numeric parameter of each leaf that has one.
-        time: in s.
         outside: what ports of systems that cannot be traced show.
         is_outside: which systems these are, of the diagram's own.
     """

@@ -55,10 +55,6 @@ class PortState:
     """The numeric states of a system that one of its vector-valued ports shows.
 
     Contexts are the system's own, and may be a part of a diagram's.
-
-    Args:
-        system: whose states they are.
-        port: an output port of the system.
     """
 
     def __init__(self, system: System, port: OutputPort):

@@ -21,13 +21,7 @@ LARGEST = 1e9  # SI units; no rate or force of a load on cables comes near it
 
 
 class NotFiniteError(ArithmeticError):
-    """A block made, or was given, a value that is not finite or is far too large.
-
-    Args:
-        block: its name.
-        was_given: whether the value is among its inputs.
-        largest: what it may be, in SI units.
-    """
+    """A block made, or `was_given`, a value that is not finite, or beyond the `largest` (SI)."""
 
     def __init__(self, block: str, *, was_given: bool = False, largest: float = LARGEST):
         super().__init__(
@@ -229,13 +223,9 @@ def _elementwise(function: Callable, input_sizes: Sequence[int], entries: int) -
 class Trace:
     """A function, traced once, and its parts: some of its outputs of some of its inputs.
 
-    Args:
-        function: as of `TracedFunction`.
-        input_sizes: the length of each input.
-        key: as of `TracedFunction`.
+    The arguments are as of `TracedFunction`.
 
     Attributes:
-        input_sizes: as given.
         output_sizes: the length of each output, flat.
         dependence: for each output the inputs, by their numbers, on which an entry depends.
     """
@@ -330,11 +320,7 @@ def _expressions(
 
 
 class LruCache:
-    """What was made for the keys that were used last; they can be hashed, or pickled.
-
-    Args:
-        most: of the entries.
-    """
+    """What was made for the keys that were used last, at most so many."""
 
     def __init__(self, most: int):
         self.entries: dict[Any, Any] = {}  # the most recently used is the last

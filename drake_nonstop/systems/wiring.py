@@ -208,9 +208,7 @@ def connect_remaining(builder: DiagramBuilder, *, of: System | None = None) -> N
     input stays open where no block of the builder makes its signal: it can be exported, or
     connected, before or after.
 
-    Args:
-        builder: it is not built yet.
-        of: one of its systems, where only what leads to it or comes from it is to be connected.
+    With `of`, one of its systems, only what leads to it or comes from it is connected.
 
     Raises:
         ScenarioError: the builder is built, two blocks make the signal of an open input, or its
@@ -275,11 +273,8 @@ def connect_by_name(
     x, or anything that is held, do not: what is upstream of a hold must not read from it.
     `make_nonstop` puts its figure together in this way.
 
-    Args:
-        builder: what the blocks are added to.
-        blocks: by the names that they get in the diagram.
-        inputs: signals that no block makes: they become input ports of the diagram, each of the
-            size of the port that reads it.
+    The blocks are added by the names that they get in the diagram. `inputs` are signals that no
+    block makes: they become input ports of the diagram, each of the size of the port that reads it.
 
     Raises:
         ScenarioError: the builder is built, a name is none, two blocks make the same signal, or an
@@ -362,11 +357,7 @@ def require_signals(
 ) -> None:
     """Checks that a diagram exports signals, or else that each is made once in it, however deep.
 
-    Args:
-        diagram: what should have output ports of these names, or blocks with them.
-        sizes: of the ports; None: any.
-        field: what the error calls the diagram.
-        is_exporting: whether it has to export them.
+    `sizes` are those of the ports, None for any, and `field` is what the error calls the diagram.
 
     Raises:
         WiringError: it lacks some, they have other sizes, or two blocks make the same.
