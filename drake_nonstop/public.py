@@ -58,7 +58,7 @@ from drake_nonstop.systems.wiring import (
 from drake_nonstop.blocks.sample_and_hold import add_sample_and_hold as add_sample_and_hold
 from drake_nonstop.loop.compiled_loop import CompiledLoop as CompiledLoop
 from drake_nonstop.loop.compiled_flight import CompiledFlight as CompiledFlight
-from drake_nonstop.loop.compiled_system import CompiledSystem as CompiledSystem
+from drake_nonstop.loop.compiled_loop import CompiledSystem as CompiledSystem
 from drake_nonstop.loop.derivatives import (
     DerivativeFlight as DerivativeFlight,
     Sensitivities as Sensitivities,

@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 from pydrake.systems.framework import Context
 
 from drake_nonstop.mechanics.cable import cable_forces_and_tensions, cables_elastic_energy
-from drake_nonstop.model.block import Block
-from drake_nonstop.model.block_parameters import BlockParameters
+from drake_nonstop.model.block import Block, BlockParameters
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.parameters import parameters_in
 from drake_nonstop.validation import StrictFields, is_number, require, require_array

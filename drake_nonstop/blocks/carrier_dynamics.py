@@ -25,10 +25,11 @@ from drake_nonstop.mechanics.carrier import (
     double_integrator_rate,
     loaded_carrier_rate,
 )
-from drake_nonstop.model.block import Block, SelectorBlock
-from drake_nonstop.model.block_parameters import (
+from drake_nonstop.model.block import (
     AIRCRAFT_NUMBERS,
+    Block,
     BlockParameters,
+    SelectorBlock,
     aircraft_of,
     required_aircraft,
 )

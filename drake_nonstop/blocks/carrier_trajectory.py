@@ -11,8 +11,7 @@ from drake_nonstop.mechanics.cable import compliance_of
 from drake_nonstop.mechanics.carrier import carrier_motion, motion_after
 from drake_nonstop.mechanics.force_rates import second_and_third_force_rates
 from drake_nonstop.mechanics.signal_layouts import SAMPLE_TIME
-from drake_nonstop.model.block import Block
-from drake_nonstop.model.block_parameters import LOAD, rigid_load
+from drake_nonstop.model.block import LOAD, Block, rigid_load
 from drake_nonstop.model.descriptions import CarrierReferences
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.requirements import LoopBlocks

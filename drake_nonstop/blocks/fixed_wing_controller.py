@@ -16,8 +16,7 @@ from drake_nonstop.mechanics.flight_control import (
 )
 from drake_nonstop.mechanics.signals import AircraftState
 from drake_nonstop.mechanics.tuning import pid_gains
-from drake_nonstop.model.block import Block
-from drake_nonstop.model.block_parameters import AIRCRAFT_NUMBERS, aircraft_of, required_aircraft
+from drake_nonstop.model.block import AIRCRAFT_NUMBERS, Block, aircraft_of, required_aircraft
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.traced_block import Start
 from drake_nonstop.validation import (

@@ -17,8 +17,7 @@ from drake_nonstop.mechanics.grasp import (
 )
 from drake_nonstop.mechanics.rotation import rotation_matrix
 from drake_nonstop.mechanics.signals import LoadState
-from drake_nonstop.model.block import Block
-from drake_nonstop.model.block_parameters import BlockParameters
+from drake_nonstop.model.block import Block, BlockParameters
 from drake_nonstop.model.descriptions import PseudoInverse
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import weakly

@@ -13,7 +13,7 @@ from pydrake.systems.primitives import AffineSystem
 from drake_nonstop.mechanics.aircraft import FlightStates, air_frame, is_stalled, trimmed_states
 from drake_nonstop.mechanics.carrier import carriers_kinetic_energy, carriers_potential_energy
 from drake_nonstop.mechanics.signals import AircraftState, CarrierStates
-from drake_nonstop.model.block_parameters import (
+from drake_nonstop.model.block import (
     AIRCRAFT_NUMBERS,
     BlockParameters,
     required_aircraft,

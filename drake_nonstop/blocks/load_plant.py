@@ -22,8 +22,7 @@ from drake_nonstop.mechanics.signals import (
     LoadState,
     Wrench,
 )
-from drake_nonstop.model.block import Block
-from drake_nonstop.model.block_parameters import LOAD, BlockParameters, rigid_load
+from drake_nonstop.model.block import LOAD, Block, BlockParameters, rigid_load
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import DiagramBlock, InnerBlock
 from drake_nonstop.systems.parameters import declare_parameters, parameters_in

@@ -25,7 +25,7 @@ from drake_nonstop.blocks.speed_bound_layer import (
 )
 from drake_nonstop.blocks.turn_rate_optimizer import TurnRateOptimizer, TurnRateOptimizerConfig
 from drake_nonstop.mechanics.signals import PARAMETERS_SIZE, WRENCH_SIZE
-from drake_nonstop.model.block_parameters import BlockParameters
+from drake_nonstop.model.block import BlockParameters
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.diagnostics import Diagnostics, Outcome, update_count
 from drake_nonstop.optimization.problem_config import (

@@ -21,7 +21,7 @@ from pydrake.systems.framework import (
 from drake_nonstop.mechanics.cable import compliance_of
 from drake_nonstop.mechanics.rigid_load import STILL_AIR
 from drake_nonstop.mechanics.signal_layouts import SIGNALS
-from drake_nonstop.model.block_parameters import AIRCRAFT_NUMBERS, LOAD, BlockParameters
+from drake_nonstop.model.block import AIRCRAFT_NUMBERS, LOAD, BlockParameters
 from drake_nonstop.model.system import OFFSET, Model
 from drake_nonstop.optimization.diagnostics import (
     DIAGNOSTICS_SIZE,

@@ -10,7 +10,7 @@ from pydrake.systems.framework import Context
 
 from drake_nonstop.blocks import load_trajectory, phase
 from drake_nonstop.blocks.speed_bound_layer import BOX, WIND, PeriodicLayer
-from drake_nonstop.model.block_parameters import (
+from drake_nonstop.model.block import (
     AIRCRAFT_NUMBERS,
     BlockParameters,
     required_aircraft,

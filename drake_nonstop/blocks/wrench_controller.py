@@ -11,8 +11,7 @@ from drake_nonstop.mechanics import wrench
 from drake_nonstop.mechanics.rigid_load import RigidLoad
 from drake_nonstop.mechanics.signals import TrackingError
 from drake_nonstop.mechanics.tuning import load_gains, pid_gains
-from drake_nonstop.model.block import Block
-from drake_nonstop.model.block_parameters import AUTO, LOAD, BlockParameters, rigid_load
+from drake_nonstop.model.block import AUTO, LOAD, Block, BlockParameters, rigid_load
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import number
 from drake_nonstop.validation import (

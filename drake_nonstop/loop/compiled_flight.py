@@ -12,7 +12,7 @@ from pydrake.systems.framework import Context, PortDataType, System
 
 from drake_nonstop.loop.block_events import SteppedBlock, sample_times
 from drake_nonstop.loop.functions import Evaluation, LoopFunctions, Reading
-from drake_nonstop.loop.layout import LoopLayout, discrete_state_of
+from drake_nonstop.loop.trace import LoopLayout, discrete_state_of
 from drake_nonstop.systems.block import has_own
 from drake_nonstop.systems.diagram_trace import (
     QUANTITIES,

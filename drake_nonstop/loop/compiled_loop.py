@@ -13,6 +13,7 @@ between the two functions. Where there is none, both are one function.
 
 import functools
 import math
+import threading
 from collections.abc import Collection
 from functools import cached_property
 from typing import Any
@@ -20,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.analysis import SimulatorConfig
-from pydrake.systems.framework import Context, Diagram, PortDataType, System
+from pydrake.systems.framework import Context, Diagram, DiscreteValues, PortDataType, System
 
 from drake_nonstop.loop.block_events import timing_complaint
 from drake_nonstop.loop.compiled_flight import CompiledFlight
@@ -36,10 +37,9 @@ from drake_nonstop.loop.functions import (
     Symbols,
     Traced,
 )
-from drake_nonstop.loop.layout import LoopLayout
-from drake_nonstop.loop.trace import LoopTrace, Step
+from drake_nonstop.loop.trace import LoopLayout, LoopTrace, Step
 from drake_nonstop.mechanics.signal_layouts import by_name
-from drake_nonstop.systems.block import is_of_package, title
+from drake_nonstop.systems.block import LeafBlock, is_of_package, title
 from drake_nonstop.systems.diagram_trace import (
     Wires,
     is_traceable,
@@ -377,3 +377,66 @@ class CompiledLoop:
         remedy = f"give a multiple of the control period, {self.control_period:g} s"
         require(is_multiple, "duration", duration, remedy)
         return samples
+
+
+class CompiledSystem(LeafBlock):
+    """A discrete system that flies a `CompiledLoop` from sample to sample of its controllers.
+
+    It stands for the loop in a bigger diagram, and a Simulator runs it like any other. Each signal
+    of the loop is an output port of its name. From one sample to the next it shows what the
+    loop's diagram does at the first of the two, before the controllers' update. It starts from the
+    default context of the loop's diagram, with its parameters, at t = 0, and goes on from any of
+    its states: contexts may be copied, and set back.
+
+    .. pydrake_system::
+
+        name: CompiledSystem
+        output_ports:
+        - (the loop's signals)
+
+    Args:
+        loop: with all blocks in the trace, and signals once a sample.
+
+    Raises:
+        ScenarioError: a block of the loop is stepped beside the trace, or signals are shown more
+            often.
+    """
+
+    is_sampled = True
+
+    def __init__(self, loop: CompiledLoop):
+        super().__init__()
+        beside = ", ".join(loop.blocks_beside)
+        remedy = "it has a state of its own; use loop.run, or simulate the diagram"
+        require(not beside, "loop", beside, remedy)
+        shown = loop.shown_per_sample
+        require(shown == 1, "loop.signal_period", shown, "give signal_period=None")
+        self._loop = loop
+        self._flight = loop.fly(loop.diagram.CreateDefaultContext())
+        self._lock = threading.Lock()  # the flight is scratch memory of all contexts
+        self._state = self.DeclareDiscreteState(self._flight.state)
+        self._signals = []
+        for name, size in loop.signals.items():
+            self._signals.append(self.DeclareDiscreteState(size))
+            self.DeclareStateOutputPort(name, self._signals[-1])
+        period = loop.control_period
+        self.DeclareInitializationDiscreteUpdateEvent(self._begin)
+        self.DeclarePeriodicDiscreteUpdateEvent(period, period, self._advance)
+
+    def _begin(self, context: Context, discrete_state: DiscreteValues) -> None:
+        require(context.get_time() == 0, "context.time", context.get_time(), "start at 0")
+        self._fly(context, discrete_state, 0)
+
+    def _advance(self, context: Context, discrete_state: DiscreteValues) -> None:
+        self._fly(context, discrete_state, round(context.get_time() / self._loop.control_period))
+
+    def _fly(self, context: Context, discrete_state: DiscreteValues, sample: int) -> None:
+        """Starts, or goes on to a sample from the last one."""
+        self.require_floats("simulate the loop's diagram")
+        with self._lock:
+            self._flight.go_to(max(0, sample - 1), context.get_discrete_state(self._state).value())
+            signals, _ = self._flight.advance() if sample else self._flight.start()
+            discrete_state.set_value(self._state, self._flight.state)
+        shown = by_name(self._loop.signals, signals.ravel())
+        for index, values in zip(self._signals, shown.values(), strict=True):
+            discrete_state.set_value(index, values)

@@ -18,8 +18,7 @@ from pydrake.systems.framework import Context
 
 from drake_nonstop.loop.compiled_flight import LoopFlight
 from drake_nonstop.loop.functions import Evaluation, LoopFunction, Symbols, Traced
-from drake_nonstop.loop.layout import LoopLayout
-from drake_nonstop.loop.trace import LoopTrace, Step, runge_kutta3
+from drake_nonstop.loop.trace import LoopLayout, LoopTrace, Step, runge_kutta3
 from drake_nonstop.systems.tracing import LARGEST
 from drake_nonstop.validation import ScenarioError
 

@@ -17,7 +17,7 @@ from pydrake.systems.framework import Context, Context_, Diagram, System
 
 from drake_nonstop.loop.equilibrium import LOOP_SIGNALS
 from drake_nonstop.model.aircraft import AircraftParameters, values_of
-from drake_nonstop.model.block_parameters import AUTO, BlockParameters
+from drake_nonstop.model.block import AUTO, BlockParameters
 from drake_nonstop.model.pattern import InternalForcePattern
 from drake_nonstop.model.system import AIRCRAFT, OFFSET, Model, SystemParameters
 from drake_nonstop.systems.block import is_converted, title

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
 from drake_nonstop.mechanics.aircraft import Aircraft, stall_speed
-from drake_nonstop.model.block_parameters import AUTO
+from drake_nonstop.model.block import AUTO
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.limits import LIMITS, Limit, Of, limits_of
 from drake_nonstop.optimization.local_solver import LocalSolver

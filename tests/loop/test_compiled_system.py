@@ -7,8 +7,7 @@ from pydrake.systems.framework import DiagramBuilder, TriggerType
 from pydrake.systems.primitives import LogVectorOutput
 
 from drake_nonstop import ScenarioError, load_scenario, make_nonstop
-from drake_nonstop.loop.compiled_loop import CompiledLoop
-from drake_nonstop.loop.compiled_system import CompiledSystem
+from drake_nonstop.loop.compiled_loop import CompiledLoop, CompiledSystem
 
 DURATION = 0.6
 NONSTOP = "optimization_layer=NonstopOptimizer"

@@ -30,7 +30,7 @@ from drake_nonstop import (
 )
 from drake_nonstop.diagrams.nonstop import BOXES
 from drake_nonstop.mechanics.internal_force import carousel, spread
-from drake_nonstop.model.block_parameters import BlockParameters
+from drake_nonstop.model.block import BlockParameters
 from drake_nonstop.model.system import WatchedModel
 from drake_nonstop.systems import traced_block
 from drake_nonstop.systems.parameters import declared, parameters_in
