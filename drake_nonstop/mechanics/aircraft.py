@@ -304,9 +304,7 @@ class FlightStates(NamedTuple):
     def view(cls, values: NDArray) -> "FlightStates":
         """The parts of an array (12n,)."""
         n = len(values) // 12
-        ends = (6 * n, 7 * n, 8 * n, 9 * n)
-        starts = (0, *ends)
-        return cls(*(values[a:b] for a, b in zip(starts, (*ends, 12 * n), strict=True)))
+        return cls(*np.split(values, [6 * n, 7 * n, 8 * n, 9 * n]))
 
 
 def shown_state(aircraft: Aircraft, states: NDArray, wind: NDArray) -> NDArray:

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.mechanics.rotation import absolute, cross, norm, rotation_matrix
+from drake_nonstop.mechanics.rotation import absolute, cross, norm, rotation_matrix, skew
 from drake_nonstop.mechanics.signals import CarrierStates, LoadState
 
 
@@ -104,10 +104,10 @@ def forces_under_other_wrench(
     lengths = rest_length + tensions / stiffness
     springs = stiffness * along + tensions / lengths * across  # (k, n, 3, 3)
     # How an attachment moves with [δφ; δp], (k, n, 3, 6); transposed, what wrench a force has.
-    moving = np.concatenate([-_skews(levers), np.broadcast_to(np.eye(3), springs.shape)], axis=-1)
+    moving = np.concatenate([-skew(levers), np.broadcast_to(np.eye(3), springs.shape)], axis=-1)
     present = wrenches_of(forces, levers)
     restoring = np.einsum("kiab,kiac,kicd->kbd", moving, springs, moving)
-    restoring[:, :3, :3] -= np.einsum("kiab,kibc->kac", _skews(forces), _skews(levers))
+    restoring[:, :3, :3] -= np.einsum("kiab,kibc->kac", skew(forces), skew(levers))
     moved = np.linalg.solve(restoring, (present - wrench)[..., None])
     return forces - (springs @ moving @ moved[:, None])[..., 0]
 
@@ -116,8 +116,3 @@ def wrenches_of(forces: NDArray, levers: NDArray) -> NDArray:
     """The wrenches [τ; F] (..., 6) of forces (..., n, 3) at levers of that shape, in one frame."""
     torques = np.cross(levers, forces).sum(axis=-2)
     return np.concatenate([torques, forces.sum(axis=-2)], axis=-1)
-
-
-def _skews(vectors: NDArray) -> NDArray:
-    """The matrices (..., 3, 3) that multiply from the left by a cross product."""
-    return -np.cross(vectors[..., None, :], np.eye(3))

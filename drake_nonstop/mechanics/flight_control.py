@@ -153,7 +153,7 @@ class ObserverStates(NamedTuple):
     def view(cls, values: NDArray) -> "ObserverStates":
         """The parts of an array (5n,)."""
         n = len(values) // 5
-        return cls(values[: 3 * n], values[3 * n : 4 * n], values[4 * n :])
+        return cls(*np.split(values, [3 * n, 4 * n]))
 
 
 def observer_shares(

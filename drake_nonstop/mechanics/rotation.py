@@ -39,8 +39,8 @@ def clipped(a: NDArray, limit: float | NDArray) -> NDArray:
 
 
 def skew(a: NDArray) -> NDArray:
-    """S(a), the (3, 3) matrix with S(a) b = a × b."""
-    return cross(a, np.eye(3)).T
+    """S(a) (..., 3, 3) of a (..., 3): the matrices with S(a) b = a × b."""
+    return cross(a[..., None, :], np.eye(3)).swapaxes(-1, -2)
 
 
 def vee(matrix: NDArray) -> NDArray:
