@@ -78,7 +78,7 @@ from drake_nonstop.analysis.aircraft_margins import (
     aircraft_margins as aircraft_margins,
     AircraftMargins as AircraftMargins,
 )
-from drake_nonstop.analysis.limit_along import FlightMargin as FlightMargin
+from drake_nonstop.analysis.flight_envelope import FlightMargin as FlightMargin
 from drake_nonstop.simulation.make_simulator import make_simulator as make_simulator
 from drake_nonstop.simulation.make_gym_env import make_gym_env as make_gym_env
 from drake_nonstop.simulation.simulate import verify_step as verify_step

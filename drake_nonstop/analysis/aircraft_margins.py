@@ -16,11 +16,12 @@ from drake_nonstop.analysis.carriers_along import resting_carriers
 from drake_nonstop.analysis.flight_envelope import (
     ROWS,
     FlightEnvelope,
+    FlightMargin,
     FlightRanges,
+    LimitAlong,
     flight_envelope_of,
     limits_along,
 )
-from drake_nonstop.analysis.limit_along import FlightMargin, LimitAlong
 from drake_nonstop.analysis.separations import segment_distances
 from drake_nonstop.analysis.task import task_at
 from drake_nonstop.diagrams.nonstop import make_nonstop, replaced

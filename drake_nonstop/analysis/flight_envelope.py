@@ -1,32 +1,264 @@
-"""What aircraft need, beside what they can: the limits of their flight, and the ranges of needs."""
+"""Limits of flights beside what they hold for, and the ranges of what aircraft need."""
 
 import dataclasses
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import combinations
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.analysis.bowed_cables import BowedCables
-from drake_nonstop.analysis.limit_along import LimitAlong
 from drake_nonstop.blocks.fixed_wing_controller import FixedWingControllerConfig
 from drake_nonstop.mechanics.aircraft import (
     Aircraft,
+    FlightNeeds,
     airspeed_over_loaded_stall,
     stall_speed,
     thrust_limits,
     thrust_share,
 )
-from drake_nonstop.mechanics.planned_orbit import FlightNeeds
-from drake_nonstop.optimization.limits import LIMITS
+from drake_nonstop.optimization.limits import LIMITS, Limit, Of
 from drake_nonstop.scenario.run_limits import RunLimits
 from drake_nonstop.scenario.schema import Scenario
 
+_NEARLY = 0.04  # of a limit
+_DENSITY = 970.0  # kg/m³, of Dyneema
+_LEAST_TENSION = 1e-3  # N, of a cable that is all but slack
+_SHARE_OF_WIDTH = 0.01  # by which two cables may differ in length
 ROWS = {limit.name: limit for limit in LIMITS}
 _AIRSPEED = dataclasses.replace(ROWS["lift"], words="airspeed / stall speed", is_least=True)
 _MOST_THRUST = dataclasses.replace(ROWS["thrust"], words="thrust", unit="N")
 _LEAST_THRUST = dataclasses.replace(_MOST_THRUST, is_least=True)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FlightMargin:
+    """One quantity where it is closest to its limit, or farthest beyond.
+
+    Attributes:
+        name: of the quantity.
+        unit: of `value` and `limit`; "" for a share.
+        value: of the quantity.
+        limit: of the quantity there.
+        is_upper: whether the limit is the largest value; if not, it is the least.
+        phase: rad, where on the orbit.
+        carriers: which one, or which two, from 1 on.
+    """
+
+    name: str
+    unit: str
+    value: float
+    limit: float
+    is_upper: bool
+    phase: float
+    carriers: tuple[int, ...]
+
+    @property
+    def margin(self) -> float:
+        """From the value to the limit; negative where it is beyond."""
+        return self.limit - self.value if self.is_upper else self.value - self.limit
+
+    @property
+    def is_kept(self) -> bool:
+        """Whether the value is within the limit."""
+        return self.margin >= 0
+
+    def shown(self, value: float) -> str:
+        """A value of the quantity with its unit, for a sentence or a table."""
+        if self.unit == "rad":
+            return f"{math.degrees(value):.1f} deg"
+        return f"{value:.{1 if self.unit else 2}f} {self.unit}".rstrip()
+
+    @property
+    def dictionary(self) -> dict[str, Any]:
+        """All of it for a JSON file."""
+        return {
+            "name": self.name,
+            "unit": self.unit,
+            "value": self.value,
+            "limit": self.limit,
+            "limit_is": "upper" if self.is_upper else "lower",
+            "margin": self.margin,
+            "phase_rad": self.phase,
+            "carriers": list(self.carriers),
+        }
+
+    @property
+    def sentence(self) -> str:
+        """The value beside its limit."""
+        bound = "at most" if self.is_upper else "at least"
+        return f"{self.name} {self.shown(self.value)} ({bound} {self.shown(self.limit)})"
+
+
+class LimitAlong(NamedTuple):
+    """A limit, and what it holds for at k instants."""
+
+    limit: Limit
+    stated: Any  # a number, or an array that broadcasts to the values
+    times: NDArray  # (k,), s; phases in rad where the instants are those of an orbit
+    values: NDArray  # (k, c), in the limit's unit, of carriers, cables or pairs of carriers
+
+    @property
+    def left(self) -> NDArray:
+        """From the values to the limit (k, c); negative beyond it."""
+        return self.limit.side * (self.values - self.stated)
+
+    @property
+    def place(self) -> tuple[int, int]:
+        """The instant and the column of the least that is left; of equal ones the first."""
+        instant, column = np.unravel_index(np.argmin(self.left.round(9)), self.values.shape)
+        return int(instant), int(column)
+
+    @property
+    def worst(self) -> float:
+        """The value that is the closest to the limit, or the farthest beyond it."""
+        return float(self.values[self.place])
+
+    @property
+    def time(self) -> float:
+        """When that is, s."""
+        return float(self.times[self.place[0]])
+
+    @property
+    def carriers(self) -> tuple[int, ...]:
+        """Of which carrier or cable, or which two, from 1 on."""
+        column, count = self.place[1], self.values.shape[1]
+        if self.limit.of is not Of.SEPARATION:
+            return (column + 1,)
+        n = round((1 + np.sqrt(1 + 8 * count)) / 2)
+        return tuple(int(numbers[column]) + 1 for numbers in np.triu_indices(n, 1))
+
+    def worst_margin(self, phases: NDArray | None = None) -> FlightMargin:
+        """The margin there, at phases (k,) in rad of the instants; None: they are `times`."""
+        instant, _ = place = self.place
+        return FlightMargin(
+            name=self.limit.words,
+            unit=self.limit.unit,
+            value=float(self.values[place]),
+            limit=float(np.broadcast_to(self.stated, self.values.shape)[place]),
+            is_upper=not self.limit.is_least,
+            phase=float((self.times if phases is None else phases)[instant]),
+            carriers=self.carriers,
+        )
+
+    @property
+    def margin(self) -> float:
+        """From the worst value to the limit, of the limit; negative where it is beyond."""
+        return self.limit.side * (self.worst - self.stated) / self.stated
+
+    @property
+    def is_kept(self) -> bool:
+        """Whether all values are within the limit."""
+        return self.margin >= 0
+
+    @property
+    def is_in_doubt(self) -> bool:
+        """Whether it is missed by so little that the layer may keep it."""
+        return -_NEARLY < self.margin < 0
+
+    @property
+    def where(self) -> str:
+        """Such as "t = 5.30 s, carrier 2"."""
+        what = "cable" if self.limit.of is Of.TENSION else "carrier"
+        if len(self.carriers) > 1:
+            what = "carriers"
+        return f"t = {self.time:.2f} s, {what} {' and '.join(map(str, self.carriers))}"
+
+    def shown(self, value: float) -> str:
+        """A value with its unit."""
+        return f"{value:.4g} {self.limit.unit}".rstrip()
+
+    @property
+    def dictionary(self) -> dict[str, Any]:
+        """All but the values over time, for a JSON file."""
+        return {
+            "field": self.limit.field,
+            "unit": self.limit.unit,
+            "limit": self.stated,
+            "limit_is": "lower" if self.limit.is_least else "upper",
+            "value": self.worst,
+            "is_kept": self.is_kept,
+            "time_s": self.time,
+            "carriers": list(self.carriers),
+        }
+
+
+class BowedCables(NamedTuple):
+    """How drag would bow the cables of aircraft, which are simulated as straight.
+
+    The figures are those of a still load: the air moves past a cable as fast as its aircraft at its
+    upper end, and not at the lower one. So the drag on its length, w_d = ½ ρ C_D d V² at the upper
+    end, grows with the square of the place: of a tension T and a length L the cable bows farthest
+    by w_d L²/(16 ∛4 T), at 0.63 of L, and its chord is shorter by 9/14 L (w_d L/(12 T))². Own
+    derivation, for small bows.
+    """
+
+    bow: float  # m, the largest
+    shortening: tuple[float, float]  # m, of a chord, the least and the largest
+    difference: float  # m, of the shortenings of two cables at one instant, the largest
+    mass: float  # kg, of a cable
+    load_width: float  # m, the largest distance of two attachments
+
+    @classmethod
+    def of(
+        cls, aircraft: Aircraft, airspeeds: NDArray, tensions: NDArray, attachments: NDArray
+    ) -> "BowedCables":
+        """Those of n aircraft at airspeeds (k, n), m/s, and tensions (k, n), N.
+
+        Args:
+            aircraft: its cable_diameter, cable_drag, cable_length and air_density count.
+            airspeeds: m/s.
+            tensions: N.
+            attachments: (n, 3), m.
+        """
+        taut = np.maximum(tensions, _LEAST_TENSION)
+        size = aircraft.air_density / 2 * aircraft.cable_drag * aircraft.cable_diameter
+        drag, length = size * airspeeds**2, aircraft.cable_length
+        sag = drag * length / taut
+        shorter = 9 / 14 * length * (sag / 12) ** 2
+        return cls(
+            bow=float(np.max(sag) * length) / (16 * 4 ** (1 / 3)),
+            shortening=(float(np.min(shorter)), float(np.max(shorter))),
+            difference=float(np.max(np.ptp(shorter, axis=1))),
+            mass=float(_DENSITY * math.pi / 4 * aircraft.cable_diameter**2 * length),
+            load_width=max(float(np.linalg.norm(a - b)) for a, b in combinations(attachments, 2)),
+        )
+
+    @property
+    def text(self) -> str:
+        """All of it in a line."""
+        least, most = self.shortening
+        return (
+            f"bow by up to {self.bow:.2g} m and are {least:.2g} to {most:.2g} m shorter, "
+            f"two of them by up to {self.difference:.2g} m differently; {self.mass:.2g} kg each"
+        )
+
+    @property
+    def warning(self) -> str:
+        """What to expect of a real flight; "" where the cables stay alike."""
+        allowed = _SHARE_OF_WIDTH * self.load_width
+        if self.difference <= allowed:
+            return ""
+        return (
+            f"cables are simulated as straight: drag would shorten two of them by up to "
+            f"{self.difference:.2g} m differently, more than a hundredth of the load's width "
+            f"({allowed:.2g} m), which turns and moves the load; give thinner cables "
+            "(aircraft.cable_diameter) or more tension, or expect a flight that differs"
+        )
+
+    @property
+    def dictionary(self) -> dict[str, Any]:
+        """The same for a JSON file."""
+        return {
+            "bow_m": self.bow,
+            "shortening_m": list(self.shortening),
+            "shortening_difference_m": self.difference,
+            "mass_kg": self.mass,
+            "load_width_m": self.load_width,
+            "warning": self.warning,
+        }
 
 
 class FlightEnvelope(NamedTuple):

@@ -6,8 +6,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from drake_nonstop.analysis.carriers_along import carriers_along
-from drake_nonstop.analysis.flight_envelope import FlightEnvelope, FlightRanges, limits_along
-from drake_nonstop.analysis.limit_along import FlightMargin
+from drake_nonstop.analysis.flight_envelope import (
+    FlightEnvelope,
+    FlightMargin,
+    FlightRanges,
+    limits_along,
+)
 from drake_nonstop.analysis.speed_check import SpeedCheck
 from drake_nonstop.analysis.task import Task
 from drake_nonstop.mechanics.planned_orbit import PlannedOrbit

@@ -17,7 +17,7 @@ from drake_nonstop.analysis.carriers_along import (
     motion_above,
     orbit_terms,
 )
-from drake_nonstop.analysis.limit_along import LimitAlong
+from drake_nonstop.analysis.flight_envelope import LimitAlong
 from drake_nonstop.analysis.task import Task
 from drake_nonstop.mechanics.nonstop import polynomial_values, speed_squares
 from drake_nonstop.mechanics.planned_orbit import OrbitTerms, PlannedOrbit

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.analysis.limit_along import LimitAlong
+from drake_nonstop.analysis.flight_envelope import LimitAlong
 from drake_nonstop.analysis.separations import Spacing, least_length
 from drake_nonstop.mechanics.aircraft import (
     Aircraft,

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from drake_nonstop.analysis.bowed_cables import BowedCables
+from drake_nonstop.analysis.flight_envelope import BowedCables
 from drake_nonstop.optimization.formation_program import LEANING, FormationVariables
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.scenario.overrides import as_override

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.analysis.aircraft_margins import AircraftMargins
-from drake_nonstop.analysis.limit_along import LimitAlong
+from drake_nonstop.analysis.flight_envelope import LimitAlong
 from drake_nonstop.analysis.speed_check import set_over_time
 from drake_nonstop.analysis.task_check import TaskCheck
 from drake_nonstop.visualization.figure_style import (

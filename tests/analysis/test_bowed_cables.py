@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from drake_nonstop.analysis.bowed_cables import BowedCables
+from drake_nonstop.analysis.flight_envelope import BowedCables
 from drake_nonstop.model.aircraft import AircraftParameters, make_aircraft
 
 LENGTH, SPEED, TENSION = 150.0, 15.3, 25.0
