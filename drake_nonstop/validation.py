@@ -367,10 +367,7 @@ _NUMBER = re.compile(
 def read_text(path: str | Path, field: str, remedy: str = "give a file that can be read") -> str:
     """The text of a file, UTF-8 with or without a byte-order mark.
 
-    Args:
-        path: the file.
-        field: its name in error messages.
-        remedy: what to give in its place.
+    Error messages call it `field`, and `remedy` is what to give in its place.
 
     Raises:
         ScenarioError: it cannot be read, is no regular file, is not UTF-8, or is above 16 MB.

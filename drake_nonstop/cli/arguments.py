@@ -50,12 +50,9 @@ def add_trust(
 def add_scenario(
     parser: argparse.ArgumentParser, folder: str = "out/NAME", default: str | None = None
 ) -> None:
-    """Adds the scenario, --out, --set and --trust.
+    """Adds the scenario, --out, whose default the help names, --set and --trust.
 
-    Args:
-        parser: of the subcommand.
-        folder: what the help names as the default of --out.
-        default: the scenario where none is given; None: one has to be given.
+    Without a `default` a scenario has to be given.
     """
     parser.add_argument(
         "scenario",

@@ -34,14 +34,9 @@ def commented_scenario(scenario: Scenario, name: str) -> str:
         if tag:
             others = [block_name(other) for other in CHOICES[key] if other is not type(config)]
             comment = f"or {', '.join(others)}" if others else ""
-        lines += ["", *_mapping(key, tag, comment, value, type(config))]
+        head = " ".join(filter(None, [f"  {key}:", tag, "" if value else "{}"]))
+        lines += ["", *_wrapped(1, comment), head, *commented_fields(2, value, type(config))]
     return _HEADING.format(name=scenario.name) + "\n".join(lines) + "\n"
-
-
-def _mapping(name: str, tag: str, comment: str, fields: Tree, config: type) -> list[str]:
-    """A key with a mapping below it, a line for each field."""
-    head = " ".join(filter(None, [f"  {name}:", tag, "" if fields else "{}"]))
-    return [*_wrapped(1, comment), head, *commented_fields(2, fields, config)]
 
 
 def commented_fields(depth: int, fields: Tree, config: type) -> list[str]:

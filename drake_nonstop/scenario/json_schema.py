@@ -28,8 +28,7 @@ Schema = dict[str, Any]
 def scenario_schema(scenarios: Iterable[Scenario] = ()) -> Schema:
     """The schema of a file with one scenario under its name.
 
-    Args:
-        scenarios: whose blocks of one's own the boxes may be, too.
+    Boxes may be the blocks of one's own that `scenarios` have, too.
     """
     choices = _choices(scenarios)
     scenario = _object(Scenario)
@@ -51,11 +50,7 @@ def scenario_schema(scenarios: Iterable[Scenario] = ()) -> Schema:
 
 
 def custom_tags(scenarios: Iterable[Scenario] = ()) -> list[str]:
-    """The tags of blocks, as the setting `yaml.customTags` of YAML's language server takes them.
-
-    Args:
-        scenarios: as of `scenario_schema`.
-    """
+    """The tags of blocks, as the setting `yaml.customTags` of YAML's language server takes them."""
     configs = {config for choices in _choices(scenarios).values() for config in choices}
     return sorted(f"!{_tag(config)} mapping" for config in configs)
 

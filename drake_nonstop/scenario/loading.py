@@ -163,7 +163,8 @@ def _merged(base: Tree, content: Tree) -> Tree:
         if isinstance(inherited, dict) and value is None:
             continue  # a part without any fields
         if isinstance(value, dict) and isinstance(inherited, dict):
-            tag = _tag(name, inherited)
+            default = f"!{block_name(CHOICES[name][0])}" if name in CHOICES else None
+            tag = inherited.get("_tag", default)
             if value.get("_tag", tag) == tag:
                 value = inherited | {k: _part(inherited.get(k), v) for k, v in value.items()}
         merged[name] = value
@@ -174,9 +175,3 @@ def _part(base: Any, content: Any) -> Any:
     """A field of a part; of one that has fields itself, such as an aircraft, with the base's."""
     are_parts = all(isinstance(part, dict) and "_tag" not in part for part in (base, content))
     return base | content if are_parts and "model" not in content else content
-
-
-def _tag(name: str, entry: Tree) -> str | None:
-    """The tag of an entry: that of the default block where it has none."""
-    default = f"!{block_name(CHOICES[name][0])}" if name in CHOICES else None
-    return entry.get("_tag", default)

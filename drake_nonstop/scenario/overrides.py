@@ -16,7 +16,6 @@ from drake_nonstop.scenario.tree import (
     Trusted,
     config_class_of,
     from_tree,
-    own_tags,
     to_tree,
 )
 from drake_nonstop.scenario.yaml_text import dump_plain, parse_plain
@@ -46,7 +45,8 @@ def changed(scenario: Scenario, overrides: Iterable[str], *, trust: bool = False
     texts = listed("overrides", overrides, remedy)
     tree = to_tree(scenario)
     before = copy.deepcopy(tree)
-    trusted = True if trust else own_tags(tree)
+    entries = [entry for entry in tree.values() if isinstance(entry, dict)]
+    trusted = True if trust else {entry["_tag"] for entry in entries if "_tag" in entry}
     for override in texts:
         _apply(tree, override, trusted)
     # By their texts, since True equals 1.

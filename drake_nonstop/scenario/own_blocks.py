@@ -16,11 +16,6 @@ from pydrake.common.yaml import yaml_dump_typed
 from drake_nonstop.validation import ScenarioError, one_line, require
 
 
-def is_import_path(tag: str) -> bool:
-    """Whether a tag, without its "!", names a block of the user's own."""
-    return "." in tag
-
-
 def make_importable(folder: str) -> None:
     """Lets the modules in a folder be imported, after all that could be before."""
     if folder not in sys.path:

@@ -61,7 +61,7 @@ _FORMER_FIELDS = {
     "the two cables' attachments",
 }
 
-_FORMER_BLOCKS = {
+FORMER_BLOCKS = {
     ("load_disturbance", "Wind"): "Wind, a force on the load, is called DisturbanceForce now"
 }
 
@@ -73,12 +73,6 @@ def require_current(name: Any, field: str, value: Any) -> None:
     """
     if name in _FORMER_FIELDS:
         require(False, field, value, _FORMER_FIELDS[name])
-
-
-def require_current_block(box: str, block: str, tag: str) -> None:
-    """Raises ScenarioError for the name of a block that only earlier versions had in that box."""
-    if (box, block) in _FORMER_BLOCKS:
-        require(False, box, tag, _FORMER_BLOCKS[box, block])
 
 
 copyreg.pickle(SimulatorConfig, distributions.reduced)

@@ -17,14 +17,14 @@ from drake_nonstop.loop.box import import_path
 from drake_nonstop.model.load_file import read_load
 from drake_nonstop.model.system import SystemParameters, require_few
 from drake_nonstop.scenario import distributions
-from drake_nonstop.scenario.own_blocks import import_config, is_import_path
+from drake_nonstop.scenario.own_blocks import import_config
 from drake_nonstop.scenario.schema import (
     CHOICES,
+    FORMER_BLOCKS,
     Scenario,
     check,
     check_name,
     require_current,
-    require_current_block,
 )
 from drake_nonstop.validation import (
     ScenarioError,
@@ -190,12 +190,6 @@ def block_name(config_class: type) -> str:
     return config_class.__name__.removesuffix("Config")
 
 
-def own_tags(tree: Tree) -> set[str]:
-    """The tags in a tree, those of blocks of the user's own among them."""
-    entries = [entry for entry in tree.values() if isinstance(entry, dict)]
-    return {entry["_tag"] for entry in entries if "_tag" in entry}
-
-
 def config_class_of(name: str, tag: str, trusted: Trusted) -> type:
     """The config class that a tag in the field of that name stands for.
 
@@ -204,7 +198,7 @@ def config_class_of(name: str, tag: str, trusted: Trusted) -> type:
     """
     options = CHOICES[name]
     block = tag.removeprefix("!")
-    if is_import_path(block) and name != "scene":
+    if "." in block and name != "scene":  # the import path of a block of the user's own
         require(
             trusted is True or (trusted and tag in trusted),
             name,
@@ -213,7 +207,8 @@ def config_class_of(name: str, tag: str, trusted: Trusted) -> type:
             "trust that code, give --trust (in Python: trust=True)",
         )
         return import_config(name, block)
-    require_current_block(name, block, tag)
+    if former := FORMER_BLOCKS.get((name, block)):
+        require(False, name, tag, former)
     matching = [option for option in options if block_name(option) == block]
     require(matching, name, tag, f"give one of !{', !'.join(map(block_name, options))}")
     return matching[0]

@@ -32,9 +32,7 @@ class FollowingCamera:
 class LiveCanvas:
     """A Meshcat as a canvas: changes are seen at once, and recorded while the Meshcat records.
 
-    Args:
-        meshcat: the Meshcat.
-        root: what the paths of the scene's objects begin with.
+    The paths of the scene's objects begin with `root`.
     """
 
     def __init__(self, meshcat: Meshcat, root: str = ROOT):

@@ -62,8 +62,7 @@ def start_meshcat(port: int | None = None) -> Meshcat:
 def start_hidden_meshcat(url: str = "http://localhost:{port}") -> tuple[Meshcat, str]:
     """A Meshcat at an address of this machine that cannot be guessed, and that address.
 
-    Args:
-        url: what the Meshcat gives as its own address.
+    The Meshcat gives `url` as its own.
     """
     # One of 2^24 addresses, times 2^15 ports.
     host = ".".join(["127", *(str(secrets.choice(range(1, 255))) for _ in range(3))])

@@ -175,13 +175,7 @@ class NonstopVisualizer(LeafBlock):
 def show_in(
     meshcat: Meshcat, *, frame_rate: float = FRAME_RATE, path: str = ROOT
 ) -> Callable[[DiagramBuilder, Diagram, Scenario], NonstopVisualizer]:
-    """A viewer for `simulate` that shows the run in a Meshcat.
-
-    Args:
-        meshcat: the Meshcat to show it in.
-        frame_rate: the most frames per second of wall time.
-        path: what the objects' paths in the Meshcat begin with; see `NonstopVisualizer`.
-    """
+    """A viewer for `simulate` that shows the run in a Meshcat; see `NonstopVisualizer`."""
 
     def add(builder: DiagramBuilder, nonstop: Diagram, scenario: Scenario) -> NonstopVisualizer:
         return NonstopVisualizer.AddToBuilder(

@@ -5,7 +5,7 @@ log file, a line is written every two seconds instead.
 """
 
 import sys
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import TYPE_CHECKING, Any, ClassVar, TextIO
 
 from drake_nonstop.validation import is_number, require
 
@@ -55,23 +55,23 @@ class TaskProgress(_Progress):
             sweep(scenario, spec, folder, progress=progress)
     """
 
-    _FORMAT = "{desc} |{bar}| {percentage:3.0f}% [{elapsed}<{remaining}]"
+    _OPTIONS: ClassVar = {
+        "total": 1.0,
+        "bar_format": "{desc} |{bar}| {percentage:3.0f}% [{elapsed}<{remaining}]",
+    }
 
     def __init__(self) -> None:
         super().__init__()
-        self._begin(0.0)
+        self._show(0.0, **self._OPTIONS)
 
     def __call__(self, what: str, share: float) -> None:
         """Shows what is being done and the share of it that is done, 0 to 1.
 
         A share below the one before begins the next task.
         """
-        bar = self._begin(share)
+        bar = self._show(share, **self._OPTIONS)
         bar.set_description_str(what, refresh=False)
         bar.update(share - bar.n)
-
-    def _begin(self, share: float) -> "tqdm[Any]":
-        return self._show(share, total=1.0, bar_format=self._FORMAT)
 
 
 class RunProgress(_Progress):
@@ -86,23 +86,15 @@ class RunProgress(_Progress):
         duration: of the run, in s.
     """
 
-    _FORMAT = "{desc} |{bar}| {n:6.2f} / {total:g} s{postfix}"
-
     def __init__(self, name: str, duration: float):
         super().__init__()
         _import_tqdm()  # not while the run is timed
-        self._name = name
-        self._duration = duration
+        bar_format = "{desc} |{bar}| {n:6.2f} / {total:g} s{postfix}"
+        self._options = {"desc": name, "total": duration, "bar_format": bar_format}
 
     def __call__(self, simulated: float) -> None:
         """Shows the simulated time in s; an earlier one than before begins another run."""
-        bar = self._show(
-            simulated,
-            desc=self._name,
-            total=self._duration,
-            initial=simulated,
-            bar_format=self._FORMAT,
-        )
+        bar = self._show(simulated, initial=simulated, **self._options)
         elapsed = bar.format_dict["elapsed"]
         if elapsed > 0 and simulated > bar.initial:
             factor = (simulated - bar.initial) / elapsed

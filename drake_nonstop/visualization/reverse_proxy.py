@@ -26,10 +26,7 @@ def is_own(head: bytes) -> bool:
 
     A browser says of every WebSocket which page opens it (Origin), so that a foreign page that
     guesses the address is known; and by which name it found the server (Host), so that a foreign
-    name for this machine is known.
-
-    Args:
-        head: the request line and the header, with the empty line after them.
+    name for this machine is known. The head is the request line and the header.
     """
     request, *lines = head.decode("latin-1").split("\r\n")
     cut = [line.partition(":") for line in lines]
