@@ -21,8 +21,11 @@ from drake_nonstop.studies.design_figures import (
 )
 from drake_nonstop.studies.design_request import read_request
 from drake_nonstop.studies.designed_formation import DesignedFormation
-from drake_nonstop.studies.feasible_region import redesigned_region, redesigned_scenario
-from drake_nonstop.studies.formation_search import design_one
+from drake_nonstop.studies.formation_search import (
+    design_one,
+    redesigned_region,
+    redesigned_scenario,
+)
 
 REQUEST = [
     *("carriers=[4]", "cable_length=[200, 200]"),

@@ -22,8 +22,13 @@ from drake_nonstop.optimization.formation_program import (
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.run import StepCheck
 from drake_nonstop.studies.design_request import DesignRequest, read_request
-from drake_nonstop.studies.designed_formation import DesignedFormation, Refusal
-from drake_nonstop.studies.formation_flight import design_task, flight_of, reserve_of
+from drake_nonstop.studies.designed_formation import (
+    DesignedFormation,
+    Refusal,
+    design_task,
+    flight_of,
+    reserve_of,
+)
 from drake_nonstop.studies.formation_search import design_one
 
 LARGE_BANK = math.radians(20)

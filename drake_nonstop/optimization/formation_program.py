@@ -78,19 +78,22 @@ class LoadMotion(NamedTuple):
         )
 
 
-class DesignLimits(NamedTuple):
-    """Beyond which a formation cannot be flown, and how far from there it is to stay."""
+class FlightMargins(NamedTuple):
+    """Bounds of what aircraft need, each to one side."""
 
-    lift_share: float  # of C_Lmax
-    speed_share: float  # of the stall speed
-    bank: float  # rad
-    climb: float  # rad
+    lift_share: float  # of C_Lmax, at most
+    speed_share: float  # of the stall speed, at least
+    bank: float  # rad, at most
+    climb: float  # rad, at most
+    thrust_reserve: float  # of the range of thrust at that airspeed, at least, at either end
+
+
+class DesignLimits(NamedTuple):
+    """Beyond which a formation cannot be flown, and where it is to stay."""
+
+    own: FlightMargins
+    wanted: FlightMargins
     carrier_distance: float  # of the reach
-    lift_margin: float  # of C_Lmax
-    speed_margin: float  # of the stall speed
-    bank_margin: float  # rad
-    climb_margin: float  # rad
-    thrust_margin: float  # of the range of thrust at that airspeed, at either end
     separation: float  # m, of carriers
     asked: tuple[tuple[Limit, float], ...] = ()  # rows of the table of limits, with their values
 
@@ -116,6 +119,13 @@ class FormationTask:
     def with_motions(self, count: int) -> "FormationTask":
         """The same with the first motions only."""
         return dataclasses.replace(self, motions=self.motions[:count])
+
+    def angles(self, kind: str, phases: int) -> NDArray:
+        """The azimuths of all carriers, and then their phases, at phases of a turn."""
+        turn, places = (2 * np.pi * np.arange(k) / k for k in (phases, self.load.carriers))
+        if kind != LEANING:
+            return np.concatenate([turn, np.zeros(phases)])
+        return np.concatenate([np.repeat(places, phases), np.tile(turn, len(places))])
 
     def share(self, x: FormationVariables) -> Any:
         """f₀, N."""
@@ -167,21 +177,23 @@ class _Formation:
 
     def __init__(self, task: FormationTask, kind: str):
         self.task, self.kind = task, kind
-        own, climb = task.limits, math.sin(task.limits.climb)
-        climb_margin = climb - math.sin(own.climb - own.climb_margin)
+        own, wanted = task.limits.own, task.limits.wanted
+        margins = FlightMargins(*(abs(a - b) for a, b in zip(own, wanted, strict=True)))
+        climb = math.sin(own.climb)
+        climb_margin = climb - math.sin(wanted.climb)
         # Of each quantity its name, the side of its limit, the limit, and the margin from it.
         self._limits = [
-            ("lift", -1, own.lift_share, own.lift_margin),
-            ("airspeed", 1, own.speed_share, own.speed_margin),
-            ("bank", -1, own.bank, own.bank_margin),
-            ("bank", 1, -own.bank, own.bank_margin),
+            ("lift", -1, own.lift_share, margins.lift_share),
+            ("airspeed", 1, own.speed_share, margins.speed_share),
+            ("bank", -1, own.bank, margins.bank),
+            ("bank", 1, -own.bank, margins.bank),
             ("climb", -1, climb, climb_margin),
             ("climb", 1, -climb, climb_margin),
-            ("thrust_above", 1, 0.0, own.thrust_margin),
-            ("thrust_below", 1, 0.0, own.thrust_margin),
+            ("thrust_above", 1, own.thrust_reserve, margins.thrust_reserve),
+            ("thrust_below", 1, own.thrust_reserve, margins.thrust_reserve),
             ("share", 1, 0.0, _LEAST_SHARE),
         ]
-        asked = [limit.words for limit, _ in own.asked for _ in range(limit.margin_count)]
+        asked = [limit.words for limit, _ in task.limits.asked for _ in range(limit.margin_count)]
         self.names = [*(name for name, *_ in self._limits), *asked]
 
     def traced(self, function: Callable, sizes: list[int]) -> TracedFunction:
@@ -202,8 +214,8 @@ class _Formation:
     def of_carrier(self, values: NDArray, angles: NDArray, motion: NDArray) -> NDArray:
         """The rows of one carrier, and its power, W, at [azimuth, phase] and a `LoadMotion`."""
         x = _variables(values)
-        aircraft = self.task.aircraft._replace(cable_length=x.cable_length)
         moved = LoadMotion(*(motion[i : i + 3] for i in range(0, _MOTION_SIZE, 3)))
+        aircraft = self.task.aircraft._replace(cable_length=x.cable_length)
         orbit = self.task.orbit(self.kind, x, angles, moved.at(x.speed))
         velocity = orbit.velocities
         force = needed_force(aircraft, orbit.accelerations, orbit.forces)
@@ -292,13 +304,11 @@ class FormationProgram:
         self._of_carrier = formation.traced(formation.of_carrier, [2, _MOTION_SIZE])
         self._of_pair = formation.traced(formation.of_pair, [4])
         n = task.load.carriers
-        turn, between = (2 * np.pi * np.arange(k) / k for k in (phases, _FINE))
+        between = 2 * np.pi * np.arange(_FINE) / _FINE
         places = 2 * np.pi * np.arange(n) / n
-        pairs = [(p, a) for p in places for a in turn] if is_leaning else [(a, 0.0) for a in turn]
+        pairs = task.angles(kind, phases).reshape(2, -1).T
         self._samples = [
-            (np.array(angles), np.concatenate(motion))
-            for motion in task.motions
-            for angles in pairs
+            (angles, np.concatenate(motion)) for motion in task.motions for angles in pairs
         ]
         self._per_motion = len(pairs)
         self._neighbours = [

@@ -12,9 +12,11 @@ from drake_nonstop.studies.design_request import DesignRequest
 from drake_nonstop.studies.designed_formation import (
     DesignedFormation,
     Refusal,
+    design_bounds,
+    design_task,
+    flight_of,
     formation_scenario,
 )
-from drake_nonstop.studies.formation_flight import design_bounds, design_task, flight_of
 from drake_nonstop.studies.formation_search import design_one
 from drake_nonstop.studies.run_all import Progress, no_progress, run_all
 from drake_nonstop.validation import ScenarioError, message_of

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from drake_nonstop.studies.design import Design
-from drake_nonstop.studies.feasible_region import FeasibleRegion
+from drake_nonstop.studies.formation_search import FeasibleRegion
 from drake_nonstop.visualization.figure_style import COLOURS, new_figure
 
 if TYPE_CHECKING:

@@ -1,21 +1,336 @@
-"""A designed formation, why there is none, and the scenario that flies one."""
+"""A designed formation: what its aircraft need and miss, at rest and on the way, and its scenario.
+
+What they need is by the exact inverse of their dynamics, at phases of a turn and instants of the
+way.
+"""
 
 import dataclasses
 import math
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from drake_nonstop.analysis.flight_envelope import BowedCables
-from drake_nonstop.optimization.formation_program import LEANING, FormationVariables
+from drake_nonstop.analysis.flight_envelope import BowedCables, FlightEnvelope
+from drake_nonstop.mechanics.aircraft import (
+    FlightNeeds,
+    airspeed_over_loaded_stall,
+    drawn_power,
+    stall_speed,
+    thrust_limits,
+    thrust_share,
+)
+from drake_nonstop.mechanics.formation_orbit import CarriedLoad
+from drake_nonstop.mechanics.planned_orbit import needs_of_motion
+from drake_nonstop.optimization.formation_program import (
+    ASKED_MARGIN,
+    LEANING,
+    DesignLimits,
+    FlightMargins,
+    FormationProgram,
+    FormationTask,
+    FormationVariables,
+    LoadMotion,
+)
+from drake_nonstop.optimization.limits import Of, asked
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.scenario.overrides import as_override
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.studies.design_request import GRAVITY, DesignRequest
-from drake_nonstop.studies.formation_flight import PEAK, Break, FlightExtremes
 
+PEAK = 2.1875  # the largest speed of a septic move, over its mean
+MOST_RESERVE = 2.0  # that is looked for
+KEY_INSTANTS, INSTANTS = 6, 24  # of the way
+_COARSE, _FINE = 24, 90  # phases of a turn
+_DOUBLINGS, _HALVINGS = 8, 20
+_OF_RANGE = " of its range"
 _START_TIME, _END_TIME, _REST_TIME = 5.0, 10.0, 60.0  # s, before and after a way; without one
+_ENVELOPE = FlightEnvelope()
+OTHER_MARGINS = {  # by the names of the program's rows
+    "share": "the least force of a cable",
+    "apart_reach": "the distance of carriers beside the length of their cables",
+    "cables": "the distance of cables",
+}
+
+
+class FlightExtremes(NamedTuple):
+    """What the aircraft of a formation need, over all carriers, phases and the load's way."""
+
+    lift_share: float  # of C_Lmax, the largest
+    airspeed_min: float  # m/s
+    airspeed_max: float  # m/s
+    over_stall: float  # of the airspeed, over the stall speed without a cable, the least
+    over_loaded_stall: float  # over the one with cable and bank
+    bank: float  # rad, the largest, to either side
+    climb: float  # rad, the largest, up or down
+    thrust_min: float  # N
+    thrust_max: float  # N
+    thrust_share_min: float  # of the largest thrust at that airspeed
+    thrust_share_max: float
+    thrust_above: float  # of the range of thrust, left above, the least
+    thrust_below: float  # left below
+    power: float  # W, that an aircraft draws from its battery, the mean at rest
+    asked: tuple[float, ...] = ()  # of each limit that is asked for, what is closest to it
+
+
+class Break(NamedTuple):
+    """How far one thing may grow, alone, and the limit that is then missed first."""
+
+    what: str  # wind, with its direction, load or speed
+    unit: str
+    value: float  # the largest that was looked at, where it misses no limit
+    limit: str  # "": there is none
+
+    @property
+    def text(self) -> str:
+        """Such as "load 14.2 kg (bank)"."""
+        reached = f"{self.value:.3g} {self.unit}"
+        if not self.limit:
+            return f"{self.what} not up to {reached}"
+        return f"{self.what} {reached} ({self.limit})"
+
+
+class Missed(NamedTuple):
+    """A quantity beyond what is asked of it."""
+
+    beyond: float  # of the margin
+    name: str
+    text: str  # with its value
+
+
+def load_motions(request: DesignRequest, count: int) -> tuple[LoadMotion, ...]:
+    """The load at rest and, where it moves, at instants of its way.
+
+    6 of them are those that matter most: at rest, the fastest, those of the largest accelerations,
+    and two between. Others are evenly apart from the first to the last, where the snap is the
+    largest.
+    """
+    still = LoadMotion(np.zeros(3), np.zeros(3))
+    if request.speed == 0:
+        return (still,)
+    way = np.array(request.displacement)
+    distance = float(np.linalg.norm(way))
+    if count == KEY_INSTANTS:
+        steep = math.sqrt(0.05)  # from the middle, where the acceleration is the largest
+        instants = [0.5 + share * steep for share in (0.0, -1.0, 1.0, -0.5, 0.5)]
+    else:
+        instants = [k / (count - 2) for k in range(count - 1)]
+    motions = [still]
+    for t in instants:  # of s(t) = 35 t⁴ − 84 t⁵ + 70 t⁶ − 20 t⁷
+        u, side = t * (1 - t), 1 - 2 * t
+        rates = 140 * u**3, 420 * u**2 * side, 840 * u * (1 - 5 * u), 840 * side * (1 - 10 * u)
+        times = [PEAK**order * distance ** (order - 1) for order in range(1, 5)]
+        motion = [way / distance * rate / time for rate, time in zip(rates, times, strict=True)]
+        motions.append(LoadMotion(*motion))
+    return tuple(motions)
+
+
+def design_task(request: DesignRequest, carriers: int, count: int = KEY_INSTANTS) -> FormationTask:
+    """The task of the program, with a number of instants on the way, as of `load_motions`."""
+    wind = np.array(request.wind)
+    along = wind if np.any(wind) else -np.array(request.displacement)
+    size = float(np.linalg.norm(along))
+    return FormationTask(
+        aircraft=request.check(),
+        load=CarriedLoad(
+            mass=request.load_mass,
+            drag=request.load_drag,
+            gravity=GRAVITY,
+            carriers=carriers,
+            radius=request.load_radius,
+            compliance=1 / request.cable_stiffness,
+        ),
+        wind=along / size if size > 0 else np.array([1.0, 0.0, 0.0]),
+        motions=load_motions(request, count),
+        limits=DesignLimits(
+            own=FlightMargins(*(getattr(_ENVELOPE, name, 0.0) for name in FlightMargins._fields)),
+            wanted=FlightMargins(*(getattr(request, name) for name in FlightMargins._fields)),
+            carrier_distance=_ENVELOPE.carrier_distance,
+            separation=request.separation,
+            asked=tuple(asked(request, Of.FLIGHT)),
+        ),
+    )
+
+
+def design_bounds(request: DesignRequest, carriers: int, kind: str) -> tuple[NDArray, NDArray]:
+    """The least and the largest `FormationVariables` (10,) that are looked for.
+
+    The load's mass and speed and the wind are those of the request.
+    """
+    fixed = [request.load_mass, float(np.linalg.norm(request.wind)), request.speed]
+    least, most = request.cable_length
+    lower, upper = [0.05, 0.0, 0.0, 0.0, 0.05], [2.0, 0.0, 0.0, 0.0, 5.0]
+    if kind == LEANING:
+        lower[1:3] = [0.01, 0.01]
+        upper[:4] = [1.5, 1.0, 1.0, 0.6 if carriers > 3 else 0.0]
+    return np.array([*lower, least, *fixed, -1e3]), np.array([*upper, most, *fixed, MOST_RESERVE])
+
+
+def formation_needs(
+    task: FormationTask, kind: str, x: FormationVariables, phases: int = _FINE
+) -> Iterator[FlightNeeds]:
+    """What all aircraft need at phases of a turn, for each motion."""
+    aircraft = task.aircraft._replace(cable_length=x.cable_length)
+    angles = task.angles(kind, phases)
+    for motion in task.motions:
+        yield needs_of_motion(aircraft, task.orbit(kind, x, angles, motion.at(x.speed)))
+
+
+def flight_of(
+    task: FormationTask, kind: str, x: FormationVariables, phases: int = _FINE
+) -> FlightExtremes:
+    """The extremes of what the aircraft need; the power is that of the first motion."""
+    aircraft = task.aircraft
+    found = list(formation_needs(task, kind, x, phases))
+    needs = FlightNeeds(*map(np.concatenate, zip(*found, strict=True)))
+    airspeed, thrust = needs.airspeed, needs.thrust
+    least, most = thrust_limits(aircraft, airspeed)
+    at_rest = found[0]
+    shares = thrust_share(aircraft, thrust, airspeed)
+    over_stall = airspeed_over_loaded_stall(aircraft, airspeed, needs.lift, thrust)
+    extremes: list[Any] = [
+        np.max(needs.lift) / float(aircraft.max_lift),
+        np.min(airspeed),
+        np.max(airspeed),
+        np.min(airspeed) / float(stall_speed(aircraft)),
+        np.min(over_stall),
+        np.max(np.abs(needs.bank)),
+        np.max(np.abs(needs.climb)),
+        np.min(thrust),
+        np.max(thrust),
+        np.min(shares),
+        np.max(shares),
+        np.min((most - thrust) / (most - least)),
+        np.min((thrust - least) / (most - least)),
+        np.mean(drawn_power(aircraft, at_rest.thrust, at_rest.airspeed)),
+    ]
+    values = [(limit, limit.values(aircraft, needs)) for limit, _ in task.limits.asked]
+    closest = tuple(float(each[limit.worst(each)]) for limit, each in values)
+    extremes = [*map(float, extremes), closest]
+    return FlightExtremes(*extremes)
+
+
+def missed_limits(
+    task: FormationTask, flight: FlightExtremes, reserve: float = 0.0
+) -> list[Missed]:
+    """What is beyond the limits, the farthest first; with a reserve of 1 beyond the margins."""
+    rows = []
+    count = len(flight.asked)
+    for k, (name, value, limit, margin, side, unit) in enumerate(_rows_of(task, flight)):
+        wanted_reserve = 1.0 if k < count else reserve  # what is asked for is no margin
+        least = limit - side * wanted_reserve * margin
+        beyond = side * (value - least) / margin
+        if beyond > 1e-4:
+            bound = "at most" if side > 0 else "at least"
+            found, wanted = (f"{number:.3g} {unit}".rstrip() for number in (value, least))
+            text = f"{name} {found} ({bound} {wanted.removesuffix(_OF_RANGE)})"
+            rows.append(Missed(beyond, name, text))
+    return sorted(rows, reverse=True)
+
+
+def reserve_of(task: FormationTask, flight: FlightExtremes) -> float:
+    """The least margin over what is asked of it: 1 where all are kept, 0 at a limit."""
+    return min(
+        side * (limit - value) / margin
+        for _, value, limit, margin, side, _ in _rows_of(task, flight)
+    )
+
+
+class _Quantity(NamedTuple):
+    """What aircraft need that has a margin."""
+
+    words: str
+    field: str  # of `FlightMargins`
+    side: int  # of its limit; 1: at most
+    value: Callable[[FlightExtremes], float]
+    unit: str = ""
+    factor: float = 1.0  # from the field's unit to that
+
+
+_DEGREE, _PERCENT = math.degrees(1.0), "%" + _OF_RANGE
+QUANTITIES = (
+    _Quantity("C_L / C_Lmax", "lift_share", 1, lambda flight: flight.lift_share),
+    _Quantity("airspeed / stall speed", "speed_share", -1, lambda flight: flight.over_stall),
+    _Quantity("bank", "bank", 1, lambda flight: flight.bank, "deg", _DEGREE),
+    _Quantity("climb or descent", "climb", 1, lambda flight: flight.climb, "deg", _DEGREE),
+    *(
+        _Quantity(f"thrust left to the {end}", "thrust_reserve", -1, value, _PERCENT, 100.0)
+        for end, value in (
+            ("largest", lambda flight: flight.thrust_above),
+            ("least", lambda flight: flight.thrust_below),
+        )
+    ),
+)
+
+
+def _rows_of(
+    task: FormationTask, flight: FlightExtremes
+) -> Iterator[tuple[str, float, float, float, int, str]]:
+    """Of each quantity: its name, value, limit and margin, the limit's side, and the unit.
+
+    Those of the limits that are asked for come first.
+    """
+    limits = task.limits
+    for (row, stated), value in zip(limits.asked, flight.asked, strict=True):
+        margin = ASKED_MARGIN * stated
+        yield row.words, value, stated - row.side * margin, margin, -row.side, row.unit
+    for each in QUANTITIES:
+        limit, wanted = (getattr(bounds, each.field) for bounds in (limits.own, limits.wanted))
+        value, limit, margin = (
+            each.factor * number for number in (each.value(flight), limit, abs(limit - wanted))
+        )
+        yield each.words, value, limit, margin, each.side, each.unit
+
+
+def breaking_points(
+    task: FormationTask, kind: str, x: FormationVariables, phase_turns: int, phases: int = _COARSE
+) -> Iterator[Break]:
+    """How far the wind, the load and its speed may grow, each alone, before a limit is missed.
+
+    The forces of the pattern stay as they are, in N. The wind grows in its direction, or where
+    there is none against the load's way. The distances of carriers and of cables, and the least
+    force of a cable, are those at rest.
+    """
+    program = FormationProgram(task.with_motions(1), kind, phase_turns, phases=phases)
+    beside = np.flatnonzero(np.isin(program.row_names, list(OTHER_MARGINS)))
+
+    def missed(what: str, value: float) -> list[str]:
+        grown = with_load(x, value) if what == "mass" else x._replace(**{what: value})
+        flight = flight_of(task, kind, grown, phases=phases)
+        found = [each.name for each in missed_limits(task, flight)]
+        rows = program.rows(np.array(grown))[0][beside]
+        if np.min(rows) < 0:
+            found.append(OTHER_MARGINS[str(program.row_names[beside[np.argmin(rows)]])])
+        return found
+
+    is_resting = len(task.motions) == 1
+    wind = "wind" if is_resting or x.wind != 0 else "wind against the load's way"
+    for what, name, unit, first in (
+        ("wind", wind, "m/s", max(1.0, 2 * x.wind)),
+        ("mass", "load", "kg", 1.5 * x.mass),
+        ("speed", "speed", "m/s", max(1.0, 2 * x.speed)),
+    )[: 2 if is_resting else 3]:
+        low, high = getattr(x, what), first
+        for _ in range(_DOUBLINGS):
+            last = missed(what, high)
+            if last:
+                break
+            low, high = high, 2 * high
+        for _ in range(_HALVINGS if last else 0):
+            middle = (low + high) / 2
+            found = missed(what, middle)
+            low, high, last = (low, middle, found) if found else (middle, high, last)
+            if high - low < 1e-3 * high:
+                break
+        yield Break(name, unit, low, last[0] if last else "")
+
+
+def with_load(x: FormationVariables, mass: float) -> FormationVariables:
+    """The same forces in N, rates and cables, under a load of another mass in kg."""
+    ratio = x.mass / mass
+    return x._replace(mass=mass, **{name: ratio * getattr(x, name) for name in x._fields[:4]})
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

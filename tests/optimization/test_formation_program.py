@@ -14,27 +14,21 @@ from drake_nonstop.optimization.formation_program import (
     KINDS,
     LEANING,
     DesignLimits,
+    FlightMargins,
     FormationProgram,
     FormationTask,
     FormationVariables,
     LoadMotion,
 )
 from drake_nonstop.optimization.limits import Of, limits_of
-from drake_nonstop.studies.formation_flight import formation_needs
+from drake_nonstop.studies.designed_formation import formation_needs
 
 GRAVITY, MASS, N, RADIUS = 9.81, 10.0, 4, 1.5
 X = np.eye(3)[0]
 LIMITS = DesignLimits(
-    lift_share=0.9,
-    speed_share=1.2,
-    bank=math.radians(50),
-    climb=math.radians(30),
+    own=FlightMargins(0.9, 1.2, math.radians(50), math.radians(30), 0.0),
+    wanted=FlightMargins(0.8, 1.25, math.radians(50) - 0.1, math.radians(30) - 0.05, 0.1),
     carrier_distance=0.05,
-    lift_margin=0.1,
-    speed_margin=0.05,
-    bank_margin=0.1,
-    climb_margin=0.05,
-    thrust_margin=0.1,
     separation=8.0,
 )
 # All limits of aircraft that can be asked for, where the needs are on their way to them.

@@ -27,19 +27,16 @@ from drake_nonstop.studies.design_request import dump_request, read_request
 from drake_nonstop.studies.designed_formation import (
     DesignedFormation,
     Refusal,
-    formation_scenario,
-)
-from drake_nonstop.studies.feasible_region import FeasibleRegion
-from drake_nonstop.studies.formation_flight import (
     breaking_points,
     design_task,
     flight_of,
     formation_needs,
+    formation_scenario,
     load_motions,
     missed_limits,
     with_load,
 )
-from drake_nonstop.studies.formation_search import FormationSearch
+from drake_nonstop.studies.formation_search import FeasibleRegion, FormationSearch
 from drake_nonstop.validation import ScenarioError
 
 WINDY = [
