@@ -116,7 +116,7 @@ def rotate_quaternion(quaternion: NDArray, rotation: NDArray) -> NDArray:
 
 
 def roll_pitch_yaw_to_quaternion(roll_pitch_yaw: NDArray) -> NDArray:
-    """The quaternion (4,) of R = R_z(yaw) R_y(pitch) R_x(roll), angles (3,) in rad."""
+    """The quaternion (..., 4) of R = R_z(yaw) R_y(pitch) R_x(roll), angles (..., 3) in rad."""
     half = roll_pitch_yaw / 2
     cr, cp, cy = components(np.cos(half))
     sr, sp, sy = components(np.sin(half))
@@ -126,7 +126,8 @@ def roll_pitch_yaw_to_quaternion(roll_pitch_yaw: NDArray) -> NDArray:
             sr * cp * cy - cr * sp * sy,
             cr * sp * cy + sr * cp * sy,
             cr * cp * sy - sr * sp * cy,
-        ]
+        ],
+        axis=-1,
     )
 
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from drake_nonstop.mechanics.rotation import roll_pitch_yaw_to_quaternion, rotation_matrix
 from drake_nonstop.mechanics.signals import CarrierStates, LoadState, Wrench
 from drake_nonstop.simulation.run import Run
 from drake_nonstop.simulation.run_quantities import attachment_positions
@@ -92,7 +93,6 @@ def write_mcap(run: Run, path: Path) -> None:
     | /carriers/K/odometry | nav_msgs/msg/Odometry | one of them, twist along its own axes |
     | /cables/K/force | geometry_msgs/msg/WrenchStamped | its force on the load, in `world` |
 
-
     Stamps are the simulated time. A carrier's x axis points along its velocity, its y axis to the
     left and level; its bank is not shown.
 
@@ -117,17 +117,9 @@ def write_mcap(run: Run, path: Path) -> None:
 
 
 def _definition(name: str) -> str:
-    """The text of a type with those of its parts."""
-    texts, open_names = [_TYPES[name]], [_TYPES[name]]
-    known: list[str] = []
-    while open_names:
-        for line in open_names.pop().splitlines():
-            part = line.split()[0].removesuffix("[]")
-            if part in _PARTS and part not in known:
-                known.append(part)
-                open_names.append(_PARTS[part])
-    texts += [f"MSG: {part}\n{_PARTS[part]}" for part in known]
-    return f"\n{80 * '='}\n".join(texts)
+    """The text of a type with those of the parts of all types."""
+    parts = [f"MSG: {part}\n{fields}" for part, fields in _PARTS.items()]
+    return f"\n{80 * '='}\n".join([_TYPES[name], *parts])
 
 
 def _topics(run: Run) -> Iterator[tuple[str, str, str, Callable[[int], Message]]]:
@@ -163,21 +155,23 @@ def _topics(run: Run) -> Iterator[tuple[str, str, str, Callable[[int], Message]]
 
 def _odometry(state: LoadState, child: str) -> Callable[[int], Message]:
     """With the twist in the axes of the child's frame, as ROS has it."""
+    rotation = rotation_matrix(state.quaternion)
     linear, angular = (
-        _turned_back(state.quaternion, vectors)
+        np.einsum("kji,kj->ki", rotation, vectors)
         for vectors in (state.velocity, state.angular_velocity)
     )
 
-    def message(i: int) -> Message:
-        twist = {"linear": _vector(linear[i]), "angular": _vector(angular[i])}
-        pose = _pose(state.position[i], state.quaternion[i])
-        return {
-            "child_frame_id": child,
-            "pose": {"pose": pose, "covariance": _NO_COVARIANCE},
-            "twist": {"twist": twist, "covariance": _NO_COVARIANCE},
-        }
-
-    return message
+    return lambda i: {
+        "child_frame_id": child,
+        "pose": {
+            "pose": _pose(state.position[i], state.quaternion[i]),
+            "covariance": _NO_COVARIANCE,
+        },
+        "twist": {
+            "twist": {"linear": _vector(linear[i]), "angular": _vector(angular[i])},
+            "covariance": _NO_COVARIANCE,
+        },
+    }
 
 
 def _wrench(wrench: Wrench) -> Callable[[int], Message]:
@@ -195,26 +189,11 @@ def _vector(values: NDArray) -> Message:
     return dict(zip("xyz", values.tolist(), strict=True))
 
 
-def _turned_back(quaternions: NDArray, vectors: NDArray) -> NDArray:
-    """Components (k, 3) of vectors (k, 3) in frames whose quaternions (k, 4) are w x y z."""
-    w, axis = quaternions[:, :1], -quaternions[:, 1:]
-    found: NDArray = vectors + 2 * np.cross(axis, np.cross(axis, vectors) + w * vectors)
-    return found
-
-
 def _along(velocities: NDArray) -> NDArray:
     """The quaternions (k, n, 4), w x y z, whose x axis is along velocities (k, n, 3), y level."""
     east, north, up = np.moveaxis(velocities, -1, 0)
-    yaw, pitch = np.arctan2(north, east) / 2, -np.arctan2(up, np.hypot(east, north)) / 2
-    return np.stack(
-        [
-            np.cos(yaw) * np.cos(pitch),
-            -np.sin(yaw) * np.sin(pitch),
-            np.cos(yaw) * np.sin(pitch),
-            np.sin(yaw) * np.cos(pitch),
-        ],
-        axis=-1,
-    )
+    yaw, pitch = np.arctan2(north, east), -np.arctan2(up, np.hypot(east, north))
+    return roll_pitch_yaw_to_quaternion(np.stack([0 * yaw, pitch, yaw], axis=-1))
 
 
 def write_rerun(run: Run, path: Path) -> None:
