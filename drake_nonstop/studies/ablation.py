@@ -89,20 +89,13 @@ def ablate(
     cannot be built, or whose run does not complete, has a row with the reason.
 
     An interrupted comparison continues from the variants that are done when it is called again
-    with the same scenario, variants and folder; a complete one is run again.
+    with the same scenario, variants and folder, unless `restart` drops these; a complete one is run
+    again.
 
-    Args:
-        scenario: what the variants change, and the first row.
-        variants: by the variant's name, a list of overrides "path=value" and of mappings from boxes
-            to configs, classes or functions, as the replacements of `make_nonstop`; or one such
-            mapping. Equal names get numbers. Processes have to be able to import what is given.
-        folder: for the results, made where there is none.
-        title: of the page.
-        replay: whether to write replays.
-        trust: whether the variants may import the user's own blocks, which runs their code.
-        restart: whether to drop what the folder has of an interrupted comparison.
-        make_loop: as of `simulate`; a function that processes can import.
-        progress: called with a description and the share that is done.
+    `variants` are by their names: a list of overrides "path=value" and of mappings from boxes to
+    configs, classes or functions, as the replacements of `make_nonstop`; or one such mapping. Equal
+    names get numbers. Processes have to be able to import what is given, and `make_loop`, which is
+    as of `simulate`; `trust` lets variants import the user's own blocks, which runs their code.
 
     Returns:
         The row of the unchanged scenario, and then the variants by their effect on the load's
@@ -119,11 +112,11 @@ def ablate(
     require_flags(replay=replay, trust=trust, restart=restart)
     require_main()
     require_drawing()
-    pairs = _checked(variants)
+    pairs: list[tuple[str, list[Change]]] = [(BASE, []), *_checked(variants)]
     require_sendable(make_loop, "make_loop")
-    rows = _named([(BASE, []), *pairs])
+    rows = _named(pairs)
     texts, arguments, first_error = {}, {}, None
-    for k, (row, (_, changes)) in enumerate(zip(rows, [(BASE, []), *pairs], strict=True)):
+    for k, (row, (_, changes)) in enumerate(zip(rows, pairs, strict=True)):
         try:
             variant, others = varied(scenario, changes, trust=trust)
             texts[k] = dump_scenario(sample(variant)[0])
@@ -143,21 +136,13 @@ def ablate(
             row.metrics = json.loads(read_regular(folder / row.folder / "metrics.json"))
             curves[row.folder] = result["curves"]
 
-    settings = ablation_settings(scenario, pairs, replay=replay, make_loop=make_loop)
+    settings = ablation_settings(scenario, pairs[1:], replay=replay, make_loop=make_loop)
     places = [row.folder for row in rows]
     contents = [*_FILES, *(f"{place}/{item}" for place in places for item in RUN_FILES)]
-    with (
-        open_journal(
-            folder,
-            settings,
-            list(texts),
-            _RESULT,
-            contents=contents,
-            restart=restart,
-            what="variants",
-        ) as journal,
-        shared(folder / place for place in places),
-    ):
+    journalled = open_journal(
+        folder, settings, [*texts], _RESULT, contents=contents, restart=restart, what="variants"
+    )
+    with journalled as journal, shared(folder / place for place in places):
         done = {k for k in texts if _is_there(folder, rows[k], texts[k], journal, k)}
         for key in done:
             add(rows[key], journal.result(key))
@@ -197,11 +182,7 @@ def ablation_settings(
 
 
 def _checked(variants: Variants) -> list[tuple[str, list[Change]]]:
-    """The variants as pairs of a name and changes.
-
-    Raises:
-        ScenarioError: they are anything else.
-    """
+    """The variants as pairs of a name and changes; raises ScenarioError for anything else."""
     remedy = 'give a mapping from names to lists of overrides, {"name": ["path=value"]}'
     pairs: Any = variants.items() if isinstance(variants, Mapping) else variants
     checked = []
@@ -288,37 +269,27 @@ def read_grid(name_or_file: str | Path) -> Grid:
     require(is_path, "--grid", name_or_file, "give a grid's name, or a .yaml file")
     path = Path(name_or_file)
     if path.suffix not in (".yaml", ".yml"):
-        names = grid_names()
-        require(
-            str(name_or_file) in names,
-            "--grid",
-            name_or_file,
-            f"give a .yaml file or one of {', '.join(names)}",
-        )
+        remedy = f"give a .yaml file or one of {', '.join(grid_names())}"
+        require(str(name_or_file) in grid_names(), "--grid", name_or_file, remedy)
         path = GRIDS / f"{name_or_file}.yaml"
     known = ("description", "variants", "grid")
     remedy = "give variants or grid, and a description if needed"
     content, source = read_mapping(path, "--grid", known, remedy), path.name
     given = [key for key in known[1:] if key in content]
     require(len(given) == 1, source, " and ".join(given) or "neither", "give variants or grid")
-    entries = content[given[0]]
-    require(
-        isinstance(entries, dict) and entries and "_tag" not in entries,
-        f"{source}.{given[0]}",
-        entries,
-        "give a mapping from the variants' names to lists of path=value"
-        if given[0] == "variants"
-        else "give a mapping from paths to lists of values",
-    )
-    if given[0] == "variants":
-        variants = _listed(entries, f"{source}.variants")
-    else:
-        variants = _combined(entries, f"{source}.grid")
+    (key,) = given
+    entries, where = content[key], f"{source}.{key}"
+    read, remedy = {
+        "variants": (_listed, "the variants' names to lists of path=value"),
+        "grid": (_combined, "paths to lists of values"),
+    }[key]
+    is_mapping = isinstance(entries, dict) and entries and "_tag" not in entries
+    require(is_mapping, where, entries, f"give a mapping from {remedy}")
+    variants = read(entries, where)
     return Grid(name=path.stem, description=content.get("description", ""), variants=variants)
 
 
 def _listed(entries: Mapping[str, Any], source: str) -> dict[str, list[str]]:
-    """The variants that a file lists, by their names."""
     for name, overrides in entries.items():
         require(name.strip(), source, "a variant without a name", "name it")
         where = f"{source}.{name}"

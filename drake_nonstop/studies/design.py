@@ -51,17 +51,11 @@ _COLUMNS = {  # of the table, with formats of the entries of `design_dictionary`
 
 @dataclass(frozen=True, kw_only=True)
 class Design:
-    """What was found for a request.
-
-    Attributes:
-        request: as given.
-        formations: that keep its margins, the least power first.
-        refusals: of other numbers of carriers and kinds, or of some margins of the same.
-    """
+    """What was found for a request."""
 
     request: DesignRequest
-    formations: tuple[DesignedFormation, ...]
-    refusals: tuple[Refusal, ...]
+    formations: tuple[DesignedFormation, ...]  # that keep its margins, the least power first
+    refusals: tuple[Refusal, ...]  # of other carriers and kinds, or of some margins of the same
 
     def is_efficient(self, formation: DesignedFormation) -> bool:
         """Whether no other one has less power and, to 0.02, no less reserve."""

@@ -78,11 +78,9 @@ def _open(axes: Axes) -> None:
 def make_region_figure(
     panels: Mapping[str, Sequence[FeasibleRegion]], flown: Sequence[RegionFlight] = ()
 ) -> Figure:
-    """The largest wind over the load's mass at several speeds of the load, and flights.
+    """The largest wind over the load's mass at several speeds of the load, and simulated flights.
 
-    Args:
-        panels: regions, one for each speed, by the title of their panel.
-        flown: simulated flights.
+    `panels` are regions, one for each speed, by the title of their panel.
     """
     figure = new_figure((3.4 * len(panels) + 0.4, 3.4))
     row = figure.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0]

@@ -167,11 +167,10 @@ class DesignRequest(AircraftLimits, _Asked):
 
 
 def read_request(file: str | Path | None = None, overrides: Sequence[str] = ()) -> DesignRequest:
-    """The request in a YAML file, or the default one, with changes.
+    """The request in a YAML file, or the default one, with changes "path=value".
 
-    Args:
-        file: whose keys are the fields of `DesignRequest`; the name is the file's by default.
-        overrides: changes "path=value", such as "load_mass=5" or "aircraft.mass=7".
+    The file's keys are the fields of `DesignRequest`; the name is the file's by default. Changes
+    are such as "load_mass=5" or "aircraft.mass=7".
 
     Raises:
         ScenarioError: the file cannot be read, or a field cannot be used.
@@ -186,7 +185,14 @@ def read_request(file: str | Path | None = None, overrides: Sequence[str] = ()) 
         tree = {"name": path.stem} | (content or {})
     for override in overrides:
         _apply(tree, override)
-    return _from_tree(tree)
+    request = DesignRequest()
+    if "aircraft" in tree:
+        request.aircraft = AircraftParameters()
+        remedy = "give a mapping such as {model: rascal_110}"
+        require(isinstance(tree["aircraft"], dict), "request.aircraft", tree["aircraft"], remedy)
+    filled("request", tree, request)
+    request.check()
+    return request
 
 
 def _apply(tree: dict[str, Any], override: str) -> None:
@@ -197,17 +203,6 @@ def _apply(tree: dict[str, Any], override: str) -> None:
         tree = tree.setdefault(owner, {"model": "rascal_110"})
         require(isinstance(tree, dict), "--set", path, f"{owner} has no parts; set it whole")
     tree[field or path] = value
-
-
-def _from_tree(tree: dict[str, Any]) -> DesignRequest:
-    request = DesignRequest()
-    if "aircraft" in tree:
-        request.aircraft = AircraftParameters()
-        remedy = "give a mapping such as {model: rascal_110}"
-        require(isinstance(tree["aircraft"], dict), "request.aircraft", tree["aircraft"], remedy)
-    filled("request", tree, request)
-    request.check()
-    return request
 
 
 def dump_request(request: DesignRequest) -> str:
@@ -225,8 +220,3 @@ def commented_request(request: DesignRequest) -> str:
 def _tree(request: DesignRequest) -> dict[str, Any]:
     given = {k: v for k, v in vars(request).items() if v is not None}
     return given | {"aircraft": {k: v for k, v in vars(request.aircraft).items() if v is not None}}
-
-
-def read_request_text(text: str) -> DesignRequest:
-    """The request in YAML, as `dump_request` writes it."""
-    return _from_tree(parse_plain(text, "request"))

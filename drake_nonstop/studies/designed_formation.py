@@ -103,9 +103,8 @@ class Missed(NamedTuple):
 def load_motions(request: DesignRequest, count: int) -> tuple[LoadMotion, ...]:
     """The load at rest and, where it moves, at instants of its way.
 
-    6 of them are those that matter most: at rest, the fastest, those of the largest accelerations,
-    and two between. Others are evenly apart from the first to the last, where the snap is the
-    largest.
+    6 are those that matter most: at rest, the fastest, those of the largest accelerations, and two
+    between. Others are evenly apart from the first, where the snap is the largest, to the last.
     """
     still = LoadMotion(np.zeros(3), np.zeros(3))
     if request.speed == 0:
@@ -335,19 +334,12 @@ def with_load(x: FormationVariables, mass: float) -> FormationVariables:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Found:
-    """What was found of one number of carriers and kind.
+    """What was found of one number of carriers and kind."""
 
-    Attributes:
-        kind: leaning or co_rotating.
-        carriers: n.
-        phase_turns: κ; 0 for a co-rotating one.
-        variables: of the program, forces in shares of f₀.
-    """
-
-    kind: str
-    carriers: int
-    phase_turns: int
-    variables: FormationVariables
+    kind: str  # leaning or co_rotating
+    carriers: int  # n
+    phase_turns: int  # κ; 0 for a co-rotating one
+    variables: FormationVariables  # of the program, forces in shares of f₀
 
     @property
     def reserve(self) -> float:
@@ -362,23 +354,14 @@ class _Found:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DesignedFormation(_Found):
-    """A formation that keeps the margins of a request.
+    """A formation that keeps the margins of a request."""
 
-    Attributes:
-        flight: what the aircraft need at rest and on the way.
-        distances: m, the least of two carriers and of two cables, at rest.
-        cables: what its straight cables leave out, at rest.
-        growth: 1/s, of a deviation of the load, the largest at rest and on the way.
-        breaks: what breaks first as wind, load and speed grow.
-        scenario: that flies it.
-    """
-
-    flight: FlightExtremes
-    distances: tuple[float, float]
-    cables: BowedCables
-    growth: float
-    breaks: tuple[Break, ...]
-    scenario: Scenario
+    flight: FlightExtremes  # at rest and on the way
+    distances: tuple[float, float]  # m, the least of two carriers and of two cables, at rest
+    cables: BowedCables  # what its straight cables leave out, at rest
+    growth: float  # 1/s, of a deviation of the load, the largest at rest and on the way
+    breaks: tuple[Break, ...]  # as wind, load and speed grow
+    scenario: Scenario  # that flies it
 
     @property
     def power(self) -> float:
@@ -407,17 +390,11 @@ def _forces(x: FormationVariables, carriers: int) -> dict[str, float]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Refusal(_Found):
-    """Why a number of carriers of a kind does not keep the margins; its variables are the best.
+    """Why a number of carriers of a kind does not keep the margins; its variables are the best."""
 
-    Attributes:
-        missed: what its aircraft need beyond what is asked, in words; "" where that is kept.
-        remedy: what would help, which was tried; "" where nothing did.
-        fault: what forbids a formation that keeps the margins, such as a load that sways.
-    """
-
-    missed: str = ""
-    remedy: str = ""
-    fault: str = ""
+    missed: str = ""  # what its aircraft need beyond what is asked, in words
+    remedy: str = ""  # what would help, which was tried
+    fault: str = ""  # what forbids one that keeps the margins, such as a load that sways
 
     @property
     def sentence(self) -> str:

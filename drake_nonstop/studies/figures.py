@@ -83,13 +83,9 @@ def make_overlay_figure(
 ) -> Figure:
     """The same quantity in several runs: the first black and thick, the others above it.
 
-    Args:
-        title: of the figure.
-        label: of the quantity, with its unit.
-        curves: times (k,) in s and values (k,) by the run's name.
-        framed: names of the runs that set the limits of the vertical axis.
-        bound: times and values of a bound.
-        is_logarithmic: only where no value is negative.
+    Curves are times (k,) in s and values (k,) by the run's name, and so is a bound; `framed` names
+    the runs that set the limits of the vertical axis, which is logarithmic only where no value is
+    negative.
     """
     figure = new_figure((9.0, 4.2))
     axes = figure.subplots()
@@ -129,13 +125,8 @@ def make_success_figure(
 ) -> Figure:
     """The share of runs that succeeded over two drawn values, a panel for each value of a third.
 
-    Args:
-        title: of the figure.
-        succeeded: whether each run succeeded (runs,).
-        across: label and values (runs,) of the horizontal axis, which are put into bins.
-        up: those of the vertical axis.
-        panels: label and values (runs,), with a panel for each distinct value.
-        bins: along each axis.
+    There are a label and values (runs,) each: of the horizontal and the vertical axis, which are
+    put into bins, and of the panels. `succeeded` (runs,) says it of each run.
     """
     levels = np.unique(panels[1])
     figure = new_figure((2.6 * len(levels) + 1.4, 3.6))

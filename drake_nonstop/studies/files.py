@@ -34,13 +34,8 @@ def require_writable(
 ) -> None:
     """Makes the folder where there is none.
 
-    Args:
-        folder: for results.
-        contents: paths, relative to it, of the files that will be written.
-        room: bytes that will be written.
-
-    Raises:
-        ScenarioError: no such files can be written to it.
+    Raises ScenarioError where these files, whose paths are relative to it and which take `room` in
+    bytes, cannot be written to it.
     """
     folder = as_path(folder)
     try:
@@ -101,23 +96,17 @@ def _require_replaceable(folder: Path, item: Path) -> None:
 
 @contextlib.contextmanager
 def replacing_file(path: Path) -> Iterator[BinaryIO]:
-    """A new file to write, which replaces `path` at the end; it is removed after an error.
-
-    Raises:
-        ScenarioError: its folder cannot be written.
-    """
+    """A new file to write, which replaces `path` at the end, as `replacing_files` does."""
     with replacing_files(path.parent, [path.name]) as new, (new / path.name).open("wb") as file:
         yield file
 
 
 @contextlib.contextmanager
 def replacing_files(folder: Path, contents: Iterable[str]) -> Iterator[Path]:
-    """A new folder to write files to, which replace those in `folder` at the end.
+    """A new folder to write files to, which replace those in `folder` at the end; none on an error.
 
-    Args:
-        folder: for the files.
-        contents: paths, relative to it, of all files that may be written: an old file that has
-            no new one is removed, and so is a folder of such files that is left empty.
+    Of the files that may be written, whose paths are relative to it, old ones that have no new one
+    are removed, and so is a folder that is left empty by that.
 
     Raises:
         ScenarioError: the folder cannot be written.
@@ -200,11 +189,7 @@ before_end.append(remove_unfinished)
 
 
 def open_regular(path: Path) -> BinaryIO:
-    """Opens a file to be read, which may be anything that stands in its place.
-
-    Raises:
-        OSError: it is no regular file, such as a pipe, which would have the reader wait.
-    """
+    """Opens a file; raises OSError for others, such as a pipe, which would have the reader wait."""
     file = os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb")
     if stat.S_ISREG(os.fstat(file.fileno()).st_mode):
         return file
@@ -213,11 +198,7 @@ def open_regular(path: Path) -> BinaryIO:
 
 
 def read_regular(path: Path) -> bytes:
-    """The content of a file, which may be anything that stands in its place.
-
-    Raises:
-        OSError: it is no regular file, or larger than 16 MB.
-    """
+    """The content of a file; raises OSError for what is none, or larger than 16 MB."""
     with open_regular(path) as file:
         content = file.read(_LARGEST_READ + 1)
     if len(content) > _LARGEST_READ:

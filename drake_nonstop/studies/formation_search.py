@@ -115,10 +115,7 @@ class FormationSearch:
         return found
 
     def _best_of_starts(self) -> NDArray:
-        """The variables of the largest reserve, from several starts, at coarse phases.
-
-        With any κ, which is taken.
-        """
+        """The variables of the largest reserve, from several starts and with any κ, coarsely."""
         coarse, resting = self.program(2, _COARSE), self.program(1, 6)
         drawn = [self._drawn() for _ in range(_CANDIDATES)]
         drawn.sort(key=lambda values: -resting.rows(values)[0].min())
@@ -415,13 +412,9 @@ def redesigned_region(
     The forces, ξ and, in the request's range, the cables are those that keep the limits in the most
     wind, at rest and on the way; found from mass to mass, from that of the request on. Beyond the
     border a limit of the aircraft or of their controllers is missed: of lift, airspeed, bank, climb
-    or thrust. The wind has the direction of the request's, or is against the load's way.
-
-    Args:
-        request: what the formation was designed for, whose kind, n and κ they have.
-        formation: found for it.
-        masses: of the load, kg, in rising order.
-        speed: of the load, m/s.
+    or thrust. The wind has the direction of the request's, or is against the load's way. The
+    formation was found for the request; its kind, n and κ stay. Masses are in rising order, in kg,
+    the load's speed is in m/s.
     """
     redesign = _Redesign(request, formation, speed)
     found: dict[float, FormationVariables] = {}

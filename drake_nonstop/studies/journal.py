@@ -27,7 +27,7 @@ _IMPORT_PATH = re.compile(r"(?<![\w.])([A-Za-z_]\w*)(?=\.[A-Za-z_])")
 
 
 class StudyInterrupted(KeyboardInterrupt):
-    """A study was interrupted from the keyboard; the message says how much of it is done."""
+    """Ctrl-C ended a study; the message says how much of it is done."""
 
 
 class Journal:
@@ -48,7 +48,7 @@ class Journal:
         return len(self._places)
 
     def result(self, key: int | str) -> dict[str, Any]:
-        """The result of a run."""
+        """What was recorded."""
         self._reader.seek(self._places[key])
         result: dict[str, Any] = json.loads(self._reader.readline())
         del result["run"]
@@ -203,17 +203,11 @@ def open_journal(
 ) -> Iterator[Journal]:
     """The journal in a folder, with what is done of the study.
 
-    A study that is complete is started again, whatever its settings. The folder stays as it is
-    until there is a first result; one that was made for nothing is removed.
-
-    Args:
-        folder: of the results, made where there is none; None: nothing is kept.
-        settings: of the study, by `settings_of`.
-        keys: of the study's runs.
-        fields: of each result, with their types in JSON.
-        contents: paths, relative to the folder, of the files that the study will write.
-        restart: whether to drop what the folder has.
-        what: what the message of an interrupt calls the runs.
+    A study that is complete is started again, whatever its settings, which are by `settings_of`; so
+    is any with `restart`. The folder stays as it is until there is a first result; one that was
+    made for nothing is removed. Without a folder nothing is kept. `keys` are those of the runs,
+    `fields` those of each result with their types in JSON, `contents` the files in the folder that
+    the study will write; the message of an interrupt calls runs `what`.
 
     Raises:
         ScenarioError: the folder has unfinished runs of other settings, another study is running

@@ -134,13 +134,8 @@ def call_in_processes(
     their own each; one that dies again is answered by an error.
 
     Where this ends by an error, the processes are killed; where it ends by an interrupt, those
-    that keep what is done (`keep_what_is_done`) have a short time for that.
-
-    Args:
-        function: one that other processes can import.
-        keys: one for each call.
-        arguments: the function's arguments for a key, which must be picklable.
-        record: called with a key and its answer; a first signal meanwhile acts at its end.
+    that keep what is done (`keep_what_is_done`) have a short time for that. A first signal while an
+    answer is recorded acts at the end of that.
 
     Raises:
         ScenarioError: processes end as they start.
@@ -285,11 +280,7 @@ class _Calls:
             self._record(worker.key, message)
 
     def _lose(self, worker: _Worker) -> None:
-        """Notes the end of a worker.
-
-        Raises:
-            ScenarioError: workers end as they start.
-        """
+        """Notes the end of a worker; raises ScenarioError where workers end as they start."""
         self._workers.remove(worker)
         code = None
         if worker.process.pid is not None:

@@ -30,6 +30,7 @@ from drake_nonstop.studies.files import (
     write_json,
 )
 from drake_nonstop.studies.journal import journalled_settings, own_code_of
+from drake_nonstop.studies.run_all import Progress, no_progress
 from drake_nonstop.validation import require, require_flags
 from drake_nonstop.visualization.drawing import draw_diagram
 from drake_nonstop.visualization.replay import record_replay
@@ -53,12 +54,8 @@ def default_folder(folder: Path, settings: str | Scenario) -> Path:
     """Where results go unless the user names a folder: not over those of other settings.
 
     It is the folder itself, or the first of FOLDER_2, FOLDER_3, ... that has no results yet, or
-    those of the same settings. A run's settings are its scenario and the user's own modules that
-    it names; those of a run that was steered are never the same.
-
-    Args:
-        folder: the first to be tried.
-        settings: of a study, by `settings_of`; of a run, its scenario.
+    those of the same settings. Those of a study are by `settings_of`; those of a run are its
+    scenario and the user's own modules that it names, and of one that was steered never the same.
     """
 
     def is_free(place: Path) -> bool:
@@ -141,12 +138,6 @@ def write_results(
     results once they are written; diagram.svg, replay.html and figures/ follow, one by one.
     Earlier ones that show the same flight stay until then. `Run.load` reads the run back.
 
-    Args:
-        run: what to write.
-        folder: for the results, made where there is none.
-        figures: whether to write figures.
-        replay: whether to write the replay.
-
     Raises:
         ScenarioError: the folder cannot be written, or `figures` or `replay` is no truth value;
             then all but the pictures is written.
@@ -204,7 +195,7 @@ def write_pictures(
     *,
     figures: bool = True,
     replay: bool = True,
-    progress: Callable[[str, float], None] = lambda what, share: None,
+    progress: Progress = no_progress,
 ) -> None:
     """Writes diagram.svg, replay.html and figures/, each of which appears once it is complete.
 

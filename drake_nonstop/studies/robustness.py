@@ -108,16 +108,9 @@ def robustness(
     model; the load's state is measured with noise or delay; a constant or a gusty force pushes
     the load.
 
-    Args:
-        scenario: what the errors are added to.
-        seed: of the attachment points' directions, of the noise and of the gusts.
-        folder: for a journal of the cases as they come: interrupted, the same call continues from
-            there; complete, it begins again. None: for no journal.
-        restart: whether to drop what the folder has of an interrupted call.
-        progress: called with a description and the share that is done.
-
-    Returns:
-        The case without error first.
+    The seed is that of the attachment points' directions, of the noise and of the gusts. A folder
+    gets a journal of the cases as they come: interrupted, the same call continues from there unless
+    it is to `restart`; complete, it begins again. The case without error is the first.
 
     Raises:
         ScenarioError: the scenario without error cannot be built, processes end as they start, or

@@ -50,18 +50,12 @@ def run_all(
     or by Ctrl-C, calls that have not ended are dropped and their processes killed; those that
     write results (`keep_what_is_done`) have two seconds to end, unless Ctrl-C comes again.
 
-    Args:
-        function: one that other processes can import.
-        keys: one for each call, all different.
-        arguments: the function's arguments for a key, which must be picklable.
-        record: called with a key and its result, in the order in which results come.
-        failed: makes the result of a key from an error message, where the function raised
-            anything but ScenarioError, or where its process died. It may raise instead.
-        done: keys that are not called again, such as a `Journal`.
-        executor: any of concurrent.futures' kind, in place of a process per core. It is not shut
-            down, and its processes are its own concern.
-        what: the description of the calls for progress.
-        progress: called after each record with `what` and the share of keys that are done.
+    Processes can import the function, and what `arguments` makes of a key can be pickled. `failed`
+    makes the result of a key from an error message, where the function raised anything but
+    ScenarioError, or where its process died; it may raise instead. Keys in `done`, such as a
+    `Journal`, are not called again. An executor, of concurrent.futures' kind, is used in place of a
+    process per core and not shut down. `progress` is called after each record with `what` and the
+    share of keys that are done.
 
     Raises:
         ScenarioError: the function raised it, processes end as they start, or the executor
@@ -91,11 +85,7 @@ def _call_in(
     arguments: Callable[[Key], tuple],
     record: Callable[[Key, Answer], None],
 ) -> None:
-    """Calls a function once per key in an executor, and records answers as they come.
-
-    Raises:
-        ScenarioError: the executor cannot be used.
-    """
+    """As `call_in_processes`, in an executor; raises ScenarioError where that cannot be used."""
     is_one = isinstance(executor, Executor)
     require(is_one, "executor", executor, "give one of concurrent.futures' kind, or None")
     name = type(executor).__name__
@@ -156,12 +146,9 @@ def fly(scenario: Scenario, **arguments: Any) -> Run:
 
 
 def attempt(scenario: Callable[[], Scenario], **arguments: Any) -> Attempt:
-    """Flies the scenario that a function returns, and never raises an error of the run.
+    """Flies the scenario that a function returns, with arguments as of `simulate`.
 
-    `arguments` are those of `simulate`.
-
-    Raises:
-        KeyboardInterrupt: Ctrl-C.
+    Nothing but Ctrl-C is raised.
     """
     ending, message = COMPLETED, ""
     try:

@@ -103,21 +103,13 @@ def sweep(
     measured with a clock are therefore in wall_times.parquet.
 
     The result of each run is appended to journal.jsonl as it comes. An interrupted sweep
-    continues from there when it is called again with the same scenario, spec and folder.
+    continues from there when it is called again with the same scenario, spec and folder, unless it
+    is to `restart`.
 
-    Args:
-        scenario: what the runs change.
-        spec: what to run.
-        folder: for the results, made where there is none.
-        executor: any of concurrent.futures' kind, whose workers can import this package and the
-            user's own blocks; it is not shut down. None: a process per core.
-        restart: whether to remove the folder's earlier sweep and start again.
-        trust: whether the spec may name the user's own blocks, which runs their code.
-        make_loop: as of `simulate`; a function that processes can import.
-        progress: called with a description and the share that is done.
-
-    Returns:
-        The path of the table and the number of runs with each ending.
+    Runs are in a process per core, or in an executor of concurrent.futures' kind, which is not shut
+    down and whose workers can import this package and the user's own blocks; `trust` lets the spec
+    name such blocks, which runs their code. `make_loop` is as of `simulate`, and one that processes
+    can import.
 
     Raises:
         ScenarioError: the spec does not fit the scenario, the folder cannot be written, or has

@@ -20,11 +20,7 @@ Change = str | Mapping[str, Any]
 
 
 def checked_changes(changes: Any, where: str) -> list[Change]:
-    """The changes as a list.
-
-    Args:
-        changes: a list of them, or a single mapping.
-        where: what errors call them.
+    """The changes, a list or a single mapping, as a list; errors call them `where`.
 
     Raises:
         ScenarioError: they are anything else, name no box, or cannot be sent to a process.
@@ -60,11 +56,7 @@ def require_sendable(entry: Any, where: str) -> None:
 def varied(
     scenario: Scenario, changes: Iterable[Change], *, trust: bool
 ) -> tuple[Scenario, dict[str, Any]]:
-    """The scenario with changes, one after the other, and the replacements that are no configs.
-
-    Raises:
-        ScenarioError: a change cannot be used.
-    """
+    """The scenario with changes, one after the other, and the replacements that are no configs."""
     others: dict[str, Any] = {}
     paths = []
     for is_override, group in itertools.groupby(changes, lambda change: isinstance(change, str)):
@@ -108,15 +100,13 @@ def label(entry: Any) -> str:
 
 def labels(changes: Iterable[Change]) -> list[str]:
     """The changes as texts "path=value"."""
-    return [
-        text
-        for change in changes
-        for text in (
-            [change]
-            if isinstance(change, str)
-            else [f"{box}={label(entry)}" for box, entry in change.items()]
-        )
-    ]
+    found: list[str] = []
+    for change in changes:
+        if isinstance(change, str):
+            found.append(change)
+        else:
+            found += [f"{box}={label(entry)}" for box, entry in change.items()]
+    return found
 
 
 def identity(changes: Iterable[Change], make_loop: LoopMaker = make_nonstop) -> str:
