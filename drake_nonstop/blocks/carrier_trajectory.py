@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.cable import compliance_of
 from drake_nonstop.mechanics.carrier import carrier_motion, motion_after
-from drake_nonstop.mechanics.force_rates import second_and_third_force_rates
+from drake_nonstop.mechanics.grasp import second_and_third_force_rates
 from drake_nonstop.mechanics.signal_layouts import SAMPLE_TIME
 from drake_nonstop.model.block import LOAD, Block, rigid_load
 from drake_nonstop.model.descriptions import CarrierReferences
@@ -153,7 +153,7 @@ class CarrierTrajectory(_TrajectoryAboveReference):
     The cables stretch by the system's stiffness (.inf: L_i = L₀, as in the paper). Only
     accelerations and jerks need `internal_force_higher_rates`, `wind_estimate` and
     `reference_higher_rates`: they are those while the load is on its reference, whose rates beyond
-    these are taken as zero, see `mechanics.force_rates`.
+    these are taken as zero, see `mechanics.grasp`.
 
     A time τ after a sample the `carrier_reference` is p + τ v + τ² a/2 + τ³ j/6 and
     v + τ a + τ² j/2, with `hold` "second_order" without j, with "velocity" without a. Accelerations

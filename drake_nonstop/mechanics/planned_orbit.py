@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.aircraft import Aircraft, FlightNeeds, flight_needs, needed_force
 from drake_nonstop.mechanics.carrier import cable_vectors
-from drake_nonstop.mechanics.force_rates import wrenches_along
+from drake_nonstop.mechanics.grasp import wrenches_along
 from drake_nonstop.mechanics.internal_force import internal_force
 from drake_nonstop.mechanics.rigid_load import STILL_AIR, RigidLoad
 from drake_nonstop.mechanics.rotation import cross, quaternion_product, rotation_matrix

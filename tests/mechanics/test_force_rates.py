@@ -8,8 +8,11 @@ from helpers import GAINS, INERTIA, SHAPES, difference
 from pydrake.common.eigen_geometry import Quaternion
 
 from drake_nonstop.mechanics.carrier import carrier_motion
-from drake_nonstop.mechanics.force_rates import second_and_third_force_rates
-from drake_nonstop.mechanics.grasp import cable_forces_and_rates, grasp_matrix
+from drake_nonstop.mechanics.grasp import (
+    cable_forces_and_rates,
+    grasp_matrix,
+    second_and_third_force_rates,
+)
 from drake_nonstop.mechanics.internal_force import (
     even_phases,
     hamiltonian_cycle,

@@ -13,8 +13,7 @@ from drake_nonstop.mechanics.aircraft import (
     stall_speed,
 )
 from drake_nonstop.mechanics.carrier import carrier_motion
-from drake_nonstop.mechanics.force_rates import second_and_third_force_rates
-from drake_nonstop.mechanics.grasp import cable_forces_and_rates
+from drake_nonstop.mechanics.grasp import cable_forces_and_rates, second_and_third_force_rates
 from drake_nonstop.mechanics.internal_force import orbit_axes, planned_internal_force
 from drake_nonstop.mechanics.planned_orbit import (
     FlightTerms,

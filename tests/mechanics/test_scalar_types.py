@@ -10,7 +10,6 @@ from drake_nonstop.mechanics import (
     aircraft,
     cable,
     carrier,
-    force_rates,
     grasp,
     internal_force,
     nonstop,
@@ -155,7 +154,7 @@ EQUATIONS = {
         [22, 3 * N, 3 * N, 3 * N, 3 * N],
     ),
     "second_and_third_force_rates": (
-        lambda reference, forces, rates, *orbit: force_rates.second_and_third_force_rates(
+        lambda reference, forces, rates, *orbit: grasp.second_and_third_force_rates(
             LOAD,
             reference,
             forces.reshape(-1, 3),
