@@ -209,12 +209,6 @@ def aircraft_margins_for(scenario: Scenario, nonstop: Diagram, context: Context)
     )
 
 
-def _aircraft_of(model: Model) -> Aircraft:
-    remedy = "give one, such as --set system.aircraft.model=rascal_110"
-    require(model.aircraft is not None, "system.aircraft", None, remedy)
-    return typing.cast(Aircraft, model.aircraft)
-
-
 def margins_at_rest(
     model: Model,
     reference: NDArray,
@@ -275,7 +269,10 @@ class _Orbit:
             "give one that lets the load rest at first, or turns it about the vertical: there is "
             "no resting orbit",
         )
-        self.model, self.believed, self.aircraft = model, believed, _aircraft_of(model)
+        remedy = "give one, such as --set system.aircraft.model=rascal_110"
+        require(model.aircraft is not None, "system.aircraft", None, remedy)
+        self.model, self.believed = model, believed
+        self.aircraft = typing.cast(Aircraft, model.aircraft)
         self._reference, self._parameters = reference, parameters
         self._yaw_rate = float(turning[2])
         (frequency,), (amplitude,) = Parameters.view(parameters)

@@ -10,15 +10,12 @@ from drawn_tasks import aircraft_task
 from helpers import nightly_beyond
 
 from drake_nonstop import load_scenario
-from drake_nonstop.analysis.aircraft_margins import (
-    aircraft_margins,
-)
+from drake_nonstop.analysis.aircraft_margins import aircraft_margins
 from drake_nonstop.analysis.flight_envelope import FlightEnvelope, flight_envelope_of
-from drake_nonstop.analysis.flight_of_plan import flight_of_plan
 from drake_nonstop.analysis.sampled_growth import SampledGrowth
 from drake_nonstop.analysis.speed_check import check_speeds
 from drake_nonstop.analysis.task import task_of
-from drake_nonstop.analysis.task_check import check_task
+from drake_nonstop.analysis.task_check import check_task, flight_of_plan
 from drake_nonstop.mechanics.aircraft import stall_speed
 from drake_nonstop.mechanics.signals import AircraftState
 from drake_nonstop.scenario.overrides import changed
