@@ -12,18 +12,18 @@ from drake_nonstop.validation import ScenarioError
 N, M = 5, 3
 VIEWS = {
     signals.LoadState: signal_layouts.LOAD_STATE,
-    signals.LoadReference: signal_layouts.LOAD_REFERENCE,
-    signals.ReferenceHigherRates: signal_layouts.REFERENCE_HIGHER_RATES,
+    signals.LoadReference: signal_layouts.SIGNALS["reference"],
+    signals.ReferenceHigherRates: signal_layouts.SIGNALS["reference_higher_rates"],
     signals.Wrench: signal_layouts.WRENCH,
-    signals.TrackingError: signal_layouts.TRACKING_ERROR,
+    signals.TrackingError: signal_layouts.SIGNALS["tracking_error"],
     signals.CarrierStates: signal_layouts.CARRIER_STATES,
-    signals.Parameters: signal_layouts.PARAMETERS,
-    signals.Phase: signal_layouts.PHASE,
+    signals.Parameters: signal_layouts.SIGNALS["parameters"],
+    signals.Phase: signal_layouts.SIGNALS["phase"],
     signals.PlannedParameters: signal_layouts.PLANNED_PARAMETERS,
-    signals.InternalForce: signal_layouts.INTERNAL_FORCE,
-    signals.InternalForceHigherRates: signal_layouts.INTERNAL_FORCE_HIGHER_RATES,
+    signals.InternalForce: signal_layouts.SIGNALS["internal_force"],
+    signals.InternalForceHigherRates: signal_layouts.SIGNALS["internal_force_higher_rates"],
     signals.AircraftCommand: signal_layouts.AIRCRAFT_COMMAND,
-    signals.AircraftState: signal_layouts.AIRCRAFT_STATE,
+    signals.AircraftState: signal_layouts.SIGNALS["aircraft_state"],
     diagnostics.Diagnostics: diagnostics.DIAGNOSTICS,
 }
 
