@@ -20,8 +20,8 @@ from drake_nonstop.blocks.receding_horizon import (
 from drake_nonstop.blocks.speed_bound_layer import (
     BOX,
     COMMAND,
+    CommandedBound,
     SpeedBoundLayer,
-    require_no_command,
 )
 from drake_nonstop.blocks.turn_rate_optimizer import TurnRateOptimizer, TurnRateOptimizerConfig
 from drake_nonstop.mechanics.signals import PARAMETERS_SIZE, WRENCH_SIZE
@@ -37,7 +37,6 @@ from drake_nonstop.optimization.problem_config import (
 )
 from drake_nonstop.optimization.update_data import UpdateData
 from drake_nonstop.optimization.update_solver import UpdateSolver, traced_tightened
-from drake_nonstop.systems.block import LeafBlock
 from drake_nonstop.systems.diagram_trace import At, FastUpdate, InContext
 from drake_nonstop.systems.parameters import declare_parameters
 from drake_nonstop.systems.requirements import LoopBlocks
@@ -296,7 +295,7 @@ class ConstantParametersConfig(StrictFields):
     speed_bound: SpeedBound = checked(0.2, require_non_negative)
 
 
-class ConstantParameters(LeafBlock):
+class ConstantParameters(CommandedBound):
     """Constant ξ and A: the loop without optimization.
 
     Nothing enforces the `speed_bound`: the `speed_bound_command`, or else what `set_speed_bound`
@@ -324,25 +323,13 @@ class ConstantParameters(LeafBlock):
         declare_parameters(self, self.parameters)
         sources = {self.all_parameters_ticket()}
         self.DeclareVectorOutputPort("parameters", PARAMETERS_SIZE, self._calc_parameters, sources)
-        self._command = self.DeclareVectorInputPort(COMMAND, 1)
-        sources = sources | {self.input_port_ticket(self._command.get_index())}
+        command = self.DeclareVectorInputPort(COMMAND, 1)
+        sources = sources | {self.input_port_ticket(command.get_index())}
         self.DeclareVectorOutputPort("speed_bound", 1, self._calc_speed_bound, sources)
 
-    def set_speed_bound(self, context: Context, speed_bound: float) -> None:
-        """Compares with another ε (m/s) from now on; the context is the block's own.
-
-        Raises:
-            ScenarioError: the bound is negative, or `speed_bound_command` is connected.
-        """
-        self.require_effect(context, "speed_bound", speed_bound)
-        require_non_negative(f"{BOX}.speed_bound", speed_bound)
-        values = context.get_mutable_numeric_parameter(0)
-        values.SetAtIndex(self.parameters.place("speed_bound").start, speed_bound)
-
-    def require_effect(self, context: Context, name: str, value: Any) -> None:
-        """Raises ScenarioError where a parameter that is set would have none in this context."""
-        if name == "speed_bound":
-            require_no_command(self._command, context, value)
+    def check_bound(self, speed_bound: float, name: str = "speed_bound") -> None:
+        """Raises ScenarioError for a negative bound (m/s)."""
+        require_non_negative(f"{BOX}.{name}", speed_bound)
 
     trace_key = ()
 
@@ -360,13 +347,7 @@ class ConstantParameters(LeafBlock):
         output.SetFromVector(np.concatenate([values["frequency"], values["amplitude"]]))
 
     def _calc_speed_bound(self, context: Context, output: BasicVector) -> None:
-        values = self.parameters.view(context.get_numeric_parameter(0).CopyToVector())
-        bound = values["speed_bound"]
-        if self._command.HasValue(context):
-            bound = self._command.Eval(context)
-            if self.scalar is float:
-                require_non_negative(f"{BOX}.{COMMAND}", float(bound[0]))
-        output.SetFromVector(bound)
+        output.SetFromVector(self.bound_in(context))
 
 
 def _check_constants(model: Model, config: ConstantParametersConfig) -> None:

@@ -14,20 +14,17 @@ from pydrake.systems.framework import (
     Context,
     DependencyTicket,
     DiscreteValues,
-    InputPort,
     ValueProducer,
 )
 
-from drake_nonstop.mechanics.cable import compliance_of
 from drake_nonstop.mechanics.rigid_load import STILL_AIR
 from drake_nonstop.mechanics.signal_layouts import SIGNALS
-from drake_nonstop.model.block import AIRCRAFT_NUMBERS, LOAD, BlockParameters
-from drake_nonstop.model.system import OFFSET, Model
+from drake_nonstop.model.block import AIRCRAFT_NUMBERS, BlockParameters
+from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.diagnostics import (
     DIAGNOSTICS_SIZE,
     LAYER_LAYOUTS,
     Outcome,
-    count_missed,
     count_update,
     missed_layout,
     missed_limits_of,
@@ -36,10 +33,9 @@ from drake_nonstop.optimization.problem_config import (
     LEAST_BOUND,
     check_speed_bound,
     highest_speed_bound,
-    range_for,
     with_stated_bound,
 )
-from drake_nonstop.optimization.update_data import Beliefs
+from drake_nonstop.optimization.update_data import OF_CONFIG, OF_MODEL, beliefs_from
 from drake_nonstop.systems.block import LeafBlock, weakly
 from drake_nonstop.systems.diagram_trace import At, InContext
 from drake_nonstop.systems.documentation import own_config_class
@@ -51,7 +47,6 @@ BOX = "optimization_layer"
 COMMAND = "speed_bound_command"  # an optional input of the box
 WIND = "wind_estimate"  # an optional input of the box, of aircraft
 _MISSED = "missed_limits"
-_OWN = ("speed_bound", "frequency", "amplitude", "frequency_bounds", "amplitude_bounds")
 
 
 class PeriodicLayer(LeafBlock):
@@ -175,7 +170,7 @@ class PeriodicLayer(LeafBlock):
         after = {name: states[name].copy() for name in ("diagnostics", _MISSED) if name in states}
         count_update(after["diagnostics"], outcome, margin)
         if self._counted:
-            count_missed(after[_MISSED], self._counted, missed)
+            after[_MISSED] += [name in missed for name in self._counted]
         return after
 
     def is_update(self, time: Any) -> Any:
@@ -213,6 +208,47 @@ def _size(model: Model, name: str) -> int:
     return layout.count(model.n, model.m)
 
 
+class CommandedBound(LeafBlock):
+    """A block of which ε is the parameter `speed_bound`, unless there is a command."""
+
+    def check_bound(self, speed_bound: float, name: str = "speed_bound") -> None:
+        """Raises ScenarioError for what is no bound (m/s), by the name that it has in the box."""
+        raise NotImplementedError
+
+    def set_speed_bound(self, context: Context, speed_bound: float) -> None:
+        """Sets another ε (m/s) from the next update on; the context is the block's own.
+
+        Raises:
+            ScenarioError: the bound is none of the block, or `speed_bound_command` is connected.
+        """
+        self.require_effect(context, "speed_bound", speed_bound)
+        self.check_bound(speed_bound)
+        values = context.get_mutable_numeric_parameter(0)
+        values.SetAtIndex(self.parameters.place("speed_bound").start, speed_bound)
+
+    def require_effect(self, context: Context, name: str, value: Any) -> None:
+        """Raises ScenarioError where a parameter that is set would have none in this context."""
+        if name == "speed_bound":
+            require(
+                not self.GetInputPort(COMMAND).HasValue(context),
+                f"{BOX}.speed_bound",
+                value,
+                f"the signal {COMMAND} sets the bound: change it in the block that makes that "
+                "signal, or take the signal away",
+            )
+
+    def bound_in(self, context: Context) -> NDArray:
+        """ε (1,), m/s: what is commanded, or else as it was set."""
+        command = self.GetInputPort(COMMAND)
+        if not command.HasValue(context):
+            values = context.get_numeric_parameter(0).CopyToVector()
+            return values[self.parameters.place("speed_bound")]
+        bound = command.Eval(context)
+        if self.scalar is float:
+            self.check_bound(float(bound[0]), COMMAND)
+        return bound
+
+
 class LayerNumbers(NamedTuple):
     """What a layer takes of its parameters."""
 
@@ -221,7 +257,7 @@ class LayerNumbers(NamedTuple):
     beliefs: NDArray  # a flat `Beliefs`
 
 
-class SpeedBoundLayer(PeriodicLayer):
+class SpeedBoundLayer(CommandedBound, PeriodicLayer):
     """A layer that keeps a speed bound, which may change during a run.
 
     Attributes:
@@ -255,31 +291,22 @@ class SpeedBoundLayer(PeriodicLayer):
 
         return BlockParameters(
             model,
-            (*LOAD, "cable_length", "cable_stiffness", *model.offset_parameter),
+            (*OF_MODEL, *model.offset_parameter),
             config=replace(config, amplitude_bounds=config.amplitude_bounds or [0.0, 0.0]),
-            own=_OWN,
+            own=("speed_bound", *OF_CONFIG),
             check=check,
             structure=kind.structure,
             fixed=AIRCRAFT_NUMBERS if model.aircraft is not None else (),
         )
 
+    def check_bound(self, speed_bound: float, name: str = "speed_bound") -> None:
+        """Raises ScenarioError for neither 0 nor from 1e-3 m/s to below the highest bound."""
+        check_bound(self.highest_speed_bound, speed_bound, name)
+
     def set_speed_bound(self, context: Context, speed_bound: float) -> None:
-        """Sets another ε (m/s) from the next update on; the context is the block's own.
-
-        Raises:
-            ScenarioError: the bound is neither 0 nor at least 1e-3 m/s, or not below
-                `highest_speed_bound`; or `speed_bound_command` is connected.
-        """
-        self.require_effect(context, "speed_bound", speed_bound)
-        check_bound(self.highest_speed_bound, speed_bound)
-        values = context.get_mutable_numeric_parameter(0)
-        values.SetAtIndex(self.parameters.place("speed_bound").start, speed_bound)
+        """As of `CommandedBound`."""
+        super().set_speed_bound(context, speed_bound)
         self.begin_anew(context)
-
-    def require_effect(self, context: Context, name: str, value: Any) -> None:
-        """Raises ScenarioError where a parameter that is set would have none in this context."""
-        if name == "speed_bound":
-            require_no_command(self.GetInputPort(COMMAND), context, value)
 
     def begin_anew(self, context: Context) -> None:
         """Lets what has not been updated begin with the parameters of the context, its own."""
@@ -309,39 +336,12 @@ class SpeedBoundLayer(PeriodicLayer):
         """What a port shows."""
         return self.traced_bound(at) if port == "speed_bound" else self.states(at)[port]
 
-    def bound_in(self, context: Context) -> NDArray:
-        """ε (1,), m/s: what is commanded, or else as it was set."""
-        command = self.GetInputPort(COMMAND)
-        if not command.HasValue(context):
-            return super().bound_in(context)
-        bound = command.Eval(context)
-        if self.scalar is float:
-            check_bound(self.highest_speed_bound, float(bound[0]), COMMAND)
-        return bound
-
     def _numbers_in(self, context: Context) -> LayerNumbers:
         return self.get_cache_entry(self._numbers).Eval(context)
 
     def _calc_numbers(self, context: Context, value: AbstractValue) -> None:
         values = self.parameters.view(context.get_numeric_parameter(0).CopyToVector())
-        amplitudes = values["amplitude_bounds"]
-        if not amplitudes.any():
-            share = float(values["load_mass"][0] * values["gravity"][0]) / self._model.n
-            amplitudes = np.array(range_for(share, float(values["amplitude"][0])))
-        frequencies = values["frequency_bounds"]
-        beliefs = Beliefs(
-            load_mass=values["load_mass"],
-            load_inertia=values["load_inertia"].ravel(),
-            load_drag=values["load_drag"],
-            load_angular_drag=values["load_angular_drag"],
-            gravity=values["gravity"],
-            rest_length=values["cable_length"],
-            compliance=compliance_of(values["cable_stiffness"]),
-            nominal=np.concatenate([values["frequency"], values["amplitude"]]),
-            lower=np.array([frequencies[0], amplitudes[0]]),
-            upper=np.array([frequencies[1], amplitudes[1]]),
-            offset=values.get(OFFSET, np.zeros(0)),
-        )
+        beliefs = beliefs_from(values, self._model.n)
         bound = float(values["speed_bound"][0])
         value.set_value(LayerNumbers(bound, beliefs.nominal, np.concatenate(beliefs)))
 
@@ -354,15 +354,4 @@ def check_bound(highest: float, speed_bound: float, name: str = "speed_bound") -
         f"{BOX}.{name}",
         speed_bound,
         f"give less than {highest:g} m/s, for the sake of max_speed",
-    )
-
-
-def require_no_command(command: InputPort, context: Context, speed_bound: Any) -> None:
-    """Raises ScenarioError where a bound that is set would be overruled."""
-    require(
-        not command.HasValue(context),
-        f"{BOX}.speed_bound",
-        speed_bound,
-        f"the signal {COMMAND} sets the bound: change it in the block that makes that signal, or "
-        "take the signal away",
     )

@@ -1,6 +1,6 @@
 """How the updates of the optimization layer ended, and how often."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from enum import IntEnum
 from typing import Any, NamedTuple
 
@@ -69,18 +69,6 @@ def missed_limits_of(config: Any, model: Model) -> tuple[str, ...]:
 def missed_layout(names: Sequence[str]) -> Layout:
     """That of a `missed_limits` with these entries."""
     return Layout(*(Part(name, "1") for name in names))
-
-
-def count_missed(missed: NDArray, names: Sequence[str], kinds: Collection[str]) -> None:
-    """Adds an update that misses limits of some kinds to `missed_limits`, in place.
-
-    Args:
-        missed: one entry for each of the names.
-        names: as of `missed_limits_of`.
-        kinds: those that are missed; others than the names do not count.
-    """
-    for kind in {*kinds} & {*names}:
-        missed[names.index(kind)] += 1
 
 
 def update_count(diagnostics: NDArray) -> int:

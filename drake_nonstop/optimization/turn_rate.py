@@ -11,11 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.internal_force import orbit_axes
-from drake_nonstop.mechanics.planned_orbit import (
-    PlannedOrbit,
-    planned_needs,
-    turning_terms,
-)
+from drake_nonstop.mechanics.planned_orbit import PlannedOrbit, planned_needs, turning_terms
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.amplitude_intervals import allowed_intervals
 from drake_nonstop.optimization.constraints import FEASIBILITY_TOLERANCE, Constraints
@@ -50,17 +46,7 @@ def turn_update(
     wrench_rate: NDArray,
     wind: NDArray,
 ) -> TurnUpdate:
-    """An update of a layer after its last rate.
-
-    Args:
-        config: of the layer, a `TurnRateOptimizerConfig`.
-        speed_bound: m/s, ε.
-        previous: rad/s, the last rate.
-        motion: (22,), of the load.
-        wrench: (6,).
-        wrench_rate: (6,).
-        wind: (3,), m/s.
-    """
+    """The update of a layer with a `TurnRateOptimizerConfig`, for ε in m/s; see `TurnUpdate`."""
     low, high = config.frequency_bounds
     step = config.max_frequency_rate * config.period
     return TurnUpdate(
@@ -89,10 +75,7 @@ class TurnAnswer(NamedTuple):
 class TurnRateSolver:
     """Changes the rate as little as keeps the airspeed and the limits of aircraft over a turn.
 
-    Args:
-        model: what the controllers believe, with aircraft.
-        constraints: whose limits of aircraft count.
-        phases: of a turn, at which these hold.
+    The limits are those of `constraints`, at a number of `phases` of the turn.
     """
 
     def __init__(self, model: Model, constraints: Constraints, phases: int):
@@ -169,11 +152,6 @@ class TurnRateSolver:
     def _answer(
         self, rate: float, outcome: Outcome, margins: NDArray, slowest: NDArray
     ) -> TurnAnswer:
-        """The answer with a rate and its `margins`."""
-        kinds = [BOUND, *self._constraints.names(Of.FLIGHT)]
-        missed = [
-            kind
-            for kind, margin in zip(kinds, margins[:, 0], strict=True)
-            if margin < -FEASIBILITY_TOLERANCE
-        ]
+        kinds = np.array([BOUND, *self._constraints.names(Of.FLIGHT)])
+        missed = kinds[margins[:, 0] < -FEASIBILITY_TOLERANCE].tolist()
         return TurnAnswer(rate, outcome, float(slowest[0]), missed)

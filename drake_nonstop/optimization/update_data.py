@@ -1,11 +1,13 @@
 """What varies from update to update of the nonstop problem, in one flat vector with named parts."""
 
+from collections.abc import Mapping
 from itertools import accumulate
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from drake_nonstop.mechanics.cable import compliance_of
 from drake_nonstop.mechanics.rigid_load import RigidLoad
 from drake_nonstop.mechanics.signals import (
     LOAD_REFERENCE_SIZE,
@@ -15,8 +17,9 @@ from drake_nonstop.mechanics.signals import (
     WIND_SIZE,
     WRENCH_SIZE,
 )
-from drake_nonstop.model.system import Model
-from drake_nonstop.optimization.problem_config import LimitsConfig, amplitude_range
+from drake_nonstop.model.block import LOAD
+from drake_nonstop.model.system import OFFSET, Model
+from drake_nonstop.optimization.problem_config import LimitsConfig, range_for
 
 
 class UpdateData(NamedTuple):
@@ -107,20 +110,39 @@ def update_data_size(offset_size: int) -> int:
     return _ENDS[-1] + _BELIEF_ENDS[-1] + offset_size
 
 
+OF_MODEL = (*LOAD, "cable_length", "cable_stiffness")
+OF_CONFIG = ("frequency", "amplitude", "frequency_bounds", "amplitude_bounds")
+
+
 def beliefs_of(model: Model, config: LimitsConfig) -> Beliefs:
     """Those of a model and a config."""
-    system = model.system
-    lower, upper = np.transpose([config.frequency_bounds, amplitude_range(config, model)])
+    numbers = {name: model.number(name) for name in (*OF_MODEL, *model.offset_parameter)}
+    numbers |= {name: getattr(config, name) for name in OF_CONFIG}
+    return beliefs_from(
+        {name: np.atleast_1d(np.array(value, float)) for name, value in numbers.items()}, model.n
+    )
+
+
+def beliefs_from(numbers: Mapping[str, NDArray], n: int) -> Beliefs:
+    """Those of the numbers of `OF_MODEL` and `OF_CONFIG`, arrays by name, for n carriers.
+
+    Amplitude bounds that are empty or zero stand for those from the weight.
+    """
+    amplitudes = numbers["amplitude_bounds"]
+    if not amplitudes.any():
+        share = float(numbers["load_mass"][0] * numbers["gravity"][0]) / n
+        amplitudes = np.array(range_for(share, float(numbers["amplitude"][0])))
+    lower, upper = np.transpose([numbers["frequency_bounds"], amplitudes])
     return Beliefs(
-        load_mass=np.array([system.load_mass]),
-        load_inertia=np.array(system.load_inertia, float).ravel(),
-        load_drag=np.array([system.load_drag]),
-        load_angular_drag=np.array([system.load_angular_drag]),
-        gravity=np.array([system.gravity]),
-        rest_length=np.array([system.cable_length]),
-        compliance=np.array([model.cable_compliance]),
-        nominal=np.array([config.frequency, config.amplitude]),
+        load_mass=numbers["load_mass"],
+        load_inertia=numbers["load_inertia"].ravel(),
+        load_drag=numbers["load_drag"],
+        load_angular_drag=numbers["load_angular_drag"],
+        gravity=numbers["gravity"],
+        rest_length=numbers["cable_length"],
+        compliance=compliance_of(numbers["cable_stiffness"]),
+        nominal=np.concatenate([numbers["frequency"], numbers["amplitude"]]),
         lower=lower,
         upper=upper,
-        offset=model.pattern.offset if model.offset_parameter else np.zeros(0),
+        offset=numbers.get(OFFSET, np.zeros(0)),
     )

@@ -28,9 +28,7 @@ _NEAR = 1.1  # times the least separation: close enough to know of
 class UpdateProblem:
     """min cost(x) such that margins(x) ≥ 0, over x = [ξ, A] (2,), in rad/s and N, within `bounds`.
 
-    Args:
-        traced: what all updates share.
-        data: of the update.
+    `traced` is what all updates share.
     """
 
     def __init__(self, traced: TracedProblem, data: UpdateData):
@@ -120,11 +118,7 @@ class UpdateProblem:
         kinds = [BOUND, *names(Of.SPEED, Of.TENSION, Of.FLIGHT)]
         margins = self.margins(x)
         worst = margins[: len(kinds) * self.speed_count].reshape(len(kinds), -1)
-        missed = [
-            kind
-            for kind, least in zip(kinds, worst.min(axis=1), strict=True)
-            if least < -FEASIBILITY_TOLERANCE
-        ]
+        missed: list[str] = np.array(kinds)[worst.min(axis=1) < -FEASIBILITY_TOLERANCE].tolist()
         if self._keeps_apart and margins[-1] < -FEASIBILITY_TOLERANCE:
             missed += names(Of.SEPARATION)
         return missed

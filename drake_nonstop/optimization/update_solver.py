@@ -94,27 +94,16 @@ class UpdateSolver:
         beliefs: NDArray | None = None,
         wind: NDArray = _STILL_AIR,
     ) -> UpdateData:
-        """The data of an update.
+        """The data of an update: parts of `UpdateData`, with ε in m/s before it is tightened.
 
-        Args:
-            previous: [ξ⁻, A⁻] (2,), rad/s and N.
-            phase: [θ, ∂θ/∂ξ] (2,), rad and s.
-            load_state: (13,), in W.
-            reference: (22,), in W.
-            wrench: [torque; force] (6,), in W.
-            wrench_rate: (6,), per s.
-            wrench_second_rate: (6,), per s².
-            speed_bound: m/s, ε before it is tightened.
-            updates: how many there were before this one: selects the phases of the orbit ahead.
-            beliefs: a flat `Beliefs`; none: those of model and config.
-            wind: (3,), m/s, in W, that aircraft fly in.
+        `updates` is how many there were before, which selects the phases of the orbit ahead;
+        without `beliefs`, those of model and config count.
         """
         config = self._config
-        anchor_weight = self._anchor_weight
         # A reference that moves switches the anchor off.
-        if config.anchor_weight > 0 and _is_moving(reference):
-            anchor_weight = self._no_anchor
-        bound = np.array([self.aim(speed_bound)])
+        is_moving = config.anchor_weight > 0 and np.abs(_rates(reference)).max() > _REST_TOLERANCE
+        anchor_weight = self._no_anchor if is_moving else self._anchor_weight
+        bound = np.array([tightened_bound(config, speed_bound)])
         return UpdateData(
             previous=previous,
             phase=phase,
@@ -136,13 +125,9 @@ class UpdateSolver:
         """What `traced_check` depends on besides the data; it can be pickled."""
         return self._traced.geometry, replace(self._config, **_OF_DATA)
 
-    def aim(self, speed_bound: float) -> float:
-        """The speed (m/s) that is aimed at for an ε in m/s: as it is tightened."""
-        return tightened_bound(self._config, speed_bound)
-
     @property
     def tightening(self) -> NDArray:
-        """How `aim` depends on ε (3,), for `traced_tightened`."""
+        """How the tightened bound depends on ε (3,), for `traced_tightened`."""
         return np.array(bound_tightening(self._config))
 
     def problem(self, data: UpdateData) -> UpdateProblem:
@@ -264,15 +249,10 @@ class UpdateSolver:
 
 
 def traced_tightened(bound: NDArray, tightening: NDArray) -> NDArray:
-    """As `UpdateSolver.aim`, of an ε (1,) in symbols, by the solver's `tightening` (3,)."""
+    """As `tightened_bound`, of an ε (1,) in symbols, by the solver's `tightening` (3,)."""
     slope, margin, growth = tightening
     aim = slope * bound[0] + margin * casadi.fmax(1.0, growth * bound[0])
     return chosen(bound[0] > 0, np.array([aim]), np.zeros(1))
-
-
-def _is_moving(reference: NDArray) -> bool:
-    """Whether the load's reference (22,) has a velocity or an acceleration."""
-    return bool(np.abs(_rates(reference)).max() > _REST_TOLERANCE)
 
 
 def _rates(reference: NDArray) -> NDArray:
