@@ -24,7 +24,7 @@ from drake_nonstop.mechanics.planned_orbit import OrbitTerms, PlannedOrbit
 from drake_nonstop.mechanics.rotation import rotation_matrix
 from drake_nonstop.optimization.horizon_config import HorizonConfig
 from drake_nonstop.optimization.horizon_problem import HorizonData, HorizonProblem
-from drake_nonstop.optimization.horizon_solver import HorizonSolver
+from drake_nonstop.optimization.horizon_solver import HorizonSolver, receding_coefficients
 from drake_nonstop.optimization.limits import Of, asked
 from drake_nonstop.optimization.plan import Plan
 from drake_nonstop.optimization.problem_config import (
@@ -33,7 +33,6 @@ from drake_nonstop.optimization.problem_config import (
     tightened_bound,
 )
 from drake_nonstop.optimization.terminal_set import orbit_polynomials
-from drake_nonstop.optimization.whole_task import receding_coefficients
 from drake_nonstop.validation import ScenarioError
 
 _TIMES = 60  # of a task, at which constant ξ and A are tried

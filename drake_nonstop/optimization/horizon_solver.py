@@ -1,8 +1,9 @@
-"""Successive quadratic programs for the nonstop problem over a horizon."""
+"""Successive quadratic programs for the nonstop problem over a horizon, or a whole task."""
 
 import math
 import threading
 import weakref
+from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -11,11 +12,24 @@ from numpy.typing import NDArray
 from pydrake.solvers import ClarabelSolver, MathematicalProgram
 
 from drake_nonstop.mechanics.planned_orbit import OrbitTerms
-from drake_nonstop.optimization.active_set_search import nearest_feasible
+from drake_nonstop.mechanics.rigid_load import STILL_AIR
+from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.constraints import FEASIBILITY_TOLERANCE
-from drake_nonstop.optimization.horizon_problem import HorizonData, HorizonProblem, Linearization
-from drake_nonstop.optimization.plan import Plan
-from drake_nonstop.optimization.search_problem import FEW, SearchProblem, best_on_grid
+from drake_nonstop.optimization.horizon_config import HorizonConfig, timed
+from drake_nonstop.optimization.horizon_problem import (
+    HorizonData,
+    HorizonProblem,
+    Linearization,
+    Reference,
+)
+from drake_nonstop.optimization.plan import DEGREE, Plan
+from drake_nonstop.optimization.problem_config import LimitsConfig
+from drake_nonstop.optimization.search_problem import (
+    FEW,
+    SearchProblem,
+    best_on_grid,
+    nearest_feasible,
+)
 from drake_nonstop.optimization.terminal_set import orbit_polynomials
 from drake_nonstop.systems.tracing import NotFiniteError
 
@@ -33,6 +47,9 @@ LEAST_START_SCALE = 0.1  # of the trust region with which a plan goes on from an
 _ROW_TOLERANCE = 1e-6  # on a margin of a step
 _ACTIVE_MARGIN = 0.01  # below which a constraint is likely to decide
 _SEARCH_PHASES = 16
+_FIRST_ITERATIONS = 20  # of the first plan, which has no other to begin with
+_MAX_ITERATIONS = 20  # of the plan of a whole task
+_TASK_TOLERANCE = 3e-4
 
 
 class PlanAnswer(NamedTuple):
@@ -67,11 +84,8 @@ class HorizonSolver:
     the slack fall; where they fall less than predicted and slack is left, a second-order
     correction is tried (Nocedal and Wright, Numerical Optimization, 2006, section 18.3).
 
-    Args:
-        problem: what all plans share.
-
     Attributes:
-        problem: as given.
+        problem: what all plans share.
         fixed: how many of the first coefficients are given.
     """
 
@@ -165,11 +179,8 @@ class HorizonSolver:
     def first_guess(self, data: HorizonData, fixed: NDArray | None = None) -> NDArray:
         """Coefficients (2, N) of the constant ξ and A that the global search finds.
 
-        They keep all carriers above the bound at all instants and phases, or come near to it.
-
-        Args:
-            data: of the plan.
-            fixed: the first coefficients (2, fixed); none: the nominal ones.
+        They keep all carriers above the bound at all instants and phases, or come near to it. The
+        first coefficients are `fixed` (2, fixed), or the nominal ones.
         """
         problem = self.problem
         coefficients = problem.nominal_coefficients()
@@ -338,3 +349,88 @@ def _constant_parameters(problem: HorizonProblem, data: HorizonData) -> NDArray:
         return problem.nominal
     found, cost = nearest_feasible(search)
     return found if np.isfinite(cost) else best_on_grid(search.margins, low, high, FEW)[0]
+
+
+def receding_coefficients(
+    problem: HorizonProblem,
+    reference: Reference,
+    intervals: int,
+    speed_bound: float,
+    *,
+    start_angle: float = 0.0,
+    max_iterations: int = 2,
+    wind: Callable[[float], NDArray] = lambda time: STILL_AIR,
+) -> tuple[NDArray, list[PlanAnswer]]:
+    """What plans over a receding horizon make of a task that goes as it is predicted.
+
+    Args:
+        problem: of one horizon.
+        reference: the load's.
+        intervals: between knots, from one plan to the next.
+        speed_bound: m/s, ε.
+        start_angle: θ at the start, rad.
+        max_iterations: of each plan but the first.
+        wind: (3,), m/s, in W, that aircraft are believed to fly in, at a time in s.
+
+    Returns:
+        The coefficients (2, intervals + 4) that are flown, and each plan.
+    """
+    solver, spacing = HorizonSolver(problem), problem.config.knot_spacing
+    answers: list[PlanAnswer] = []
+    flown = np.ones((2, intervals + DEGREE))
+    angle, scale, data = start_angle, 1.0, None
+    start: NDArray | None = None
+    for k in range(intervals):
+        start_time = k * spacing
+        data = problem.data(start_time, angle, reference, speed_bound, data, wind(start_time))
+        if start is None:
+            answer = solver.solve(data, solver.first_guess(data), max_iterations=_FIRST_ITERATIONS)
+        else:
+            answer = solver.solve(data, start, max_iterations=max_iterations, scale=scale)
+        answers.append(answer)
+        flown[:, k : k + DEGREE + 1] = answer.coefficients[:, : DEGREE + 1]
+        start, scale = answer.next_start, max(answer.scale, LEAST_START_SCALE)
+        angle = answer.plan.values((k + 1) * spacing).angle
+    return flown, answers
+
+
+def plan_task(
+    model: Model,
+    limits: LimitsConfig,
+    reference: Reference,
+    duration: float,
+    *,
+    name: Callable[[], str],
+    config: HorizonConfig | None = None,
+    start_angle: float = 0.0,
+) -> list[PlanAnswer]:
+    """Plans of a whole task, the best first, each from another start.
+
+    The starts are what a receding horizon makes, the constant ξ and A that the global search finds,
+    and the nominal ones. ξ and A begin at their nominal values with three rates of zero.
+
+    Args:
+        model: what the controllers believe.
+        limits: ε and the others.
+        reference: the load's; the task ends at rest, or goes on as at its end.
+        duration: s, rounded to a whole number of intervals between knots.
+        name: as of `HorizonProblem`.
+        config: but for its horizon.
+        start_angle: θ at the start, rad.
+    """
+    config = timed(config or HorizonConfig(), limits.frequency, model.control_period)
+    intervals = round(duration / config.knot_spacing)
+    short = HorizonProblem(model, limits, config, name)
+    flown, _ = receding_coefficients(
+        short, reference, intervals, limits.speed_bound, start_angle=start_angle
+    )
+    whole = replace(config, horizon=intervals * config.knot_spacing)
+    problem = HorizonProblem(model, limits, whole, name)
+    data: HorizonData = problem.data(0.0, start_angle, reference, limits.speed_bound)
+    solver = HorizonSolver(problem)
+    starts = [flown, solver.first_guess(data), problem.nominal_coefficients()]
+    answers = [
+        solver.solve(data, start, max_iterations=_MAX_ITERATIONS, tolerance=_TASK_TOLERANCE)
+        for start in starts
+    ]
+    return sorted(answers, key=solver.merit)

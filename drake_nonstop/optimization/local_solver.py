@@ -25,14 +25,9 @@ _CONSTRAINT_TOLERANCE = 1e-7  # on a margin
 class LocalSolver(threading.local):
     """Two MathematicalPrograms over [ξ, A], built once: the nearest and the fastest point.
 
-    Each thread has its own, built of the same arguments.
-
-    Args:
-        name: of the solver, one of `NAMES`.
-        cost: of [ξ, A] and the flat `UpdateData`; its gradient is the second output.
-        margins: likewise, non-negative where the constraints are fulfilled.
-        speed_count: how many margins, the first ones, are those of the speed bound.
-        data_size: of the flat `UpdateData`.
+    Each thread has its own, built of the same arguments. Cost and margins are functions of [ξ, A]
+    and the flat `UpdateData`, with gradients as second outputs; the first `speed_count` margins are
+    those of the speed bound.
     """
 
     NAMES: ClassVar[dict[str, Callable[[], SolverInterface]]] = {

@@ -22,6 +22,7 @@ from drake_nonstop.mechanics.stretched_time import stretched_higher_rates, stret
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.horizon_config import HorizonConfig, timed
 from drake_nonstop.optimization.horizon_problem import HorizonProblem
+from drake_nonstop.optimization.horizon_solver import receding_coefficients
 from drake_nonstop.optimization.orbit_constraints import OrbitConstraints
 from drake_nonstop.optimization.problem_config import (
     LimitsConfig,
@@ -29,7 +30,6 @@ from drake_nonstop.optimization.problem_config import (
     limit_tightening,
     tightened_bound,
 )
-from drake_nonstop.optimization.whole_task import receding_coefficients
 
 _SPACING = 0.1  # s, of the instants along path and time at which orbits are looked at,
 _IN_A_TURN = 32  # and of aircraft's so many in a turn, where that is longer
@@ -61,14 +61,8 @@ class OrbitFeasibility:
     """Whether some ξ and A within their bounds fulfil all limits, at all phases of the orbit.
 
     Of aircraft those within a factor of 1.5 of the nominal ξ and A: formations do not fly far from
-    these. Where they have limits of flight ξ and A are those of a grid.
-
-    Args:
-        model: what the controllers believe.
-        limits: ε, its margin, the bounds of ξ and A, and the other limits.
-        config: the horizon, of which the numbers of phases and amplitudes are used.
-        name: tells what evaluates the terms, for the error of a value that is not finite.
-        reserve: by which share of the bound speeds have to be above it.
+    these. Where they have limits of flight ξ and A are those of a grid. Speeds have to be above the
+    bound by a share `reserve` of it; model, limits, config and name are as of `OrbitConstraints`.
     """
 
     def __init__(
@@ -105,10 +99,7 @@ class OrbitFeasibility:
         self._limits, self._reserve = limits, reserve
 
     def holds(self, references: NDArray, winds: NDArray = STILL_AIR) -> NDArray:
-        """For each of the references (k, 22), as (k,) truth values.
-
-        In winds (k, 3), or one wind (3,), in m/s, in W, which count for aircraft.
-        """
+        """For references (k, 22) in winds (k, 3) or (3,), m/s, in W, as (k,) truth values."""
         flat = self._problem.all_terms(references, winds)
         flight = self._problem.flight_terms(references, winds)
         # At rest, and at a constant velocity, all instants are alike.
@@ -213,18 +204,9 @@ def stretching(
     the largest constant one at which some ξ and A fulfil the limits at all phases; between such
     stretches it changes smoothly, and where that takes too much acceleration it is lowered further.
 
-    Args:
-        model: what the controllers believe.
-        limits: ε and the others.
-        preview: the motion, known for ever.
-        duration: s, how long it is looked at.
-        least_rate: of s by t.
-        largest_rate: likewise, to catch up.
-        change_time: s, in which the rate changes by 1 at the fastest.
-        can_plan: whether plans of ξ and A are an option.
-        config: of the plans.
-        name: as of `OrbitFeasibility`.
-        winds: that are believed, which count for aircraft.
+    The motion of the `preview` is looked at for a `duration` in s. The three numbers after it are
+    those of a `ReferenceGovernorConfig`; `can_plan` tells whether plans of ξ and A, of a `config`,
+    are an option. The believed `winds` count for aircraft.
     """
     config = timed(config, limits.frequency, model.control_period)
     feasibility = OrbitFeasibility(model, limits, config, name)
@@ -299,10 +281,7 @@ def _is_planned(
     name: Callable[[], str],
     winds: Winds,
 ) -> bool:
-    """Whether what plans over a receding horizon make fulfils the limits at full speed.
-
-    Half of the margin on the bound is enough.
-    """
+    """Whether plans over a receding horizon fulfil the limits, with half of the bound's margin."""
     bound, tolerance = limits.speed_bound, limit_tightening(limits)  # of squared speeds
     intervals = math.ceil(duration / config.knot_spacing)
     problem = HorizonProblem(model, limits, config, name)

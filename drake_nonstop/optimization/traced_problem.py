@@ -29,16 +29,9 @@ from drake_nonstop.mechanics.signals import (
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.constraints import Constraints
 from drake_nonstop.optimization.limits import Of
-from drake_nonstop.optimization.problem_config import (
-    NonstopProblemConfig,
-)
+from drake_nonstop.optimization.problem_config import NonstopProblemConfig
 from drake_nonstop.optimization.separation import OrbitDistances
-from drake_nonstop.optimization.update_data import (
-    Beliefs,
-    UpdateData,
-    beliefs_of,
-    update_data_size,
-)
+from drake_nonstop.optimization.update_data import Beliefs, UpdateData, beliefs_of, update_data_size
 from drake_nonstop.systems.tracing import TracedFunction
 
 MIN_SPEEDS_FOR_ARRAYS = 90  # from this number on arrays are faster than a trace
@@ -72,12 +65,7 @@ class TracedProblem:
     `margins` and `cost`. `margins` are those of the `speed_count` speeds above the bound, then,
     for each limit, those of speeds, of tensions and of aircraft; none of the separation. The speeds
     of aircraft are those through the air, of other carriers over the ground. `data_size` is that of
-    the vector, and `beliefs` are those of model and config.
-
-    Args:
-        model: what the controllers believe.
-        config: its values are taken to be valid, see `check_problem`.
-        name: tells what evaluates the functions, for the error of a value that is not finite.
+    the vector, and `beliefs` are those of model and config. Arguments are as of `UpdateSolver`.
     """
 
     def __init__(self, model: Model, config: NonstopProblemConfig, name: Callable[[], str]):
@@ -102,6 +90,7 @@ class TracedProblem:
         self.constraints = Constraints(config)
         self.speed_count = len(self._instant_of_row) * model.n
         self.distances = OrbitDistances(self._axes)
+        self.has_flight_limits = bool(self.constraints.names(Of.FLIGHT))
         self.terms = self._compiled(self._trace_terms)
         self.cost = self._compiled(self._trace_cost)
         if self.speed_count < MIN_SPEEDS_FOR_ARRAYS or self.has_flight_limits:
@@ -109,11 +98,6 @@ class TracedProblem:
         if self.has_flight_limits:
             self.flight_terms = self._compiled(self._trace_flight_terms)
             self.margins_and_jacobian = self._compiled(self._trace_margins, jacobian_of=0)
-
-    @property
-    def has_flight_limits(self) -> bool:
-        """Whether what aircraft need is limited."""
-        return bool(self.constraints.names(Of.FLIGHT))
 
     @cached_property
     def flight_terms(self) -> TracedFunction:
@@ -149,23 +133,15 @@ class TracedProblem:
 
     def with_gradients(self) -> tuple[TracedFunction, TracedFunction]:
         """`cost` and `margins`, each with one more output: its exact Jacobian by x."""
-        return (
-            self._compiled(self._trace_cost, jacobian_of=0),
-            self.margins_and_jacobian,
-        )
+        return self._compiled(self._trace_cost, jacobian_of=0), self.margins_and_jacobian
 
     def bounds(self, previous: NDArray, beliefs: Beliefs) -> tuple[NDArray, NDArray]:
         """The lower and upper bounds (2,) of [ξ, A], within reach at the limits of their rates."""
-        return (
-            np.maximum(beliefs.lower, previous - self.largest_step),
-            np.minimum(beliefs.upper, previous + self.largest_step),
+        rates = [self.config.max_frequency_rate, self.config.max_amplitude_rate]
+        step = self.config.period * np.array(rates)
+        return np.maximum(beliefs.lower, previous - step), np.minimum(
+            beliefs.upper, previous + step
         )
-
-    @property
-    def largest_step(self) -> NDArray:
-        """That of [ξ, A] (2,) in an update, rad/s and N."""
-        config = self.config
-        return config.period * np.array([config.max_frequency_rate, config.max_amplitude_rate])
 
     def _compiled(self, function: Callable, jacobian_of: int | None = None) -> TracedFunction:
         # A solver may try the far ends of the bounds, where values are huge and sound.
@@ -279,12 +255,7 @@ class TracedProblem:
     ) -> list[NDArray]:
         """The margins (k, n) of limits of aircraft at k instants, of numbers or symbols.
 
-        Args:
-            flat_terms: (k, 15n + 9).
-            angles: θ (k,), rad.
-            frequency: ξ (k,) or (1,), rad/s.
-            amplitude: A (k,) or (1,), N.
-            data: of the update.
+        At θ (k,), ξ (k,) or (1,) and A likewise, of flat terms (k, 15n + 9).
         """
         aircraft, beliefs = self.model.aircraft, Beliefs.view(data.beliefs)
         assert aircraft is not None

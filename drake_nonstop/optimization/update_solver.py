@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.signals import LoadReference
 from drake_nonstop.model.system import Model
-from drake_nonstop.optimization.active_set_search import nearest_feasible
 from drake_nonstop.optimization.constraints import FEASIBILITY_TOLERANCE
 from drake_nonstop.optimization.diagnostics import Outcome
 from drake_nonstop.optimization.flight_search import nearest_within_limits
@@ -21,7 +20,7 @@ from drake_nonstop.optimization.problem_config import (
     bound_tightening,
     tightened_bound,
 )
-from drake_nonstop.optimization.search_problem import FEW, MANY, best_on_grid
+from drake_nonstop.optimization.search_problem import FEW, MANY, best_on_grid, nearest_feasible
 from drake_nonstop.optimization.traced_problem import TracedProblem
 from drake_nonstop.optimization.update_data import Beliefs, UpdateData
 from drake_nonstop.optimization.update_problem import UpdateProblem
@@ -60,7 +59,7 @@ class UpdateSolver:
     Args:
         model: what the controllers believe.
         config: its values are taken to be valid, see `check_problem`.
-        name: tells what evaluates the problem, for the error of a value that is not finite.
+        name: tells what evaluates the functions, for the error of a value that is not finite.
     """
 
     def __init__(self, model: Model, config: NonstopProblemConfig, name: Callable[[], str]):

@@ -1,7 +1,7 @@
 """How close layers come to the best ξ and A for a whole task, which an offline optimization finds.
 
 Each layer flies the task; the offline optimum is a plan that knows all of the motion, the best of
-those from several starts, see `optimization.whole_task`.
+those from several starts, see `optimization.horizon_solver`.
 """
 
 import time
@@ -17,8 +17,8 @@ from drake_nonstop.mechanics.planned_orbit import OrbitTerms, PlannedOrbit
 from drake_nonstop.mechanics.signals import SIGNAL_PERIOD, PlannedParameters
 from drake_nonstop.optimization.horizon_config import HorizonConfig, timed
 from drake_nonstop.optimization.horizon_problem import HorizonProblem
+from drake_nonstop.optimization.horizon_solver import plan_task
 from drake_nonstop.optimization.limits import Of
-from drake_nonstop.optimization.whole_task import plan_task
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.scenario.schema import Scenario

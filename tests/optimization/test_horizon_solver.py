@@ -10,9 +10,12 @@ from drake_nonstop.model.pattern import HamiltonianCycleConfig
 from drake_nonstop.model.system import Model, SystemParameters
 from drake_nonstop.optimization.horizon_config import HorizonConfig
 from drake_nonstop.optimization.horizon_problem import HorizonProblem
-from drake_nonstop.optimization.horizon_solver import HorizonSolver
+from drake_nonstop.optimization.horizon_solver import (
+    HorizonSolver,
+    plan_task,
+    receding_coefficients,
+)
 from drake_nonstop.optimization.problem_config import NonstopProblemConfig
-from drake_nonstop.optimization.whole_task import plan_task, receding_coefficients
 
 PAIRED = HamiltonianCycleConfig(phases=[0.0, np.pi / 2, 0.0, np.pi / 2])
 MARGIN = 0.02
