@@ -15,6 +15,7 @@ from pydrake.systems.framework import Context, Diagram
 from drake_nonstop.analysis.carriers_along import resting_carriers
 from drake_nonstop.analysis.flight_envelope import (
     ROWS,
+    BowedCables,
     FlightEnvelope,
     FlightMargin,
     FlightRanges,
@@ -64,7 +65,8 @@ class AircraftMargins:
             force swings.
         needs: (k, n) each, at these phases.
         thrust_limits: the least and the largest thrust at their airspeeds (k, n), N.
-        ranges: of these, and what straight cables leave out.
+        ranges: of these.
+        cables: what straight ones leave out.
         limits: what they are held against.
         carrier_distance: (k,) m, of the closest two there.
         cable_distance: (k,) m, of the closest two there.
@@ -84,6 +86,7 @@ class AircraftMargins:
     needs: FlightNeeds
     thrust_limits: tuple[NDArray, NDArray]
     ranges: FlightRanges
+    cables: BowedCables
     limits: FlightEnvelope
     carrier_distance: NDArray
     cable_distance: NDArray
@@ -163,7 +166,8 @@ def margins_table(found: AircraftMargins) -> str:
         )
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
-    lines += [f"{name:{widths[0]}}  {text}" for name, text in found.ranges.lines]
+    told = [*found.ranges.lines, ("real cables", found.cables.text)]
+    lines += [f"{name:{widths[0]}}  {text}" for name, text in told]
     power = f"{found.propulsive_power:.0f} W of thrust, {found.drawn_power:.0f} W drawn"
     lines.append(f"{'mean power of each':{widths[0]}}  {power}")
     lines.append(f"{'a turn':{widths[0]}}  {found.turn:.2f} s")
@@ -182,7 +186,7 @@ def margins_dictionary(found: AircraftMargins) -> dict[str, Any]:
         "wind_m_s": found.wind.velocity.tolist(),
         "possible_share_of_wind": found.possible_wind,
         "margins": [margin.dictionary for margin in found.margins],
-        "ranges": found.ranges.dictionary,
+        "ranges": found.ranges.dictionary | {"cables": found.cables.dictionary},
         "stall_speed_m_s": found.stall_speed,
         "power_of_thrust_mean_W": found.propulsive_power,
         "power_drawn_mean_W": found.drawn_power,
@@ -283,10 +287,8 @@ class _Orbit:
         self.turns = Fraction(rates[-1] / self.rate).limit_denominator(_MOST_TURNS).denominator
         self.limits = limits
 
-    def at(
-        self, phases: NDArray, wind: MeanWind
-    ) -> tuple[FlightNeeds, list[LimitAlong], FlightRanges]:
-        """What the aircraft need at phases (k,), rad, all quantities that have limits, ranges."""
+    def at(self, phases: NDArray, wind: MeanWind) -> tuple[FlightNeeds, list[LimitAlong], NDArray]:
+        """What the aircraft need at phases (k,), rad, all that has limits, and cable forces, N."""
         model, position = self.model, Pose.view(self._reference).position
         frequency, amplitude = self._parameters
         times = phases / self.rate
@@ -303,8 +305,7 @@ class _Orbit:
         winds = wind.at(position + places @ R_WL.swapaxes(1, 2)) @ R_WL
         needs = carriers.needs(motion._replace(velocities=motion.velocities - winds))
         of_each = limits_along(self.aircraft, needs, self.limits, phases)
-        ranges = FlightRanges.of(self.aircraft, needs, motion.forces, model.attachments)
-        return needs, [*of_each, *self._of_pairs(places, phases)], ranges
+        return needs, [*of_each, *self._of_pairs(places, phases)], motion.forces
 
     def _of_pairs(self, places: NDArray, phases: NDArray) -> Iterator[LimitAlong]:
         """The distances of carriers at `places` (k, n, 3), in L, and of their cables."""
@@ -326,7 +327,7 @@ def _margins(orbit: _Orbit, wind: MeanWind, name: str) -> AircraftMargins:
     """The margins in a wind, whatever they are."""
     count = _INSTANTS * orbit.turns
     phases = 2 * np.pi / _INSTANTS * np.arange(count)
-    needs, quantities, ranges = orbit.at(phases, wind)
+    needs, quantities, forces = orbit.at(phases, wind)
     margins = [quantity.worst_margin() for quantity in quantities]
     *_, carriers, cables = (quantity.values.min(axis=1) for quantity in quantities)
     step = phases[1]
@@ -347,7 +348,8 @@ def _margins(orbit: _Orbit, wind: MeanWind, name: str) -> AircraftMargins:
         phases=phases,
         needs=needs,
         thrust_limits=thrust_limits(aircraft, needs.airspeed),
-        ranges=ranges,
+        ranges=FlightRanges.of(aircraft, needs),
+        cables=BowedCables.of(aircraft, needs.airspeed, forces, orbit.model.attachments),
         limits=orbit.limits,
         carrier_distance=carriers,
         cable_distance=cables,

@@ -203,17 +203,17 @@ class BowedCables(NamedTuple):
 
     @classmethod
     def of(
-        cls, aircraft: Aircraft, airspeeds: NDArray, tensions: NDArray, attachments: NDArray
+        cls, aircraft: Aircraft, airspeeds: NDArray, cable_forces: NDArray, attachments: NDArray
     ) -> "BowedCables":
-        """Those of n aircraft at airspeeds (k, n), m/s, and tensions (k, n), N.
+        """Those of n aircraft at airspeeds (k, n), m/s, with cable forces (k, n, 3), N.
 
         Args:
             aircraft: its cable_diameter, cable_drag, cable_length and air_density count.
             airspeeds: m/s.
-            tensions: N.
+            cable_forces: N.
             attachments: (n, 3), m.
         """
-        taut = np.maximum(tensions, _LEAST_TENSION)
+        taut = np.maximum(np.linalg.norm(cable_forces, axis=-1), _LEAST_TENSION)
         size = aircraft.air_density / 2 * aircraft.cable_drag * aircraft.cable_diameter
         drag, length = size * airspeeds**2, aircraft.cable_length
         sag = drag * length / taut
@@ -321,15 +321,11 @@ class FlightRanges(NamedTuple):
     climb: tuple[float, float]  # rad
     thrust: tuple[float, float]  # N
     thrust_share: tuple[float, float]  # of the largest one at that airspeed
-    cables: BowedCables
 
     @classmethod
-    def of(
-        cls, aircraft: Aircraft, needs: FlightNeeds, cable_forces: NDArray, attachments: NDArray
-    ) -> "FlightRanges":
-        """Those of needs (k, n), with the cables' forces (k, n, 3), N, and attachments (n, 3)."""
+    def of(cls, aircraft: Aircraft, needs: FlightNeeds) -> "FlightRanges":
+        """Those of needs (k, n), in a plan or in a run."""
         lift, airspeed, thrust = needs.lift, needs.airspeed, needs.thrust
-        tensions = np.linalg.norm(cable_forces, axis=-1)
         return cls(
             lift_share=_range(lift / aircraft.max_lift),
             airspeed=_range(airspeed),
@@ -339,7 +335,6 @@ class FlightRanges(NamedTuple):
             climb=_range(needs.climb),
             thrust=_range(thrust),
             thrust_share=_range(thrust_share(aircraft, thrust, airspeed)),
-            cables=BowedCables.of(aircraft, airspeed, tensions, attachments),
         )
 
     @property
@@ -360,7 +355,6 @@ class FlightRanges(NamedTuple):
                 "the largest",
             ),
             ("bank", f"{degrees[0]:.1f} to {degrees[1]:.1f} deg"),
-            ("real cables", self.cables.text),
         ]
 
     @property
@@ -375,5 +369,4 @@ class FlightRanges(NamedTuple):
             "climb_rad": list(self.climb),
             "thrust_N": list(self.thrust),
             "thrust_share": list(self.thrust_share),
-            "cables": self.cables.dictionary,
         }

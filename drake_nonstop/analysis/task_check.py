@@ -10,6 +10,7 @@ from pydrake.systems.framework import Diagram
 
 from drake_nonstop.analysis.carriers_along import carriers_along
 from drake_nonstop.analysis.flight_envelope import (
+    BowedCables,
     FlightEnvelope,
     FlightMargin,
     FlightRanges,
@@ -46,7 +47,8 @@ class FlightOfPlan(NamedTuple):
 
     margins: tuple[FlightMargin, ...]  # phases are the plan's θ, from 0 to 2π
     times: tuple[float, ...]  # s, of each
-    ranges: FlightRanges  # of what they need, and what straight cables leave out
+    ranges: FlightRanges  # of what they need
+    cables: BowedCables  # what straight ones leave out
     missed_share: float  # of the time, in which an aircraft needs more than its limits allow
     largest_share: float  # up to which that can be flown: `limits.saturated_share` of the run
     gust: float = 0.0  # m/s, standard deviation of the wind at a carrier, which is left out
@@ -102,7 +104,7 @@ class FlightOfPlan(NamedTuple):
                 margin.dictionary | {"time_s": time}
                 for margin, time in zip(self.margins, self.times, strict=True)
             ],
-            "ranges": self.ranges.dictionary,
+            "ranges": self.ranges.dictionary | {"cables": self.cables.dictionary},
         }
 
 
@@ -128,7 +130,8 @@ def flight_of_plan(task: Task, speeds: SpeedCheck, limits: FlightEnvelope) -> Fl
     return FlightOfPlan(
         tuple(quantity.worst_margin(angles) for quantity in quantities),
         tuple(quantity.time for quantity in quantities),
-        FlightRanges.of(aircraft, needs, motion.forces, task.flown.attachments),
+        FlightRanges.of(aircraft, needs),
+        BowedCables.of(aircraft, needs.airspeed, motion.forces, task.flown.attachments),
         float(np.mean(np.any(missed, axis=0))),
         limits.saturated_share,
         task.air.gust,
@@ -374,7 +377,7 @@ def task_table(found: TaskCheck) -> str:
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
     if found.flight is not None:
-        of_flight = found.flight.ranges.lines
+        of_flight = [*found.flight.ranges.lines, ("real cables", found.flight.cables.text)]
         lines += [f"{name + ', on the way':{widths[0]}}  {text}" for name, text in of_flight]
     return "\n".join(lines)
 

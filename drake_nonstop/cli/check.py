@@ -81,8 +81,8 @@ def _check(options: argparse.Namespace) -> int:
     for verdict in found.verdicts:
         print(verdict)
     flown = found.flight or aircraft
-    if flown is not None and flown.ranges.cables.warning:
-        print(flown.ranges.cables.warning)
+    if flown is not None and flown.cables.warning:
+        print(flown.cables.warning)
     if aircraft is not None:
         print(margins_table(aircraft))
         print(aircraft.verdict)

@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from drake_nonstop.mechanics.aircraft import stall_speed
 from drake_nonstop.optimization.diagnostics import BOUND
 from drake_nonstop.optimization.limits import LIMITS
 from drake_nonstop.simulation.outcome import find_warnings, judge
@@ -275,16 +274,16 @@ _ROWS: dict[str, Metric] = {
         TableColumn("apart (m)", "carr."),
     ),
     "carriers.normal_acceleration_max_m_s2": Metric(
-        lambda run: run.sharpest_turn[0], Quantity("largest normal acceleration", "m/s²")
+        lambda run: run.turns[1], Quantity("largest normal acceleration", "m/s²")
     ),
     "carriers.acceleration_max_m_s2": Metric(
-        lambda run: run.largest_acceleration, Quantity("largest acceleration", "m/s²")
+        lambda run: run.turns[0], Quantity("largest acceleration", "m/s²")
     ),
     "carriers.climb_angle_max_rad": Metric(
         lambda run: run.steepest_angle, Quantity("steepest climb or descent", "rad")
     ),
     "carriers.turn_radius_min_m": Metric(
-        lambda run: run.sharpest_turn[1], Quantity("smallest turn radius", "m")
+        lambda run: run.turns[2], Quantity("smallest turn radius", "m")
     ),
     "cables.tension_min_N": Metric(
         lambda run: np.min(run.tensions),
@@ -310,12 +309,12 @@ _ROWS: dict[str, Metric] = {
         TableColumn("apart (m)", "cables"),
     ),
     "aircraft.lift_share_max": Metric(
-        lambda run: np.max(run.aircraft_state.lift / run.aircraft.max_lift),
+        lambda run: run.ranges.lift_share[1],
         Quantity("largest share of the lift", better=LOWER),
         RunText("aircraft", "up to {:.3g} of the largest lift"),
     ),
     "aircraft.airspeed_min_m_s": Metric(
-        lambda run: np.min(run.aircraft_state.airspeed),
+        lambda run: run.ranges.airspeed[0],
         Quantity("least airspeed", "m/s", better=HIGHER),
         RunText("aircraft", "airspeed from {:.3g} {unit}"),
     ),
@@ -324,37 +323,37 @@ _ROWS: dict[str, Metric] = {
         Quantity("least airspeed above the bound", "m/s", better=HIGHER),
     ),
     "aircraft.airspeed_over_stall_min": Metric(
-        lambda run: np.min(run.aircraft_state.airspeed / stall_speed(run.aircraft)),
+        lambda run: run.ranges.over_stall[0],
         Quantity("least airspeed over the stall speed", better=HIGHER),
         RunText("aircraft", "({:.3g} x stall", " "),
     ),
     "aircraft.airspeed_over_loaded_stall_min": Metric(
-        lambda run: np.min(run.airspeeds_over_loaded_stall),
+        lambda run: run.ranges.over_loaded_stall[0],
         Quantity("least airspeed over the stall speed with cable and bank", better=HIGHER),
         RunText("aircraft", "{:.3g} x stall with cable and bank)"),
     ),
     "aircraft.bank_max_rad": Metric(
-        lambda run: np.max(np.abs(run.aircraft_state.bank)),
+        lambda run: max(map(abs, run.ranges.bank)),
         Quantity("largest bank", "deg", math.degrees(1), LOWER),
         RunText("aircraft", "bank up to {:.3g} {unit}"),
     ),
     "aircraft.thrust_min_N": Metric(
-        lambda run: np.min(run.aircraft_state.thrust),
+        lambda run: run.ranges.thrust[0],
         Quantity("least thrust", "N"),
         RunText("thrust", "{:.3g}"),
     ),
     "aircraft.thrust_max_N": Metric(
-        lambda run: np.max(run.aircraft_state.thrust),
+        lambda run: run.ranges.thrust[1],
         Quantity("largest thrust", "N"),
         RunText("thrust", "{:.3g} {unit}", " to "),
     ),
     "aircraft.thrust_share_min": Metric(
-        lambda run: np.min(run.thrust_shares),
+        lambda run: run.ranges.thrust_share[0],
         Quantity("least share of the thrust", "%", 100),
         RunText("thrust", "{:.3g}", " ("),
     ),
     "aircraft.thrust_share_max": Metric(
-        lambda run: np.max(run.thrust_shares),
+        lambda run: run.ranges.thrust_share[1],
         Quantity("largest share of the thrust", "%", 100, LOWER),
         RunText("thrust", "{:.3g} {unit} of the largest)", " to "),
     ),

@@ -82,7 +82,7 @@ LIMITS = (
         path="limits.acceleration",
         sentence="not plausible: a carrier was accelerated by {}",
         unit="m/s²",
-        measure=lambda run: run.largest_acceleration,
+        measure=lambda run: run.turns[0],
     ),
     Limit(
         path="limits.tension",

@@ -364,10 +364,7 @@ def _names_and_entries(
 def expected_size(nonstop: Diagram, scenario: Scenario) -> float:
     """About how many bytes the signals of a run take, where no step has to be shorter."""
     step = scenario.simulator_config.max_step_size
-    samples, steps = (
-        DOUBLE * (1 + sum(port.size() for port in ports.values()))
-        for ports in _recorded_ports(nonstop)
-    )
+    samples, steps = (DOUBLE * (1 + sum(s.values())) for s in recorded_sizes(nonstop))
     return scenario.simulation_duration * (
         samples / SIGNAL_PERIOD + steps / min(step, SIGNAL_PERIOD)
     )

@@ -8,15 +8,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.analysis.flight_envelope import LimitAlong
+from drake_nonstop.analysis.flight_envelope import FlightRanges, LimitAlong
 from drake_nonstop.analysis.separations import Spacing, least_length
 from drake_nonstop.mechanics.aircraft import (
     Aircraft,
     FlightNeeds,
-    airspeed_over_loaded_stall,
     is_stalled,
     thrust_power,
-    thrust_share,
 )
 from drake_nonstop.mechanics.rotation import (
     quaternion_conjugate,
@@ -153,42 +151,36 @@ class RunQuantities(Spacing):
         return max(map(_steepest_angle, _overlapping_chunks(self.carrier_velocities)))
 
     @cached_property
-    def largest_acceleration(self) -> float | None:
-        """The largest acceleration of a carrier, m/s²; None: unknown."""
-        parts = [_norms(accelerations) for _, accelerations in self._carrier_motion()]
-        return max((float(np.max(part)) for part in parts), default=None)
+    def turns(self) -> tuple[float | None, float | None, float | None]:
+        """The largest acceleration and normal acceleration (m/s²), and smallest turn radius (m).
 
-    @cached_property
-    def sharpest_turn(self) -> tuple[float | None, float | None]:
-        """The largest normal acceleration (m/s²) and smallest turn radius (m); None: unknown."""
-        acceleration = curvature = 0.0
+        Of a carrier, over 0.1 s of its path; None: unknown.
+        """
+        time, states = self.run.time, self.run.signal("carrier_state")
+        if len(time) < 3:
+            return None, None, None
+        apart = max(1, min(round(_TURN / 2 / (time[1] - time[0])), (len(time) - 1) // 2))
+        acceleration = normal_acceleration = curvature = 0.0
         is_moving = False
-        for velocities, accelerations in self._carrier_motion():
+        for start in range(apart, len(time) - apart, _CHUNK):
+            rows = slice(start - apart, min(start + _CHUNK, len(time) - apart) + apart)
+            velocities, times = CarrierStates.view(states[rows]).velocities, time[rows]
+            intervals = (times[2 * apart :] - times[: -2 * apart])[:, None, None]
+            accelerations = (velocities[2 * apart :] - velocities[: -2 * apart]) / intervals
+            velocities = velocities[apart:-apart]
             # v × a is speed × normal acceleration, and stays defined where a carrier stops.
             crossed, speeds = _norms(np.cross(velocities, accelerations)), _norms(velocities)
             moving = speeds > 0
             is_moving |= bool(np.any(moving))
             crossed, speeds = crossed[moving], speeds[moving]
-            acceleration = max(acceleration, float(np.max(crossed / speeds, initial=0.0)))
+            acceleration = max(acceleration, float(np.max(_norms(accelerations))))
+            normal_acceleration = max(
+                normal_acceleration, float(np.max(crossed / speeds, initial=0.0))
+            )
             curvature = max(curvature, float(np.max(crossed / speeds**3, initial=0.0)))
         if not is_moving:
-            return None, None
-        return acceleration, 1 / curvature if curvature > 0 else None
-
-    def _carrier_motion(self) -> Iterator[tuple[NDArray, NDArray]]:
-        """Velocities (k, n, 3), m/s, and accelerations, m/s², over 0.1 s of the path, in parts."""
-        time, states = self.run.time, self.run.signal("carrier_state")
-        if len(time) < 3:
-            return
-        apart = max(1, min(round(_TURN / 2 / (time[1] - time[0])), (len(time) - 1) // 2))
-        for start in range(apart, len(time) - apart, _CHUNK):
-            rows = slice(start - apart, min(start + _CHUNK, len(time) - apart) + apart)
-            velocities, times = CarrierStates.view(states[rows]).velocities, time[rows]
-            intervals = (times[2 * apart :] - times[: -2 * apart])[:, None, None]
-            yield (
-                velocities[apart:-apart],
-                (velocities[2 * apart :] - velocities[: -2 * apart]) / intervals,
-            )
+            return acceleration, None, None
+        return acceleration, normal_acceleration, 1 / curvature if curvature > 0 else None
 
     @cached_property
     def largest_carrier_force(self) -> float | None:
@@ -240,16 +232,10 @@ class RunQuantities(Spacing):
             thrust=state.thrust,
         )
 
-    @property
-    def airspeeds_over_loaded_stall(self) -> NDArray:
-        """The airspeeds (k, n) over the stall speed at the load factor, with cable and bank."""
-        lift, _, thrust, airspeed = self.aircraft_state
-        return airspeed_over_loaded_stall(self.aircraft, airspeed, lift, thrust)
-
-    @property
-    def thrust_shares(self) -> NDArray:
-        """The thrusts (k, n) over the largest at their airspeeds."""
-        return thrust_share(self.aircraft, self.aircraft_state.thrust, self.aircraft_state.airspeed)
+    @cached_property
+    def ranges(self) -> FlightRanges:
+        """The least and the largest of the quantities of aircraft."""
+        return FlightRanges.of(self.aircraft, self.aircraft_needs)
 
     @cached_property
     def thrust_powers(self) -> NDArray:
@@ -300,10 +286,8 @@ class RunQuantities(Spacing):
     def limited_by(self, limit: Limit) -> NDArray | None:
         """What a limit holds for (k, c), in its unit, of carriers or pairs; None: unknown."""
         if limit.of is Of.SEPARATION:
-            pairs = np.array(np.triu_indices(self.carrier_positions.shape[1], 1))
-            return _in_chunks(
-                lambda at: _norms(at[:, pairs[0]] - at[:, pairs[1]]), self.carrier_positions
-            )
+            one, other = np.triu_indices(self.carrier_positions.shape[1], 1)
+            return _in_chunks(lambda at: _norms(at[:, one] - at[:, other]), self.carrier_positions)
         if limit.is_of_aircraft:
             if not self.has_aircraft:
                 return None

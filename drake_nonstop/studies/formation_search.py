@@ -214,7 +214,7 @@ class FormationSearch:
             variables=x,
             flight=flight,
             distances=distances,
-            cables=margins.ranges.cables,
+            cables=margins.cables,
             growth=max(instant.rate for instant in formation.instants),
             breaks=tuple(breaking_points(self.way, self.kind, x, self.turns)),
             scenario=steadied,

@@ -234,18 +234,18 @@ def test_the_table_has_a_line_for_each_margin():
 
 
 def test_what_straight_cables_leave_out_is_told():
-    cables = margins(model(F150, 150.0), 0.595).ranges.cables
+    cables = margins(model(F150, 150.0), 0.595).cables
     assert 5.6 < cables.bow < 11  # 5.6 m at 15.3 m/s and 25 N
     assert cables.shortening[0] < 0.6 < cables.shortening[1]
     assert cables.load_width == pytest.approx(3.0)
     assert cables.mass == pytest.approx(0.11, abs=0.005)
     assert "differently, more than a hundredth of the load's width (0.03 m)" in cables.warning
     thin = dataclasses.replace(RASCAL, cable_diameter=1e-4)
-    assert not margins(model(F150, 150.0, thin), 0.595).ranges.cables.warning
-    alike = margins(model(R60, 60.0), 0.4, yaw_rate=0.4).ranges.cables  # on level circles
+    assert not margins(model(F150, 150.0, thin), 0.595).cables.warning
+    alike = margins(model(R60, 60.0), 0.4, yaw_rate=0.4).cables  # on level circles
     assert alike.shortening[1] > 0.03 > 1e-3 > alike.difference
     assert not alike.warning
-    in_wind = margins(model(R60, 60.0), 0.4, yaw_rate=0.4, wind=(5.0, 0.0, 0.0)).ranges.cables
+    in_wind = margins(model(R60, 60.0), 0.4, yaw_rate=0.4, wind=(5.0, 0.0, 0.0)).cables
     assert in_wind.difference > 0.01
 
 

@@ -13,7 +13,7 @@ def cables(diameter):
     parameters = AircraftParameters(model="rascal_110", cable_diameter=diameter)
     aircraft = make_aircraft(parameters, cable_length=LENGTH, gravity=9.81)
     one = np.ones((1, 1))
-    return aircraft, BowedCables.of(aircraft, SPEED * one, TENSION * one, np.eye(2))
+    return aircraft, BowedCables.of(aircraft, SPEED * one, TENSION * one[..., None], np.eye(2))
 
 
 @pytest.mark.parametrize(

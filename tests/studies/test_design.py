@@ -179,11 +179,12 @@ def test_what_is_printed_and_drawn(windy):
     assert next(line for line in warned.splitlines() if "straight" in line).startswith(start)
     found = design_dictionary(windy)
     for formation, told in zip(windy.formations, found["formations"], strict=True):
-        resting = aircraft_margins(formation.scenario).ranges  # the way asks for more
+        at_rest = aircraft_margins(formation.scenario)
+        resting = at_rest.ranges  # the way asks for more
         assert 1 < told["airspeed_over_loaded_stall_min"] <= resting.over_loaded_stall[0] + 1e-3
         assert resting.thrust_share[1] - 1e-3 <= told["thrust_share_max"] < 1
         assert told["thrust_share_min"] <= resting.thrust_share[0] + 1e-3
-        assert told["cables"] == resting.cables.dictionary
+        assert told["cables"] == at_rest.cables.dictionary
     assert found["is_feasible"] is True
     assert found["formations"][0]["power_drawn_W"] == windy.formations[0].power
     energy = 4 * windy.formations[0].flight.power / (3.6 * 10.0 * 1.25 / 2.1875)
