@@ -14,7 +14,7 @@ from drake_nonstop.cli.arguments import (
 from drake_nonstop.cli.ending import FAILED
 from drake_nonstop.cli.run import run_into
 from drake_nonstop.scenario.overrides import changed
-from drake_nonstop.scenario.schema import AUTO, COMPILED
+from drake_nonstop.scenario.schema import AUTO, COMPILED, Scenario
 from drake_nonstop.studies.ablation import (
     ablate,
     ablation_settings,
@@ -25,13 +25,15 @@ from drake_nonstop.studies.ablation import (
 from drake_nonstop.studies.ablation_report import as_text
 from drake_nonstop.studies.figures import make_margins_figure, make_robustness_figure
 from drake_nonstop.studies.files import require_writable, write_json
-from drake_nonstop.studies.margins import Margin, find_margins, find_stability, margins_settings
+from drake_nonstop.studies.margins import Margin, find_margins, margins_settings
 from drake_nonstop.studies.robustness import robustness, robustness_settings, robustness_table
-from drake_nonstop.studies.run_all import COMPLETED, DIVERGED, SerialExecutor
+from drake_nonstop.studies.run_all import COMPLETED, DIVERGED, Progress, SerialExecutor
+from drake_nonstop.studies.stability import Stability, linearize
 from drake_nonstop.studies.sweep import sweep, sweep_settings
 from drake_nonstop.studies.sweep_spec import read_sweep
 from drake_nonstop.studies.variants import labels, varied
-from drake_nonstop.validation import require, require_seed
+from drake_nonstop.systems.tracing import NotFiniteError
+from drake_nonstop.validation import ScenarioError, message_of, require, require_seed
 from drake_nonstop.visualization.figure_style import require_drawing
 from drake_nonstop.visualization.progress import TaskProgress
 
@@ -105,7 +107,7 @@ def _stability(options: argparse.Namespace) -> int:
     fine_step = min(_FINE_STEP, scenario.simulator_config.max_step_size)
     fine = changed(scenario, [f"simulator_config.max_step_size={fine_step}"], trust=options.trust)
     with TaskProgress() as progress:
-        found = find_stability(scenario, progress)
+        found = _linearized(scenario, progress)
     verdict = "stable" if found.is_stable else "unstable"
     print(
         f"largest multiplier     {found.largest:.4g} in a turn of {found.period:.3g} s "
@@ -113,7 +115,7 @@ def _stability(options: argparse.Namespace) -> int:
         flush=True,  # the rest takes a minute
     )
     with TaskProgress() as progress:
-        found_finely = find_stability(fine, progress)
+        found_finely = _linearized(fine, progress)
         margins = find_margins(scenario, progress, folder=folder, restart=options.restart)
     write_json(
         folder / "stability.json",
@@ -148,6 +150,14 @@ def _stability(options: argparse.Namespace) -> int:
             print(f"{'':22} {value:.4g} is refused: {reason}")
     print(f"results: {folder}")
     return 0
+
+
+def _linearized(scenario: Scenario, progress: Progress) -> Stability:
+    progress("linearizing", 0.0)
+    try:
+        return linearize(scenario)
+    except (ScenarioError, NotFiniteError) as error:
+        raise ScenarioError(f"stability: {message_of(error)}") from None
 
 
 def _stable_range(margin: Margin) -> str:

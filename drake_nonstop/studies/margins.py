@@ -39,34 +39,6 @@ class Margin:
     refused: dict[float, str]  # values with which there is no such loop, and why
 
 
-def find_stability(scenario: Scenario, progress: Progress = no_progress) -> Stability:
-    """What `linearize` finds, in a process of its own.
-
-    Args:
-        scenario: of the loop.
-        progress: called with a description and the share that is done.
-
-    Raises:
-        ScenarioError: the scenario cannot be built, or the process died.
-    """
-    text = dump_scenario(scenario)
-    found: list[Stability] = []
-
-    def failed(text: str, error: str) -> Stability:
-        raise ScenarioError(f"stability: {error}")
-
-    run_all(
-        _linearized,
-        [text],
-        lambda text: (text,),
-        lambda _, result: found.append(result),
-        failed,
-        what="linearizing",
-        progress=progress,
-    )
-    return found[0]
-
-
 def find_margins(
     scenario: Scenario,
     progress: Progress = no_progress,
@@ -248,11 +220,6 @@ def _axes(scenario: Scenario) -> list[_Axis]:
             values=[0.0, 0.0025, 0.005, 0.01, 0.015, 0.02, 0.03, 0.04],
         ),
     ]
-
-
-def _linearized(text: str) -> Stability:
-    # A copy of a scenario that was trusted when it was loaded.
-    return linearize(parse_scenario(text, trust=True))
 
 
 def _measure(resting: str, override: str, value: float) -> list[Any]:
