@@ -43,7 +43,7 @@ class LinearizedLoop:
 
     def __init__(self, nonstop: Diagram, context: Context, control_period: float):
         nonstop, context = innermost(nonstop, context, LOOP_SIGNALS)
-        self._nonstop, self._plant = nonstop, PlantStates(nonstop)
+        self._nonstop, plant = nonstop, PlantStates(nonstop)
         self._period = control_period or SIGNAL_PERIOD
         self._trial = trial = copied_context(nonstop, context)
         Simulator(nonstop, trial).Initialize()
@@ -53,9 +53,9 @@ class LinearizedLoop:
         if not nonstop.HasOutputPort("aircraft_state"):
             turning = np.cross(load.angular_velocity, positions - load.position)
             velocities[:] = load.velocity + turning
-            self._plant.try_to_set(trial, carrier_state=carriers)
-        self.is_continuous = self._plant.is_continuous(trial)
-        self._start = self._plant.state(trial)
+            plant.try_to_set(trial, carrier_state=carriers)
+        self.is_continuous = plant.is_continuous(trial)
+        self._start = trial.get_continuous_state_vector().CopyToVector()
         blocks = nonstop.GetSystems()
         holds = [block for block in blocks if SAMPLE_TIME in output_names(block)]
         self._hold = holds[0] if holds and control_period > 0 else None
@@ -95,18 +95,26 @@ class LinearizedLoop:
         return both
 
     def _rate(self, state: NDArray) -> NDArray:
-        self._plant.set_state(self._trial, state)
-        return self._plant.rate(self._trial)
+        self._set(state)
+        return self._rate_now()
+
+    def _set(self, state: NDArray) -> None:
+        if len(state):
+            self._trial.SetContinuousState(state)
+
+    def _rate_now(self) -> NDArray:
+        rate: NDArray = self._nonstop.EvalTimeDerivatives(self._trial).CopyToVector()
+        return rate
 
     def _feedback(self) -> NDArray:
         """G, by forward differences."""
         if self._hold is None:
             return np.zeros_like(self._dynamics)
-        trial, plant = self._trial, self._plant
+        trial = self._trial
         port = self._nonstop.GetOutputPort("load_state")
 
         def load_state(state: NDArray) -> NDArray:
-            plant.set_state(trial, state)
+            self._set(state)
             return port.Eval(trial).copy()
 
         steps = _STEPS[0] * np.eye(len(self._start))
@@ -116,15 +124,15 @@ class LinearizedLoop:
                 for step in steps
             ]
         )
-        plant.set_state(trial, self._start)
+        self._set(self._start)
         samples = self._nonstop.GetMutableSubsystemContext(self._hold, trial)
         held = samples.get_discrete_state(0).CopyToVector()  # the measured load state
         trial.SetTime(trial.get_time() + self._period / 2)
-        middle = plant.rate(trial)
+        middle = self._rate_now()
         columns = []
         for direction in np.eye(LOAD_STATE_SIZE):
             samples.SetDiscreteState(0, held + _STEPS[0] * direction)
-            columns.append((plant.rate(trial) - middle) / _STEPS[0])
+            columns.append((self._rate_now() - middle) / _STEPS[0])
         return np.column_stack(columns) @ shown
 
 

@@ -14,10 +14,9 @@ from pydrake.systems.framework import Context, Diagram, System
 from drake_nonstop.analysis.load_stability import LoadDeviations
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.loop.loop_response import LoopResponse, loop_response, reference_ahead
-from drake_nonstop.mechanics.reference_preview import ReferencePreview
+from drake_nonstop.mechanics.reference_preview import ReferencePreview, stretched_reference
 from drake_nonstop.mechanics.rigid_load import STILL_AIR
 from drake_nonstop.mechanics.signals import PLANNED_SIZE, LoadReference, PlannedParameters
-from drake_nonstop.mechanics.stretched_time import stretched_reference
 from drake_nonstop.mechanics.wind import MeanWind
 from drake_nonstop.mechanics.wrench import feedforward_wrench
 from drake_nonstop.model.descriptions import RESPONSE, WIND, TurnRate, Wind, described

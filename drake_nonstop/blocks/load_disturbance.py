@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.framework import BasicVector, Context
 
-from drake_nonstop.mechanics.coloured_noise import (
+from drake_nonstop.mechanics.signals import WRENCH_SIZE
+from drake_nonstop.mechanics.wind import (
     coloured_noise,
     random_waves,
     wave_frequencies,
 )
-from drake_nonstop.mechanics.signals import WRENCH_SIZE
 from drake_nonstop.model.block import Block
 from drake_nonstop.model.descriptions import Gusts, LoadWrench
 from drake_nonstop.model.system import Model
@@ -65,7 +65,7 @@ class DisturbanceForceConfig(StrictFields):
 class DisturbanceForce(LeafBlock):
     """A constant wrench on the load, with a seeded, coloured gust.
 
-    The gust is that of `mechanics.coloured_noise` with 32 waves on each axis, up to ωτ = 30: a
+    The gust is that of `mechanics.wind` with 32 waves on each axis, up to ωτ = 30: a
     function of time alone, so that runs repeat to the bit whatever the integrator's steps are.
 
     Raises:

@@ -68,7 +68,7 @@ class ReferenceGovernor(LeafBlock):
     `optimization.stretched_time.stretching`; later changes of ε and of what is believed of load
     and cables do not change it. The rate falls where that is the only way to keep the limits, and
     rises above 1 afterwards, until s = t again. Velocities, accelerations and the jerk are exact,
-    see `mechanics.stretched_time`. A reference governor in the sense of Garone, Di Cairano and
+    see `mechanics.reference_preview`. A reference governor in the sense of Garone, Di Cairano and
     Kolmanovsky, Automatica 75 (2017), by time scaling.
 
     Of aircraft the bound is on the airspeed, and the layer's limits of their lift, bank, climb and

@@ -11,14 +11,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.mechanics.coloured_noise import (
+from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, WIND_SIZE, CarrierStates, LoadState
+from drake_nonstop.mechanics.wind import (
+    LOWEST_HEIGHT,
+    MeanWind,
     Waves,
     coloured_noise,
     random_waves,
     wave_frequencies,
 )
-from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, WIND_SIZE, CarrierStates, LoadState
-from drake_nonstop.mechanics.wind import LOWEST_HEIGHT, MeanWind
 from drake_nonstop.model.block import Block
 from drake_nonstop.model.descriptions import Gusts, Wind
 from drake_nonstop.model.system import Model
@@ -218,7 +219,7 @@ class GustyWindConfig(_ProfileFields):
 class GustyWind(WindProfile):
     """A `WindProfile` with seeded gusts, each carrier's its own.
 
-    On each axis first-order coloured noise, of `mechanics.coloured_noise`, whose time constant is
+    On each axis first-order coloured noise, of `mechanics.wind`, whose time constant is
     the correlation length over the airspeed: a function of time alone, so that runs repeat to the
     bit whatever the integrator's steps are. A carrier's gusts follow from the seed and its number.
     They are there from the start on; a mean wind may rise later.

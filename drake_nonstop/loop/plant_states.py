@@ -214,19 +214,6 @@ class PlantStates:
             for signal, shown in self._shown.items()
         )
 
-    def state(self, context: Context) -> NDArray:
-        """All continuous states."""
-        return context.get_continuous_state_vector().CopyToVector()
-
-    def set_state(self, context: Context, values: NDArray) -> None:
-        """Sets all continuous states."""
-        if len(values):
-            context.SetContinuousState(values)
-
-    def rate(self, context: Context) -> NDArray:
-        """The rate of all continuous states."""
-        return self._nonstop.EvalTimeDerivatives(context).CopyToVector()
-
     def states(self, context: Context) -> dict[str, NDArray]:
         """What the ports show, by their names, of the blocks that have a state."""
         return {

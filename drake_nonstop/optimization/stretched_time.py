@@ -15,10 +15,13 @@ from numpy.typing import NDArray
 from pydrake.math import BsplineBasis
 from pydrake.trajectories import BsplineTrajectory
 
-from drake_nonstop.mechanics.reference_preview import ReferencePreview
+from drake_nonstop.mechanics.reference_preview import (
+    ReferencePreview,
+    stretched_higher_rates,
+    stretched_reference,
+)
 from drake_nonstop.mechanics.rigid_load import STILL_AIR
 from drake_nonstop.mechanics.signals import WIND_SIZE
-from drake_nonstop.mechanics.stretched_time import stretched_higher_rates, stretched_reference
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.horizon_config import HorizonConfig, timed
 from drake_nonstop.optimization.horizon_problem import HorizonProblem

@@ -18,7 +18,7 @@ from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.monitor import SAME_RATIO, Monitor, at_instant
 from drake_nonstop.simulation.recording import LogSignals, RecordingError
 from drake_nonstop.simulation.run import WALL_TIME
-from drake_nonstop.simulation.short_flights import RestorableState, SavedState, flown
+from drake_nonstop.simulation.step_size import RestorableState, SavedState, flown
 from drake_nonstop.systems.block import is_of_package, release
 from drake_nonstop.systems.tracing import LARGEST
 from drake_nonstop.systems.wiring import maker_of

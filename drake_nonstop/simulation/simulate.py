@@ -16,7 +16,7 @@ from drake_nonstop.simulation.interruption import Interruption, current_interrup
 from drake_nonstop.simulation.preparation import LoopMaker
 from drake_nonstop.simulation.run import Run, RunInterrupted, RunStopped, StepAction, StepCheck
 from drake_nonstop.simulation.step_check import compared, growth_in_doubt, in_doubt, is_in_doubt
-from drake_nonstop.simulation.step_size import ChosenStep, with_half_the_step
+from drake_nonstop.simulation.step_size import ChosenStep, finer, with_step
 from drake_nonstop.validation import ScenarioError, require
 
 
@@ -146,10 +146,10 @@ def _verified(
     engine: str | None = None,
 ) -> Run:
     """As `verify_step`; an interrupted run keeps the doubt for which it is flown again."""
-    finer = with_half_the_step(run.scenario.simulator_config, run.step)
+    config = finer(with_step(run.scenario.simulator_config, run.step), 2)
     duration = float(run.steps["time"][-1])
     scenario = dataclasses.replace(
-        run.scenario, simulator_config=finer, simulation_duration=duration
+        run.scenario, simulator_config=config, simulation_duration=duration
     )
     doubted = dataclasses.replace(run, unresolved=(*run.unresolved, doubt)) if doubt else run
     try:

@@ -12,7 +12,7 @@ from drake_nonstop.mechanics.signals import SIGNAL_PERIOD, CarrierStates
 from drake_nonstop.simulation.metrics import compute_metrics
 from drake_nonstop.simulation.moved_metrics import moved_metrics
 from drake_nonstop.simulation.run import Run
-from drake_nonstop.simulation.short_flights import (
+from drake_nonstop.simulation.step_size import (
     COMPARED,
     FlightSamples,
     RestorableState,
@@ -20,8 +20,8 @@ from drake_nonstop.simulation.short_flights import (
     difference,
     tolerated_speeds,
     tolerated_tensions,
+    with_step,
 )
-from drake_nonstop.simulation.step_size import with_step
 
 _MARGIN = 0.85  # of what a metric may move by, in a run that counts as resolved
 _FLIGHT = 0.03  # s, or longer: two samples of the controllers

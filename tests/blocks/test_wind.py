@@ -19,7 +19,7 @@ from drake_nonstop.blocks.wind import (
     WindProfile,
     WindProfileConfig,
 )
-from drake_nonstop.mechanics.coloured_noise import random_waves
+from drake_nonstop.mechanics.wind import random_waves
 from drake_nonstop.systems import wiring
 from drake_nonstop.validation import ScenarioError
 

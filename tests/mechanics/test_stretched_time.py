@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from helpers import Motion, difference, rotation
 
+from drake_nonstop.mechanics.reference_preview import stretched_higher_rates, stretched_reference
 from drake_nonstop.mechanics.signals import LoadReference
-from drake_nonstop.mechanics.stretched_time import stretched_higher_rates, stretched_reference
 
 
 def own_time(t):

@@ -21,8 +21,7 @@ from drake_nonstop.loop.equilibrium import on_reference
 from drake_nonstop.scenario.schema import ENGINES
 from drake_nonstop.simulation.metrics import METRICS
 from drake_nonstop.simulation.moved_metrics import moved_metrics
-from drake_nonstop.simulation.short_flights import SavedState, ShortFlights, difference
-from drake_nonstop.simulation.step_size import with_step
+from drake_nonstop.simulation.step_size import SavedState, ShortFlights, difference, with_step
 from drake_nonstop.validation import ScenarioError, ScenarioWarning
 
 CONSTANT = "optimization_layer=ConstantParameters"
