@@ -309,5 +309,5 @@ def make_blocks(
 
 
 def replaced(scenario: Loop, replacements: Mapping[str, Any]) -> tuple[Loop, dict[str, Any]]:
-    """As `assembly.replaced`, of the figure's boxes."""
+    """Calls `assembly.replaced` for the figure's boxes."""
     return assembly.replaced(BOXES, scenario, replacements)

@@ -86,7 +86,7 @@ def require_installed(what: str, **packages: str) -> None:
 
 
 def called(field: str, remedy: str, function: Any, *arguments: Any, **named: Any) -> Any:
-    """What a user's function returns.
+    """Calls a function of the user's and returns its value.
 
     Raises:
         ScenarioError: it does not take these arguments.

@@ -55,7 +55,7 @@ _ENVELOPE = FlightEnvelope()
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class AircraftMargins:
-    """What the resting orbit of a scenario asks of its n aircraft, and what they have left.
+    """Margins of a scenario's n aircraft on its resting orbit.
 
     Attributes:
         scenario: its name.
@@ -127,7 +127,7 @@ class AircraftMargins:
 
 
 def aircraft_margins(scenario: Scenario, **replacements: Any) -> AircraftMargins:
-    """What the aircraft of a scenario need on the exact orbit above its resting load.
+    """Returns the needs of a scenario's aircraft on the exact orbit above its resting load.
 
     The orbit is that of the start: of the first ξ and A, above the load in its first pose, which
     turns about the vertical at its first rate and rests otherwise, in the steady wind, without
@@ -194,7 +194,7 @@ def margins_dictionary(found: AircraftMargins) -> dict[str, Any]:
 
 
 def aircraft_margins_for(scenario: Scenario, nonstop: Diagram, context: Context) -> AircraftMargins:
-    """As `aircraft_margins`, of a loop that has been built.
+    """Returns the `aircraft_margins` of a loop that has been built.
 
     Args:
         scenario: what the loop was made from, with its numbers drawn.
@@ -288,7 +288,7 @@ class _Orbit:
         self.limits = limits
 
     def at(self, phases: NDArray, wind: MeanWind) -> tuple[FlightNeeds, list[LimitAlong], NDArray]:
-        """What the aircraft need at phases (k,), rad, all that has limits, and cable forces, N."""
+        """Needs at phases (k,), rad, all that has limits, and cable forces, N."""
         model, position = self.model, Pose.view(self._reference).position
         frequency, amplitude = self._parameters
         times = phases / self.rate

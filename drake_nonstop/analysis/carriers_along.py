@@ -34,7 +34,7 @@ def orbit_terms(
     winds: Sequence[NDArray],
     load: RigidLoad | None = None,
 ) -> FlightTerms:
-    """What orbits depend on besides the plan, at k references (22,) with their winds (3,).
+    """Data of orbits besides the plan, at k references (22,) with their winds (3,).
 
     `load` is what moves so; None: that of the model.
     """
@@ -81,7 +81,7 @@ class CarriersAlong(NamedTuple):
     def of(
         cls, believed: Model, plant: Model, terms: Callable[[Model, RigidLoad], FlightTerms]
     ) -> "CarriersAlong":
-        """Those with the `terms` of a model, and of what moves so."""
+        """Returns the carriers with the `terms` of a model, and of what moves so."""
         flown = terms(believed, replace(believed.load, drag=plant.load.drag))
         return cls(believed, plant, flown, flown if believed is plant else terms(plant, plant.load))
 
@@ -100,13 +100,13 @@ class CarriersAlong(NamedTuple):
         return motion._replace(forces=forces)
 
     def needs(self, motion: OrbitMotion) -> FlightNeeds:
-        """What the simulated aircraft need to move so, (k, n) each."""
+        """Needs of the simulated aircraft for this motion, (k, n) each."""
         assert self.plant.aircraft is not None
         return needs_of_motion(self.plant.aircraft, motion, self.terms.up[:, None])
 
 
 def carriers_along(task: Task, times: NDArray) -> CarriersAlong:
-    """Those of a task at times (k,), s, in the mean wind at their mean height."""
+    """Returns a task's carriers at times (k,), s, in the mean wind at their mean height."""
     above = _height_of_carriers(task.carried)
     winds = [task.wind_at(time, above) for time in times]
     references = [task.reference(time) for time in times]

@@ -205,7 +205,7 @@ class BowedCables(NamedTuple):
     def of(
         cls, aircraft: Aircraft, airspeeds: NDArray, cable_forces: NDArray, attachments: NDArray
     ) -> "BowedCables":
-        """Those of n aircraft at airspeeds (k, n), m/s, with cable forces (k, n, 3), N.
+        """Returns those of n aircraft at airspeeds (k, n), m/s, with cable forces (k, n, 3), N.
 
         Args:
             aircraft: its cable_diameter, cable_drag, cable_length and air_density count.
@@ -237,7 +237,7 @@ class BowedCables(NamedTuple):
 
     @property
     def warning(self) -> str:
-        """What to expect of a real flight; "" where the cables stay alike."""
+        """A sentence on what to expect of a real flight; "" where the cables stay alike."""
         allowed = _SHARE_OF_WIDTH * self.load_width
         if self.difference <= allowed:
             return ""
@@ -292,7 +292,7 @@ def flight_envelope_of(scenario: Scenario) -> FlightEnvelope:
 def limits_along(
     aircraft: Aircraft, needs: FlightNeeds, limits: FlightEnvelope, times: NDArray
 ) -> Iterator[LimitAlong]:
-    """What each aircraft needs, (k, n) each, beside its limits; at `times` (k,) of `LimitAlong`."""
+    """Needs of each aircraft, (k, n) each, beside its limits; at `times` (k,) of `LimitAlong`."""
     least, most = thrust_limits(aircraft, needs.airspeed)
     lift, bank, climb = (ROWS[name].values(aircraft, needs) for name in ("lift", "bank", "climb"))
     for row, limit, values in (
@@ -324,7 +324,7 @@ class FlightRanges(NamedTuple):
 
     @classmethod
     def of(cls, aircraft: Aircraft, needs: FlightNeeds) -> "FlightRanges":
-        """Those of needs (k, n), in a plan or in a run."""
+        """Returns the ranges of needs (k, n), in a plan or in a run."""
         lift, airspeed, thrust = needs.lift, needs.airspeed, needs.thrust
         return cls(
             lift_share=_range(lift / aircraft.max_lift),

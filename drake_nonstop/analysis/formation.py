@@ -180,7 +180,7 @@ def _largest_growth(parts: Sequence[float]) -> float:
 
 
 def growth_complaint(task: Task, duration: float, *, in_samples: bool = False) -> str:
-    """What to say of a formation that is unstable at the task's start; "" where it is not.
+    """A sentence on a formation that is unstable at the task's start; "" where it is not.
 
     Args:
         task: whose start is looked at.
@@ -222,7 +222,7 @@ def growth_complaint(task: Task, duration: float, *, in_samples: bool = False) -
 def find_formation_remedies(
     task: Task, found: Formation, plan: Plan | None = None, *, worst: float = math.nan
 ) -> list[str]:
-    """What makes a formation stable with all cables pulling, where it is worst: each was tried.
+    """Remedies that make the formation stable with all cables taut where it is worst, each tried.
 
     Those are a smaller A, an offset in the null space that evens the shares out, other gains, and
     other attachments. `worst` is a time in s that counts, too; NaN: none.

@@ -15,7 +15,7 @@ _DECIMALS = 9  # of a quantity that is shown
 
 
 class RunOutcome(str, Enum):
-    """What became of a run, the worst first."""
+    """Outcomes of a run, the worst first."""
 
     STOPPED = "stopped"  # it diverged, a block failed, or it was ended before its time
     STALLED = "stalled"  # an aircraft's wing stalled

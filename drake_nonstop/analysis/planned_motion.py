@@ -102,7 +102,7 @@ class PlannedMotion(Spacing):
 
     @cached_property
     def collisions(self) -> list[str]:
-        """As of `find_collisions`."""
+        """Collisions, see `find_collisions`."""
         return find_collisions(self)
 
     @property
@@ -162,7 +162,7 @@ class PlannedMotion(Spacing):
 
 
 def find_motion_remedies(scenario: Scenario, task: Task) -> list[str]:
-    """What keeps carriers and cables that meet apart, with nominal ξ and A: each was tried.
+    """Remedies that keep carriers and cables apart with nominal ξ and A, each tried.
 
     Those are carriers that circle beside each other, and a smaller A.
     """

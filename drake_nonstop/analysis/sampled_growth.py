@@ -97,7 +97,7 @@ def sampled_rate(task: Task) -> float:
 
 
 def _loop_of(task: Task) -> tuple[Model, Model, Carriers, Feedback] | None:
-    """What the loop consists of; None: it is not known."""
+    """Parts of the loop; None: they are not known."""
     carriers, feedback = task.response.carriers, task.response.feedback
     if carriers is None or feedback is None or not math.isfinite(task.flown.cable_stiffness):
         return None

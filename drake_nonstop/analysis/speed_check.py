@@ -53,7 +53,7 @@ _SHOWN = 2.5  # times the plan's largest value, of the set over time
 
 
 class SpeedCheck(NamedTuple):
-    """What a task's speeds can be, in units of the bound ε; inf where there is no bound."""
+    """Speeds that a task allows, in units of the bound ε; inf where there is no bound."""
 
     speed_bound: float  # m/s, ε
     times: NDArray  # (k,), s
@@ -63,7 +63,7 @@ class SpeedCheck(NamedTuple):
     parameters: NDArray  # (l, 2), [ξ (rad/s), A (N)] of the plan
     ratios: NDArray  # (l, n), of the carriers along it
     starts: tuple[float, ...]  # the least ratio of what the optimization made of each start
-    aim: float = 1.0  # the ratio that the layer aims at
+    target_ratio: float = 1.0  # the ratio that the layer aims at
     limits: tuple[LimitAlong, ...] = ()  # that the layer is asked for, along the plan
 
     @property
@@ -85,7 +85,7 @@ class SpeedCheck(NamedTuple):
     @property
     def is_in_doubt(self) -> bool:
         """Whether a plan keeps the bound with less than carriers may need to follow it."""
-        return self.plan is not None and 1 <= self.least < 1 + _RESERVE * (self.aim - 1)
+        return self.plan is not None and 1 <= self.least < 1 + _RESERVE * (self.target_ratio - 1)
 
     @property
     def of_limits(self) -> float:
@@ -229,7 +229,7 @@ def constant_speeds(task: Task, times: NDArray) -> NDArray:
 
 
 def find_speed_remedies(task: Task, found: SpeedCheck) -> list[SpeedRemedy]:
-    """What keeps the bound of a task that is infeasible: each was tried.
+    """Remedies that keep the bound of an infeasible task, each tried.
 
     That are a layer that changes ξ and A, other bounds of them, a faster orbit at the start, longer
     cables, slower motion, and the largest ε that can be kept.
@@ -273,7 +273,7 @@ def problem_of(task: Task, config: HorizonConfig | None = None) -> HorizonProble
 
 
 class _Along:
-    """What plans of a task make of its carriers, at fine times."""
+    """Motion of a task's carriers under a plan, at fine times."""
 
     def __init__(self, task: Task, problem: HorizonProblem):
         self.times = _fine_times(task)
@@ -293,7 +293,7 @@ class _Along:
         none = np.zeros(0)
         return SpeedCheck(
             *(bound, none, none, plan, self.times, values[:, 1:3], ratios, ()),
-            aim=tightened_bound(self._task.limits, bound) / bound if bound > 0 else 1.0,
+            target_ratio=tightened_bound(self._task.limits, bound) / bound if bound > 0 else 1.0,
             limits=tuple(self._limits(values)),
         )
 
@@ -311,7 +311,7 @@ class _Along:
 
 
 def _planned(task: Task, *, most: int | None) -> list[SpeedCheck]:
-    """What the optimization makes of one start after the other, until a plan keeps all limits.
+    """Optimizes one start after the other, until a plan keeps all limits.
 
     Where one keeps the bound on the speeds alone, few others are tried.
     """

@@ -1,4 +1,4 @@
-"""What a scenario asks of its load and its carriers, for analyses that do not simulate it."""
+"""The task of a scenario's load and carriers, for analyses that do not simulate it."""
 
 import dataclasses
 import typing
@@ -70,7 +70,7 @@ class TurnAlong:
         return self.reference_at(time, *self.planned(time))
 
     def reference_at(self, time: float, angle: float, rate: float, slope: float = 0.0) -> NDArray:
-        """Likewise with a yaw in rad, and its rates in rad/s and rad/s²."""
+        """Returns the reference with a yaw in rad, and its rates in rad/s and rad/s²."""
         planned = np.zeros(PLANNED_SIZE)
         parts = PlannedParameters.view(planned)
         parts.angle[:], parts.frequency[:], parts.frequency_rate[:] = angle, rate, slope
@@ -112,7 +112,7 @@ class Task:
         return self.wind_at(time) if self.counts_wind else STILL_AIR
 
     def planned_wind(self, time: float) -> NDArray:
-        """What a layer takes for it."""
+        """The task's data as a layer takes them."""
         if self.air.believed is None or not self.counts_wind:
             return self.counted_wind(time)
         return self.air.believed
@@ -149,7 +149,7 @@ class Task:
 
     @cached_property
     def deviations(self) -> LoadDeviations:
-        """Those of the load."""
+        """Deviations of the load."""
         return LoadDeviations(
             self.flown,
             carrier_stiffness=self.response.carrier_stiffness,

@@ -140,7 +140,7 @@ def flight_of_plan(task: Task, speeds: SpeedCheck, limits: FlightEnvelope) -> Fl
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TaskCheck:
-    """What is known of a task before it is flown, along its best plan; each remedy was tried."""
+    """Results known of a task before it is flown, along its best plan; each remedy was tried."""
 
     task: Task
     speeds: SpeedCheck
@@ -206,7 +206,7 @@ class TaskCheck:
 
     @property
     def _parameters(self) -> str:
-        """What the way is judged with."""
+        """Parameters that the motion is judged with."""
         if self.task.turn is not None:
             return "the values of xi that the layer is predicted to ask for"
         if self.speeds.plan is not None:
@@ -224,8 +224,8 @@ class TaskCheck:
             if not found.is_in_doubt:
                 return said
             return (
-                f"{said}; the layer aims at {found.aim:.3f}, and whether carriers follow with less "
-                "to spare, a flight alone tells"
+                f"{said}; the layer aims at {found.target_ratio:.3f}, and whether carriers follow "
+                "with less to spare, a flight alone tells"
             )
         tried = (
             f"no plan of xi and A from {len(found.starts)} starts keeps the bound"
@@ -328,7 +328,7 @@ def check_task(
 
 
 def task_table(found: TaskCheck) -> str:
-    """What was found, a line each, for a terminal."""
+    """The results, a line each, for a terminal."""
     speeds, formation = found.speeds, found.formation
     rows = [("quantity", "value", "where")]
     if speeds.speed_bound > 0:

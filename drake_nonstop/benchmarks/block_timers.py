@@ -80,7 +80,7 @@ class BlockTimers:
         return steps - self._first_steps
 
     def after_step(self, simulator: Simulator, nonstop: Diagram) -> StepAction:
-        """What `simulate` calls after every step, for the first time before the first."""
+        """A function that `simulate` calls before the first step and after every one."""
         now = self._clock()
         if self._simulator is None:
             for block in nonstop.GetSystems():

@@ -221,7 +221,7 @@ def table(results: dict[str, Any]) -> str:
 
 
 def _other_name(results: dict[str, Any]) -> str:
-    """What the present is compared with: "revision R", "with A, B" or "revision R with A, B"."""
+    """Name of the other side: "revision R", "with A, B" or "revision R with A, B"."""
     parts = []
     if results["against_revision"] is not None:
         parts.append(f"revision {results['against_revision']}")

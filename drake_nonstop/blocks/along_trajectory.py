@@ -48,7 +48,7 @@ class _Coordinates:
         return values.reshape(-1, len(times)).T
 
     def row(self, time: float) -> NDArray:
-        """Likewise at a time, s."""
+        """Returns the values at one time, s."""
         start, end = self._limits
         if not start <= time <= end:
             return self.rows(np.array([time]))[0]
@@ -72,7 +72,7 @@ class AlongTrajectory(TracedBlock):
         known = {"coordinates": self._coordinates.size}
         super().__init__(reference, known=known, outputs=_SIZES, **others)
 
-    def quantities_over(self, names: Sequence[str], times: NDArray) -> list[NDArray]:
+    def precomputed_inputs(self, names: Sequence[str], times: NDArray) -> list[NDArray]:
         """The coordinates and their derivatives at times (k,), s."""
         return [self._coordinates.rows(times) for _ in names]
 
@@ -80,7 +80,7 @@ class AlongTrajectory(TracedBlock):
         """A row of them."""
         return self._coordinates.row(time)
 
-    def quantity_rates_over(self, names: Sequence[str], times: NDArray) -> list[NDArray]:
+    def precomputed_input_rates(self, names: Sequence[str], times: NDArray) -> list[NDArray]:
         """Their rates, likewise."""
         return [self._coordinates.rows(times, first=1) for _ in names]
 
@@ -102,7 +102,7 @@ class LoadTrajectory(AlongTrajectory):
 
     makes = ("reference", "reference_higher_rates", "reference_preview")
 
-    traced_output: Any = None  # all of it is known beforehand, see `known_over`
+    traced_output: Any = None  # all of it is known beforehand, see `precomputed_outputs`
 
     def __init__(
         self,
@@ -126,8 +126,8 @@ class LoadTrajectory(AlongTrajectory):
         )
         declare_preview(self, preview)
 
-    def known_over(self, ports: Sequence[str], times: NDArray) -> list[NDArray]:
-        """What vector-valued ports show at times (k,) in s, (k, size) of each."""
+    def precomputed_outputs(self, ports: Sequence[str], times: NDArray) -> list[NDArray]:
+        """Values of vector-valued ports at times (k,) in s, (k, size) of each."""
         rows = self._rows(times)
         return [rows[port] for port in ports]
 
@@ -143,7 +143,7 @@ def declare_preview(block: LeafBlock, preview: ReferencePreview) -> None:
 def _rows_of(
     coordinates: _Coordinates, reference: Callable[..., tuple[NDArray, NDArray]]
 ) -> Callable[[NDArray], dict[str, NDArray]]:
-    """What makes the rows of both outputs at times (k,) in s, by the function that is traced."""
+    """Function of times (k,) in s for the rows of both outputs, the one that is traced."""
 
     @functools.cache  # most runs do not ask for any
     def traced() -> TracedFunction:

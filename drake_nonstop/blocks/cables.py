@@ -48,7 +48,7 @@ class _CableForces(Block):
 
 
 def _columns(parameters: dict[str, NDArray]) -> dict[str, NDArray]:
-    """What the cables are made of, each (1, 1) or (n, 1), of a block's parameters."""
+    """Material of the cables, each (1, 1) or (n, 1), of a block's parameters."""
     values = {
         name: parameters.get(name, parameters.get(field)) for name, field in _OF_SYSTEM.items()
     }

@@ -144,7 +144,7 @@ class LoadedCarrierDynamics(Block):
         return CarrierMotion(bears_cables=True)
 
     def CalcPotentialEnergy(self, context: Context) -> float:
-        """Those of the weights, m_c g Σ z_i, J; the context is the block's own."""
+        """Potential energy of the weights, m_c g Σ z_i, J; the context is the block's own."""
         state = self.GetOutputPort("carrier_state").Eval(context)
         own = parameters_in(self, context)
         mass, gravity = own["carrier_mass"], own["gravity"]
@@ -181,7 +181,7 @@ class IdealCarriers(SelectorBlock):
 
 @dataclass(kw_only=True)
 class FixedWingDynamicsConfig(StrictFields):
-    """What a stall does to a run; the aircraft are the system's."""
+    """Effect of a stall on a run; the aircraft are the system's."""
 
     stops_at_stall: bool = (
         True  # the run ends at the first stall; false: with stalled lift it goes on
@@ -255,7 +255,7 @@ class FixedWingDynamics(Block):
         return float(carriers_kinetic_energy(state, mass=mass)[0])
 
     def CalcPotentialEnergy(self, context: Context) -> float:
-        """Those of the weights, m g Σ z_i, J; the context is the block's own."""
+        """Potential energy of the weights, m g Σ z_i, J; the context is the block's own."""
         state = self.GetOutputPort("carrier_state").Eval(context)
         flying = self._aircraft_in(context)
         energy = carriers_potential_energy(state, mass=flying.mass, gravity=flying.gravity)

@@ -123,7 +123,7 @@ class BoundedTensionDistribution(CableForceDistribution):
         )
 
     def _evaluated(self, context: Context, name: str | int) -> NDArray:
-        """As of `TracedBlock`, within the bounds."""
+        """Output of `TracedBlock`, within the bounds."""
         forces, rates = _OUTPUTS
         found = self._least(context, forces)
         if name == forces:

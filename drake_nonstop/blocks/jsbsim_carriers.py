@@ -148,7 +148,7 @@ class JsbsimCarriers(DiagramBlock):
         return float(np.sum(carriers_kinetic_energy(state, mass=self._aircraft.mass)))
 
     def CalcPotentialEnergy(self, context: Context) -> float:
-        """Those of the weights, m g Σ z_i, J; the context is the block's own."""
+        """Potential energy of the weights, m g Σ z_i, J; the context is the block's own."""
         state, own = self.GetOutputPort("carrier_state").Eval(context), self._aircraft
         energy = carriers_potential_energy(state, mass=own.mass, gravity=own.gravity)
         return float(np.sum(energy))
@@ -162,7 +162,7 @@ def _refusal() -> ScenarioError:
 
 
 class _Start(NamedTuple):
-    """What n aircraft start with."""
+    """States that n aircraft start with."""
 
     carriers: NDArray  # (6n,), [positions (m), velocities (m/s)]
     lift: NDArray  # (n,), C_L
@@ -181,7 +181,7 @@ class _Start(NamedTuple):
 
 
 class _Shown(NamedTuple):
-    """What n aircraft show at an instant."""
+    """Signals of n aircraft at an instant."""
 
     carriers: NDArray  # (6n,), [positions (m), velocities (m/s)]
     aircraft: NDArray  # (4n,), `AircraftState`
@@ -325,7 +325,7 @@ class _Flights(InnerBlock):
             )
 
     def _interpolation(self, context: Context) -> tuple[_Shown, _Shown, float] | None:
-        """What is shown before and after the present instant, and its share of the step."""
+        """Signals before and after the present instant, and its share of the step."""
         state = context.get_discrete_state_vector().value()
         if state[0] == 0:
             return None

@@ -93,11 +93,11 @@ class DisturbanceForce(LeafBlock):
         return LoadWrench(self._wrench, self._gusts)
 
     def _calc(self, context: Context, output: BasicVector) -> None:
-        (rows,) = self.known_over(["disturbance_wrench"], np.array([context.get_time()]))
+        (rows,) = self.precomputed_outputs(["disturbance_wrench"], np.array([context.get_time()]))
         output.SetFromVector(rows[0])
 
-    def known_over(self, ports: Sequence[str], times: NDArray) -> list[NDArray]:
-        """What each of the ports, `disturbance_wrench`, shows at times (k,) in s, (k, 6)."""
+    def precomputed_outputs(self, ports: Sequence[str], times: NDArray) -> list[NDArray]:
+        """Values of the port `disturbance_wrench` at times (k,) in s, (k, 6)."""
         forces = coloured_noise(times[:, None, None], self._waves, self._gust)
         wrenches = self._wrench + np.column_stack([np.zeros((len(times), 3)), forces])
         has_begun = np.array([number(time) >= self._start_time for time in times])

@@ -23,7 +23,7 @@ from drake_nonstop.model.descriptions import Estimator, LoadMeasurement
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import LeafBlock, number
 from drake_nonstop.systems.diagram_trace import InContext, shown
-from drake_nonstop.systems.tracing import chosen
+from drake_nonstop.systems.tracing import where
 from drake_nonstop.validation import (
     StrictFields,
     checked,
@@ -124,7 +124,7 @@ class MeasurementConfig(StrictFields):
 
 @dataclass(kw_only=True)
 class NoisyFeedbackConfig(MeasurementConfig):
-    """Those of the measurement."""
+    """Values of the measurement."""
 
 
 class NoisyFeedback(LeafBlock):
@@ -192,7 +192,7 @@ class NoisyFeedback(LeafBlock):
 
     @property
     def trace_key(self) -> Any:
-        """What the measurement depends on besides the noise."""
+        """Prerequisites of the measurement besides the noise."""
         return self.delay_periods, self.period, bool(self.deviations.any())
 
     updates_at_start = True
@@ -209,26 +209,26 @@ class NoisyFeedback(LeafBlock):
             return []
         samples, count, _ = (at.state(k) for k in (1, 2, 3))
         samples = np.concatenate([at.input("load_state"), samples[:-LOAD_STATE_SIZE]])
-        return [samples, chosen(count[0] < self.delay_periods, count + 1, count), at.time]
+        return [samples, where(count[0] < self.delay_periods, count + 1, count), at.time]
 
     def _measured(self, at: Any) -> NDArray:
         state = at.input("load_state")  # at the start
         if self.delay_periods > 0:
             samples, (count,) = at.state(1).reshape(-1, LOAD_STATE_SIZE), at.state(2)
             for k, sample in enumerate(samples):
-                state = chosen(count == k + 1, sample, state)
+                state = where(count == k + 1, sample, state)
         if not self.deviations.any():
             return state
         return _with_noise(state, at.known(_NOISE, TRACKING_ERROR_SIZE))
 
-    def quantities_over(self, names: Sequence[str], times: NDArray) -> list[NDArray]:
+    def precomputed_inputs(self, names: Sequence[str], times: NDArray) -> list[NDArray]:
         """The noise (k, 12) at times (k,) in s, of which there is no other quantity."""
         numbers, places = np.unique(self._numbers_of(times), return_inverse=True)
         noise = np.array([self._noise(number) for number in numbers.tolist()])
         return [noise[places.ravel()] for _ in names]
 
     def _numbers_of(self, times: Any) -> Any:
-        """Those of the samples that are held at times in s."""
+        """Numbers of the samples that are held at times in s."""
         return np.array([math.floor(number(time) / self.period + 1e-6) for time in times])
 
     def _noise(self, number: int) -> NDArray:
@@ -330,7 +330,7 @@ class EstimatedFeedback(NoisyFeedback):
 
     def traced_output(self, port: str, at: Any) -> NDArray:
         is_due = at.time[0] > at.state(self._first + 1)[0] + _DUE * self.period
-        return chosen(is_due, lambda: self._estimated(at, is_due=True), lambda: self._estimated(at))
+        return where(is_due, lambda: self._estimated(at, is_due=True), lambda: self._estimated(at))
 
     def traced_update(self, at: Any) -> list[NDArray]:
         return [*super().traced_update(at), self._estimated(at, is_due=True), at.time]
@@ -350,7 +350,7 @@ class EstimatedFeedback(NoisyFeedback):
             gains = self.rotation_gain, self.translation_gain
             return corrected_state(state, self._measured(at), *gains)
 
-        return chosen(newest[0] >= 0, after_the_start, lambda: at.input("load_state"))
+        return where(newest[0] >= 0, after_the_start, lambda: at.input("load_state"))
 
 
 def steady_state_gain(

@@ -37,10 +37,10 @@ from drake_nonstop.optimization.problem_config import (
 )
 from drake_nonstop.optimization.update_data import UpdateData
 from drake_nonstop.optimization.update_solver import UpdateSolver, traced_tightened
-from drake_nonstop.systems.diagram_trace import At, FastUpdate, InContext
+from drake_nonstop.systems.diagram_trace import FastUpdate, InContext, TraceContext
 from drake_nonstop.systems.parameters import declare_parameters
 from drake_nonstop.systems.requirements import LoopBlocks
-from drake_nonstop.systems.tracing import chosen
+from drake_nonstop.systems.tracing import where
 from drake_nonstop.validation import (
     StrictFields,
     checked,
@@ -142,26 +142,26 @@ class NonstopOptimizer(SpeedBoundLayer):
 
     @property
     def trace_key(self) -> Any:
-        """What of the config the check of an update depends on."""
+        """Fields of the config that the check of an update depends on."""
         timing = self._period, self._sample_period, self._samples_per_update
         return pickle.dumps((self.solver.trace_key, timing))
 
     def trace_parameters(self, context: Context) -> NDArray:
-        """The bounds (2,), 1 or 0 as it is enabled, `UpdateSolver.tightening` (3,), `Beliefs`."""
+        """The bounds (2,), 1 where enabled, `UpdateSolver.tightening` (3,), `ModelParameters`."""
         bounds, numbers = super().trace_parameters(context), self._numbers_in(context)
         enabled = [float(self.is_enabled(context))]
         return np.concatenate([bounds, enabled, self.solver.tightening, numbers.beliefs])
 
-    def traced_fast_update(self, at: At) -> FastUpdate:
+    def traced_fast_update(self, at: TraceContext) -> FastUpdate:
         """The states after a sample that keeps the parameters."""
         _, enabled, tightening, beliefs = np.split(at.parameters, [2, 3, 6])
         states, bound = self.states(at), self.traced_bound(at)
-        aim = traced_tightened(bound, tightening)
+        target_speed = traced_tightened(bound, tightening)
         updates = Diagnostics(*states["diagnostics"]).updates
         data = UpdateData(
             **self._motion(at, states),
-            speed_bound=aim,
-            speed_unit=chosen(bound[0] > 0, aim, np.ones(1)),
+            speed_bound=target_speed,
+            speed_unit=where(bound[0] > 0, target_speed, np.ones(1)),
             orbit_turn=np.zeros(1),
             anchor_weight=np.zeros(1),
             beliefs=beliefs,
@@ -181,14 +181,16 @@ class NonstopOptimizer(SpeedBoundLayer):
             "last_wrench_rate": data.wrench_rate,
         }
         return FastUpdate(
-            states=[chosen(is_update, after[name], states[name]) for name in states],
+            states=[where(is_update, after[name], states[name]) for name in states],
             is_valid=casadi.logic_or(
                 functools.reduce(casadi.logic_and, conditions), casadi.logic_not(is_update)
             ),
         )
 
-    def _motion(self, at: At | InContext, states: dict[str, NDArray]) -> dict[str, NDArray]:
-        """What `UpdateData` have of states and inputs."""
+    def _motion(
+        self, at: TraceContext | InContext, states: dict[str, NDArray]
+    ) -> dict[str, NDArray]:
+        """Parts of `UpdateData` that are states and inputs."""
         wrench_rate = at.input("wrench_rate")
         return {
             "previous": states["parameters"],
@@ -333,14 +335,14 @@ class ConstantParameters(CommandedBound):
 
     trace_key = ()
 
-    def traced_output(self, port: str, at: At) -> NDArray:
+    def traced_output(self, port: str, at: TraceContext) -> NDArray:
         values = self.parameters.view(at.parameters)
         if port == "parameters":
             return np.concatenate([values["frequency"], values["amplitude"]])
         if not at.has_input(COMMAND):
             return values["speed_bound"]
         command = at.input(COMMAND)
-        return chosen(command[0] >= 0, command, np.array([np.nan]))
+        return where(command[0] >= 0, command, np.array([np.nan]))
 
     def _calc_parameters(self, context: Context, output: BasicVector) -> None:
         values = self.parameters.view(context.get_numeric_parameter(0).CopyToVector())

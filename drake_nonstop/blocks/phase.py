@@ -178,7 +178,7 @@ class ShapedPhase(LeafBlock):
 
     @property
     def trace_key(self) -> Any:
-        """What shapes ξ and A."""
+        """Shaping filter of ξ and A."""
         return self._shape
 
     def _motion(self, at: Any) -> tuple[Any, list[Any], list[Any]]:
@@ -237,7 +237,7 @@ class ShapedPhase(LeafBlock):
         return EventStatus.Succeeded()
 
     def DoCalcTimeDerivatives(self, context: Context, derivatives: ContinuousState) -> None:
-        """As LeafSystem's."""
+        """Overrides LeafSystem's."""
         if derivatives.size() == 0:
             return
         if self._plan.HasValue(context):

@@ -40,9 +40,9 @@ from drake_nonstop.optimization.problem_config import (
     check_pattern,
     points,
 )
-from drake_nonstop.optimization.update_data import Beliefs
+from drake_nonstop.optimization.update_data import ModelParameters
 from drake_nonstop.systems.block import weakly
-from drake_nonstop.systems.diagram_trace import At, FastUpdate, InContext
+from drake_nonstop.systems.diagram_trace import FastUpdate, InContext, TraceContext
 from drake_nonstop.systems.tracing import NotFiniteError
 from drake_nonstop.validation import fulfilling, require
 
@@ -72,7 +72,7 @@ class RecedingHorizonOptimizerConfig(HorizonConfig, LimitsConfig):
     )
 
     def instant_spacing(self, control_period: float) -> float:
-        """As of `LimitsConfig`."""
+        """Bound of `LimitsConfig`."""
         return timed(self, self.frequency, control_period).knot_spacing / self.instants
 
 
@@ -151,7 +151,7 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
     shows_first_update = True  # to what samples it at the start
 
     def sources_of(self, output: str) -> set[DependencyTicket]:
-        """What the bound or the values of the plan are declared to depend on.
+        """Prerequisites of the bound, or of the values of the plan.
 
         At samples these depend neither on the time nor on the preview, which change between them:
         all that reads the plan would be computed anew in each step. They count only where there is
@@ -165,7 +165,7 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
         return states | self.tickets("reference", COMMAND, WIND)
 
     def shown(self, output: str, context: Context) -> NDArray:
-        """What an output shows: the bound, the values of the plan or its parameters."""
+        """Output: the bound, the values of the plan or its parameters."""
         if output == "speed_bound":
             return super().shown(output, context)
         values = self._values_in(context)
@@ -173,23 +173,23 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
 
     @property
     def trace_key(self) -> Any:
-        """What the values of a plan depend on besides the plan."""
+        """Prerequisites of a plan's values besides the plan."""
         return self._config.knot_spacing, self._sample_period, self._samples_per_update
 
-    def traced_output(self, port: str, at: At) -> NDArray:
-        """What a port shows."""
+    def traced_output(self, port: str, at: TraceContext) -> NDArray:
+        """Value of a port."""
         if port == "parameters":
             return _parameters_of(self.states(at)[_VALUES])
         return super().traced_output(_VALUES if port == "plan" else port, at)
 
-    def traced_update(self, at: At) -> list[NDArray]:
+    def traced_update(self, at: TraceContext) -> list[NDArray]:
         """The states after a sample."""
         states = self.states(at)
         plan = _PlanState.view(states[_LAST]).plan(self._config.knot_spacing)
         states[_VALUES] = traced_plan_values(plan, at.time[0])
         return [*states.values()]
 
-    def traced_fast_update(self, at: At) -> FastUpdate:
+    def traced_fast_update(self, at: TraceContext) -> FastUpdate:
         """The states after a sample that has no new plan."""
         return FastUpdate([*self.states(at).values()], casadi.logic_not(self.is_update(at.time[0])))
 
@@ -328,7 +328,7 @@ class _PlanState(NamedTuple):
 
 
 class _Planned(NamedTuple):
-    """What a plan is and how it came to be."""
+    """A plan, and how it came to be."""
 
     state: _PlanState
     outcome: Outcome
@@ -484,7 +484,7 @@ class _Planner(threading.local):
                 self._config,
                 replace(self._config, fixed_coefficients=fixed),
                 self._name,
-                beliefs=Beliefs.view(numbers.beliefs),
+                beliefs=ModelParameters.view(numbers.beliefs),
             )
             self._solvers[fixed] = known = key, HorizonSolver(problem)
         return known[1]

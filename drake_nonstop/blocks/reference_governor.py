@@ -1,4 +1,4 @@
-"""What slows the load's trajectory down where no ξ and A keep the limits with it."""
+"""A governor that slows the load's trajectory down where no ξ and A keep the limits with it."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -200,7 +200,7 @@ def _check(model: Model, config: ReferenceGovernorConfig) -> None:
 
 
 def _winds(block: System) -> Winds:
-    """What a block's `wind_estimate` tells of a load that is on its reference."""
+    """Value of a block's `wind_estimate` for a load that is on its reference."""
     context, port = block.CreateDefaultContext(), block.GetOutputPort(_WIND)
     reads_load = _LOAD_STATE in input_names(block)
 
@@ -229,7 +229,7 @@ def _winds(block: System) -> Winds:
 
 
 def _limits(model: Model, layer: Any) -> tuple[LimitsConfig, bool]:
-    """Those of a layer's config, and whether it may change ξ and A."""
+    """Limits of a layer's config, and whether it may change ξ and A."""
     own = with_fields_of(LimitsConfig, layer)
     limits = with_stated_bound("optimization_layer", own, model)
     can_plan = hasattr(layer, "frequency_bounds")

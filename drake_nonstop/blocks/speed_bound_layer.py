@@ -1,4 +1,4 @@
-"""What the layers of the box "Optimization Layer" share: ports, states, updates and the bound."""
+"""The base of layers of the box "Optimization Layer": ports, states, updates and the bound."""
 
 import weakref
 from collections.abc import Collection, Mapping
@@ -37,10 +37,10 @@ from drake_nonstop.optimization.problem_config import (
 )
 from drake_nonstop.optimization.update_data import OF_CONFIG, OF_MODEL, beliefs_from
 from drake_nonstop.systems.block import LeafBlock, weakly
-from drake_nonstop.systems.diagram_trace import At, InContext
+from drake_nonstop.systems.diagram_trace import InContext, TraceContext
 from drake_nonstop.systems.documentation import own_config_class
 from drake_nonstop.systems.parameters import declare_parameters
-from drake_nonstop.systems.tracing import chosen
+from drake_nonstop.systems.tracing import where
 from drake_nonstop.validation import require
 
 BOX = "optimization_layer"
@@ -95,7 +95,7 @@ class PeriodicLayer(LeafBlock):
         """Raises ScenarioError for a config that cannot be used with the model."""
 
     def block_parameters(self, model: Model, config: Any) -> BlockParameters:
-        """What of system and config the context holds."""
+        """Fields of system and config that the context holds."""
         raise NotImplementedError
 
     def updated(self, context: Context) -> Mapping[str, ArrayLike]:
@@ -133,26 +133,26 @@ class PeriodicLayer(LeafBlock):
         )
 
     def sources_of(self, output: str) -> set[DependencyTicket]:
-        """What an output that is `computed` depends on."""
+        """Prerequisites of an output that is `computed`."""
         return self.tickets(COMMAND)
 
     def shown(self, output: str, context: Context) -> NDArray:
-        """What an output that is `computed` shows."""
+        """Value of an output that is `computed`."""
         return self.bound_in(context)
 
     def tickets(self, *inputs: str) -> set[DependencyTicket]:
-        """Those of the parameters, and of the inputs of these names that there are."""
+        """Tickets of the parameters, and of the inputs of these names that there are."""
         ports = (self.GetInputPort(name) for name in inputs if self.HasInputPort(name))
         return {
             self.all_parameters_ticket(),
             *(self.input_port_ticket(port.get_index()) for port in ports),
         }
 
-    def states(self, at: At | InContext) -> dict[str, NDArray]:
+    def states(self, at: TraceContext | InContext) -> dict[str, NDArray]:
         """The states by name, as they were declared."""
         return {name: at.state(1 + int(group)) for name, group in self._groups.items()}
 
-    def wind(self, at: At | InContext) -> NDArray:
+    def wind(self, at: TraceContext | InContext) -> NDArray:
         """The wind (3,) that aircraft fly in, m/s, in W; still air where it is not told."""
         return at.input_or(WIND, STILL_AIR) if self.HasInputPort(WIND) else STILL_AIR
 
@@ -250,11 +250,11 @@ class CommandedBound(LeafBlock):
 
 
 class LayerNumbers(NamedTuple):
-    """What a layer takes of its parameters."""
+    """Values that a layer takes of its parameters."""
 
     speed_bound: float  # m/s
     nominal: NDArray  # (2,), [ξ, A] at the start, rad/s and N
-    beliefs: NDArray  # a flat `Beliefs`
+    beliefs: NDArray  # a flat `ModelParameters`
 
 
 class SpeedBoundLayer(CommandedBound, PeriodicLayer):
@@ -277,10 +277,10 @@ class SpeedBoundLayer(CommandedBound, PeriodicLayer):
 
     @classmethod
     def structure(cls, model: Model, config: Any) -> Any:
-        """What of model and config decides how the layer is built, see `BlockParameters`."""
+        """Values that decide how the layer is built, see `BlockParameters`."""
 
     def block_parameters(self, model: Model, config: Any) -> BlockParameters:
-        """As of `PeriodicLayer`; amplitude bounds of zero stand for those from the weight."""
+        """Checks as `PeriodicLayer` does; amplitude bounds of zero are those from the weight."""
         kind = type(self)
 
         def check(model: Model, config: Any) -> None:
@@ -304,7 +304,7 @@ class SpeedBoundLayer(CommandedBound, PeriodicLayer):
         check_bound(self.highest_speed_bound, speed_bound, name)
 
     def set_speed_bound(self, context: Context, speed_bound: float) -> None:
-        """As of `CommandedBound`."""
+        """Bound of `CommandedBound`."""
         super().set_speed_bound(context, speed_bound)
         self.begin_anew(context)
 
@@ -323,17 +323,17 @@ class SpeedBoundLayer(CommandedBound, PeriodicLayer):
         """The speed bound and the highest one (2,), m/s, which are no part of a trace."""
         return np.array([self._numbers_in(context).speed_bound, self.highest_speed_bound])
 
-    def traced_bound(self, at: At) -> NDArray:
+    def traced_bound(self, at: TraceContext) -> NDArray:
         """ε (1,), m/s: as set, or what is commanded; no number where that is out of range."""
         if not at.has_input(COMMAND):
             return at.parameters[:1]
         command, highest = at.input(COMMAND), at.parameters[1]
         is_bound = casadi.logic_and(command[0] >= LEAST_BOUND, command[0] < highest)
         is_bound = casadi.logic_or(command[0] == 0, is_bound)
-        return chosen(is_bound, command, np.array([np.nan]))
+        return where(is_bound, command, np.array([np.nan]))
 
-    def traced_output(self, port: str, at: At) -> NDArray:
-        """What a port shows."""
+    def traced_output(self, port: str, at: TraceContext) -> NDArray:
+        """Value of a port."""
         return self.traced_bound(at) if port == "speed_bound" else self.states(at)[port]
 
     def _numbers_in(self, context: Context) -> LayerNumbers:

@@ -128,7 +128,7 @@ class SteadyWind(LeafBlock):
         return mean + self._gusts_at(port, at)
 
     def _positions(self, port: str, at: Any) -> NDArray:
-        """Those (k, 3) of what a port is for: here none counts."""
+        """Heights (k, 3) of the port's bodies: here none counts."""
         return np.zeros((self.GetOutputPort(port).size() // WIND_SIZE, 3))
 
     def _gusts_at(self, port: str, at: Any) -> Any:
@@ -255,7 +255,7 @@ class GustyWind(WindProfile):
     def _gusts_at(self, port: str, at: Any) -> Any:
         return 0.0 if port == "wind_estimate" else at.known(port, self.GetOutputPort(port).size())
 
-    def quantities_over(self, ports: Sequence[str], times: NDArray) -> list[NDArray]:
+    def precomputed_inputs(self, ports: Sequence[str], times: NDArray) -> list[NDArray]:
         """The gusts on top of what ports show, (k, size), at times (k,) in s; m/s, in W."""
         waves = {"wind": self._waves, "load_wind": self._load_waves}
         assert self._wind.load_gusts is not None

@@ -89,7 +89,7 @@ class _WrenchPid(Block):
 
     @property
     def gains(self) -> dict[str, Any]:
-        """What `law` returns of the model's load."""
+        """Value of `law` for the model's load."""
         return self.law(self.model.load, **_numbers(self.model, self.config))
 
     def describe_response(self) -> dict[str, Any]:

@@ -79,7 +79,7 @@ def _plot(options: argparse.Namespace) -> int:
 
 
 def _label(folder: Path, folders: list[Path]) -> str:
-    """What a run is called: its folder's name, or the whole path where two have the same."""
+    """Name of a run: its folder's, or the whole path where two have the same."""
     names = [other.resolve().name for other in set(folders)]
     name = folder.resolve().name
     return str(folder) if names.count(name) > 1 else name

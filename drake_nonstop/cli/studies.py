@@ -25,10 +25,10 @@ from drake_nonstop.studies.ablation import (
 from drake_nonstop.studies.ablation_report import as_text
 from drake_nonstop.studies.figures import make_margins_figure, make_robustness_figure
 from drake_nonstop.studies.files import require_writable, write_json
-from drake_nonstop.studies.margins import Margin, find_margins, margins_settings
 from drake_nonstop.studies.robustness import robustness, robustness_settings, robustness_table
 from drake_nonstop.studies.run_all import COMPLETED, DIVERGED, Progress, SerialExecutor
 from drake_nonstop.studies.stability import Stability, linearize
+from drake_nonstop.studies.stability_ranges import Margin, find_margins, margins_settings
 from drake_nonstop.studies.sweep import sweep, sweep_settings
 from drake_nonstop.studies.sweep_spec import read_sweep
 from drake_nonstop.studies.variants import labels, varied

@@ -1,1 +1,1 @@
-"""What makes blocks a loop: boxes, hold, equilibrium, parameters, trace and compiled engine."""
+"""Blocks made a loop: boxes, hold, equilibrium, parameters, trace and compiled engine."""

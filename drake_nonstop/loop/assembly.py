@@ -41,7 +41,7 @@ Maker = Callable[[Model], System]  # of a block, such as its class
 
 
 class LoopConfig(Protocol):
-    """What a loop is made from: a `Scenario`, which also has the config of each box by its name."""
+    """Interface of a `Scenario`, which also has the config of each box by its name."""
 
     system: SystemParameters
     simulated: Any  # `SystemOverrides`
@@ -57,7 +57,7 @@ class LoopConfig(Protocol):
         ...
 
     def sampled(self) -> Any:
-        """What it is with numbers drawn for its distributions.
+        """Returns the scenario with numbers drawn for its distributions.
 
         Raises:
             ScenarioError: a field cannot be used.
@@ -66,7 +66,7 @@ class LoopConfig(Protocol):
 
 
 class Parts(NamedTuple):
-    """What a loop is connected from."""
+    """Blocks that a loop is connected from."""
 
     loop: LoopBlocks
     blocks: dict[str, System]  # those of the loop, with the hold in front of sampled controllers
@@ -160,7 +160,7 @@ def connected(boxes: Boxes, parts: Parts, inputs: Collection[str]) -> Diagram:
 
 
 def _models(scenario: LoopConfig) -> tuple[Model, Model]:
-    """What the controllers believe, and what is simulated."""
+    """Models of what the controllers believe, and of what is simulated."""
     believed = Model(scenario.system, scenario.pattern, scenario.control_period)
     plant = overridden(scenario.system, scenario.simulated)
     require(
@@ -213,7 +213,7 @@ def _require_made(boxes: Boxes, loop: LoopBlocks) -> None:
 
 
 def _unread(boxes: Boxes, loop: LoopBlocks) -> Iterator[str]:
-    """What is made for a box's block, which does not read it."""
+    """Signals made for a box's block, which does not read them."""
     for box in boxes.values():
         own = loop.maker_of(next(iter(box.signals)))
         for signal, sentence in box.expected_inputs.items():
@@ -387,7 +387,7 @@ def _config_class(entry: Any) -> type | None:
 
 
 def _constructor(boxes: Boxes, name: str, config: Any) -> Callable[[Model], System]:
-    """What makes the block of a config for the box of that name, or beside the boxes."""
+    """Maker of the block of a config for the box of that name, or beside the boxes."""
     block: Any = block_class(name if name in boxes else f"extra {name}", type(config))
     if name not in boxes or block in boxes[name].variants:
         return lambda model: block(model, config)

@@ -42,7 +42,7 @@ def sample_times(numbers: Any, period: float) -> Any:
 
 
 def timing_complaint(block: System, period: float, *, at_each: bool = False) -> str:
-    """What keeps a block's discrete updates from being at samples, to the bit; empty: nothing.
+    """Reason why a block's discrete updates are not at samples, to the bit; empty: there is none.
 
     Two instants that differ by a rounding are two to Drake's Simulator, and either may be first.
     The period of the samples is in s; `at_each` asks for an update at each of them.

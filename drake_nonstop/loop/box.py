@@ -17,7 +17,7 @@ from drake_nonstop.validation import require
 
 
 class Kind(Enum):
-    """What a box belongs to, which is its colour in the drawing."""
+    """Group of a box, which is its colour in the drawing."""
 
     PLANT = "plant"
     TRAJECTORY = "trajectory"
@@ -38,7 +38,7 @@ class Place(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Box:
-    """What the scenario, the diagram, the drawing and the studies know of a box.
+    """A box, as the scenario, the diagram, the drawing and the studies know it.
 
     Attributes:
         variants: the blocks that it can be, the default first. Block X is in the same module as
@@ -129,7 +129,7 @@ def block_class(box: str, config: type) -> type[System]:
 
 
 def block_of(config: type) -> Any:
-    """What has the name X in the module of the dataclass XConfig, None if nothing has."""
+    """Object named X in the module of the dataclass XConfig; None: there is none."""
     name = config.__name__.removesuffix("Config")
     return getattr(sys.modules.get(config.__module__), name, None)
 
@@ -140,7 +140,7 @@ _BOUND = "speed_bound"
 def kept_parameters(
     fields: Mapping[str, Any], old: type, new: type, keeps_defaults: bool
 ) -> dict[str, Any]:
-    """What a swap by a block's name hands on to a `new` config: fields of the same name and type.
+    """Fields of the same name and type, which a swap hands on to a `new` config.
 
     `fields` are those of the config of the class `old`; where it does not keep defaults, those that
     are at their defaults are left out.

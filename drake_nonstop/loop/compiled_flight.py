@@ -41,7 +41,7 @@ class LoopFlight:
         self._state, self._parameters = layout.state_of(context), layout.parameters_of(context)
         self._sources = {
             layout.numbers[block]: _Source(block, own_context(layout, block, context))
-            for block in (*layout.outside - {*layout.held}, *layout.knowing)
+            for block in (*layout.outside - {*layout.held}, *layout.precomputing)
         }
         self.samples = 0
 
@@ -101,7 +101,9 @@ class CompiledFlight(LoopFlight):
         self._whole = None if whole is None else Evaluation(whole, compiles)
         self._no_answers = np.zeros(layout.answers_size)
         self._systems = [*layout.numbers]
-        self._outside = _Outside([] if whole is None else whole.readings, self._sources, period)
+        self._outside = _ExogenousInputs(
+            [] if whole is None else whole.readings, self._sources, period
+        )
         self._stepped: dict[System, SteppedBlock] = {}
         self._watched = [_watched(layout, block, context) for block in layout.of_users]
         self._fixed: dict[tuple[System, int], Any] = {}
@@ -280,11 +282,11 @@ class CompiledFlight(LoopFlight):
         self.samples, self._state = samples, np.array(state)
 
     def times_of(self, samples: NDArray) -> NDArray:
-        """Those of samples by their numbers (k,), s."""
+        """Times of samples by their numbers (k,), s."""
         return sample_times(samples, self._period)
 
     def seconds_of_functions(self, samples: int) -> float:
-        """As of `CompiledLoop`; the flight stays where it is."""
+        """Values as of `CompiledLoop`; the flight stays where it is."""
         if self._whole is not None:
             parts = [self._whole]
             _, outside = self._outside.of_samples(self.samples, 1)
@@ -354,7 +356,7 @@ def own_context(layout: LoopLayout, block: System, context: Context) -> Context:
 
 
 class _Source:
-    """What is known beforehand: a block without inputs, or a traced one's functions of time.
+    """Outputs known beforehand: of a block without inputs, or a traced one's functions of time.
 
     The context is the block's own, by itself: to set the time of a whole loop's is slow.
     """
@@ -365,7 +367,7 @@ class _Source:
         self._known: dict[int | str, Any] = {}  # at that time
 
     def value(self, output: int | str, at: float) -> Any:
-        """What a port shows at a time in s, or what a quantity is."""
+        """Value of a port or a quantity at a time in s."""
         if at != self._time:
             self._context.SetTime(at)
             self._time = at
@@ -395,7 +397,7 @@ class _Source:
         return has_own(self._block, ROWS) and port.get_data_type() == PortDataType.kVectorValued
 
     def _rows(self, outputs: Sequence[int | str], times: NDArray) -> list[NDArray]:
-        """Those of quantities, or of ports.
+        """Values of quantities, or of ports.
 
         Raises:
             ValueError: the block gives other rows than its ports have.
@@ -412,8 +414,8 @@ class _Source:
         return rows
 
 
-class _Outside:
-    """What stands outside of the function of a whole sample, for many samples at once."""
+class _ExogenousInputs:
+    """Inputs from outside of the function of a whole sample, for many samples at once."""
 
     def __init__(self, readings: Sequence[Reading], sources: Mapping[int, _Source], period: float):
         self._readings, self._sources, self._period = readings, sources, period

@@ -213,14 +213,14 @@ class CompiledLoop:
 
     @cached_property
     def _content(self) -> Any:
-        """What the traces of an instant depend on, which can be hashed; None: it is not known."""
+        """Key of the traces of an instant, which can be hashed; None: it is not known."""
         layout = self._layout
         content = trace_content(self.diagram, layout.wires, layout.is_outside)
         states = tuple(map(tuple, layout.state_sizes.values()))
         return None if content is None else (content, states, *layout.parameter_sizes)
 
     def _key(self) -> Any:
-        """Likewise, of those of a sample."""
+        """Key of the traces of a sample."""
         layout, content = self._layout, self._content
         if content is None:
             return None
@@ -293,7 +293,7 @@ class CompiledLoop:
         return self._layout.parameter_names
 
     def fly_with_derivatives(self, context: Context) -> DerivativeFlight:
-        """Likewise, with the exact derivatives of the states.
+        """Returns the rates with the exact derivatives of the states.
 
         Raises:
             ScenarioError: a block of the loop searches, or stands beside the trace; or the context

@@ -53,7 +53,7 @@ class _Slopes:
 
 
 class DerivativeFunctions(NamedTuple):
-    """What the derivatives of loops of one content are traced to."""
+    """Functions of the derivatives of loops of one content."""
 
     at_start: _Slopes
     update: _Slopes

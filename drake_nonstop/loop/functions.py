@@ -20,10 +20,10 @@ _FLY_SAMPLES = files(__package__).joinpath("fly_samples.c").read_text()
 
 
 class Reading(NamedTuple):
-    """What is read of a system outside of a trace, and when.
+    """An input from a system outside of a trace, and when it is read.
 
     `output` is the number of a port, or the name of a quantity that the system knows beforehand,
-    see `systems.diagram_trace.At.known`.
+    see `systems.diagram_trace.TraceContext.known`.
     """
 
     system: int  # its number among all in the diagram
@@ -96,7 +96,7 @@ class LoopFunction:
 
 @dataclass
 class LoopFunctions:
-    """What loops of one content are traced to."""
+    """Functions of loops of one content."""
 
     at_start: LoopFunction
     shown: LoopFunction
@@ -107,7 +107,7 @@ class LoopFunctions:
 
     @property
     def of_samples(self) -> list[LoopFunction]:
-        """Those that are evaluated at every sample, or nearly."""
+        """Functions that are evaluated at every sample, or nearly."""
         parts = [self.at_sample, self.after_sample] if self.whole is None else [self.whole]
         return [part for part in parts if part is not None]
 
@@ -167,7 +167,7 @@ class Evaluation:
     def _flying_in_python(
         self, times: NDArray, outside: NDArray, limit: float, signals: NDArray, steps: NDArray
     ) -> int:
-        """As fly_samples.c."""
+        """Calls fly_samples.c."""
         own = self._input
         state, own_signals, own_steps, _, is_valid, norm = self._outputs
         place, start = sum(self._arguments[:2]), sum(self._arguments)
@@ -217,7 +217,7 @@ class _FlyingInC:
     def fly(
         self, times: NDArray, outside: NDArray, limit: float, signals: NDArray, steps: NDArray
     ) -> int:
-        """As fly_samples.c; the arrays are contiguous, and `outside` has a row per time."""
+        """Calls fly_samples.c; the arrays are contiguous, and `outside` has a row per time."""
         given = *self._layout, times, outside, *self._values, signals, steps, *self._work
         addresses = (array.ctypes.data for array in given)
         return int(self._call(len(times), limit, *addresses))

@@ -48,7 +48,7 @@ Blocks = Mapping[str, System]  # of a loop, by the names of their boxes
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LoopResponse:
-    """What the blocks of a loop say of themselves."""
+    """Descriptions of the blocks of a loop by themselves."""
 
     carriers: Carriers | None  # their controllers and references; None: they are not known
     feedback: Feedback | None  # the wrench controller's, with its samples; None: it is not known
@@ -249,7 +249,7 @@ def _motion(model: Model, blocks: Blocks, duration: float, left_out: list[str]) 
 def _disturbance(
     model: Model, plant: Model, blocks: Blocks, motion: Motion, left_out: list[str]
 ) -> Disturbance:
-    """What wind and the box load_disturbance do to the load."""
+    """Disturbance of the load by the wind and the box load_disturbance."""
     wind, wrench = Wind(), LoadWrench()
     if "wind" in blocks and (wind := described(blocks["wind"], WIND)) is None:
         left_out.append(f"{_name(blocks, 'wind')}: what it does to the load")

@@ -64,7 +64,7 @@ class _Holder:
 
     @property
     def role(self) -> str:
-        """What its model is called in a scenario."""
+        """Name of its model in a scenario."""
         return self.parameters.model.field
 
     def goes_by(self, field: str) -> bool:
@@ -162,7 +162,7 @@ class _Loop:
             yield f"{holder.box}.{name}", self._value(holder, name), about
 
     def set(self, path: str, value: Any) -> None:
-        """As `set_parameter`."""
+        """Sets a parameter, see `set_parameter`."""
         _require_path(path)
         is_converted_one = isinstance(self._context, Context_[AutoDiffXd])
         remedy = "give a number, or a context of the loop converted to AutoDiffXd"

@@ -63,7 +63,7 @@ class PlantStates:
         return self._nonstop.GetMutableSubsystemContext(self._owners[signal], context)
 
     def signal(self, context: Context, name: str) -> NDArray | None:
-        """What the loop's one port of that name shows; None: there is none, or several."""
+        """Value of the loop's one port of that name; None: there is none, or several."""
         ports = ports_of(self._nonstop, name)
         if len(ports) != 1:
             return None
@@ -72,7 +72,7 @@ class PlantStates:
         return value
 
     def required(self, context: Context, name: str) -> NDArray:
-        """As `signal`, of one that the loop has."""
+        """Value as of `signal`, of a port that the loop has."""
         value = self.signal(context, name)
         assert value is not None, name
         return value
@@ -109,7 +109,7 @@ class PlantStates:
             set_state_values(context, closest)
 
     def try_to_set(self, context: Context, **states: NDArray) -> None:
-        """As `set_states`, but changes nothing where a port does not show what was set."""
+        """Sets states as `set_states` does; changes nothing where a port does not show them."""
         before = state_values(context)
         try:
             self.set_states(context, **states)
@@ -197,7 +197,7 @@ class PlantStates:
         return acceleration
 
     def acceleration_source(self, context: Context) -> str:
-        """What to say of where the load's acceleration comes from; empty where a block tells it."""
+        """A sentence on a load's acceleration by differences; empty where a block tells it."""
         own, block = self._context(LOAD, context), self._owners[LOAD]
         if hasattr(block, "CalcLoadAcceleration") or self._shown[LOAD].is_continuous(own):
             return ""
@@ -215,7 +215,7 @@ class PlantStates:
         )
 
     def states(self, context: Context) -> dict[str, NDArray]:
-        """What the ports show, by their names, of the blocks that have a state."""
+        """Values of the ports, by their names, of the blocks that have a state."""
         return {
             signal: self._ports[signal].Eval(own).copy()
             for signal in self._owners

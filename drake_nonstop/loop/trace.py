@@ -19,11 +19,11 @@ from pydrake.systems.framework import Context, Diagram, DiscreteValues, PortData
 from drake_nonstop.loop.functions import LoopFunction, Symbols, Traced
 from drake_nonstop.systems.block import is_of_package
 from drake_nonstop.systems.diagram_trace import (
-    At,
-    Instant,
+    DiagramSnapshot,
+    TraceContext,
     Wires,
+    is_precomputed,
     is_traceable,
-    knows_beforehand,
     leaves,
     rates,
 )
@@ -46,7 +46,7 @@ class LoopLayout:
         places: of each leaf's discrete states, in the loop's.
         self_updating: the leaves that may ask to make an update themselves.
         with_parameters, parameter_sizes: those with numeric parameters, and what traces take of it.
-        knowing: those that know quantities beforehand, see `systems.diagram_trace.At.known`.
+        precomputing: those with precomputed inputs, see `diagram_trace.TraceContext.known`.
         of_users: the systems that are a user's own, of those that are evaluated or traced.
         read: the inputs that are given to blocks which make updates themselves: block and number.
     """
@@ -77,7 +77,7 @@ class LoopLayout:
         self.parameter_sizes = [
             len(_parameters_of(leaf, own(leaf))) for leaf in self.with_parameters
         ]
-        self.knowing = [leaf for leaf in self.leaves if knows_beforehand(leaf)]
+        self.precomputing = [leaf for leaf in self.leaves if is_precomputed(leaf)]
         self.of_users = [
             *(b for b in self.outside - {*self.held} if not is_of_package(b)),
             *(b for b in self.leaves if hasattr(b, "traced_output") and not is_of_package(b)),
@@ -97,7 +97,7 @@ class LoopLayout:
 
     @property
     def updating(self) -> dict[str, System]:
-        """Those that make updates themselves, at every sample or some, by their blocks' names."""
+        """Leaves that make updates themselves, at every sample or some, by their blocks' names."""
         names = {self.wires.block_of(leaf).get_name(): leaf for leaf in self.self_updating}
         return {block.get_name(): block for block in self.held} | names
 
@@ -112,7 +112,7 @@ class LoopLayout:
 
     @property
     def parameter_names(self) -> list[str]:
-        """As of `CompiledLoop`."""
+        """Names as of `CompiledLoop`."""
         names = []
         for leaf, size in zip(self.with_parameters, self.parameter_sizes, strict=True):
             box = self.wires.block_of(leaf).get_name()
@@ -125,14 +125,14 @@ class LoopLayout:
         return names
 
     def reads_of(self, leaf: Any) -> dict[int, tuple[bool, list[int]]]:
-        """What a traced leaf's outputs read, by numbers: whether the time, and which inputs."""
+        """Reads of a traced leaf's outputs, by numbers: whether the time, and which inputs."""
         symbols: dict[Any, casadi.SX] = {}
         parameters = dict(zip(self.with_parameters, self.parameter_sizes, strict=True))
 
         def symbol(system: System, name: int | str, size: int) -> NDArray:
             return object_array(symbols.setdefault((system, name), casadi.SX.sym("u", size)))
 
-        class OfSymbols(Instant):
+        class OfSymbols(DiagramSnapshot):
             def output(self, system: System, index: int) -> NDArray:
                 return symbol(system, index, system.get_output_port(index).size())
 
@@ -150,7 +150,7 @@ class LoopLayout:
             port = leaf.get_output_port(k)
             if port.get_data_type() != PortDataType.kVectorValued:
                 continue
-            values = leaf.traced_output(port.get_name(), At(instant, leaf))
+            values = leaf.traced_output(port.get_name(), TraceContext(instant, leaf))
             shown = casadi.SX(casadi.vertcat(*values))
             read = {s for s, values in symbols.items() if casadi.depends_on(shown, values)}
             found[k] = (leaf, "t") in read, [i for i, s in sources.items() if s in read]
@@ -204,7 +204,7 @@ def _state_sizes(context: Context) -> list[int]:
 
 
 def _parameters_of(leaf: Any, context: Context) -> NDArray:
-    """What a leaf's trace takes of the parameters in a context of its own."""
+    """Parameters that a leaf's trace takes, from a context of its own."""
     if hasattr(leaf, "trace_parameters"):
         return leaf.trace_parameters(context)
     return context.get_numeric_parameter(0).CopyToVector()
@@ -235,7 +235,7 @@ def runge_kutta3(rate: Callable[[Any, float], Any], state: Any, step: Step) -> A
 
 
 class LoopTrace:
-    """What a loop is traced to.
+    """Trace of a loop.
 
     Attributes:
         arguments: symbols of its stacked state and parameters, and of the sample's time, s.
@@ -250,8 +250,8 @@ class LoopTrace:
         values = np.split(object_array(parameters), np.cumsum(sizes)[:-1])
         self._parameters = dict(zip(layout.with_parameters, values, strict=False))
 
-    def _instant(self, states: Mapping[System, list[NDArray]], outside: Any) -> Instant:
-        return Instant(
+    def _instant(self, states: Mapping[System, list[NDArray]], outside: Any) -> DiagramSnapshot:
+        return DiagramSnapshot(
             self._layout.wires,
             dict(states),
             self._parameters,
@@ -281,7 +281,7 @@ class LoopTrace:
         last = after | {leaf: _updated(leaf, instant, after, is_start) for leaf in late}
         is_valid = []
         for leaf in self._layout.self_updating if not is_start else ():
-            made = leaf.traced_fast_update(At(instant, leaf))
+            made = leaf.traced_fast_update(TraceContext(instant, leaf))
             last[leaf] = [last[leaf][0], *made.states]
             is_valid.append(made.is_valid)
         inputs = (instant.input(*place) for place in self._layout.read)
@@ -340,15 +340,15 @@ class LoopTrace:
         """The rates of the loop's state, 0 of all that is discrete."""
         return self._part(self._rates_at)
 
-    def _rates_at(self, instant: Instant) -> list[casadi.SX]:
+    def _rates_at(self, instant: DiagramSnapshot) -> list[casadi.SX]:
         found = []
         for leaf, (continuous, *discrete) in self._layout.state_sizes.items():
             found += [rates(leaf, instant)] if continuous else []
             found.append(np.zeros(sum(discrete)))
         return [_joined(found)]
 
-    def _part(self, make: Callable[[Instant], list[casadi.SX]]) -> _Part:
-        """What is made of an instant, traced once, of any state, offset (s) and `Symbols`."""
+    def _part(self, make: Callable[[DiagramSnapshot], list[casadi.SX]]) -> _Part:
+        """Values of an instant, traced once, of any state, offset (s) and `Symbols`."""
         state, parameters, time = self.arguments
         own = Symbols(self._layout.numbers)
         states = self._layout.states(object_array(state))
@@ -364,8 +364,8 @@ class LoopTrace:
 
         return part
 
-    def _at(self, instant: Instant, signals: Iterable[str]) -> list[NDArray]:
-        """What signals show at an instant."""
+    def _at(self, instant: DiagramSnapshot, signals: Iterable[str]) -> list[NDArray]:
+        """Values of signals at an instant."""
         found = []
         for name in signals:
             port = self._layout.diagram.GetOutputPort(name).get_index()
@@ -375,11 +375,11 @@ class LoopTrace:
 
 
 def _updated(
-    leaf: Any, instant: Instant, states: Mapping[System, list[NDArray]], is_start: bool
+    leaf: Any, instant: DiagramSnapshot, states: Mapping[System, list[NDArray]], is_start: bool
 ) -> list[NDArray]:
     """A leaf's states after its update of the discrete ones."""
     start = getattr(leaf, "traced_start", leaf.traced_update) if is_start else leaf.traced_update
-    return [states[leaf][0], *start(At(instant, leaf))]
+    return [states[leaf][0], *start(TraceContext(instant, leaf))]
 
 
 def _joined(arrays: list[NDArray]) -> casadi.SX:

@@ -82,7 +82,7 @@ class AirFrame(NamedTuple):
 
 
 class FlightNeeds(NamedTuple):
-    """What aircraft need; of any one shape."""
+    """Needs of aircraft; of any one shape."""
 
     airspeed: NDArray  # m/s
     force: NDArray  # N, ‖F‖
@@ -93,7 +93,7 @@ class FlightNeeds(NamedTuple):
 
     @property
     def command(self) -> AircraftCommand:
-        """What makes the force."""
+        """Lift, bank and thrust that make the force."""
         return AircraftCommand(self.lift, self.bank, self.thrust)
 
 
@@ -148,14 +148,14 @@ def air_force(
 def needed_force(
     aircraft: Aircraft, acceleration: NDArray, cable_force: NDArray, up: NDArray = _UP
 ) -> NDArray:
-    """What lift, drag and thrust have to sum up to (..., 3), N: m (v̇ + g e₃) + f."""
+    """Force (..., 3), N, that lift, drag and thrust sum up to: m (v̇ + g e₃) + f."""
     return aircraft.mass * (acceleration + aircraft.gravity * up) + cable_force
 
 
 def flight_needs(
     aircraft: Aircraft, force: NDArray, air_velocity: NDArray, up: NDArray = _UP
 ) -> FlightNeeds:
-    """What aircraft need for `air_force` to be the given one: its inverse.
+    """Needs of aircraft for a given `air_force`: its inverse.
 
     With F_x = F·x and N = ‖F − F_x x‖ the bank is atan2(F·y, F·z′), and
 

@@ -143,7 +143,7 @@ def limited_command(
 
 
 class ObserverStates(NamedTuple):
-    """What the controller of n aircraft remembers."""
+    """State of the controller of n aircraft."""
 
     disturbance: NDArray  # (3n,), N, on the aircraft, [forward, right, up] of each `AirFrame`
     lift: NDArray  # (n,), C_L by its lag behind the command
@@ -186,7 +186,7 @@ def observer_targets(
     cable_forces: NDArray,
     wind: NDArray,
 ) -> NDArray:
-    """What the low-passes of `ObserverStates` (5n,) follow.
+    """Inputs of the low-passes of `ObserverStates` (5n,).
 
     The disturbance follows m (v̇ + g e₃) + f_d − F_a, what the model of the aircraft does not
     explain, in the axes of flight through the air, in which errors of lift and thrust do not turn.

@@ -25,7 +25,7 @@ _NONE = np.zeros(3)
 
 
 class FormationShape(NamedTuple):
-    """What a formation can choose: the sizes of its forces, its rates, and the cables' length.
+    """Variables of a formation: the sizes of its forces, its rates, and the cables' length.
 
     Numbers may be arrays (1,), also of symbols.
     """

@@ -40,7 +40,7 @@ Directions = tuple[NDArray, NDArray, NDArray]  # u, u′ and u″ (k, n, 3)
 
 
 class OrbitTerms(NamedTuple):
-    """What the speeds of n carriers depend on besides θ, ξ and A, in L."""
+    """Terms of the speeds of n carriers besides θ, ξ and A, in L."""
 
     forces: NDArray  # (..., n, 3), N, f₀
     rates: NDArray  # (..., n, 3), N/s, d
@@ -61,7 +61,7 @@ class OrbitTerms(NamedTuple):
 
 
 class FlightTerms(NamedTuple):
-    """What the flight of n aircraft depends on besides the `PlannedOrbit`, in L."""
+    """Terms of the flight of n aircraft besides the `PlannedOrbit`, in L."""
 
     forces: NDArray  # (..., n, 3), N, f₀
     rates: NDArray  # (..., n, 3), N/s, d, of the components in L, as the next
@@ -88,7 +88,7 @@ class FlightTerms(NamedTuple):
 
     @property
     def of_speeds(self) -> OrbitTerms:
-        """Those that count for speeds."""
+        """Terms that count for speeds."""
         return OrbitTerms(self.forces, self.rates, self.velocities, self.angular_velocity)
 
     @property
@@ -387,7 +387,7 @@ def planned_gaps(
 
 
 def needs_of_motion(aircraft: Aircraft, motion: OrbitMotion, up: NDArray = _UP) -> FlightNeeds:
-    """What aircraft need to move so, with `up` e₃ (..., 3) in the motion's frame."""
+    """Needs of aircraft for this motion, with `up` e₃ (..., 3) in its frame."""
     force = needed_force(aircraft, motion.accelerations, motion.forces, up)
     return flight_needs(aircraft, force, motion.velocities, up)
 
@@ -401,7 +401,7 @@ def planned_needs(
     rest_length: Any,
     compliance: Any,
 ) -> FlightNeeds:
-    """What aircraft need (k, n) at k instants, of numbers or symbols; see `orbit_motion`."""
+    """Needs of aircraft (k, n) at k instants, of numbers or symbols; see `orbit_motion`."""
     cables = {"rest_length": rest_length, "compliance": compliance}
     motion = orbit_motion(terms, orbit_directions(axes, orbit.angle), orbit, **cables)
     return needs_of_motion(aircraft, motion, terms.up[:, None])

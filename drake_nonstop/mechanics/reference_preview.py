@@ -15,7 +15,7 @@ FADE_TIME = 0.5  # s, in which the accelerations of `continued_reference` fade
 
 @dataclass(frozen=True, eq=False)
 class ReferencePreview:
-    """What a trajectory tells of its reference to come, the value of `reference_preview`.
+    """Reference to come of a trajectory, the value of `reference_preview`.
 
     It holds no state and is not copied with a context: any thread may call it at any time.
 

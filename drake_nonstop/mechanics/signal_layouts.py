@@ -1,4 +1,4 @@
-"""What the entries of a signal are, in their order: names, units and frames.
+"""Entries of a signal in their order: names, units and frames.
 
 The contract of the figure's boxes, `drake-nonstop blocks`, logs, plots and exports read it here. A
 block of one's own may declare the layouts of its output ports, by their names:
@@ -130,7 +130,7 @@ class Layout:
         return self._per("") + n * self._per("n") + m * self._per("m")
 
     def entries(self, signal: str, size: int) -> tuple[Entry, ...] | None:
-        """What each entry of a signal of that name and size is; None: it is of another size."""
+        """Entries of a signal of that name and size; None: it is of another size."""
         fixed = self._per("")
         repeated = self._per("n") + self._per("m")
         places, rest = divmod(size - fixed, repeated) if repeated else (0, size - fixed)

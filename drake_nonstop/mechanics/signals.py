@@ -139,7 +139,7 @@ class CarrierStates(NamedTuple):
 
 
 class Parameters(NamedTuple):
-    """Those of the internal force, each with a last axis of length 1."""
+    """Parameters of the internal force, each with a last axis of length 1."""
 
     frequency: NDArray  # (..., 1), ξ, rad/s
     amplitude: NDArray  # (..., 1), A, N
@@ -210,7 +210,7 @@ class InternalForceHigherRates(NamedTuple):
 
 
 class AircraftCommand(NamedTuple):
-    """What n aircraft are told."""
+    """Commands of n aircraft."""
 
     lift: NDArray  # (..., n), C_L
     bank: NDArray  # (..., n), rad, positive to the right
@@ -224,7 +224,7 @@ class AircraftCommand(NamedTuple):
 
 
 class AircraftState(NamedTuple):
-    """What n aircraft show besides their positions and velocities."""
+    """States of n aircraft besides their positions and velocities."""
 
     lift: NDArray  # (..., n), C_L with the gusts' part, at most its maximum
     bank: NDArray  # (..., n), rad, positive to the right

@@ -21,7 +21,7 @@ def power_law(height: NDArray, *, reference_height: float, exponent: float) -> N
 
 
 def risen_share(time: Any, *, start: float, rise_time: float) -> Any:
-    """What share has risen of what grows linearly from 0 at `start` to 1 a rise time (s) later."""
+    """Share of a value that grows linearly from 0 at `start` to 1 a rise time (s) later."""
     since = (time - start) / rise_time
     return positive_part(since) - positive_part(since - 1.0)
 

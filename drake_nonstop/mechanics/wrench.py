@@ -140,7 +140,7 @@ def wrench_and_rate(
 def feedforward_wrench(
     load: RigidLoad, reference: NDArray, wind: NDArray = STILL_AIR
 ) -> tuple[NDArray, NDArray]:
-    """As `wrench_and_rate`, of a load that is on its reference (22,), by feedforward alone."""
+    """Wrench and rate of a load that is on its reference (22,), by feedforward alone."""
     state, none = reference[:LOAD_STATE_SIZE], np.zeros(WRENCH_SIZE)
     return wrench_and_rate(load, state, reference, none, wind, feedforward=1.0, **NO_FEEDBACK)
 

@@ -1,1 +1,1 @@
-"""What several blocks believe of load, cables and carriers, patterns, and their files."""
+"""Models of load, cables and carriers that blocks share, patterns, and their files."""

@@ -234,7 +234,7 @@ class Block(TracedBlock):
         )
 
     def _said(self, member: str) -> str:
-        """What errors call a member of the class."""
+        """Name of a member of the class in errors."""
         return f"{type(self).__name__}.{member}"
 
     def _require_sound(
@@ -266,7 +266,7 @@ class Block(TracedBlock):
         require(not twice, type(self).__name__, ", ".join(twice), remedy)
 
     def _moved(self, outputs: Mapping[str, int]) -> BetweenSamples | None:
-        """What moves between samples, checked."""
+        """Outputs that move between samples, checked."""
         between = self.between_samples(self.model, self.config)
         if between is None:
             return None
@@ -282,7 +282,7 @@ class Block(TracedBlock):
         """Raises ScenarioError for a config that cannot be used with the model."""
 
     def constants(self, model: Model, config: Any) -> dict[str, Any]:
-        """What `equations` takes by name besides parameters: numbers, arrays or functions."""
+        """Arguments of `equations` by name besides parameters: numbers, arrays or functions."""
         try:
             return {name.rpartition(".")[2]: attrgetter(name)(model) for name in self.of_model}
         except AttributeError as error:
@@ -304,7 +304,7 @@ class Block(TracedBlock):
         return True
 
     def start(self) -> Start | None:
-        """What makes the state at the start of a run; None: it stays as it is."""
+        """Function for the state at the start of a run; None: it stays as it is."""
         return None
 
     def between_samples(self, model: Model, config: Any) -> BetweenSamples | None:
@@ -312,7 +312,7 @@ class Block(TracedBlock):
         return None
 
     def block_parameters(self, model: Model, config: Any) -> BlockParameters:
-        """What of system and config `equations` takes: the fields that are numbers."""
+        """Fields of system and config that `equations` takes: those that are numbers."""
         own = [name for name, value in asdict(config).items() if _is_numeric(value)]
         return self.parameters_of(model, config, own)
 
@@ -427,5 +427,5 @@ class SelectorBlock(Selector, metaclass=BlockType):
 
     @staticmethod
     def entries(count: int) -> Iterable[int]:
-        """Those of the stacked inputs, so many, that the output has: all of them."""
+        """Numbers of the stacked inputs, so many, that the output has: all of them."""
         return range(count)

@@ -1,4 +1,4 @@
-"""What blocks say of themselves, for analyses that do not simulate them.
+"""Descriptions of blocks by themselves, for analyses that do not simulate them.
 
 A block says it by a method, `describe_response()` or `describe_wind()`, which returns one of the
 descriptions below. Of a block without the method its response is not known.
@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from drake_nonstop.mechanics.signals import TRACKING_ERROR_SIZE
 from drake_nonstop.mechanics.wind import MeanWind, risen_share
 from drake_nonstop.systems.block import has_own
-from drake_nonstop.systems.tracing import chosen
+from drake_nonstop.systems.tracing import where
 
 RESPONSE, WIND = "describe_response", "describe_wind"
 
 
 def described(block: Any, method: str = RESPONSE) -> Any:
-    """What a block says of itself by a method, see `has_own`; None: nothing is known."""
+    """Description of a block by its own method, see `has_own`; None: nothing is known."""
     return getattr(block, method)() if has_own(block, method) else None
 
 
@@ -73,7 +73,7 @@ class Estimator(NamedTuple):
 
 
 class LoadMeasurement(NamedTuple):
-    """What a `load_feedback` does with the errors [e_R, e_p, e_ω, e_v] of the load; SI."""
+    """Measurement by a `load_feedback` of the errors [e_R, e_p, e_ω, e_v] of the load; SI."""
 
     deviations: NDArray = np.zeros(TRACKING_ERROR_SIZE)  # standard deviations of its noise
     is_measured: NDArray = np.ones(TRACKING_ERROR_SIZE)  # 0 for what is taken as desired, else 1
@@ -120,7 +120,7 @@ class Wind(NamedTuple):
         if self.rise_time > 0:
             share = risen_share(time, start=self.start, rise_time=self.rise_time)
         elif self.start > 0:
-            share = chosen(time[0] >= self.start, np.ones(1), np.zeros(1))
+            share = where(time[0] >= self.start, np.ones(1), np.zeros(1))
         return share * self.mean.at(positions)
 
 

@@ -123,7 +123,7 @@ if executive.load_model_with_paths(name, folder, folder, folder, False):
 
 
 class FleetState(NamedTuple):
-    """What n aircraft of JSBSim show, SI, in W."""
+    """Signals of n aircraft of JSBSim, SI, in W."""
 
     positions: NDArray  # (n, 3), m, of the hooks, where the cables are fastened
     velocities: NDArray  # (n, 3), m/s, of the hooks
@@ -342,7 +342,7 @@ class JsbsimFleet:
         return self._shown()
 
     def advance(self, commands: NDArray, pulls: NDArray, winds: NDArray) -> FleetState:
-        """What they show a step later; the arguments are as of `start`.
+        """Signals a step later; the arguments are as of `start`.
 
         The pulls are those at the end of the step: JSBSim moves by the forces of the step before,
         and then evaluates the new ones.
@@ -487,7 +487,7 @@ def _not_loaded(field: str, path: Path, cause: str) -> ScenarioError:
 
 @contextlib.contextmanager
 def _silence() -> Iterator[list[str]]:
-    """What JSBSim would print, as a list of its errors."""
+    """Collects what JSBSim would print, as a list of its errors."""
     import jsbsim
 
     class Listener(jsbsim.DefaultLogger):

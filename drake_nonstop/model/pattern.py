@@ -248,7 +248,7 @@ class EllipticCarouselConfig(StrictFields):
 
 
 def _remedy(config: EllipticCarouselConfig, n: int, sizes: dict[str, float]) -> str:
-    """What makes elliptic carousels of n attachments possible, and changes the least."""
+    """Least change that makes elliptic carousels of n attachments possible."""
     changes: list[tuple[dict[str, float], str]] = [
         ({}, ""),
         ({"second_harmonic": 0.0}, " with second_harmonic = 0"),
@@ -269,7 +269,7 @@ def _remedy(config: EllipticCarouselConfig, n: int, sizes: dict[str, float]) -> 
 
 
 def _moving_remedy(pattern: InternalForcePattern, harmonic: float) -> str:
-    """What lets no force of an elliptic carousel with that second harmonic stand still."""
+    """Remedy for a force that stands still in an elliptic carousel with that second harmonic."""
     ratios = []  # of the slowest rate of the first order to the fastest one of the second
     for ellipses in zip(*_ellipses(pattern), strict=True):
         (_, least), (most, _) = (np.linalg.svd(axes, compute_uv=False) for axes in ellipses)

@@ -67,7 +67,7 @@ class _Point(NamedTuple):
 
 
 def _order(problem: UpdateProblem, point: _Point) -> tuple[float, ...]:
-    """What is larger for the better one of two points."""
+    """Score of a point, larger for the better one of two."""
     if point.is_feasible:
         return 1.0, -problem.cost(point.x)
     return 0.0, *problem.infeasibility_order(point.margins)

@@ -41,7 +41,7 @@ KINDS = (LEANING, CO_ROTATING)
 
 
 class FormationVariables(NamedTuple):
-    """What the program may choose (10,). Forces are shares of f₀ = M g/n, the load's per cable."""
+    """Variables of the program (10,). Forces are shares of f₀ = M g/n, the load's per cable."""
 
     spread: float  # C/f₀
     radial: float  # A_r/f₀
@@ -100,7 +100,7 @@ class DesignLimits(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class FormationTask:
-    """What a formation is designed for.
+    """Task that a formation is designed for.
 
     Attributes:
         aircraft: of any cable length.

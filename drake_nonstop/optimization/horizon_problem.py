@@ -45,7 +45,7 @@ from drake_nonstop.optimization.orbit_constraints import OrbitConstraints
 from drake_nonstop.optimization.plan import DEGREE, Plan, spline_rows
 from drake_nonstop.optimization.problem_config import LimitsConfig, tightened_bound
 from drake_nonstop.optimization.terminal_set import TerminalSet
-from drake_nonstop.optimization.update_data import Beliefs
+from drake_nonstop.optimization.update_data import ModelParameters
 from drake_nonstop.systems.tracing import ElementwiseFunction
 
 _OTHERS_SHARE = 0.3  # of the weight of the speed bound's slack: that of the other limits
@@ -58,26 +58,28 @@ Reference = Callable[[float], NDArray]  # the load's reference (22,) at a time i
 
 
 class HorizonData(NamedTuple):
-    """What varies from plan to plan."""
+    """Data that vary from plan to plan."""
 
     start_time: float  # s
     start_angle: float  # θ, rad
     flat_terms: NDArray  # (k, 9n + 3), the `OrbitTerms` at the instants
     terminal: TerminalSet  # at the terminal instants
     speed_bound: float  # m/s, tightened
-    aims: NDArray  # (k, n), m/s, what speeds have to reach at the instants: no less than that
+    target_speeds: (
+        NDArray  # (k, n), m/s, what speeds have to reach at the instants: no less than that
+    )
     # (f, 15n + 9), the `FlightTerms` at those with limits of flight; (f, 0) where there are none
     flat_flight: NDArray
     wind: NDArray  # (3,) or (k, 3), m/s, that aircraft fly in
 
     @property
     def terms(self) -> OrbitTerms:
-        """Those at the instants."""
+        """Data at the instants."""
         return OrbitTerms.view(self.flat_terms)
 
 
 class HorizonProblem(OrbitConstraints):
-    """What all plans of one model and config share.
+    """The problem of all plans of one model and config.
 
     Args:
         model: what the controllers believe.
@@ -94,7 +96,7 @@ class HorizonProblem(OrbitConstraints):
         config: HorizonConfig,
         name: Callable[[], str],
         *,
-        beliefs: Beliefs | None = None,
+        beliefs: ModelParameters | None = None,
     ):
         config = timed(config, limits.frequency, model.control_period)
         super().__init__(model, limits, config, name, beliefs=beliefs)
@@ -168,7 +170,7 @@ class HorizonProblem(OrbitConstraints):
         return (low / self.nominal)[:, None], (high / self.nominal)[:, None]
 
     def nominal_coefficients(self) -> NDArray:
-        """Those (2, N) of the nominal ξ and A."""
+        """Coefficients (2, N) of the nominal ξ and A."""
         return np.ones((2, self.count))
 
     def data(
@@ -205,17 +207,19 @@ class HorizonProblem(OrbitConstraints):
         if known is not None:
             flat = np.concatenate([known.flat_terms[count:], flat])
             flight = np.concatenate([known.flat_flight[flown:], flight])
-        aims = self._aims(flat, speed_bound, bound)
+        target_speeds = self._target_speeds(flat, speed_bound, bound)
         if known is None:
             places = self._terminal_at
-            terminal = self.terminal_set(flat[places], aims[places, :, None])
+            terminal = self.terminal_set(flat[places], target_speeds[places, :, None])
         else:
             places = self._terminal_at[-self.config.terminal_instants :]
-            new = self.terminal_set(flat[places], aims[places, :, None])
+            new = self.terminal_set(flat[places], target_speeds[places, :, None])
             terminal = known.terminal.continued(new, self.config.terminal_instants)
-        return HorizonData(start_time, start_angle, flat, terminal, bound, aims, flight, wind)
+        return HorizonData(
+            start_time, start_angle, flat, terminal, bound, target_speeds, flight, wind
+        )
 
-    def _aims(self, flat_terms: NDArray, speed_bound: float, tightened: float) -> NDArray:
+    def _target_speeds(self, flat_terms: NDArray, speed_bound: float, tightened: float) -> NDArray:
         """The speeds (k, n) in m/s that carriers have to keep in the plan, at k instants.
 
         Where carriers pass low speeds they are off by a share of what their orbits' speeds are
@@ -284,7 +288,7 @@ class HorizonProblem(OrbitConstraints):
         along, by_along = _side_by_side(*(function(columns, *own) for function, own in functions))
         along, weights = with_dips(along)
         # What carriers have to keep beyond the bound steps with time: no minimum follows from it.
-        along[:, : self.model.n] -= (data.aims**2 - bound**2) / unit**2
+        along[:, : self.model.n] -= (data.target_speeds**2 - bound**2) / unit**2
         terminal, by_terminal = self._terminal_margins(data, orbit)
         margins, gradients, all_weights = [along, terminal], [by_along, by_terminal], [weights]
         if self._limits_flight:
@@ -315,7 +319,7 @@ class HorizonProblem(OrbitConstraints):
         return slacks
 
     def missed(self, margins: NDArray, tolerance: float) -> set[str]:
-        """What margins (r,) miss by more than a tolerance, by the names of `missed_limits`."""
+        """Limits missed by more than a tolerance, of margins (r,), by names of `missed_limits`."""
         return {*self.layout.names[~(margins >= -tolerance)].tolist()} - {""}
 
     def angle_rows(self) -> NDArray:

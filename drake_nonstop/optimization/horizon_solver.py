@@ -191,7 +191,7 @@ class HorizonSolver:
         return coefficients
 
     def merit(self, answer: PlanAnswer) -> float:
-        """What plans of the same data are compared by: the cost and the penalty of the slack."""
+        """Score to compare plans of the same data by: the cost and the penalty of the slack."""
         slack = 0.0 if answer.is_feasible else answer.slack
         return answer.cost + float(self._weights.sum()) * slack
 
@@ -337,7 +337,7 @@ def _constant_parameters(problem: HorizonProblem, data: HorizonData) -> NDArray:
         nominal=problem.nominal,
         lower=low,
         upper=high,
-        speed_bound=float(data.aims.max()),
+        speed_bound=float(data.target_speeds.max()),
         speed_unit=data.speed_bound or 1.0,
         max_speed=problem.max_speed,
         internal_force_weight=0.0,
@@ -361,7 +361,7 @@ def receding_coefficients(
     max_iterations: int = 2,
     wind: Callable[[float], NDArray] = lambda time: STILL_AIR,
 ) -> tuple[NDArray, list[PlanAnswer]]:
-    """What plans over a receding horizon make of a task that goes as it is predicted.
+    """Plans over a receding horizon along a task that goes as it is predicted.
 
     Args:
         problem: of one horizon.

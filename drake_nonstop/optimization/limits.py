@@ -18,7 +18,7 @@ from drake_nonstop.mechanics.aircraft import Aircraft, FlightNeeds, stall_factor
 
 
 class Of(Enum):
-    """What a limit is one of."""
+    """Bodies that a limit holds for."""
 
     SPEED = "speed"  # of each carrier, m/s; of aircraft through the air
     TENSION = "tension"  # of each cable, N

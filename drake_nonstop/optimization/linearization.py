@@ -69,7 +69,7 @@ class Linearization:
     layout: ConstraintLayout
 
     def changes(self, step: NDArray) -> NDArray:
-        """What a step (2, N) of the coefficients adds to the margins (r,), to first order."""
+        """Change of the margins (r,) by a step (2, N) of the coefficients, to first order."""
         of_instants = np.stack([rows @ step[i // 3] for i, rows in enumerate(self.jacobians)])
         changes = (self.gradients * of_instants[:, self.layout.instants]).sum(axis=0)
         found: NDArray = changes.copy()

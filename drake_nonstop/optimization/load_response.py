@@ -130,7 +130,7 @@ def _trace(
     gains: NDArray,
     constants: NDArray,
 ) -> tuple[NDArray, ...]:
-    """What is commanded, the load's angular acceleration and acceleration, and cable forces."""
+    """Commands, the load's angular acceleration and acceleration, and cable forces."""
     shapes = [(n, 3), (3 * n, 6), (3, 3), *[(1,)] * 9]
     ends = np.cumsum([math.prod(shape) for shape in shapes])
     attachments, pseudo_inverse, inertia, *numbers = (

@@ -1,4 +1,4 @@
-"""What limits orbits of ξ and A above a load's reference: their terms, and all phases of them."""
+"""Constraints of orbits of ξ and A above a load's reference: their terms, and all their phases."""
 
 import math
 from collections.abc import Callable
@@ -27,7 +27,7 @@ from drake_nonstop.optimization.limits import Of
 from drake_nonstop.optimization.problem_config import LimitsConfig
 from drake_nonstop.optimization.separation import OrbitDistances
 from drake_nonstop.optimization.terminal_set import TerminalSet, product_limits
-from drake_nonstop.optimization.update_data import Beliefs, beliefs_of
+from drake_nonstop.optimization.update_data import ModelParameters, model_parameters_of
 from drake_nonstop.systems.tracing import TracedFunction
 
 
@@ -49,10 +49,10 @@ class OrbitConstraints:
         config: HorizonConfig,
         name: Callable[[], str],
         *,
-        beliefs: Beliefs | None = None,
+        beliefs: ModelParameters | None = None,
     ):
         self.model, self.limits, self.config, self.name = model, limits, config, name
-        beliefs = beliefs or beliefs_of(model, limits)
+        beliefs = beliefs or model_parameters_of(model, limits)
         self.nominal = beliefs.nominal
         self._bounds = np.stack([beliefs.lower, beliefs.upper])
         self._beliefs = np.concatenate(beliefs)
@@ -90,7 +90,7 @@ class OrbitConstraints:
         return self._flight_terms.of_rows(self._stacked(references, winds))
 
     def _stacked(self, references: NDArray, winds: NDArray) -> NDArray:
-        """What functions take of references (k, 22), in winds (3,) or (k, 3)."""
+        """Arguments of the functions for references (k, 22), in winds (3,) or (k, 3)."""
         count = len(references)
         own = np.broadcast_to(self._beliefs, (count, len(self._beliefs)))
         return np.hstack([references, own, np.broadcast_to(winds, (count, WIND_SIZE))])
@@ -119,7 +119,7 @@ class OrbitConstraints:
         return self._constraints.of_flight(aircraft, needs)
 
     def jump_margins(self, flat_terms: NDArray, spacing: float) -> NDArray:
-        """What the speeds (k, n) have to keep above the bound after jumps of the plan, m/s.
+        """Excess of the speeds (k, n) above the bound that jumps of the plan ask for, m/s.
 
         Where the jerk of the reference jumps, so do the planned velocities, by at most
         (L₀/T + 1/K_c) ‖Δd₀‖, T without A. The carriers then swing past the new velocity by a share
@@ -192,7 +192,7 @@ class OrbitConstraints:
         model = self.model
 
         def of_reference(reference: NDArray, vector: NDArray, wind: NDArray) -> NDArray:
-            beliefs = Beliefs.view(vector)
+            beliefs = ModelParameters.view(vector)
             return terms(
                 beliefs.load,
                 reference,

@@ -59,7 +59,7 @@ above_zero = number_with(lambda x: x > 0, "give a number greater than 0, or .inf
 
 @dataclass(kw_only=True)
 class AircraftLimits(StrictFields):
-    """What limits the flight of aircraft: the rows of `optimization.limits` that are of them."""
+    """Limits of the flight of aircraft: their rows of `optimization.limits`."""
 
     max_lift_share: float = checked(math.inf, above_zero)  # of C_Lmax, what aircraft need at most
     max_bank: float = checked(math.inf, above_zero)  # rad, of aircraft, to either side
@@ -125,12 +125,12 @@ class NonstopProblemConfig(LimitsConfig):
     global_search: bool = True  # compare what snopt, ipopt or nlopt finds with the search
 
     def instant_spacing(self, control_period: float) -> float:
-        """As of `LimitsConfig`."""
+        """Bound of `LimitsConfig`."""
         return self.period / max(self.look_ahead_points - 1, 1)
 
 
 def stated_speed_bound(field: str, value: Any, aircraft: Aircraft | None) -> Any:
-    """What is stated as a bound, in m/s: a text such as "1.4 V_s" is a multiple of the stall speed.
+    """Bound in m/s as it is stated: a text such as "1.4 V_s" is a multiple of the stall speed.
 
     What is no text is returned as it is.
 
@@ -196,7 +196,7 @@ def tightened_bound(config: LimitsConfig, speed_bound: float) -> float:
 
 
 def bound_tightening(config: LimitsConfig) -> tuple[float, float, float]:
-    """What makes the tightened bound of ε: a slope, a margin in m/s, and how that grows, s/m."""
+    """Terms of the tightened bound of ε: a slope, a margin in m/s, and its growth, s/m."""
     if not _has_margin(config):
         return 1 + limit_tightening(config), 0.0, 0.0
     return 1.0, config.speed_margin, 1 / config.speed_bound if config.speed_bound > 0 else 0.0
@@ -295,7 +295,7 @@ def _check_ratios(box: str, config: LimitsConfig) -> None:
 
 
 def _least_room(limit: Limit, config: LimitsConfig) -> float:
-    """What a largest value has to be above, for the sake of least ones of the same quantity."""
+    """Value that a largest one has to be above, for the least ones of the same quantity."""
     if limit.of is Of.SPEED:
         bound = tightened_bound(config, config.speed_bound)
         return bound / (1 - limit_tightening(config))

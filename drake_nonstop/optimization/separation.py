@@ -13,7 +13,7 @@ _ROUND_OFF = 1e-12  # relative, of squared distances from scalar products
 
 
 class OrbitDistances:
-    """Those of carriers with axes p and q (n, 3), see `internal_force.orbit_axes`.
+    """Distances of carriers with axes p and q (n, 3), see `internal_force.orbit_axes`.
 
     An encounter is a pair of carriers at a phase: of encounters (3, m) the first row are the
     numbers of the phases, the others those of the carriers.
@@ -88,7 +88,7 @@ class OrbitDistances:
         return np.concatenate(found)
 
     def _encounters(self, chosen: NDArray) -> NDArray:
-        """Those (3, m) of chosen pairs (phases, n, n), each pair once."""
+        """Encounters (3, m) of chosen pairs (phases, n, n), each pair once."""
         numbers = np.flatnonzero(chosen & self._is_once)
         return np.array(np.unravel_index(numbers, chosen.shape))
 

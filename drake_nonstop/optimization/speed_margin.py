@@ -87,7 +87,7 @@ class Motion:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Disturbance:
-    """What acts on the load besides cables and weight, in W.
+    """Forces on the load besides cables and weight, in W.
 
     Attributes:
         believed: (k, 3), N, at the instants of the motion: forces that the controllers know of.
@@ -445,7 +445,7 @@ def _of_jump(g: NDArray, task: _OrbitsAlongTask, orbit: Orbit) -> NDArray:
 
 
 def _late(motion: Motion, feedback: Feedback) -> NDArray:
-    """What a delay does to the measured errors at the samples of a task, (samples, 12).
+    """Errors that a delay adds to the measured ones at the samples of a task, (samples, 12).
 
     The load as it was is behind the reference by the delay times [ω, v, α, a], in its frame.
     """

@@ -59,7 +59,7 @@ class Carriers:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Feedback:
-    """What the loop does with errors of the load.
+    """Feedback of errors of the load by the loop.
 
     Attributes:
         gains: of `mechanics.wrench.wrench_and_rate`, by name.
@@ -111,7 +111,7 @@ class Inputs(NamedTuple):
 
     @classmethod
     def of(cls, n: int) -> "Inputs":
-        """Those of n carriers."""
+        """Constants of n carriers."""
         sizes = [3 * n, 3 * n, 3 * n, _ERRORS, 3 * n, WRENCH_SIZE]
         return cls(*_slices(sizes))
 

@@ -31,14 +31,19 @@ from drake_nonstop.optimization.constraints import Constraints
 from drake_nonstop.optimization.limits import Of
 from drake_nonstop.optimization.problem_config import NonstopProblemConfig
 from drake_nonstop.optimization.separation import OrbitDistances
-from drake_nonstop.optimization.update_data import Beliefs, UpdateData, beliefs_of, update_data_size
+from drake_nonstop.optimization.update_data import (
+    ModelParameters,
+    UpdateData,
+    model_parameters_of,
+    update_data_size,
+)
 from drake_nonstop.systems.tracing import TracedFunction
 
 MIN_SPEEDS_FOR_ARRAYS = 90  # from this number on arrays are faster than a trace
 
 
 class SpeedTerms(NamedTuple):
-    """What the speeds of p carriers, at all instants and phases, depend on besides ξ and A."""
+    """Terms of the speeds of p carriers, at all instants and phases, besides ξ and A."""
 
     polynomials: NDArray  # (10, 3, p), of `mechanics.nonstop.speed_polynomials`
     forces: NDArray  # (n, 3), N, in L at the last instant
@@ -59,7 +64,7 @@ class SpeedTerms(NamedTuple):
 
 
 class TracedProblem:
-    """What all updates of one model and config share.
+    """The problem of all updates of one model and config.
 
     Three traced functions of x = [ξ, A] (2,) and the flat vector of an `UpdateData`: `terms`,
     `margins` and `cost`. `margins` are those of the `speed_count` speeds above the bound, then,
@@ -70,7 +75,7 @@ class TracedProblem:
 
     def __init__(self, model: Model, config: NonstopProblemConfig, name: Callable[[], str]):
         self.model, self.config, self.name = model, config, name
-        beliefs = beliefs_of(model, config)
+        beliefs = model_parameters_of(model, config)
         self.beliefs = np.concatenate(beliefs)
         self.data_size = update_data_size(len(beliefs.offset))
         points = config.look_ahead_points
@@ -119,7 +124,7 @@ class TracedProblem:
     ) -> NDArray:
         """`margins` at ξ (1,) and A (1,), of numbers or symbols."""
         values = nonstop.polynomial_values(terms.polynomials[:, :, None], amplitude[:, None])
-        beliefs = Beliefs.view(data.beliefs)
+        beliefs = ModelParameters.view(data.beliefs)
         c, b, a, tension_squares = nonstop.speed_squares(
             values, rest_length=beliefs.rest_length, compliance=beliefs.compliance
         )
@@ -135,7 +140,7 @@ class TracedProblem:
         """`cost` and `margins`, each with one more output: its exact Jacobian by x."""
         return self._compiled(self._trace_cost, jacobian_of=0), self.margins_and_jacobian
 
-    def bounds(self, previous: NDArray, beliefs: Beliefs) -> tuple[NDArray, NDArray]:
+    def bounds(self, previous: NDArray, beliefs: ModelParameters) -> tuple[NDArray, NDArray]:
         """The lower and upper bounds (2,) of [ξ, A], within reach at the limits of their rates."""
         rates = [self.config.max_frequency_rate, self.config.max_amplitude_rate]
         step = self.config.period * np.array(rates)
@@ -156,7 +161,7 @@ class TracedProblem:
 
     @property
     def geometry(self) -> tuple:
-        """What the traces depend on of the model, which does not change."""
+        """Key of the traces: values of the model that do not change."""
         pattern, model = self.model.pattern, self.model
         return (
             model.attachments,
@@ -170,7 +175,7 @@ class TracedProblem:
     def _trace_instants(self, data: UpdateData) -> tuple[list[FlightTerms], NDArray]:
         """The terms at each instant, and the levers (n, 3) of the attachments at the last one."""
         state, reference, model = data.load_state, data.reference, self.model
-        beliefs = Beliefs.view(data.beliefs)
+        beliefs = ModelParameters.view(data.beliefs)
         wind = STILL_AIR if model.aircraft is None else data.wind
         load = beliefs.load
         accelerations = load_acceleration(load, state, data.wrench, wind)
@@ -257,7 +262,7 @@ class TracedProblem:
 
         At θ (k,), ξ (k,) or (1,) and A likewise, of flat terms (k, 15n + 9).
         """
-        aircraft, beliefs = self.model.aircraft, Beliefs.view(data.beliefs)
+        aircraft, beliefs = self.model.aircraft, ModelParameters.view(data.beliefs)
         assert aircraft is not None
         aircraft = aircraft._replace(cable_length=beliefs.rest_length, gravity=beliefs.gravity)
         needs = planned_needs(
@@ -279,7 +284,7 @@ class TracedProblem:
             internal_force_weight=self.config.internal_force_weight,
             internal_force_rate_weight=self.config.internal_force_rate_weight,
             anchor_weight=data.anchor_weight,
-            nominal=Beliefs.view(data.beliefs).nominal,
+            nominal=ModelParameters.view(data.beliefs).nominal,
         )
 
 

@@ -23,7 +23,7 @@ _TOLERANCE = 1e-6  # relative, of a rate
 
 
 class TurnUpdate(NamedTuple):
-    """What varies from update to update, in W."""
+    """Data that vary from update to update, in W."""
 
     previous: float  # rad/s, the last rate
     nominal: float  # rad/s, what the anchor pulls to

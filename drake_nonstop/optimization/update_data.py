@@ -1,4 +1,4 @@
-"""What varies from update to update of the nonstop problem, in one flat vector with named parts."""
+"""Data of an update of the nonstop problem, in one flat vector with named parts."""
 
 from collections.abc import Mapping
 from itertools import accumulate
@@ -27,7 +27,7 @@ class UpdateData(NamedTuple):
 
     `np.concatenate` of an instance is the flat vector that the traced functions take, and `view` of
     that gives the parts. The parts are for reading: some are shared between updates. The numbers of
-    `beliefs` are those of its view as `Beliefs`.
+    `beliefs` are those of its view as `ModelParameters`.
     """
 
     previous: NDArray  # (2,), [ξ⁻, A⁻], rad/s and N
@@ -42,7 +42,7 @@ class UpdateData(NamedTuple):
     orbit_turn: NDArray  # (1,), rad, added to the phases of the orbit ahead
     anchor_weight: NDArray  # (1,)
     wind: NDArray  # (3,), m/s, of aircraft; it does not count for other carriers
-    beliefs: NDArray  # what the controllers believe, a flat `Beliefs`; (0,): what the solver does
+    beliefs: NDArray  # of the controllers, a flat `ModelParameters`; (0,): the solver's
 
     @classmethod
     def view(cls, vector: NDArray) -> "UpdateData":
@@ -50,7 +50,7 @@ class UpdateData(NamedTuple):
         return cls._make([*(vector[part] for part in _PARTS), vector[_ENDS[-1] :]])
 
 
-class Beliefs(NamedTuple):
+class ModelParameters(NamedTuple):
     """Numbers of the controllers' model and of the problem that may change between updates."""
 
     load_mass: NDArray  # (1,), kg
@@ -82,7 +82,7 @@ class Beliefs(NamedTuple):
         return {"rest_length": self.rest_length, "compliance": self.compliance}
 
     @classmethod
-    def view(cls, vector: NDArray) -> "Beliefs":
+    def view(cls, vector: NDArray) -> "ModelParameters":
         """The parts of a flat vector, of numbers or symbols: views, not copies."""
         end = _BELIEFS[-1].stop
         return cls._make([*(vector[part] for part in _BELIEFS), vector[end:]])
@@ -114,8 +114,8 @@ OF_MODEL = (*LOAD, "cable_length", "cable_stiffness")
 OF_CONFIG = ("frequency", "amplitude", "frequency_bounds", "amplitude_bounds")
 
 
-def beliefs_of(model: Model, config: LimitsConfig) -> Beliefs:
-    """Those of a model and a config."""
+def model_parameters_of(model: Model, config: LimitsConfig) -> ModelParameters:
+    """Data of a model and a config."""
     numbers = {name: model.number(name) for name in (*OF_MODEL, *model.offset_parameter)}
     numbers |= {name: getattr(config, name) for name in OF_CONFIG}
     return beliefs_from(
@@ -123,8 +123,8 @@ def beliefs_of(model: Model, config: LimitsConfig) -> Beliefs:
     )
 
 
-def beliefs_from(numbers: Mapping[str, NDArray], n: int) -> Beliefs:
-    """Those of the numbers of `OF_MODEL` and `OF_CONFIG`, arrays by name, for n carriers.
+def beliefs_from(numbers: Mapping[str, NDArray], n: int) -> ModelParameters:
+    """Parameters of the numbers of `OF_MODEL` and `OF_CONFIG`, arrays by name, for n carriers.
 
     Amplitude bounds that are empty or zero stand for those from the weight.
     """
@@ -133,7 +133,7 @@ def beliefs_from(numbers: Mapping[str, NDArray], n: int) -> Beliefs:
         share = float(numbers["load_mass"][0] * numbers["gravity"][0]) / n
         amplitudes = np.array(range_for(share, float(numbers["amplitude"][0])))
     lower, upper = np.transpose([numbers["frequency_bounds"], amplitudes])
-    return Beliefs(
+    return ModelParameters(
         load_mass=numbers["load_mass"],
         load_inertia=numbers["load_inertia"].ravel(),
         load_drag=numbers["load_drag"],

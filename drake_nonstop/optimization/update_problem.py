@@ -19,7 +19,7 @@ from drake_nonstop.optimization.traced_problem import (
     SpeedTerms,
     TracedProblem,
 )
-from drake_nonstop.optimization.update_data import Beliefs, UpdateData
+from drake_nonstop.optimization.update_data import ModelParameters, UpdateData
 from drake_nonstop.systems.tracing import NotFiniteError
 
 _NEAR = 1.1  # times the least separation: close enough to know of
@@ -43,9 +43,9 @@ class UpdateProblem:
         self._search_problem: SearchProblem | None = None
 
     @cached_property
-    def beliefs(self) -> Beliefs:
-        """What the controllers believe."""
-        return Beliefs.view(self.data.beliefs)
+    def beliefs(self) -> ModelParameters:
+        """Parameters that the controllers believe."""
+        return ModelParameters.view(self.data.beliefs)
 
     @property
     def bounds(self) -> tuple[NDArray, NDArray]:
@@ -91,7 +91,7 @@ class UpdateProblem:
         return self._traced.speed_count
 
     def infeasibility_order(self, margins: NDArray) -> tuple[float, float]:
-        """What is larger for the better one of two infeasible points, see `least_infeasible`."""
+        """Score of an infeasible point, larger for the better one, see `least_infeasible`."""
         return min(float(margins[: self.speed_count].min()), 0.0), float(margins.min())
 
     def margins_but_separation(self, x: NDArray) -> NDArray:

@@ -22,9 +22,9 @@ from drake_nonstop.optimization.problem_config import (
 )
 from drake_nonstop.optimization.search_problem import FEW, MANY, best_on_grid, nearest_feasible
 from drake_nonstop.optimization.traced_problem import TracedProblem
-from drake_nonstop.optimization.update_data import Beliefs, UpdateData
+from drake_nonstop.optimization.update_data import ModelParameters, UpdateData
 from drake_nonstop.optimization.update_problem import UpdateProblem
-from drake_nonstop.systems.tracing import TracedFunction, chosen
+from drake_nonstop.systems.tracing import TracedFunction, where
 
 _NOT_GIVEN = np.zeros(0)
 _STILL_AIR = np.zeros(3)
@@ -121,7 +121,7 @@ class UpdateSolver:
 
     @property
     def trace_key(self) -> Any:
-        """What `traced_check` depends on besides the data; it can be pickled."""
+        """Key of `traced_check` besides the data; it can be pickled."""
         return self._traced.geometry, replace(self._config, **_OF_DATA)
 
     @property
@@ -185,7 +185,7 @@ class UpdateSolver:
         if config.anchor_weight > 0:
             rates = casadi.vertcat(*_rates(data.reference))
             is_moving = casadi.mmax(casadi.fabs(rates)) > _REST_TOLERANCE
-            nominal = casadi.vertcat(*Beliefs.view(data.beliefs).nominal)
+            nominal = casadi.vertcat(*ModelParameters.view(data.beliefs).nominal)
             change = casadi.fabs(casadi.vertcat(*previous) - nominal)
             excess = casadi.mmax(change - _AT_ANCHOR * casadi.fabs(nominal))
             is_kept = casadi.logic_and(is_kept, casadi.logic_or(is_moving, excess <= 0))
@@ -223,7 +223,7 @@ class UpdateSolver:
         return found
 
     def _searched_among_known(self, problem: UpdateProblem) -> tuple[NDArray, float]:
-        """Likewise, with no other encounters of carriers than those that are known."""
+        """Checks with no other encounters of carriers than those that are known."""
         if self._traced.has_flight_limits:
             return nearest_within_limits(problem)
         if self._config.solver == "grid" or problem.phase_jumps:
@@ -248,10 +248,10 @@ class UpdateSolver:
 
 
 def traced_tightened(bound: NDArray, tightening: NDArray) -> NDArray:
-    """As `tightened_bound`, of an ε (1,) in symbols, by the solver's `tightening` (3,)."""
+    """Traces `tightened_bound`, of an ε (1,) in symbols, by the solver's `tightening` (3,)."""
     slope, margin, growth = tightening
-    aim = slope * bound[0] + margin * casadi.fmax(1.0, growth * bound[0])
-    return chosen(bound[0] > 0, np.array([aim]), np.zeros(1))
+    target_speed = slope * bound[0] + margin * casadi.fmax(1.0, growth * bound[0])
+    return where(bound[0] > 0, np.array([target_speed]), np.zeros(1))
 
 
 def _rates(reference: NDArray) -> NDArray:

@@ -1,1 +1,1 @@
-"""What a run is: dataclasses and their YAML, overrides, users' own blocks; no simulation."""
+"""Descriptions of runs: dataclasses and their YAML, overrides, users' own blocks; no simulation."""

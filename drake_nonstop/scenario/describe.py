@@ -1,4 +1,4 @@
-"""What the boxes of the figure can be: their blocks, parameters and ports, for people to read.
+"""Choices for the boxes of the figure: blocks, parameters and ports, for people to read.
 
 All is taken from the code: the blocks from `BOXES`, a block's parameters from the dataclass
 beside it, their meanings from the comments on its fields, and the ports from a block that is

@@ -1,4 +1,4 @@
-"""What is out of proportion in a scenario: units that were mistaken, mostly."""
+"""Values out of proportion in a scenario: units that were mistaken, mostly."""
 
 import contextlib
 import dataclasses

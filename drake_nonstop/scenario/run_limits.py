@@ -1,4 +1,4 @@
-"""What a run is held against: beyond which figures it is not ok, or not plausible."""
+"""Limits of a run, beyond which it is not ok, or not plausible."""
 
 from dataclasses import dataclass
 from typing import Any

@@ -1,4 +1,4 @@
-"""What one run is: a tree of dataclasses."""
+"""Schema of a run: a tree of dataclasses."""
 
 import copy
 import copyreg
@@ -245,7 +245,7 @@ _LARGEST_SEED = 2**32 - 1  # of Drake's RandomGenerator; larger ones repeat its 
 
 
 def _comparable(value: Any) -> Any:
-    """What equals that of another value if they are of one class and their fields are equal.
+    """A value's key, equal to another's if they are of one class and their fields are equal.
 
     A NaN equals another one, and an array a list of its numbers. All else equals what it says.
     """

@@ -48,7 +48,7 @@ def parse_plain(text: str, source: str, path: str | None = None) -> Any:
 
 
 def dump_plain(value: Any, field: str = "value") -> str:
-    """What `parse_plain` makes of YAML, as YAML in one line: the value of an override.
+    """A value as YAML in one line, which `parse_plain` reads: the value of an override.
 
     `field` is its name in error messages.
 
@@ -179,7 +179,7 @@ class _Reader:
 
 
 def _plain_scalar(event: Any, path: str) -> Any:
-    """What a scalar in YAML stands for: a tag without {} is a mapping without fields."""
+    """Value of a scalar in YAML: a tag without {} is a mapping without fields."""
     if event.tag is not None:
         _require_tag(event.tag, path)
         is_empty = event.value == "" and not event.style
@@ -194,7 +194,7 @@ def _plain_scalar(event: Any, path: str) -> Any:
 
 
 def _scalar(text: str) -> Any:
-    """What a text without quotes stands for."""
+    """Value of a text without quotes."""
     if text in ("", "~", "null", "Null", "NULL"):
         return None
     if text in ("true", "True", "TRUE", "false", "False", "FALSE"):

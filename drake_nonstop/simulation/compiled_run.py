@@ -85,7 +85,7 @@ def tell_not_compiled(reason: str) -> None:
 
 @dataclass(frozen=True)
 class _CompiledState:
-    """As `SavedState`; a context is written when it is asked for, which takes longer."""
+    """A `SavedState` whose context is written when it is asked for, which takes longer."""
 
     time: float
     state: NDArray

@@ -50,7 +50,7 @@ Viewer = Callable[[DiagramBuilder, Diagram, Scenario], LeafSystem]
 
 @dataclass(frozen=True, kw_only=True)
 class Request:
-    """What `simulate` is asked for; the fields are its arguments.
+    """Request to `simulate`; the fields are its arguments.
 
     Raises:
         ScenarioError: one of them is none.
@@ -186,7 +186,7 @@ class Flight:
         return is_ended or self.context.get_time() >= self.scenario.simulation_duration
 
     def run(self, stopped: str = "") -> Run:
-        """What has been flown, and what has stopped it."""
+        """The part that has been flown, and what has stopped it."""
         self._interruption.patience = ALL  # nothing may come between a run and who keeps it
         make_loop = self._request.make_loop
         own = {} if make_loop is make_nonstop else {"make_loop": make_loop}
@@ -202,7 +202,7 @@ class Flight:
 
     @property
     def early_end(self) -> str | None:
-        """What has ended it before its duration, "" a block's own decision; None: nothing has."""
+        """Reason for an early end, "" a block's own decision; None: there is none."""
         if self._interruption.number:
             return self._interrupted
         if self.monitor.has_ended:

@@ -48,7 +48,7 @@ class Interruption:
             self.interrupt()
 
     def interrupt(self) -> None:
-        """What becomes of a signal that is not only noted."""
+        """Action on a signal that is not only noted."""
         raise KeyboardInterrupt
 
     @contextlib.contextmanager

@@ -1,4 +1,4 @@
-"""What happens after every step of a simulation."""
+"""Actions after every step of a simulation."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -98,7 +98,7 @@ class Monitor:
         self.time = self.waited = 0.0
 
     def __call__(self, root_context: Context) -> EventStatus:
-        """What Drake calls after every step."""
+        """The function that Drake calls after every step."""
         time_ = root_context.get_time()
         if self.ends(
             time_, lambda: SavedState.of(self._nonstop.GetMyContextFromRoot(root_context))

@@ -1,4 +1,4 @@
-"""What became of a run: its outcome with the reasons, and what it is warned about.
+"""Outcome of a run with the reasons, and its warnings.
 
 `LIMITS` has a row for each limit of a scenario that a run is held against; those that a layer is
 asked for are the rows of `optimization.limits`.
@@ -151,7 +151,7 @@ def _told(run: RunQuantities) -> str:
 
 
 def find_warnings(run: RunQuantities) -> list[str]:
-    """What is not as it should be in a run and decides no outcome, a sentence each."""
+    """Faults of a run that decide no outcome, a sentence each."""
     found = [
         sentence
         for limit in LIMITS

@@ -1,4 +1,4 @@
-"""What comes before a flight: its loop, its step, and what to warn of."""
+"""Preparation of a flight: its loop, its step, and its warnings."""
 
 import contextlib
 from collections.abc import Callable
@@ -97,7 +97,7 @@ def warn_of_margins(scenario: Scenario, nonstop: Diagram, context: Context) -> N
 def _growth_complaint(
     scenario: Scenario, nonstop: Diagram, context: Context, time: float, *, in_samples: bool
 ) -> str:
-    """What to say of a formation that is unstable at the start, in a flight of a time in s."""
+    """A sentence on a formation that is unstable at the start, in a flight of a time in s."""
     with contextlib.suppress(ScenarioError):  # what is no formation
         loop, context = innermost(nonstop, context, RUN_SIGNALS)
         if is_known(loop):

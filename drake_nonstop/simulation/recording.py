@@ -173,7 +173,7 @@ class SignalRows:
 
 
 class LoggedRows:
-    """What is logged of a context: `samples` of all signals, and a few at all `steps`.
+    """Log of a context: `samples` of all signals, and a few at all `steps`.
 
     Args:
         sampled: the sizes of all signals, by their names.
@@ -240,7 +240,7 @@ class _Log(LeafBlock):
         rows.add(times[: int(is_sample)], samples, times, self._steps.Eval(context))
 
     def rows(self, context: Context) -> LoggedRows:
-        """Those of a context of the whole diagram."""
+        """Values in a context of the whole diagram."""
         return self._in(self.GetMyContextFromRoot(context))
 
     def _in(self, context: Context) -> LoggedRows:
@@ -309,7 +309,7 @@ class LogSignals:
         return LogSignals(builder, nonstop)
 
     def rows(self, context: Context) -> LoggedRows:
-        """What is logged of a context of the whole diagram."""
+        """Log of a context of the whole diagram."""
         return self._log.rows(context)
 
     def collect(self, context: Context) -> tuple[NDArray, dict[str, NDArray], dict[str, NDArray]]:

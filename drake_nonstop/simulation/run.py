@@ -1,4 +1,4 @@
-"""What a simulation produces, and how it may end."""
+"""Result of a simulation, and how it may end."""
 
 import math
 from collections.abc import Mapping
@@ -24,7 +24,7 @@ WALL_TIME = "solve_time"  # differs from run to run: kept out of the samples
 
 @dataclass(kw_only=True)
 class Run(SignalTable):
-    """What a simulation produced.
+    """Result of a simulation.
 
     `signals` maps "block.port" to the samples of every signal but wall times, and accelerations and
     jerks of carriers that no block reads, (samples, size), at the instants `time` (samples,),
@@ -143,7 +143,7 @@ def solve_times_of(steps: Mapping[str, NDArray]) -> NDArray:
 
 
 class StepAction(Enum):
-    """What a run does after a step."""
+    """Action of a run after a step."""
 
     CONTINUE = 1
     WAIT = 2  # and ask again
@@ -151,7 +151,7 @@ class StepAction(Enum):
 
 
 class StepCheck(Enum):
-    """What `simulate` flies again, with half the step."""
+    """Flight that `simulate` repeats with half the step."""
 
     NOTHING = 1
     PARTS = 2

@@ -211,7 +211,7 @@ class RunQuantities(Spacing):
 
     @cached_property
     def aircraft_needs(self) -> FlightNeeds:
-        """What limits of aircraft hold for, (k, n) each, as it was flown; forces are not known.
+        """Quantities of limits of aircraft, (k, n) each, as it was flown; forces are not known.
 
         The climb is that through the air, of winds that change linearly between samples.
         """
@@ -284,7 +284,7 @@ class RunQuantities(Spacing):
         return self.duration_of(np.any(self.bounded_speeds < self.speed_bounds[:, None], axis=1))
 
     def limited_by(self, limit: Limit) -> NDArray | None:
-        """What a limit holds for (k, c), in its unit, of carriers or pairs; None: unknown."""
+        """Quantity of a limit (k, c), in its unit, of carriers or pairs; None: unknown."""
         if limit.of is Of.SEPARATION:
             one, other = np.triu_indices(self.carrier_positions.shape[1], 1)
             return _in_chunks(lambda at: _norms(at[:, one] - at[:, other]), self.carrier_positions)
@@ -304,7 +304,7 @@ class RunQuantities(Spacing):
         return [LimitAlong(row, at, self.time, v) for row, at, v in rows if v is not None]
 
     def extreme_of(self, limit: Limit) -> float | None:
-        """What is the closest to a limit in the run, or the farthest beyond it; None: unknown."""
+        """The closest value to a limit in the run, or the farthest beyond; None: unknown."""
         if limit.of is Of.SEPARATION:
             return self.carrier_separation
         values = self.limited_by(limit)

@@ -145,7 +145,7 @@ def _verified(
     doubt: str = "",
     engine: str | None = None,
 ) -> Run:
-    """As `verify_step`; an interrupted run keeps the doubt for which it is flown again."""
+    """Verifies the step; an interrupted run keeps the doubt for which it is flown again."""
     config = finer(with_step(run.scenario.simulator_config, run.step), 2)
     duration = float(run.steps["time"][-1])
     scenario = dataclasses.replace(

@@ -127,7 +127,7 @@ def compared(run: Run, half: Run) -> Run:
 
 
 def in_doubt(run: Run) -> str:
-    """What `Run.unresolved` says of a run in doubt that cannot be flown again."""
+    """Text of `Run.unresolved` for a run in doubt that cannot be flown again."""
     return f"parts of the run, flown again with half the step, differ from it; {_remedy(run)}"
 
 
@@ -143,7 +143,7 @@ def _steps(run: Run) -> str:
 
 
 def _remedy(run: Run) -> str:
-    """What may resolve a run."""
+    """Remedies that may resolve a run."""
     if "tensions" in run.steps and np.min(run.steps["tensions"]) <= 0:
         return "cables that go slack and taut again may be resolved by no step: keep them taut"
     if run.scenario.simulator_config.use_error_control:

@@ -120,7 +120,7 @@ def _stable(config: SimulatorConfig, loop: LinearizedLoop) -> SimulatorConfig:
 
 
 def _hidden_growth(loop: LinearizedLoop, step: float, duration: float) -> tuple[str, bool]:
-    """What to say of a step (s) that hides, or causes, that a small deviation grows.
+    """A sentence on a step (s) that hides, or causes, that a small deviation grows.
 
     Long steps damp what oscillates, so that an unstable loop may look stable. The second value
     tells whether there may be a difference though nothing is said.
@@ -278,7 +278,7 @@ COMPARED = ("tensions", "carrier_state", "load_state")  # signals
 
 
 class FlightSamples(NamedTuple):
-    """What two flights are compared by, at the same instants (k,), s."""
+    """Signals that two flights are compared by, at the same instants (k,), s."""
 
     time: NDArray
     tensions: NDArray  # (k, n), N
@@ -287,7 +287,7 @@ class FlightSamples(NamedTuple):
 
     @classmethod
     def of(cls, time: NDArray, signals: Mapping[str, NDArray]) -> "FlightSamples":
-        """Those of the signals that are `COMPARED`, by their names."""
+        """Values of the signals that are `COMPARED`, by their names."""
         velocities = CarrierStates.view(signals["carrier_state"]).velocities
         speeds = np.linalg.norm(velocities, axis=2)
         load = LoadState.view(signals["load_state"])
@@ -299,7 +299,7 @@ class FlightSamples(NamedTuple):
 
 
 def flown(simulator: Simulator, signals: Iterable[str], times: NDArray) -> dict[str, NDArray]:
-    """What signals (k, size) of its diagram show, by their names, as it flies on to times (k,)."""
+    """Signals (k, size) of its diagram by their names, as it flies on to times (k,)."""
     diagram, context = simulator.get_system(), simulator.get_context()
     ports = {name: diagram.GetOutputPort(name) for name in signals}
     rows: dict[str, list[NDArray]] = {name: [] for name in ports}

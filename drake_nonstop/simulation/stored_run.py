@@ -213,7 +213,7 @@ def _taken_time(path: Path, arrays: dict[str, NDArray]) -> NDArray:
 
 
 def _taken_facts(path: Path, steps: dict[str, NDArray]) -> dict[str, Any]:
-    """What `_RUN` tells, which is taken out of the steps."""
+    """Text of `_RUN`, which is taken out of the steps."""
     try:
         facts = json.loads(str(steps.pop(_RUN)))
     except (KeyError, ValueError):

@@ -51,7 +51,7 @@ _COLUMNS = {  # of the table, with formats of the entries of `design_dictionary`
 
 @dataclass(frozen=True, kw_only=True)
 class Design:
-    """What was found for a request."""
+    """Result for a request."""
 
     request: DesignRequest
     formations: tuple[DesignedFormation, ...]  # that keep its margins, the least power first

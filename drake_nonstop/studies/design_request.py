@@ -1,4 +1,4 @@
-"""What a formation of aircraft is to be designed for."""
+"""Request for the design of a formation of aircraft."""
 
 import inspect
 from collections.abc import Callable, Sequence
@@ -162,7 +162,7 @@ class DesignRequest(AircraftLimits, _Asked):
 
     @property
     def aircraft_name(self) -> str:
-        """What the aircraft are called in sentences."""
+        """Name of the aircraft in sentences."""
         return self.aircraft.model or "aircraft of its own"
 
 

@@ -56,7 +56,7 @@ OTHER_MARGINS = {  # by the names of the program's rows
 
 
 class FlightExtremes(NamedTuple):
-    """What the aircraft of a formation need, over all carriers, phases and the load's way."""
+    """Needs of a formation's aircraft over all carriers, phases and the load's way."""
 
     lift_share: float  # of C_Lmax, the largest
     airspeed_min: float  # m/s
@@ -170,7 +170,7 @@ def design_bounds(request: DesignRequest, carriers: int, kind: str) -> tuple[NDA
 def formation_needs(
     task: FormationTask, kind: str, x: FormationVariables, phases: int = _FINE
 ) -> Iterator[FlightNeeds]:
-    """What all aircraft need at phases of a turn, for each motion."""
+    """Needs of all aircraft at phases of a turn, for each motion."""
     aircraft = task.aircraft._replace(cable_length=x.cable_length)
     angles = task.angles(kind, phases)
     for motion in task.motions:
@@ -214,7 +214,7 @@ def flight_of(
 def missed_limits(
     task: FormationTask, flight: FlightExtremes, reserve: float = 0.0
 ) -> list[Missed]:
-    """What is beyond the limits, the farthest first; with a reserve of 1 beyond the margins."""
+    """Quantities beyond the limits, the farthest first; with a reserve of 1 beyond the margins."""
     rows = []
     count = len(flight.asked)
     for k, (name, value, limit, margin, side, unit) in enumerate(_rows_of(task, flight)):
@@ -238,7 +238,7 @@ def reserve_of(task: FormationTask, flight: FlightExtremes) -> float:
 
 
 class _Quantity(NamedTuple):
-    """What aircraft need that has a margin."""
+    """Needs of aircraft that have a margin."""
 
     words: str
     field: str  # of `FlightMargins`
@@ -334,7 +334,7 @@ def with_load(x: FormationVariables, mass: float) -> FormationVariables:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Found:
-    """What was found of one number of carriers and kind."""
+    """Result for one number of carriers and kind."""
 
     kind: str  # leaning or co_rotating
     carriers: int  # n

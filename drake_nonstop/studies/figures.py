@@ -12,8 +12,8 @@ from drake_nonstop.analysis.separations import closest_cables, closest_carriers
 from drake_nonstop.mechanics.signals import CarrierStates
 from drake_nonstop.simulation.run import Run
 from drake_nonstop.simulation.run_quantities import attachment_positions
-from drake_nonstop.studies.margins import Margin
 from drake_nonstop.studies.robustness import POSITION_ERROR_MEAN, Case
+from drake_nonstop.studies.stability_ranges import Margin
 from drake_nonstop.visualization.figure_style import COLOURS, LINE_STYLES, new_figure, titled
 
 if TYPE_CHECKING:

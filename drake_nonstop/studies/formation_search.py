@@ -89,7 +89,7 @@ class FormationSearch:
         return FormationProgram(task, self.kind, turns, phases=phases)
 
     def formations(self) -> list[DesignedFormation | Refusal]:
-        """Those at rising reserves, each of the least power, or why there is none."""
+        """Formations at rising reserves, each of the least power, or why there is none."""
         start = self._best_of_starts()
         program = self.program()
         best = self._of_most_reserve(program, start, everywhere=True)
@@ -261,7 +261,7 @@ class FormationSearch:
         )
 
     def _remedy(self, program: FormationProgram, best: NDArray) -> str:
-        """What alone would help, each tried: longer cables, a lighter load, less wind or speed."""
+        """Remedies, each tried alone: longer cables, a lighter load, less wind or speed."""
         request = self.request
         for field, sign, limit in (
             ("cable_length", 1, max(500.0, 2 * request.cable_length[1])),
@@ -377,14 +377,14 @@ class _Redesign:
         self.search = FormationSearch(moved, *shape)
         self.program = self.search.program()
 
-    def solved(self, start: NDArray, aim: int, **bounds: tuple[float, float]) -> NDArray:
+    def solved(self, start: NDArray, maximized: int, **bounds: tuple[float, float]) -> NDArray:
         """The formation of the largest variable of a number, for the load of the start."""
         lower, upper = self.search.lower.copy(), self.search.upper.copy()
         lower[_MASS] = upper[_MASS] = start[_MASS]
         for name, (least, most) in bounds.items():
             index = FormationVariables._fields.index(name)
             lower[index], upper[index] = least, most
-        values = self.program.solve(start, lower, upper, -np.eye(len(start))[aim])
+        values = self.program.solve(start, lower, upper, -np.eye(len(start))[maximized])
         return self.search.with_true_reserve(self.program, values)
 
     def in_wind(self, start: NDArray, wind: float) -> NDArray:

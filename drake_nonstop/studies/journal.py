@@ -48,7 +48,7 @@ class Journal:
         return len(self._places)
 
     def result(self, key: int | str) -> dict[str, Any]:
-        """What was recorded."""
+        """The recorded entries."""
         self._reader.seek(self._places[key])
         result: dict[str, Any] = json.loads(self._reader.readline())
         del result["run"]

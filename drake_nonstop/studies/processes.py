@@ -47,7 +47,7 @@ _connection: Connection | None = None  # to the parent, in a worker
 
 
 class Answer(NamedTuple):
-    """What became of a call: its result, or the message of its error."""
+    """Result of a call, or the message of its error."""
 
     result: Any = None
     error: str = ""

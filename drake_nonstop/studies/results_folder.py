@@ -180,7 +180,7 @@ def _remove(folder: Path, items: Sequence[str]) -> None:
 
 
 def _flight_in(folder: Path) -> object:
-    """What pictures show of the data in a folder: equal for equal flights only."""
+    """Key of the data in a folder that pictures show: equal for equal flights only."""
     try:
         with open_regular(folder / SIGNALS) as file, zipfile.ZipFile(file) as archive:
             signals = [(item.filename, item.file_size, item.CRC) for item in archive.infolist()]

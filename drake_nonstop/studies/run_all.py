@@ -85,7 +85,7 @@ def _call_in(
     arguments: Callable[[Key], tuple],
     record: Callable[[Key, Answer], None],
 ) -> None:
-    """As `call_in_processes`, in an executor; raises ScenarioError where that cannot be used."""
+    """Calls in an executor as in processes; raises ScenarioError where it cannot be used."""
     is_one = isinstance(executor, Executor)
     require(is_one, "executor", executor, "give one of concurrent.futures' kind, or None")
     name = type(executor).__name__
@@ -133,7 +133,7 @@ class Attempt:
 
 
 def fly(scenario: Scenario, **arguments: Any) -> Run:
-    """As `simulate`, by the compiled loop where the scenario leaves the engine open.
+    """Simulates, by the compiled loop where the scenario leaves the engine open.
 
     Where that cannot be compiled its diagram is simulated without a word: the results are the same,
     to rounding.

@@ -111,7 +111,7 @@ def _steady(wind: Any) -> Any:
 
 
 def _parameters(config: Any, *names: str) -> dict[str, Any]:
-    """Those of the named parameters that a config, perhaps of the user's own block, has."""
+    """Names of parameters that a config, perhaps of the user's own block, has."""
     return {name: getattr(config, name) for name in names if hasattr(config, name)}
 
 

@@ -141,7 +141,7 @@ class SweepSpec(StrictFields):
 
     @property
     def blocks(self) -> list[Change]:
-        """What makes blocks among the values, by their boxes."""
+        """Makers of blocks among the values, by their boxes."""
         choices = {path: kinds.get("choice", []) for path, kinds in self.draws.items()}
         return [
             {path: value}

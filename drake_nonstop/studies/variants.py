@@ -1,4 +1,4 @@
-"""What the runs of a study change of a scenario: fields by overrides, blocks by what makes them."""
+"""Changes of a scenario by the runs of a study: fields by overrides, blocks by their makers."""
 
 import functools
 import hashlib
@@ -83,7 +83,7 @@ def is_block(path: str, value: Any) -> bool:
 
 
 def label(entry: Any) -> str:
-    """What tables call what makes a block: a class's or function's import path."""
+    """Name of a block's maker in tables: a class's or function's import path."""
     if isinstance(entry, functools.partial):
         given = [
             *map(repr, entry.args),

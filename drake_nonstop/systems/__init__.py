@@ -1,1 +1,1 @@
-"""What makes an equation a Drake system: tracing, blocks, wiring by name; no loads, no carriers."""
+"""Drake systems from equations: tracing, blocks, wiring by name; no loads, no carriers."""

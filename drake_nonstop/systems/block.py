@@ -145,15 +145,15 @@ class LeafBlock(LeafSystem, metaclass=BlockType):  # type: ignore[metaclass]
 
     # Drake's own give a block by itself a shell, whose ports have other names.
     def ToAutoDiffXd(self) -> Any:  # noqa: N802
-        """As LeafSystem's."""
+        """Overrides LeafSystem's."""
         return _converted(AutoDiffXd, self)
 
     def ToSymbolic(self) -> Any:  # noqa: N802
-        """As LeafSystem's."""
+        """Overrides LeafSystem's."""
         return _converted(Expression, self)
 
     def Clone(self) -> Any:  # noqa: N802
-        """As LeafSystem's."""
+        """Overrides LeafSystem's."""
         return _converted(self.scalar, self)
 
     def require_floats(self, remedy: str) -> None:
@@ -165,26 +165,28 @@ class LeafBlock(LeafSystem, metaclass=BlockType):  # type: ignore[metaclass]
             )
 
     def box(self) -> str:
-        """What error messages call it: the loop's block that it is in.
+        """Name in error messages: that of the loop's block that it is in.
 
         In a diagram without a loop of that name it is those of all systems in between.
         """
         return box_of(self)
 
     def DeclareVectorOutputPort(self, *arguments: Any, **named: Any) -> OutputPort:  # noqa: N802
-        """As LeafSystem's.
+        """Overrides LeafSystem's.
 
         Where a function cannot compute with an Expression, its output in that scalar type is an
         unknown function of all inputs and states: Drake then takes all of them to feed through.
         """
         if self.scalar is Expression:
             owner = weakref.ref(self)
-            arguments = tuple(_or_unknown(a, owner) if callable(a) else a for a in arguments)
-            named = {k: _or_unknown(a, owner) if callable(a) else a for k, a in named.items()}
+            arguments = tuple(_symbolic_fallback(a, owner) if callable(a) else a for a in arguments)
+            named = {
+                k: _symbolic_fallback(a, owner) if callable(a) else a for k, a in named.items()
+            }
         return super().DeclareVectorOutputPort(*map(weakly, arguments), **named)
 
     def DeclareAbstractOutputPort(self, *arguments: Any, **named: Any) -> OutputPort:  # noqa: N802
-        """As LeafSystem's."""
+        """Overrides LeafSystem's."""
         return super().DeclareAbstractOutputPort(*map(weakly, arguments), **named)
 
     if _IS_NANOBIND:
@@ -193,7 +195,7 @@ class LeafBlock(LeafSystem, metaclass=BlockType):  # type: ignore[metaclass]
         def DoCalcTimeDerivatives(  # noqa: N802
             self, context: Context, derivatives: ContinuousState
         ) -> None:
-            """As LeafSystem's, which knows no rates."""
+            """Overrides LeafSystem's, which knows no rates."""
             if derivatives.size() > 0:
                 raise NotImplementedError("the rates of its continuous state are unknown")
 
@@ -218,13 +220,13 @@ def has_own(block: Any, member: str) -> bool:
 
 
 def title(system: System) -> str:
-    """What messages call a system: its name in its diagram, or its class where it has none."""
+    """Name of a system in messages: that in its diagram, or its class where it has none."""
     name = system.get_name()
     return name if name and "@" not in name else type(system).__name__
 
 
 def box_of(system: System) -> str:
-    """As `LeafBlock.box`, of any system; diagrams without a name are left out."""
+    """Path of any system, as of `LeafBlock.box`; diagrams without a name are left out."""
     names = system.GetSystemPathname().split("::")[1:]
     if LOOP in names[:-1]:
         return _shown(names[names.index(LOOP) + 1])
@@ -365,8 +367,8 @@ def weakly(callback: Any) -> Any:
     return call
 
 
-def _or_unknown(calc: Any, owner: Any) -> Any:
-    """What computes an output of Expressions, also where `calc` cannot."""
+def _symbolic_fallback(calc: Any, owner: Any) -> Any:
+    """Function for an output of Expressions, also where `calc` cannot compute it."""
     calc = weakly(calc)
 
     def call(context: Any, output: Any) -> None:

@@ -168,7 +168,7 @@ def _version(path: str) -> str:
 
 @functools.cache
 def _answer(path: str) -> tuple[str, str]:
-    """What a compiler says of its version, and why it says nothing."""
+    """Version as a compiler says it, and why it says nothing."""
     try:
         return _called([path, "--version"], _VERSION_TIME_LIMIT).stdout, ""
     except OSError as error:

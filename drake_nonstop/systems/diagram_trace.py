@@ -3,13 +3,13 @@
 Every leaf system of the diagram is one of these:
 
 - a `LeafBlock` with the method `traced_output(port, at)`, and for its states `traced_rates(at)` and
-  `traced_update(at)`, which take an `At` and compute with NumPy on arrays of symbols. With
+  `traced_update(at)`, which take a `TraceContext` and compute with NumPy on arrays of symbols. With
   `trace_parameters(context)` it takes other numbers than its first numeric parameter. What it
-  takes by `At.known` is evaluated beforehand;
+  takes by `TraceContext.known` is evaluated beforehand;
 - one of Drake's systems that are linear and have no state: their matrix is found at unit vectors;
 - Drake's Integrator or TrajectorySource.
 
-What is none of them stands outside: `At` asks for the values of its ports.
+What is none of them stands outside: `TraceContext` asks for the values of its ports.
 """
 
 import weakref
@@ -40,11 +40,11 @@ from pydrake.systems.primitives import (
 )
 
 from drake_nonstop.systems.block import has_own
-from drake_nonstop.systems.tracing import constants, object_array
+from drake_nonstop.systems.tracing import object_array, to_symbols
 from drake_nonstop.systems.wiring import systems_in
 
-ROWS = "known_over"  # the method of a block without inputs that gives rows of its outputs
-QUANTITIES = "quantities_over"  # likewise, of a traced block for what it takes by `At.known`
+ROWS = "precomputed_outputs"  # the method of a block without inputs that gives rows of its outputs
+QUANTITIES = "precomputed_inputs"  # of a traced block, for what it takes by `TraceContext.known`
 _LINEAR = Selector, Gain, MatrixGain, Adder, Multiplexer, Demultiplexer, PassThrough
 
 Place = tuple[System, int]  # a port, by its system and its number
@@ -69,7 +69,7 @@ def updates_in_trace(leaf: System) -> bool:
     return hasattr(leaf, "traced_update") or hasattr(leaf, "traced_fast_update")
 
 
-def knows_beforehand(leaf: System) -> bool:
+def is_precomputed(leaf: System) -> bool:
     """Whether a leaf that can be traced has outputs or quantities that it knows beforehand."""
     return hasattr(leaf, QUANTITIES) or isinstance(leaf, TrajectorySource)
 
@@ -91,7 +91,7 @@ def _is_one_function(leaf: Any) -> bool:
 
 
 def trace_content(diagram: Diagram, wires: "Wires", outside: Callable[[System], bool]) -> Any:
-    """What a diagram's trace depends on: diagrams of equal content have one trace.
+    """Key of a diagram's trace: diagrams of equal content have one trace.
 
     It can be hashed. None: it is not known, see `LeafBlock.trace_key`. `outside` tells which of the
     diagram's own systems stand outside.
@@ -122,7 +122,7 @@ def _parts(system: System, outside: Callable[[System], bool]) -> Iterator[System
 
 
 def _content(system: Any, wires: "Wires", outside: Callable[[System], bool]) -> Any:
-    """What a leaf's part of a trace depends on, besides its ports; None: it is not known."""
+    """Key of a leaf's part of a trace, besides its ports; None: it is not known."""
     kind = type(system)
     if isinstance(system, Diagram) or outside(system):
         return ()
@@ -182,7 +182,7 @@ class Wires:
         return system
 
 
-class Instant:
+class DiagramSnapshot:
     """A diagram at one instant: all values in symbols, each found once.
 
     Args:
@@ -207,7 +207,7 @@ class Instant:
         self.made: dict[Any, NDArray] = {}  # what leaves make once, by leaf and key
 
     def output(self, system: System, index: int) -> NDArray:
-        """What an output port shows, flat."""
+        """Value of an output port, flat."""
         block = self.wires.block_of(system)
         if self._is_outside(block):
             if system is not block:
@@ -219,36 +219,36 @@ class Instant:
         place = (system, int(index))
         if place not in self._shown:
             values = _output(system, int(index), self)
-            self._shown[place] = values if values.dtype == object else constants(values)
+            self._shown[place] = values if values.dtype == object else to_symbols(values)
         return self._shown[place]
 
     def input(self, system: System, index: int) -> NDArray | None:
-        """What an input port reads, flat; None: it is not connected."""
+        """Value of an input port, flat; None: it is not connected."""
         source = self.wires.source(system, index)
         return None if source is None else self.output(*source)
 
 
 class FastUpdate(NamedTuple):
-    """What a block's update comes to where it need not search, in symbols."""
+    """Update of a block where it need not search, in symbols."""
 
     states: list[NDArray]  # the discrete groups after it
     is_valid: Any  # 1; or 0: they are wrong, and the block has to make the update itself
 
 
-class At:
-    """A leaf system at an `Instant`, for its methods."""
+class TraceContext:
+    """A leaf system at an `DiagramSnapshot`, for its methods."""
 
-    def __init__(self, instant: Instant, leaf: System):
+    def __init__(self, instant: DiagramSnapshot, leaf: System):
         self._instant, self._leaf = instant, leaf
 
     def input(self, name: str) -> NDArray:
-        """What an input port reads, which has to be connected."""
+        """Value of an input port, which has to be connected."""
         values = self._instant.input(self._leaf, self._index(name))
         assert values is not None, f"{self._leaf.GetSystemPathname()}.{name} is not connected"
         return values
 
     def input_or(self, name: str, other: NDArray) -> NDArray:
-        """What an input port reads, or something else where it is not connected."""
+        """Value of an input port, or something else where it is not connected."""
         values = self._instant.input(self._leaf, self._index(name))
         return other if values is None else values
 
@@ -260,7 +260,7 @@ class At:
         """A quantity that is a function of the time alone, and no part of the trace.
 
         It is what a port shows, by its number, or one of the block's own, by its name: the leaf's
-        method `quantities_over(names, times)` gives rows (k, size) of each, at times (k,) in s.
+        method `precomputed_inputs(names, times)` gives rows (k, size) of each, at times (k,) in s.
         """
         return self._instant.outside(self._leaf, name, size)
 
@@ -279,7 +279,7 @@ class At:
         return self._instant.states[self._leaf][group]
 
     def once(self, key: Any, make: Callable[[], NDArray]) -> NDArray:
-        """What the leaf makes for several ports, and is made once."""
+        """A value that the leaf makes once for several ports."""
         made, own = self._instant.made, (self._leaf, key)
         if own not in made:
             made[own] = make()
@@ -290,7 +290,7 @@ class At:
 
 
 class InContext:
-    """As `At`, in a context of the block, of any scalar type.
+    """A `TraceContext` in a context of the block, of any scalar type.
 
     With it `traced_output`, `traced_update` and `traced_rates` are what Drake calls, too.
     """
@@ -299,11 +299,11 @@ class InContext:
         self._block, self._context = block, context
 
     def input(self, name: str) -> NDArray:
-        """What an input port reads."""
+        """Value of an input port."""
         return self._block.GetInputPort(name).Eval(self._context)
 
     def input_or(self, name: str, other: NDArray) -> NDArray:
-        """What an input port reads, or something else where it is not connected."""
+        """Value of an input port, or something else where it is not connected."""
         return self.input(name) if self.has_input(name) else other
 
     def has_input(self, name: str) -> bool:
@@ -311,8 +311,8 @@ class InContext:
         return self._block.GetInputPort(name).HasValue(self._context)
 
     def known(self, name: str, size: int) -> NDArray:
-        """What the block's `quantities_over` makes at the present time."""
-        return self._block.quantities_over([name], self.time)[0][0]
+        """Values of the block's `precomputed_inputs` at the present time."""
+        return self._block.precomputed_inputs([name], self.time)[0][0]
 
     @property
     def time(self) -> NDArray:
@@ -336,8 +336,8 @@ def shown(block: Any, port: str) -> Callable[[Context, BasicVector], None]:
     return calc
 
 
-def _output(leaf: Any, index: int, instant: Instant) -> NDArray:
-    at, port = At(instant, leaf), leaf.get_output_port(index)
+def _output(leaf: Any, index: int, instant: DiagramSnapshot) -> NDArray:
+    at, port = TraceContext(instant, leaf), leaf.get_output_port(index)
     if hasattr(leaf, "traced_output"):
         return leaf.traced_output(port.get_name(), at)
     if isinstance(leaf, Integrator):
@@ -351,7 +351,7 @@ def _output(leaf: Any, index: int, instant: Instant) -> NDArray:
 
 
 def _matrices(leaf: System, index: int) -> dict[str, casadi.DM]:
-    """Those of a linear system without a state, from each input that an output reads; sparse."""
+    """Gains of a linear system without a state, from each input that an output reads; sparse."""
     context = leaf.CreateDefaultContext()
     ports = [leaf.get_input_port(k) for k in range(leaf.num_input_ports())]
     fixed = [port.FixValue(context, np.zeros(port.size())) for port in ports]
@@ -368,9 +368,9 @@ def _matrices(leaf: System, index: int) -> dict[str, casadi.DM]:
     return found
 
 
-def rates(leaf: Any, instant: Instant) -> NDArray:
+def rates(leaf: Any, instant: DiagramSnapshot) -> NDArray:
     """The rates of a leaf's continuous state."""
-    at = At(instant, leaf)
+    at = TraceContext(instant, leaf)
     if isinstance(leaf, Integrator):
         return at.input(leaf.get_input_port().get_name())
     return leaf.traced_rates(at)

@@ -1,4 +1,4 @@
-"""What comments say of a config's fields, and docstrings of a block's ports and parameters."""
+"""Comments on a config's fields, and docstrings of a block's ports and parameters."""
 
 import ast
 import contextlib
@@ -109,7 +109,7 @@ def _list(head: str, items: Iterable[str]) -> str:
 
 
 class FieldComments(NamedTuple):
-    """What is said of a field: its meaning, and the comment that heads it and those below."""
+    """Comments on a field: its meaning, and the one that heads it and those below."""
 
     meaning: str
     heading: str
@@ -132,7 +132,7 @@ def field_comments(config: type) -> dict[str, FieldComments]:
 
 @functools.cache  # Python parses a whole module for the source of each class in it
 def _own_comments(config: type) -> dict[str, FieldComments]:
-    """Those of the fields that a class body itself has.
+    """Comments on the fields that a class body itself has.
 
     A meaning is the comments on the field's lines, then those in lines of their own right above it;
     a heading those above an empty line.

@@ -17,7 +17,7 @@ from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
 
 
 def no_forces(scalar: type) -> AbstractValue:
-    """What a MultibodyPlant of that scalar type takes as applied spatial forces."""
+    """Class of applied spatial forces that a MultibodyPlant of that scalar type takes."""
     return AbstractValue.Make([ExternallyAppliedSpatialForce_[scalar]()])
 
 

@@ -1,4 +1,4 @@
-"""What the blocks of a loop require of each other: each says its own, and one loop asks them all.
+"""Requirements of a loop's blocks: each says its own, and one loop asks them all.
 
 A block may have a method `requires(loop)` that takes the `LoopBlocks`. It raises a ScenarioError
 for what it cannot be flown with, and yields a sentence for each thing that a user may not expect.
@@ -58,7 +58,7 @@ class LoopBlocks:
         }
 
     def at_start(self, signal: str, maker: System | None = None) -> NDArray | None:
-        """What a block makes at t = 0, that of `load_trajectory` unless another one is given.
+        """Output of a block at t = 0, of `load_trajectory` unless another one is given.
 
         None: it needs other blocks for it.
         """
@@ -72,7 +72,7 @@ class LoopBlocks:
             return None
 
     def check(self) -> Iterator[str]:
-        """What the blocks say of each other.
+        """Requirements of the blocks of each other.
 
         Raises:
             ScenarioError: a block cannot be flown with the others.

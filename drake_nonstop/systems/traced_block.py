@@ -25,7 +25,7 @@ from pydrake.systems.framework import (
 
 from drake_nonstop.mechanics.signal_layouts import SAMPLE_TIME
 from drake_nonstop.systems.block import LeafBlock, number, weakly
-from drake_nonstop.systems.diagram_trace import At
+from drake_nonstop.systems.diagram_trace import TraceContext
 from drake_nonstop.systems.parameters import NumericParameters, declare_parameters
 from drake_nonstop.systems.tracing import Trace, object_array
 
@@ -49,7 +49,7 @@ class BetweenSamples(NamedTuple):
 
 
 class Start(NamedTuple):
-    """What makes the state at the start of a run, of these inputs."""
+    """Function for the state at the start of a run, of these inputs."""
 
     function: Callable[..., NDArray]
     reads: Sequence[str]
@@ -70,8 +70,8 @@ class TracedBlock(LeafBlock):
         outputs: the names of the output ports and their sizes.
         optional: the names of inputs that may be left unconnected, and then are zero.
         known: names and sizes of what `function` takes after the inputs: functions of the time
-            alone, whose rows (k, size) at times (k,) in s the method `quantities_over(names,
-            times)` makes, and `quantity_rates_over` their rates, for other scalar types.
+            alone, whose rows (k, size) at times (k,) in s the method `precomputed_inputs(names,
+            times)` makes, and `precomputed_input_rates` their rates, for other scalar types.
         reads_time: `function` takes the time (1,) in s after all others.
         parameters: what `function` takes by name, as arrays, numbers as (1,), besides: a numeric
             parameter of the context.
@@ -256,7 +256,7 @@ class TracedBlock(LeafBlock):
         return self.input_port_ticket(self._inputs[name].get_index())
 
     def _reader(self, name: str) -> Callable[[Context], NDArray]:
-        """What gives a value that a part takes, of a context."""
+        """Function of a context for a value that a part takes."""
         if name in self._optional:
             return functools.partial(_input_or, self._inputs[name], self._optional[name])
         if name in self._inputs:
@@ -276,17 +276,17 @@ class TracedBlock(LeafBlock):
         return evaluate([read(context) for read in readers])
 
     def _quantity(self, context: Context, name: str) -> NDArray:
-        """What is known of the time; of other scalar types, with its rate."""
+        """The time; of other scalar types, with its rate."""
         if self.scalar is float:
             return self.quantity_at(name, context.get_time())
         now = np.array([number(context.get_time())])
-        (values,) = self.quantities_over([name], now)
-        (rates,) = self.quantity_rates_over([name], now)
+        (values,) = self.precomputed_inputs([name], now)
+        (rates,) = self.precomputed_input_rates([name], now)
         return values[0] + rates[0] * (context.get_time() - now[0])
 
     def quantity_at(self, name: str, time: float) -> NDArray:
-        """A row of `quantities_over`."""
-        return self.quantities_over([name], np.array([time]))[0][0]
+        """A row of `precomputed_inputs`."""
+        return self.precomputed_inputs([name], np.array([time]))[0][0]
 
     def _declare_state(self) -> None:
         vector = BasicVector_[self.scalar](self._initial)
@@ -333,35 +333,35 @@ class TracedBlock(LeafBlock):
 
     # As of `systems.diagram_trace`.
 
-    def traced_output(self, port: str, at: At) -> NDArray:
-        """What a port shows."""
+    def traced_output(self, port: str, at: TraceContext) -> NDArray:
+        """Value of a port."""
         if port in self._held:
             return at.state(2 + self._held.index(port))
         return self._traced_state(at) if port == self._state_port else self._traced_result(port, at)
 
-    def traced_rates(self, at: At) -> NDArray:
+    def traced_rates(self, at: TraceContext) -> NDArray:
         """The rate of the state."""
         return self._traced_result(_RATE, at)
 
     @property
-    def traced_update(self) -> Callable[[At], list[NDArray]]:
+    def traced_update(self) -> Callable[[TraceContext], list[NDArray]]:
         """The state and what is held, after a sample; what is not sampled has none."""
         if self.sample_period == 0:
             raise AttributeError("traced_update: the state is not sampled")
         return self._traced_update
 
-    def _traced_update(self, at: At) -> list[NDArray]:
+    def _traced_update(self, at: TraceContext) -> list[NDArray]:
         state = self._traced_state(at) + self.sample_period * self.traced_rates(at)
         return [state, *(self._traced_result(name, at) for name in self._held)]
 
     @property
-    def traced_start(self) -> Callable[[At], list[NDArray]]:
+    def traced_start(self) -> Callable[[TraceContext], list[NDArray]]:
         """The state and what is held at the start of a run; none where that is as declared."""
         if self._start is None and not self._is_held:
             raise AttributeError("traced_start: the state starts as it was declared")
         return self._traced_start
 
-    def _traced_start(self, at: At) -> list[NDArray]:
+    def _traced_start(self, at: TraceContext) -> list[NDArray]:
         state = self._traced_state(at)
         if self._start is not None:
             make, names = self._start
@@ -369,16 +369,16 @@ class TracedBlock(LeafBlock):
         places = (self._places[name] for name in self._held)
         return [state, *(self._traced(k, at, state)[place] for k, place in places)]
 
-    def _traced_state(self, at: At) -> NDArray:
+    def _traced_state(self, at: TraceContext) -> NDArray:
         return at.state(0 if self.sample_period == 0 else 1)
 
-    def _traced_result(self, name: str, at: At) -> NDArray:
-        """What is made, and not what is held."""
+    def _traced_result(self, name: str, at: TraceContext) -> NDArray:
+        """Outputs as they are made, and not as they are held."""
         k, place = self._places[name]
         return at.once(k, lambda: self._traced(k, at))[place]
 
-    def _traced(self, k: int, at: At, state: NDArray | None = None) -> NDArray:
-        """What a part makes, in symbols; `state` is in place of the present one."""
+    def _traced(self, k: int, at: TraceContext, state: NDArray | None = None) -> NDArray:
+        """Outputs of a part, in symbols; `state` is in place of the present one."""
         read = [
             state if name == _STATE and state is not None else self._traced_value(name, at)
             for name in self._parts[k].reads
@@ -387,7 +387,7 @@ class TracedBlock(LeafBlock):
         results, _ = self._parts[k].function(taken)
         return object_array(results)
 
-    def _traced_value(self, name: str, at: At) -> NDArray:
+    def _traced_value(self, name: str, at: TraceContext) -> NDArray:
         if name in self._optional:
             return at.input_or(name, self._optional[name])
         if name == _AT_SAMPLE:
@@ -424,7 +424,7 @@ class TracedDynamics(TracedBlock):
     def DoCalcTimeDerivatives(  # noqa: N802
         self, context: Context, derivatives: ContinuousState
     ) -> None:
-        """As LeafSystem's."""
+        """Overrides LeafSystem's."""
         if self.sample_period == 0 and len(self._initial) > 0:
             derivatives.SetFromVector(self._evaluated(context, _RATE))
 

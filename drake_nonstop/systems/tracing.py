@@ -127,7 +127,7 @@ class TracedFunction:
 def bound(
     function: casadi.Function, inputs: Iterable[NDArray], outputs: Sequence[NDArray]
 ) -> tuple[Any, Callable[[], None]]:
-    """What evaluates a function from arrays into arrays, and what has to live as long as it."""
+    """Evaluator of a function from arrays into arrays, and what has to live as long as it."""
     buffer, evaluate = function.buffer()
     for i, array in enumerate(inputs):
         buffer.set_arg(i, array.data)
@@ -284,7 +284,7 @@ class Trace:
 
 
 class _Expressions:
-    """What a function makes of symbols, and functions of parts of it."""
+    """Expressions that a function makes of symbols, and functions of parts of it."""
 
     def __init__(self, function: Callable, input_sizes: Sequence[int]):
         self._inputs, self._outputs = _expressions(function, input_sizes)
@@ -320,14 +320,14 @@ def _expressions(
 
 
 class LruCache:
-    """What was made for the keys that were used last, at most so many."""
+    """Values made for the keys that were used last, at most so many."""
 
     def __init__(self, most: int):
         self.entries: dict[Any, Any] = {}  # the most recently used is the last
         self._most, self._lock = most, threading.RLock()
 
     def get(self, key: Any, make: Callable[[], Any]) -> Any:
-        """What there is for a key, or what is made; a key that is None has no entry."""
+        """Returns the entry of a key, made if there is none; a key that is None has no entry."""
         if key is None:
             return make()
         with self._lock:
@@ -344,7 +344,7 @@ _traces = LruCache(32)
 
 
 def _cached(make: Callable[[], Any], *key: Any) -> Any:
-    """What is made, or what was made for an equal key; the last of it is no key if it is None."""
+    """The value for an equal key, made if there is none; a last part None means no key."""
     return _traces.get(None if key[-1] is None else tuple(map(_hashed, key)), make)
 
 
@@ -380,7 +380,7 @@ def object_array(symbol: casadi.SX) -> NDArray:
     return np.fromiter(map(_entry, symbol.elements()), dtype=object, count=symbol.numel())
 
 
-def constants(values: NDArray) -> NDArray:
+def to_symbols(values: NDArray) -> NDArray:
     """Numbers as entries of a trace."""
     return object_array(casadi.SX(casadi.DM(values)))
 
@@ -388,7 +388,7 @@ def constants(values: NDArray) -> NDArray:
 _Values = NDArray | Callable[[], NDArray]
 
 
-def chosen(condition: Any, values: _Values, others: _Values) -> NDArray:
+def where(condition: Any, values: _Values, others: _Values) -> NDArray:
     """Values where a condition holds, or others, which may then be no numbers.
 
     The condition is one of numbers or of symbols. Of a condition that is known, only what it

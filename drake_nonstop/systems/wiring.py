@@ -106,7 +106,7 @@ def _listed(sizes: Sizes) -> str:
 
 
 def _remedy(wrong: Sizes, signals: Sizes) -> str:
-    """What to do about input ports that no signal can be connected to."""
+    """Remedy for input ports that no signal can be connected to."""
     unknown = [name for name in wrong if name not in signals]
     if any(map(_is_of_hold, unknown)):
         return _HOLD_REMEDY
@@ -116,7 +116,7 @@ def _remedy(wrong: Sizes, signals: Sizes) -> str:
 
 
 def _expected(wrong: Sizes, signals: Sizes) -> str:
-    """What input ports would have to be that no signal can be connected to."""
+    """Conditions for input ports that no signal can be connected to."""
     expected = {name: signals[name] for name in wrong if name in signals}
     unknown = {name: size for name, size in wrong.items() if name not in signals}
     parts = [f"expected {_listed(expected)}"] if expected else []
@@ -392,7 +392,7 @@ def require_signals(
 
 
 def require_own_context(field: str, diagram: Diagram, context: Context) -> None:
-    """As `require_context`, of what has to be a diagram of floats."""
+    """Requires as `require_context` does, of a diagram of floats."""
     remedy = "give a Diagram of floats, such as make_nonstop builds; converted ones cannot be set"
     require(isinstance(diagram, Diagram), field, type(diagram).__name__, remedy)
     require_context(field, diagram, context)

@@ -1,1 +1,1 @@
-"""What a run looks like: the Meshcat scene, live and recorded, figures, and the diagram drawn."""
+"""Pictures of runs: the Meshcat scene, live and recorded, figures, and the diagram drawn."""

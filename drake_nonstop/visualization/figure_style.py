@@ -1,4 +1,4 @@
-"""What all figures share: panels, curves, colours, line styles, title and grid.
+"""Style of all figures: panels, curves, colours, line styles, title and grid.
 
 Matplotlib is imported with the first figure: its import takes as long as all others together,
 and runs without figures do not need it.

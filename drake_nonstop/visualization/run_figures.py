@@ -286,7 +286,7 @@ def _columns(
 
 
 def _quantity(name: str) -> str:
-    """What entries share a panel: those of the same part and unit, of all carriers."""
+    """Key of a panel: entries of the same part and unit, of all carriers, share it."""
     path, _, unit = name.partition(" [")
     words = path.split(".")
     while len(words) > 1 and (words[-1].isdigit() or words[-1] in "wxyz"):

@@ -103,7 +103,7 @@ def make_limits_figure(limits: Sequence[LimitAlong], title: str) -> Figure:
 
 
 def make_aircraft_margins_figure(found: AircraftMargins) -> Figure:
-    """What each aircraft needs over the phase, its limits dashed, and the least distances."""
+    """Needs of each aircraft over the phase, its limits dashed, and the least distances."""
     phases, needs, limits = np.degrees(found.phases), found.needs, found.limits
     figure = new_figure((9.0, 7.2))
     (lift, airspeed), (bank, climb), (thrust, distances) = figure.subplots(3, 2, sharex=True)

@@ -30,7 +30,7 @@ from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.simulation.step_size import stable_config
 from drake_nonstop.systems.block import LeafBlock
 from drake_nonstop.systems.compilation import compiler
-from drake_nonstop.systems.tracing import LruCache, NotFiniteError, constants
+from drake_nonstop.systems.tracing import LruCache, NotFiniteError, to_symbols
 
 NONSTOP = "optimization_layer=NonstopOptimizer"
 CONSTANT = "optimization_layer=ConstantParameters"
@@ -410,7 +410,7 @@ class Push(LeafSystem):
         output.SetFromVector([0, 0, 0, self.force, 0, 0])
 
     def traced_output(self, port, at):
-        return constants(np.array([0, 0, 0, self.force, 0, 0]))
+        return to_symbols(np.array([0, 0, 0, self.force, 0, 0]))
 
 
 def test_a_loop_of_many_samples_is_shorter_and_shows_the_same_to_the_bit(monkeypatch):
@@ -464,7 +464,7 @@ def test_rows_for_many_times_are_what_the_ports_show(box, name, fields):
     context, times = block.CreateDefaultContext(), np.linspace(0.0, 0.4, 41)
     ports = [block.get_output_port(k) for k in range(block.num_output_ports())]
     ports = [port for port in ports if port.get_data_type() == PortDataType.kVectorValued]
-    rows = block.known_over([port.get_name() for port in ports], times)
+    rows = block.precomputed_outputs([port.get_name() for port in ports], times)
     for k, instant in enumerate(times):
         context.SetTime(instant)
         for port, values in zip(ports, rows, strict=True):
@@ -498,7 +498,7 @@ class NarrowRows(LeafBlock):
     def calc(self, context, output):
         output.SetFromVector(np.zeros(6))
 
-    def known_over(self, ports, times):
+    def precomputed_outputs(self, ports, times):
         return [np.zeros((len(times), 3)) for _ in ports]
 
 
@@ -520,7 +520,7 @@ def test_a_block_below_one_with_rows_shows_its_own_values():
 class FailingPush(NarrowRows):
     """Is no number after 0.1 s."""
 
-    def known_over(self, ports, times):
+    def precomputed_outputs(self, ports, times):
         late = np.where(np.asarray(times) > 0.1 + 1e-9, np.nan, 0.0)
         return [np.outer(late, np.ones(6)) for _ in ports]
 
@@ -542,7 +542,7 @@ def test_what_becomes_no_number_in_flight_ends_it(compiles):
 def test_rows_of_another_size_are_named():
     scenario = load_scenario("quintic", [CONSTANT])
     loop = loop_with(scenario, load_disturbance=NarrowRows)
-    with pytest.raises(ValueError, match=r"^load_disturbance.known_over: rows .* \(6\)"):
+    with pytest.raises(ValueError, match=r"^load_disturbance.precomputed_outputs: rows .* \(6\)"):
         loop.run(loop.diagram.CreateDefaultContext(), 0.2)
 
 

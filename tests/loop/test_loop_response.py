@@ -552,8 +552,8 @@ def test_a_layer_in_a_loop_aims_above_its_bound_by_the_margin():
 
 def test_a_computed_margin_stays_below_the_bound_it_is_for_and_grows_above_it():
     config = LimitsConfig(speed_bound=0.5, tightening="auto", speed_margin=0.1, max_speed=2.0)
-    aims = [tightened_bound(config, bound) for bound in (0.0, 0.25, 0.5, 1.0)]
-    assert aims == pytest.approx([0.0, 0.35, 0.6, 1.2])
+    target_speeds = [tightened_bound(config, bound) for bound in (0.0, 0.25, 0.5, 1.0)]
+    assert target_speeds == pytest.approx([0.0, 0.35, 0.6, 1.2])
     for own in (0.5, 1.95):
         config = dataclasses.replace(config, speed_bound=own)
         highest = highest_speed_bound(config)

@@ -146,7 +146,7 @@ def test_margins_are_those_of_the_exact_inverse_on_the_path_that_is_flown():
         weight = aircraft.mass * aircraft.gravity
         factor = stall_factor(aircraft, shares["max_lift_share"])
         all_expected[i] = (
-            (airspeed**2 - data.aims[i] ** 2) / ((1 + TIGHTENING) * BOUND) ** 2,
+            (airspeed**2 - data.target_speeds[i] ** 2) / ((1 + TIGHTENING) * BOUND) ** 2,
             np.concatenate(
                 [
                     1 - np.linalg.norm(force, axis=1) / (factor * airspeed**2),
@@ -171,7 +171,9 @@ def test_margins_are_those_of_the_exact_inverse_on_the_path_that_is_flown():
 
 
 @pytest.mark.parametrize("parameters", [(0.595, 1.0), (0.68, 0.85)])
-def test_margins_of_the_last_part_are_those_of_whole_orbits_above_a_resting_load(parameters):
+def test_margins_of_the_last_part_are_those_of_whole_orbits_above_a_resting_load(
+    parameters,
+):
     """Against margins that are evaluated at 720 phases of positions' exact derivatives."""
     problem = limited()
     data = problem.data(0.0, 0.0, lambda time: AT_REST, BOUND, wind=WIND)

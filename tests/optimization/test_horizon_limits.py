@@ -153,7 +153,7 @@ def test_margins_are_those_of_what_the_blocks_command():
     positions, velocities, tensions = commanded(problem, plan, Motion(2).reference, times)
     squares = (velocities**2).sum(axis=-1)
     expected = [
-        (squares - data.aims**2) / (1.02 * 0.4) ** 2,
+        (squares - data.target_speeds**2) / (1.02 * 0.4) ** 2,
         1 - squares / (0.98 * 2.0) ** 2,
         (tensions / (1.02 * 1.5)) ** 2 - 1,
         1 - (tensions / (0.98 * 6.0)) ** 2,
@@ -169,8 +169,8 @@ def test_margins_are_those_of_what_the_blocks_command():
     # The minima between instants, on a grid four times as fine.
     fine = np.linspace(times[1], times[-2], 4 * (len(times) - 3) + 1)
     speeds = (commanded(problem, plan, Motion(2).reference, fine)[1] ** 2).sum(axis=-1)
-    aims = np.array([np.interp(fine, times, aim) for aim in data.aims.T]).T
-    least = (speeds - aims**2).min(axis=0) / (1.02 * 0.4) ** 2
+    target_speeds = np.array([np.interp(fine, times, speed) for speed in data.target_speeds.T]).T
+    least = (speeds - target_speeds**2).min(axis=0) / (1.02 * 0.4) ** 2
     np.testing.assert_allclose(table[1:-1, :n].min(axis=0), least, atol=5e-3)
 
 
@@ -189,15 +189,15 @@ def test_speeds_have_margins_of_their_own_after_jumps_of_the_jerk_and_beside_fas
         rates[1] - rates[0], axis=-1
     )
     is_after = (problem.instants > 0.33) & (problem.instants < 0.33 + 0.12)
-    np.testing.assert_allclose(data.aims[~is_after], 1.02 * 0.4)
-    expected = np.broadcast_to(1.02 * 0.4 + 0.4 * jumps, data.aims[is_after].shape)
-    np.testing.assert_allclose(data.aims[is_after], expected, rtol=1e-6)
+    np.testing.assert_allclose(data.target_speeds[~is_after], 1.02 * 0.4)
+    expected = np.broadcast_to(1.02 * 0.4 + 0.4 * jumps, data.target_speeds[is_after].shape)
+    np.testing.assert_allclose(data.target_speeds[is_after], expected, rtol=1e-6)
 
     config = replace(SMALL, orbit_tightening=0.1)
     problem = HorizonProblem(before.model, before.limits, config, lambda: "test")
     slow = problem.data(0.0, 0.0, lambda time: still, 0.01)
     speeds = problem.speeds(slow, problem.nominal_coefficients())
-    shares = (slow.aims - 0.01) / speeds.max(axis=0)
+    shares = (slow.target_speeds - 0.01) / speeds.max(axis=0)
     assert np.all((shares > 0.07) & (shares < 0.1))
 
 

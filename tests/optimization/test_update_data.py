@@ -1,14 +1,14 @@
 import numpy as np
 from nonstop_cases import START, TIGHTENING, moving, update_data, update_solver
 
-from drake_nonstop.optimization.update_data import Beliefs, UpdateData, update_data_size
+from drake_nonstop.optimization.update_data import ModelParameters, UpdateData, update_data_size
 
 
 def test_the_view_of_a_vector_is_its_parts_in_order_and_writes_to_it():
     vector = np.arange(float(update_data_size(12)))
     parts = UpdateData.view(vector)
     np.testing.assert_array_equal(np.concatenate(parts), vector)
-    beliefs = Beliefs.view(parts.beliefs)
+    beliefs = ModelParameters.view(parts.beliefs)
     np.testing.assert_array_equal(np.concatenate(beliefs), parts.beliefs)
     assert beliefs.offset.shape == (12,)
     beliefs.offset[-1:] = -1.0

@@ -21,9 +21,9 @@ from drake_nonstop import SweepSpec, ablate, load_scenario, sweep
 from drake_nonstop.studies import margins, processes
 from drake_nonstop.studies import robustness as robustness_module
 from drake_nonstop.studies.journal import JOURNAL, StudyInterrupted
-from drake_nonstop.studies.margins import find_margins
 from drake_nonstop.studies.robustness import robustness
 from drake_nonstop.studies.run_all import COMPLETED, FAILED, SerialExecutor
+from drake_nonstop.studies.stability_ranges import find_margins
 
 pytestmark = pytest.mark.usefixtures("faulty_blocks")
 

@@ -121,7 +121,7 @@ CALLS = {
 }
 SCRIPT = """
 from drake_nonstop import *
-from drake_nonstop.studies.margins import find_margins
+from drake_nonstop.studies.stability_ranges import find_margins
 from drake_nonstop.studies.robustness import robustness
 
 scenario = load_scenario(

@@ -182,10 +182,10 @@ def test_a_sampled_state_changes_at_every_sample_but_the_first(updates_first):
 
 def test_what_is_known_of_the_time_has_its_rate_in_other_scalar_types():
     class Ramp(TracedBlock):
-        def quantities_over(self, names, times):
+        def precomputed_inputs(self, names, times):
             return [times[:, None] ** 2 for _ in names]
 
-        def quantity_rates_over(self, names, times):
+        def precomputed_input_rates(self, names, times):
             return [2 * times[:, None] for _ in names]
 
     block = Ramp(lambda height: 3 * height, inputs={}, known={"height": 1}, outputs={"ramp": 1})

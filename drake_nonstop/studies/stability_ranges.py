@@ -229,7 +229,7 @@ def _measure(resting: str, override: str, value: float) -> list[Any]:
 
 
 def _linearized_at(resting: str, override: str, value: float) -> Stability | str:
-    """What is found at a parameter's value, or why there is no such loop."""
+    """Result at a parameter's value, or why there is no such loop."""
     # A copy of a scenario that was trusted when it was loaded.
     scenario = parse_scenario(resting, trust=True)
     try:
