@@ -36,7 +36,8 @@ from drake_nonstop.mechanics.signals import LoadReference, PlannedParameters, Wr
 
 _UP = np.array([0.0, 0.0, 1.0])
 Axes = tuple[NDArray, NDArray]  # p and q (n, 3), of `orbit_axes`
-Directions = tuple[NDArray, NDArray, NDArray]  # u, u′ and u″ (k, n, 3)
+Vectors = tuple[NDArray, NDArray, NDArray]
+Directions = Vectors  # u, u′ and u″ (k, n, 3)
 
 
 class OrbitTerms(NamedTuple):
@@ -53,6 +54,12 @@ class OrbitTerms(NamedTuple):
         lead = values.shape[:-1]
         parts = values[..., :-3].reshape(*lead, 3, -1, 3)
         return cls(parts[..., 0, :, :], parts[..., 1, :, :], parts[..., 2, :, :], values[..., -3:])
+
+    @property
+    def of_flight(self) -> "FlightTerms":
+        """These with zeros for those that do not count for speeds."""
+        none = np.zeros((1, 1, 3))
+        return FlightTerms(*self[:2], none, self.velocities, none, self[3], none[0], none[0])
 
     @property
     def columns(self) -> NDArray:
@@ -315,6 +322,20 @@ def pattern_directions(
     return u, along, bending
 
 
+def rates_of_forces(terms: FlightTerms, directions: Directions, orbit: PlannedOrbit) -> Vectors:
+    """The cables' forces and their first two rates, f, r and s (k, n, 3), see `orbit_motion`."""
+    _, xi, xi_rate, A, A_rate, A_second = (values[:, None, None] for values in orbit)
+    u, along, bending = directions
+    omega, alpha = terms.angular_velocity[:, None], terms.angular_acceleration[:, None]
+    force = terms.forces + A * u
+    rate = terms.rates + A_rate * u + (A * xi) * along
+    second_rate = terms.second_rates + A_second * u + (2 * A_rate * xi + A * xi_rate) * along
+    second_rate = second_rate + (A * xi * xi) * bending
+    r = rate + cross(omega, force)
+    s = second_rate + cross(omega, rate) + cross(alpha, force) + cross(omega, r)
+    return force, r, s
+
+
 def orbit_motion(
     terms: FlightTerms,
     directions: Directions,
@@ -332,15 +353,7 @@ def orbit_motion(
         rest_length: L₀, m.
         compliance: 1/K_c, m/N.
     """
-    _, xi, xi_rate, A, A_rate, A_second = (values[:, None, None] for values in orbit)
-    u, along, bending = directions
-    omega, alpha = terms.angular_velocity[:, None], terms.angular_acceleration[:, None]
-    force = terms.forces + A * u
-    rate = terms.rates + A_rate * u + (A * xi) * along
-    second_rate = terms.second_rates + A_second * u + (2 * A_rate * xi + A * xi_rate) * along
-    second_rate = second_rate + (A * xi * xi) * bending
-    r = rate + cross(omega, force)
-    s = second_rate + cross(omega, rate) + cross(alpha, force) + cross(omega, r)
+    force, r, s = rates_of_forces(terms, directions, orbit)
     cables = cable_vectors([force, r, s], rest_length=rest_length, compliance=compliance)
     return OrbitMotion(
         force, cables[0], terms.velocities + cables[1], terms.accelerations + cables[2]
@@ -354,10 +367,8 @@ def planned_speeds(
 
     Neither depends on the second rates of ξ and A.
     """
-    none = np.zeros((1, 1, 3))
-    flight = FlightTerms(*terms[:2], none, terms.velocities, none, terms[3], none[0], none[0])
     cables = {"rest_length": rest_length, "compliance": compliance}
-    motion = orbit_motion(flight, orbit_directions(axes, orbit.angle), orbit, **cables)
+    motion = orbit_motion(terms.of_flight, orbit_directions(axes, orbit.angle), orbit, **cables)
     return (
         (motion.velocities * motion.velocities).sum(axis=-1),
         (motion.forces * motion.forces).sum(axis=-1),

@@ -15,7 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.carrier import cable_vectors
-from drake_nonstop.mechanics.planned_orbit import OrbitTerms, orbit_directions
+from drake_nonstop.mechanics.planned_orbit import (
+    OrbitTerms,
+    PlannedOrbit,
+    orbit_directions,
+    rates_of_forces,
+)
 from drake_nonstop.mechanics.rotation import rotation_matrix
 from drake_nonstop.mechanics.sampled_loop import (
     bounded_response,
@@ -44,6 +49,7 @@ from drake_nonstop.optimization.tethered_loop import (
 
 DEVIATIONS = 5.0  # standard deviations of noise: a normal value falls below with 2.9e-7
 _PHASES = 48  # of the orbits, at which speeds and their rates are looked at
+_ANGLES = 2 * np.pi * np.arange(_PHASES) / _PHASES
 _SEEN = 12  # of these phases, at which the responses are looked at
 _MEMORY = 10.0  # s, of the inputs that matter for a shortfall
 _LARGEST_GROWTH = 0.2  # per s, beyond which there is no margin
@@ -230,8 +236,7 @@ class _OrbitsAlongTask:
             "rest_length": model.cable_length,
             "compliance": model.cable_compliance,
         }
-        angles = 2 * np.pi * np.arange(_PHASES) / _PHASES
-        self._directions = orbit_directions(self.axes, angles)
+        self._directions = orbit_directions(self.axes, _ANGLES)
 
     def parameters_for(self, speed: float) -> tuple[NDArray, bool]:
         """[ξ, A] (2,) nearest to the nominal ones that keep a speed (m/s) over the task.
@@ -285,11 +290,11 @@ class _OrbitsAlongTask:
 
     def _forces(self, parameters: NDArray, extra: NDArray | float = 0.0) -> tuple[NDArray, NDArray]:
         """Forces and their rates (k, h, n, 3)."""
-        xi, A = parameters
-        u, along, _ = self._directions
-        f = self.terms.forces[:, None] + extra + A * u
-        omega = self.terms.angular_velocity[:, None, None]
-        return f, self.terms.rates[:, None] + np.cross(omega, f) + A * xi * along
+        terms = OrbitTerms(*(part[:, None] for part in self.terms))
+        terms = terms._replace(forces=terms.forces + extra)
+        orbit = PlannedOrbit.constant(_ANGLES, *parameters)
+        forces, rates, _ = rates_of_forces(terms.of_flight, self._directions, orbit)
+        return forces, rates
 
     def speed_credit(self, parameters: NDArray, speed: float) -> NDArray:
         """How much faster than a speed (m/s) carriers are at phases (h, n), m/s, at least 0.
