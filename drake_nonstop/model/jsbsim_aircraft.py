@@ -42,25 +42,19 @@ from drake_nonstop.mechanics.aircraft import (
     north_east_down,
     turn_rate,
 )
-from drake_nonstop.mechanics.rotation import components, cross
+from drake_nonstop.mechanics.rotation import (
+    cross,
+    roll_pitch_yaw_to_quaternion,
+    rotation_matrix,
+)
 from drake_nonstop.validation import ScenarioError, require, require_file, require_installed
 
 TABLE = Path(__file__).parent / "jsbsim_table"
+_NUMBERS = "lift_at_zero_angle lift_slope max_lift zero_lift_drag induced_drag cable_drag_share "
+_NUMBERS += "lift_lag bank_lag thrust_lag max_roll_rate lift_gain thrust_gain"
 WRITTEN = {  # the properties under carrier/ that are the model's, by their fields
-    "lift_at_zero_angle": ("lift-at-zero-angle",),
-    "lift_slope": ("lift-slope",),
-    "max_lift": ("max-lift",),
-    "zero_lift_drag": ("zero-lift-drag",),
-    "induced_drag": ("induced-drag",),
-    "cable_drag_share": ("cable-drag-share",),
-    "max_thrust": ("max-thrust-0", "max-thrust-1", "max-thrust-2"),
-    "min_thrust": ("min-thrust-0", "min-thrust-1", "min-thrust-2"),
-    "lift_lag": ("lift-lag",),
-    "bank_lag": ("bank-lag",),
-    "thrust_lag": ("thrust-lag",),
-    "max_roll_rate": ("max-roll-rate",),
-    "lift_gain": ("lift-gain",),
-    "thrust_gain": ("thrust-gain",),
+    **{field: (field.replace("_", "-"),) for field in _NUMBERS.split()},
+    **{f"{end}_thrust": tuple(f"{end}-thrust-{k}" for k in range(3)) for end in ("max", "min")},
 }
 _WAITS = "carrier/motion-waits"
 _NEEDED = (
@@ -111,7 +105,6 @@ _PLANET = """<?xml version="1.0"?>
   <J2> 0 </J2>
 </planet>
 """
-
 _TRIAL = """
 import sys, jsbsim
 folder, name = sys.argv[1:]
@@ -362,11 +355,10 @@ class JsbsimFleet:
         values = np.array([aircraft.measured() for aircraft in self._aircraft])
         centres, speeds = values[:, :3] * _FOOT, values[:, 3:6] * _FOOT
         centres[:, 2] -= _RADIUS
-        cosines, sines = np.cos(values[:, 6:9, None]), np.sin(values[:, 6:9, None])
-        arm = np.broadcast_to(self._hook, centres.shape)
-        sweep = cross(values[:, 9:12], arm)
-        positions = centres + _in_world(arm, cosines, sines)
-        velocities = speeds + _in_world(sweep, cosines, sines)
+        R_NB = rotation_matrix(roll_pitch_yaw_to_quaternion(values[:, 6:9]))  # N: north, east, down
+        sweep = cross(values[:, 9:12], np.broadcast_to(self._hook, centres.shape))
+        positions = centres + north_east_down(R_NB @ self._hook)
+        velocities = speeds + north_east_down((R_NB @ sweep[..., None])[..., 0])
         lift, bank, thrust, airspeed = values[:, 12:].T
         return FleetState(positions, velocities, speeds, lift, bank, thrust, airspeed * _FOOT)
 
@@ -377,18 +369,6 @@ def _told(commands: NDArray, pulls: NDArray, winds: NDArray) -> NDArray:
     directions = north_east_down(-pulls) / np.maximum(sizes, _LEAST)
     parts = (commands, directions, sizes / _POUND_FORCE, north_east_down(winds) / _FOOT)
     return np.concatenate(parts, axis=1)
-
-
-def _in_world(vectors: NDArray, cosines: NDArray, sines: NDArray) -> NDArray:
-    """Vectors (n, 3) in body axes, in W, by cosines and sines (n, 3, 1) of roll, pitch and yaw."""
-    (x, y, z) = components(vectors)
-    (c_roll, c_pitch, c_yaw), (s_roll, s_pitch, s_yaw) = (
-        (a[:, 0], a[:, 1], a[:, 2]) for a in (cosines, sines)
-    )
-    y, z = c_roll * y - s_roll * z, s_roll * y + c_roll * z
-    x, z = c_pitch * x + s_pitch * z, c_pitch * z - s_pitch * x
-    x, y = c_yaw * x - s_yaw * y, s_yaw * x + c_yaw * y
-    return np.concatenate([y, x, -z], axis=1)
 
 
 def aircraft_file(given: str, model: str | None, owner: str, field: str) -> Path:
