@@ -13,14 +13,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.analysis.flight_envelope import BowedCables, FlightEnvelope
+from drake_nonstop.analysis.flight_envelope import BowedCables, FlightEnvelope, FlightRanges
 from drake_nonstop.mechanics.aircraft import (
     FlightNeeds,
-    airspeed_over_loaded_stall,
     drawn_power,
-    stall_speed,
     thrust_limits,
-    thrust_share,
 )
 from drake_nonstop.mechanics.formation_orbit import CarriedLoad
 from drake_nonstop.mechanics.planned_orbit import needs_of_motion
@@ -58,17 +55,9 @@ OTHER_MARGINS = {  # by the names of the program's rows
 class FlightExtremes(NamedTuple):
     """Needs of a formation's aircraft over all carriers, phases and the load's way."""
 
-    lift_share: float  # of C_Lmax, the largest
-    airspeed_min: float  # m/s
-    airspeed_max: float  # m/s
-    over_stall: float  # of the airspeed, over the stall speed without a cable, the least
-    over_loaded_stall: float  # over the one with cable and bank
+    ranges: FlightRanges
     bank: float  # rad, the largest, to either side
     climb: float  # rad, the largest, up or down
-    thrust_min: float  # N
-    thrust_max: float  # N
-    thrust_share_min: float  # of the largest thrust at that airspeed
-    thrust_share_max: float
     thrust_above: float  # of the range of thrust, left above, the least
     thrust_below: float  # left below
     power: float  # W, that an aircraft draws from its battery, the mean at rest
@@ -184,31 +173,18 @@ def flight_of(
     aircraft = task.aircraft
     found = list(formation_needs(task, kind, x, phases))
     needs = FlightNeeds(*map(np.concatenate, zip(*found, strict=True)))
-    airspeed, thrust = needs.airspeed, needs.thrust
-    least, most = thrust_limits(aircraft, airspeed)
+    thrust, (least, most) = needs.thrust, thrust_limits(aircraft, needs.airspeed)
     at_rest = found[0]
-    shares = thrust_share(aircraft, thrust, airspeed)
-    over_stall = airspeed_over_loaded_stall(aircraft, airspeed, needs.lift, thrust)
-    extremes: list[Any] = [
-        np.max(needs.lift) / float(aircraft.max_lift),
-        np.min(airspeed),
-        np.max(airspeed),
-        np.min(airspeed) / float(stall_speed(aircraft)),
-        np.min(over_stall),
-        np.max(np.abs(needs.bank)),
-        np.max(np.abs(needs.climb)),
-        np.min(thrust),
-        np.max(thrust),
-        np.min(shares),
-        np.max(shares),
-        np.min((most - thrust) / (most - least)),
-        np.min((thrust - least) / (most - least)),
-        np.mean(drawn_power(aircraft, at_rest.thrust, at_rest.airspeed)),
-    ]
     values = [(limit, limit.values(aircraft, needs)) for limit, _ in task.limits.asked]
-    closest = tuple(float(each[limit.worst(each)]) for limit, each in values)
-    extremes = [*map(float, extremes), closest]
-    return FlightExtremes(*extremes)
+    return FlightExtremes(
+        FlightRanges.of(aircraft, needs),
+        bank=float(np.max(np.abs(needs.bank))),
+        climb=float(np.max(np.abs(needs.climb))),
+        thrust_above=float(np.min((most - thrust) / (most - least))),
+        thrust_below=float(np.min((thrust - least) / (most - least))),
+        power=float(np.mean(drawn_power(aircraft, at_rest.thrust, at_rest.airspeed))),
+        asked=tuple(float(each[limit.worst(each)]) for limit, each in values),
+    )
 
 
 def missed_limits(
@@ -250,8 +226,10 @@ class _Quantity(NamedTuple):
 
 _DEGREE, _PERCENT = math.degrees(1.0), "%" + _OF_RANGE
 QUANTITIES = (
-    _Quantity("C_L / C_Lmax", "lift_share", 1, lambda flight: flight.lift_share),
-    _Quantity("airspeed / stall speed", "speed_share", -1, lambda flight: flight.over_stall),
+    _Quantity("C_L / C_Lmax", "lift_share", 1, lambda flight: flight.ranges.lift_share[1]),
+    _Quantity(
+        "airspeed / stall speed", "speed_share", -1, lambda flight: flight.ranges.over_stall[0]
+    ),
     _Quantity("bank", "bank", 1, lambda flight: flight.bank, "deg", _DEGREE),
     _Quantity("climb or descent", "climb", 1, lambda flight: flight.climb, "deg", _DEGREE),
     *(
@@ -454,7 +432,7 @@ def formation_scenario(
             "_tag": "!ConstantParameters",
             "frequency": frequency,
             "amplitude": 1.0 if kind == LEANING else 0.0,
-            "speed_bound": math.floor(9 * flight.airspeed_min) / 10,
+            "speed_bound": math.floor(9 * flight.ranges.airspeed[0]) / 10,
         },
         "carrier_controller.frequency": 1.8 if kind == LEANING else 1.5,
     }

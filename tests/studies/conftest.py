@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from drake_nonstop.studies import ablation, ablation_report, margins, robustness
+from drake_nonstop.studies import ablation, ablation_report, robustness, stability_ranges
 from drake_nonstop.studies.run_all import SerialExecutor, run_all
 
 # A wind with the faults that a block can have.
@@ -64,6 +64,6 @@ def faulty_blocks(tmp_path_factory):
 def serial_runs(undrawn, monkeypatch):
     """Has studies make their runs one after the other in this process, and draw nothing."""
     serial = functools.partial(run_all, executor=SerialExecutor())
-    for module in (ablation, margins, robustness):
+    for module in (ablation, stability_ranges, robustness):
         monkeypatch.setattr(module, "run_all", serial)
     monkeypatch.setattr(ablation_report, "_draw", lambda *arguments: None)

@@ -73,7 +73,7 @@ def test_formations_keep_the_margins_of_the_request(windy):
     assert len(windy.formations) == 3
     for formation in windy.formations:
         flight = formation.flight
-        assert flight.lift_share <= request.lift_share + 2e-4
+        assert flight.ranges.lift_share[1] <= request.lift_share + 2e-4
         assert flight.bank <= request.bank
         assert flight.climb <= request.climb
         assert min(flight.thrust_above, flight.thrust_below) >= request.thrust_reserve - 1e-3
@@ -94,9 +94,11 @@ def test_scenarios_read_back_and_need_at_rest_what_was_found(windy):
     assert found.is_flyable
     task = design_task(windy.request, 4, 1).with_motions(1)
     flight = flight_of(task, formation.kind, formation.variables)
-    assert np.max(found.needs.lift) / found.max_lift == pytest.approx(flight.lift_share, rel=1e-3)
+    assert np.max(found.needs.lift) / found.max_lift == pytest.approx(
+        flight.ranges.lift_share[1], rel=1e-3
+    )
     assert np.max(np.abs(found.needs.bank)) == pytest.approx(flight.bank, rel=5e-3)
-    assert np.max(found.needs.thrust) == pytest.approx(flight.thrust_max, rel=1e-3)
+    assert np.max(found.needs.thrust) == pytest.approx(flight.ranges.thrust[1], rel=1e-3)
     assert found.drawn_power == pytest.approx(flight.power, rel=1e-3)
     with_way = design_task(windy.request, 4, 24)
     assert flight_of(with_way, formation.kind, formation.variables).power == flight.power

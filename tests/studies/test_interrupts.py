@@ -18,7 +18,7 @@ import pytest
 from helpers import handle_signals_as_a_shell_does, nightly_beyond
 
 from drake_nonstop import SweepSpec, ablate, load_scenario, sweep
-from drake_nonstop.studies import margins, processes
+from drake_nonstop.studies import processes, stability_ranges
 from drake_nonstop.studies import robustness as robustness_module
 from drake_nonstop.studies.journal import JOURNAL, StudyInterrupted
 from drake_nonstop.studies.robustness import robustness
@@ -299,15 +299,15 @@ def stable(resting, override, value):
 @pytest.mark.nightly("processes")
 @pytest.mark.usefixtures("runs_of_studies")
 def test_robustness_and_margins_continue(tmp_path, scenario, monkeypatch):
-    axes, errors = margins._axes, robustness_module._errors
+    axes, errors = stability_ranges._axes, robustness_module._errors
 
     def few(scenario):
         mass = axes(scenario)[0]
         mass.values = [0.05, 0.1]
         return [mass]
 
-    monkeypatch.setattr(margins, "_axes", few)
-    monkeypatch.setattr(margins, "_measure", stable)
+    monkeypatch.setattr(stability_ranges, "_axes", few)
+    monkeypatch.setattr(stability_ranges, "_measure", stable)
     monkeypatch.setattr(robustness_module, "_errors", lambda *given: [*errors(*given)][:4])
     for k, study in enumerate((robustness, find_margins)):
         folder = tmp_path / str(k)

@@ -8,19 +8,19 @@ from PIL import Image
 from drake_nonstop.cli import studies as command
 from drake_nonstop.cli.ending import BAD_INPUT
 from drake_nonstop.cli.main import main
-from drake_nonstop.studies import margins
+from drake_nonstop.studies import stability_ranges
 from drake_nonstop.validation import ScenarioError
 
 
 def test_stability_finds_the_edges_and_draws_them(tmp_path, capsys, monkeypatch):
-    axes = margins._axes
+    axes = stability_ranges._axes
 
     def few(scenario):
         mass, _, _, delay, _ = axes(scenario)
         mass.values, delay.values = [-1.0, 0.2, 0.8], [0.02, 0.03, 1e9]
         return [mass, delay]
 
-    monkeypatch.setattr(margins, "_axes", few)
+    monkeypatch.setattr(stability_ranges, "_axes", few)
     overrides = ["load_feedback=!NoisyFeedback {}"]
     arguments = ["stability", "quintic", "--out", str(tmp_path), "--set", *overrides]
     assert main(arguments) == 0
@@ -56,7 +56,9 @@ def test_the_loop_as_it_is_comes_before_what_is_changed(tmp_path, capsys, monkey
 
 def test_ranges_say_what_lies_beyond_them():
     tried = {"name": "mass", "unit": "kg", "nominal": 1.0, "largest": [], "rates": []}
-    range_ = functools.partial(margins.Margin, **tried, values=[0.5, 1.0, 2.0], low=None, high=None)
+    range_ = functools.partial(
+        stability_ranges.Margin, **tried, values=[0.5, 1.0, 2.0], low=None, high=None
+    )
     text = "stable from 0.5 to 2, below that not tried, above that refused"
     assert command._stable_range(range_(refused={4.0: "why"})) == text
     assert command._stable_range(range_(refused={1.0: "why"})) == "refused here"
