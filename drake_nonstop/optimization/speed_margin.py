@@ -293,8 +293,7 @@ class _OrbitsAlongTask:
         terms = OrbitTerms(*(part[:, None] for part in self.terms))
         terms = terms._replace(forces=terms.forces + extra)
         orbit = PlannedOrbit.constant(_ANGLES, *parameters)
-        forces, rates, _ = rates_of_forces(terms.of_flight, self._directions, orbit)
-        return forces, rates
+        return rates_of_forces(terms.of_flight, self._directions, orbit)[:2]
 
     def speed_credit(self, parameters: NDArray, speed: float) -> NDArray:
         """How much faster than a speed (m/s) carriers are at phases (h, n), m/s, at least 0.

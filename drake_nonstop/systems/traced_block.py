@@ -27,7 +27,7 @@ from drake_nonstop.mechanics.signal_layouts import SAMPLE_TIME
 from drake_nonstop.systems.block import LeafBlock, number, weakly
 from drake_nonstop.systems.diagram_trace import TraceContext
 from drake_nonstop.systems.parameters import NumericParameters, declare_parameters
-from drake_nonstop.systems.tracing import Trace, object_array
+from drake_nonstop.systems.tracing import OutputGroup, Trace, grouped_outputs, object_array
 
 # What the function takes besides the input ports, and the rate that it makes: no names of ports.
 _STATE, _RATE, _NUMBERS, _TIME = "(state)", "(rate)", "(parameters)", "(time)"
@@ -167,7 +167,7 @@ class TracedBlock(LeafBlock):
             self._add(trace, (reads, apart), [*read], made, is_shared=True)
         inner = {i for i, name in enumerate(read) if name not in inputs}
         others = [i for i in range(len(made)) if i not in apart]
-        for group in _groups(dependence, others, inner, has_state=size > 0):
+        for group in grouped_outputs(dependence, others, inner, has_state=size > 0):
             self._add(trace, group, [*read], made)
         if between is not None:
             self._add_moved(between)
@@ -202,13 +202,13 @@ class TracedBlock(LeafBlock):
 
         read = {_AT_SAMPLE: ends[-1], SAMPLE_TIME: 1, _TIME: 1}
         trace = Trace(function, [*read.values()], key=between.key)
-        for group in _groups(trace.dependence, range(len(between.makes)), {*range(3)}):
+        for group in grouped_outputs(trace.dependence, range(len(between.makes)), {*range(3)}):
             self._add(trace, group, [*read], between.makes)
 
     def _add(
         self,
         trace: Trace,
-        group: "_Group",
+        group: OutputGroup,
         read: Sequence[str],
         made: Sequence[str],
         *,
@@ -429,34 +429,10 @@ class TracedDynamics(TracedBlock):
             derivatives.SetFromVector(self._evaluated(context, _RATE))
 
 
-# Numbers of inputs, and of the outputs that depend on the same ports among them.
-_Group = tuple[list[int], list[int]]
-
-
-def _groups(
-    dependence: list[set[int]], made: Sequence[int], inner: set[int], *, has_state: bool = False
-) -> list[_Group]:
-    """Outputs `made` in groups, by their `dependence` on ports, in the order of their first ones.
-
-    Inputs that are `inner` are no ports. Where there `has_state`, the first output goes into the
-    state: no port shows on which inputs it depends, and it is made with others that read these and
-    more.
-    """
-    ports = {i: frozenset(dependence[i] - inner) for i in made}
-    if has_state:
-        wider = [ports[i] for i in made[1:] if ports[i] >= ports[0]]
-        ports[0] = min(wider, key=len, default=ports[0])
-    groups = []
-    for own in dict.fromkeys(ports.values()):
-        makes = [i for i, other in ports.items() if other == own]
-        groups.append((sorted(set().union(*(dependence[i] for i in makes))), makes))
-    return groups
-
-
 class _Part:
     """Outputs of a trace that are made together, of inputs and outputs with these names."""
 
-    def __init__(self, trace: Trace, group: _Group, read: Sequence[str], made: Sequence[str]):
+    def __init__(self, trace: Trace, group: OutputGroup, read: Sequence[str], made: Sequence[str]):
         self._trace, (self._taken, self._makes) = trace, group
         self.reads = [read[i] for i in self._taken]  # what it takes, stacked
         ends = np.cumsum([0, *(trace.output_sizes[i] for i in self._makes)]).tolist()

@@ -220,6 +220,30 @@ def _elementwise(function: Callable, input_sizes: Sequence[int], entries: int) -
     return casadi.Function("elementwise", symbols, [*map(casadi.densify, found)], {"cse": True})
 
 
+# Numbers of inputs, and of the outputs that depend on the same ports among them.
+OutputGroup = tuple[list[int], list[int]]
+
+
+def grouped_outputs(
+    dependence: list[set[int]], made: Sequence[int], inner: set[int], *, has_state: bool = False
+) -> list[OutputGroup]:
+    """Outputs `made` in groups, by their `dependence` on ports, in the order of their first ones.
+
+    Inputs that are `inner` are no ports. Where there `has_state`, the first output goes into the
+    state: no port shows on which inputs it depends, and it is made with others that read these and
+    more.
+    """
+    ports = {i: frozenset(dependence[i] - inner) for i in made}
+    if has_state:
+        wider = [ports[i] for i in made[1:] if ports[i] >= ports[0]]
+        ports[0] = min(wider, key=len, default=ports[0])
+    groups = []
+    for own in dict.fromkeys(ports.values()):
+        makes = [i for i, other in ports.items() if other == own]
+        groups.append((sorted(set().union(*(dependence[i] for i in makes))), makes))
+    return groups
+
+
 class Trace:
     """A function, traced once, and its parts: some of its outputs of some of its inputs.
 
