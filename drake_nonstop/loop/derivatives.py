@@ -23,12 +23,8 @@ from drake_nonstop.systems.tracing import LARGEST
 from drake_nonstop.validation import ScenarioError
 
 
-class _Slopes:
-    """A traced function of the state and the parameters, and its derivatives by both.
-
-    Args:
-        traced: the function.
-    """
+class _DifferentiatedTrace:
+    """A traced function of the state and the parameters, and its derivatives by both."""
 
     def __init__(self, traced: Traced):
         # Without the diagram's systems: the functions outlive it.
@@ -38,12 +34,12 @@ class _Slopes:
 
     @cached_property
     def by_state(self) -> LoopFunction:
-        """Column by column."""
+        """Its Jacobian by the state, stacked column by column."""
         return self._derivative(0)
 
     @cached_property
     def by_parameters(self) -> LoopFunction:
-        """Column by column."""
+        """Its Jacobian by the parameters, stacked column by column."""
         return self._derivative(1)
 
     def _derivative(self, argument: int) -> LoopFunction:
@@ -55,9 +51,9 @@ class _Slopes:
 class DerivativeFunctions(NamedTuple):
     """Functions of the derivatives of loops of one content."""
 
-    at_start: _Slopes
-    update: _Slopes
-    rates: _Slopes
+    at_start: _DifferentiatedTrace
+    update: _DifferentiatedTrace
+    rates: _DifferentiatedTrace
 
 
 def derivative_functions(layout: LoopLayout) -> DerivativeFunctions:
@@ -75,9 +71,9 @@ def derivative_functions(layout: LoopLayout) -> DerivativeFunctions:
     symbols = Symbols(layout.numbers)
     rates = trace.rates(trace.arguments[0], 0.0, symbols)
     return DerivativeFunctions(
-        at_start=_Slopes(trace.updates(is_start=True)),
-        update=_Slopes(trace.updates()),
-        rates=_Slopes(Traced(rates, trace.arguments, symbols)),
+        at_start=_DifferentiatedTrace(trace.updates(is_start=True)),
+        update=_DifferentiatedTrace(trace.updates()),
+        rates=_DifferentiatedTrace(Traced(rates, trace.arguments, symbols)),
     )
 
 
@@ -151,7 +147,7 @@ class DerivativeFlight(LoopFlight):
         return slopes
 
     def _moved(
-        self, function: _Slopes, state: NDArray, offset: float, changes: NDArray | None
+        self, function: _DifferentiatedTrace, state: NDArray, offset: float, changes: NDArray | None
     ) -> NDArray:
         """A function's values, and their derivatives: (k, 1 + m), as the state is."""
         values, slopes = _parts(state)

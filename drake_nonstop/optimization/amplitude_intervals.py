@@ -1,4 +1,4 @@
-"""The amplitudes that the constraints allow which do not depend on ξ."""
+"""Amplitudes that the constraints allow, those that do not depend on ξ."""
 
 from collections.abc import Callable
 
@@ -22,9 +22,9 @@ def allowed_intervals(
     extrema of the margins between these.
 
     Args:
-        margins: the worst one (k,) at amplitudes (k,).
-        low: N
-        high: N
+        margins: gives the worst margin (k,) of the constraints at amplitudes (k,), N.
+        low: the least amplitude, N.
+        high: the largest, N.
         start: an amplitude (N) to look at besides the others.
     """
     amplitudes = np.geomspace(low, high, _AMPLITUDES).clip(low, high)

@@ -143,7 +143,7 @@ def solve_times_of(steps: Mapping[str, NDArray]) -> NDArray:
 
 
 class StepAction(Enum):
-    """Action of a run after a step."""
+    """Action of a run after a step: the answer of `after_step`."""
 
     CONTINUE = 1
     WAIT = 2  # and ask again
@@ -151,7 +151,7 @@ class StepAction(Enum):
 
 
 class StepCheck(Enum):
-    """Flight that `simulate` repeats with half the step."""
+    """How much of a flight `simulate` repeats with half the step."""
 
     NOTHING = 1
     PARTS = 2
