@@ -24,6 +24,7 @@ _SHORTEST = 1e-5  # relative, a step that ends the search
 _GRID = (12, 1)  # points a side, grids
 _FAR = 0.1  # relative, a step of which something closer may lie elsewhere
 _HALVINGS = 6  # of the range of what linearized margins may lack
+_MOST_EXCHANGES = 60
 _ROUNDING = 1e-12
 _SPEED_WEIGHT = 10.0  # of what a margin of the speed bound lacks, beside the others
 
@@ -162,14 +163,42 @@ def _quadratic(cost: QuadraticChangeCost, x: NDArray) -> tuple[NDArray, NDArray]
 def nearest_in_polygon(point: NDArray, normals: NDArray, offsets: NDArray) -> NDArray | None:
     """The point (2,) of {z: N z ≥ c} that is closest to another one; None: there is none.
 
-    By the least distance programming of Lawson and Hanson, Solving Least Squares Problems, 1974,
-    chapter 23. The rows of N (r, 2) have the norm 1.
+    By exchanges of at most two active constraints: what is violated most becomes active, so that
+    the distance grows with each. The rows of N (r, 2) have the norm 1.
     """
-    from scipy.optimize import nnls  # here: the import takes 0.4 s, which few runs need
+    active: list[int] = []
+    z = point
+    for _ in range(_MOST_EXCHANGES):
+        slack = normals @ z - offsets
+        worst = int(slack.argmin())
+        if slack[worst] >= -_ROUNDING * (1 + abs(offsets[worst])):
+            return z
+        if worst in active:
+            return z  # by rounding
+        closest, best = math.inf, None
+        for others in ([], *([i] for i in active)):
+            chosen = [worst, *others]
+            candidate = _on_lines(point, normals[chosen], offsets[chosen])
+            if candidate is None:
+                continue
+            trial = [*active, worst]
+            least = (normals[trial] @ candidate - offsets[trial]).min()
+            distance = float(((candidate - point) ** 2).sum())
+            if least >= -1e-9 * (1 + math.sqrt(distance)) and distance < closest:
+                closest, best = distance, (candidate, chosen)
+        if best is None:
+            return None
+        z, active = best
+    return None
 
-    rows = np.vstack([normals.T, offsets - normals @ point])
-    multipliers, size = nnls(rows, [0.0, 0.0, 1.0])
-    if size < _ROUNDING**0.5:
+
+def _on_lines(point: NDArray, normals: NDArray, offsets: NDArray) -> NDArray | None:
+    """The closest point of one line, or where two meet; None: they are parallel."""
+    if len(normals) == 1:
+        return point + (offsets[0] - normals[0] @ point) * normals[0]
+    (a, b), (c, d) = normals.tolist()
+    determinant = a * d - b * c
+    if abs(determinant) < _ROUNDING:
         return None
-    x, y, z = rows @ multipliers - [0.0, 0.0, 1.0]
-    return point - np.array([x, y]) / z
+    p, q = offsets.tolist()
+    return np.array([d * p - b * q, a * q - c * p]) / determinant
