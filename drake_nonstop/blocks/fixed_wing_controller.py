@@ -33,39 +33,42 @@ _LIMITS = ("lift_share", "max_bank", "speed_share")
 
 @dataclass(kw_only=True)
 class FixedWingControllerConfig(StrictFields):
-    """Poles of the carriers about their references, observer and limits."""
+    """Poles of the carriers about their references, weights of lead and observer, and limits."""
 
     frequency: float = positive(1.5)  # rad/s, natural frequency of a carrier about its reference
     damping: float = non_negative(0.9)  # damping ratio
     lead: float = non_negative(1.0)  # weight of the lead along the reference; 0: none
     observer: float = non_negative(1.0)  # weight of the observed disturbance; 0: none
     observer_time: float = positive(0.1)  # s, time constant of the disturbance observer
-    lift_share: float = positive(  # of C_Lmax, the largest lift coefficient that is commanded
+    lift_share: float = positive(  # share of C_Lmax, up to which a C_L is commanded
         0.9, number_with(lambda share: share <= 1, "give at most 1")
     )
     max_bank: float = positive(  # rad, the largest bank that is commanded, 50 degrees
         0.8726646259971648, number_with(lambda b: b < math.pi / 2, "give less than pi/2 rad")
     )
-    speed_share: float = non_negative(1.2)  # of the stall speed, below which thrust is added
+    speed_share: float = non_negative(1.2)  # share of the stall speed; below it thrust is added
 
 
 class FixedWingController(Block):
     """Aircraft along their references: lift coefficient, bank and thrust by the exact inverse.
 
-    With the errors e = p_d − p and ė, K_p = ω² and K_v = 2 ζ ω, the force
+    With the errors e = p_d − p of position and ė of velocity, the reference's acceleration a_d, the
+    desired force f_d of the cable on the load, K_p = ω² and K_v = 2 ζ ω of the config's `frequency`
+    ω and `damping` ζ, the force on an aircraft
 
         F = m (a_d + K_v ė + K_p e) + m g e₃ + f_d − d̂
 
     is inverted to C_L, bank and thrust; each gets τ times its rate along the reference more, since
     it follows with a lag τ. The disturbance d̂ is the low-pass, in the axes of flight through the
-    air, of what the model of the aircraft does not explain of the measured acceleration; of the
-    aircraft's state it takes bank and airspeed, and C_L and thrust from the commands and their
-    lags. Limits come last: C_L, whose vertical part is kept by cutting the bank, the bank, more
-    thrust at low speed, and the thrust, see `mechanics.flight_control`.
+    air, of the force that the measured acceleration shows and the model of the aircraft does not.
+    The model takes the measured bank and airspeed, and C_L and thrust that follow the commands with
+    their lags. Limits come last: C_L, whose vertical part is kept by cutting the bank, the bank,
+    more thrust at low speed, and the thrust, see `mechanics.flight_control`.
 
-    The state is [disturbance (3n, N), in each aircraft's axes of flight through the air; C_L (n);
-    thrust (n, N)]: continuous, or discrete where the model has a control period; the command is
-    then computed at the samples and held.
+    The command is [C_L (n); bank (n), rad; thrust (n), N], the saturation (3n,) has 1 where a limit
+    changed it, else 0. The state is [disturbance (3n), N, in each aircraft's axes of flight through
+    the air; C_L (n); thrust (n), N]: continuous, or discrete where the model has a control period;
+    the command is then computed at the samples and held.
 
     Raises:
         ScenarioError: the system has no aircraft, or a parameter is out of its range.
@@ -129,13 +132,13 @@ class FixedWingController(Block):
             velocity_gain=velocity_gain,
             lead=lead,
         )
-        told, saturation = limited_command(
+        limited, saturation = limited_command(
             aircraft, command, measured.airspeed, speed_gain=velocity_gain, **limits
         )
         targets = observer_targets(
             aircraft,
             observer_states,
-            told,
+            limited,
             carrier_state,
             acceleration,
             measured.bank,
@@ -143,7 +146,7 @@ class FixedWingController(Block):
             wind,
         )
         shares = observer_shares(aircraft, n, observer_time, control_period)
-        return shares * (targets - observer_states), told, saturation
+        return shares * (targets - observer_states), limited, saturation
 
     @classmethod
     def check(cls, model: Model, config: Any) -> None:
@@ -154,11 +157,11 @@ class FixedWingController(Block):
         return np.zeros(5 * model.n)
 
     def start(self) -> Start:
-        return Start(_started, ("aircraft_state",))
+        return Start(_initial_state, ("aircraft_state",))
 
 
-def _started(aircraft_state: NDArray) -> NDArray:
-    """`ObserverStates` (5n,) without a disturbance, with lift and thrust of the aircraft."""
+def _initial_state(aircraft_state: NDArray) -> NDArray:
+    """`ObserverStates` (5n,) without a disturbance, with C_L and thrust of `AircraftState`."""
     measured = AircraftState.view(aircraft_state)
-    nothing = 0 * aircraft_state[: 3 * len(measured.lift)]
-    return np.concatenate(ObserverStates(nothing, measured.lift, measured.thrust))
+    undisturbed = 0 * aircraft_state[: 3 * len(measured.lift)]
+    return np.concatenate(ObserverStates(undisturbed, measured.lift, measured.thrust))

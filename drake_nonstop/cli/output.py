@@ -18,7 +18,7 @@ class GuardedStream:
         self.error: OSError | ValueError | None = None
 
     def write(self, text: str) -> int:
-        """Writes the text unless there was an error."""
+        """Writes the text unless there was an error; returns its length in any case."""
         if self.error is None:
             try:
                 self._stream.write(text)
@@ -43,14 +43,14 @@ class GuardedStream:
 
 @contextlib.contextmanager
 def guarded_output() -> Iterator[tuple[GuardedStream, GuardedStream]]:
-    """Within it sys.stdout and sys.stderr are guarded; yields the two."""
+    """Context in which sys.stdout and sys.stderr are guarded streams; yields both."""
     out, err = GuardedStream(sys.stdout), GuardedStream(sys.stderr)
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         yield out, err
 
 
 def open_closed_streams() -> None:
-    """Opens what the process was started without, or its first files would take their place."""
+    """Opens missing standard streams, or the first files opened would take their descriptors."""
     for descriptor, name in enumerate(("stdin", "stdout", "stderr")):
         try:
             os.fstat(descriptor)

@@ -1,7 +1,8 @@
-"""The exact derivatives of a loop from sample to sample, by its states and its parameters.
+"""The exact derivatives of a loop's state from sample to sample, by states and parameters.
 
-CasADi differentiates the traces of the updates and of the rates; the steps of the Runge-Kutta
-method are differentiated by the chain rule, stage by stage (own derivation): of x' = f(x, p),
+CasADi differentiates the traces of the updates and of the states' rates; the steps of the
+Runge-Kutta method are differentiated by the chain rule, stage by stage (own derivation): of the
+state x with x' = f(x, p) and parameters p,
 
     dx' = (∂f/∂x) dx + (∂f/∂p) dp.
 """
@@ -24,22 +25,22 @@ from drake_nonstop.validation import ScenarioError
 
 
 class _DifferentiatedTrace:
-    """A traced function of the state and the parameters, and its derivatives by both."""
+    """A traced function (k,) of the state (k,) and the parameters (p,), and its Jacobians."""
 
     def __init__(self, traced: Traced):
-        # Without the diagram's systems: the functions outlive it.
+        # The functions outlive the diagram: they hold none of its systems.
         traced = traced._replace(symbols=replace(traced.symbols, numbers={}))
         self._traced = traced
         self.values = LoopFunction(traced._replace(results=traced.results[:1]))
 
     @cached_property
     def by_state(self) -> LoopFunction:
-        """Its Jacobian by the state, stacked column by column."""
+        """The Jacobian by the state (k * k,), stacked column by column."""
         return self._derivative(0)
 
     @cached_property
     def by_parameters(self) -> LoopFunction:
-        """Its Jacobian by the parameters, stacked column by column."""
+        """The Jacobian by the parameters (k * p,), stacked column by column."""
         return self._derivative(1)
 
     def _derivative(self, argument: int) -> LoopFunction:
@@ -49,18 +50,18 @@ class _DifferentiatedTrace:
 
 
 class DerivativeFunctions(NamedTuple):
-    """Functions of the derivatives of loops of one content."""
+    """Traced functions of loops with equal traces, and their derivatives."""
 
-    at_start: _DifferentiatedTrace
-    update: _DifferentiatedTrace
-    rates: _DifferentiatedTrace
+    at_start: _DifferentiatedTrace  # the state after the initialization's updates
+    update: _DifferentiatedTrace  # the state after the updates of any other sample
+    rates: _DifferentiatedTrace  # the time derivative of the state
 
 
 def derivative_functions(layout: LoopLayout) -> DerivativeFunctions:
-    """The traces of a loop's updates and rates, with their derivatives.
+    """Returns the traces of a loop's updates and rates, with their derivatives.
 
     Raises:
-        ScenarioError: a block of the loop searches, or stands beside the trace.
+        ScenarioError: a block of the loop searches for its updates, or is outside of the trace.
     """
     for name, block in layout.updating.items():
         raise ScenarioError(
@@ -79,9 +80,10 @@ def derivative_functions(layout: LoopLayout) -> DerivativeFunctions:
 
 @dataclass(frozen=True, kw_only=True)
 class Sensitivities:
-    """The state at the end of a flight, and its derivatives by the start's and the parameters.
+    """The state at the end of a flight, and its derivatives by that at its start and parameters.
 
-    Names are paths of systems in the diagram, or "box.field", with a number: all are in SI units.
+    A state's name is its system's path in the diagram and its number there, "path[0]"; a
+    parameter's is "box.field", and for arrays an index. All values are in SI units.
     """
 
     state: NDArray  # (k,)
@@ -95,11 +97,11 @@ class DerivativeFlight(LoopFlight):
     """A flight of a loop with the derivatives of its state, from sample to sample.
 
     Args:
-        layout: of the loop.
-        functions: of the loop.
-        period: of the samples, s.
-        schedule: the steps of one.
-        context: of the diagram, at t = 0, which stays as it is.
+        layout: the loop's blocks, and the order of its states and parameters.
+        functions: those of the loop.
+        period: time from sample to sample, s.
+        schedule: the integrator's steps in a period.
+        context: that of the diagram, at t = 0; it stays as it is.
     """
 
     def __init__(
@@ -112,53 +114,53 @@ class DerivativeFlight(LoopFlight):
     ):
         super().__init__(layout, period, context, LARGEST)
         self._schedule, self._functions = schedule, functions
-        self._evaluations: dict[LoopFunction, Evaluation] = {}  # with memory of its own
+        self._evaluations: dict[LoopFunction, Evaluation] = {}  # each has memory of its own
 
     def start(self, slopes: NDArray, changes: NDArray | None = None) -> NDArray:
-        """Makes the initialization's updates; arguments and result as of `advance`."""
+        """Makes the initialization's updates; takes and returns derivatives as `advance` does."""
         state = np.column_stack([self._state, slopes])
-        self._state, slopes = _parts(self._moved(self._functions.at_start, state, 0.0, changes))
+        self._state, slopes = _parts(self._applied(self._functions.at_start, state, 0.0, changes))
         return slopes
 
     def advance(self, slopes: NDArray, changes: NDArray | None = None) -> NDArray:
-        """Goes on to the next sample, before its updates.
+        """Advances the state to the next sample, before the updates at that sample.
 
         Args:
             slopes: (k, m), the derivatives of the state by m quantities; m may be 0.
-            changes: (p, m), those of the parameters, which stay; None: zeros.
+            changes: (p, m), the derivatives of the parameters by them, constant; None: zeros.
 
         Returns:
-            The derivatives (k, m) of the state after the sample.
+            The derivatives (k, m) of the state at the next sample.
 
         Raises:
             NotFiniteError: a value is not finite, or is too large.
         """
 
         def rate(state: NDArray, offset: float) -> NDArray:
-            return self._moved(self._functions.rates, state, offset, changes)
+            return self._applied(self._functions.rates, state, offset, changes)
 
         state = np.column_stack([self._state, slopes])
         if self.samples > 0:
-            state = self._moved(self._functions.update, state, 0.0, changes)
+            state = self._applied(self._functions.update, state, 0.0, changes)
         for step in self._schedule:
             state = runge_kutta3(rate, state, step)
         self._state, slopes = _parts(state)
         self.samples += 1
         return slopes
 
-    def _moved(
+    def _applied(
         self, function: _DifferentiatedTrace, state: NDArray, offset: float, changes: NDArray | None
     ) -> NDArray:
-        """A function's values, and their derivatives: (k, 1 + m), as the state is."""
+        """[values, derivatives] (k, 1 + m) of a function, `offset` s after the sample."""
         values, slopes = _parts(state)
-        moved = np.zeros(slopes.shape)
+        new_slopes = np.zeros(slopes.shape)
         if slopes.shape[1]:
-            moved += self._matrix(function.by_state, values, offset) @ slopes
+            new_slopes += self._jacobian(function.by_state, values, offset) @ slopes
         if changes is not None:
-            moved += self._matrix(function.by_parameters, values, offset) @ changes
-        return np.column_stack([self._values(function.values, values, offset), moved])
+            new_slopes += self._jacobian(function.by_parameters, values, offset) @ changes
+        return np.column_stack([self._values(function.values, values, offset), new_slopes])
 
-    def _matrix(self, function: LoopFunction, state: NDArray, offset: float) -> NDArray:
+    def _jacobian(self, function: LoopFunction, state: NDArray, offset: float) -> NDArray:
         return self._values(function, state, offset).reshape(len(state), -1, order="F")
 
     def _values(self, function: LoopFunction, state: NDArray, offset: float) -> NDArray:
@@ -171,5 +173,5 @@ class DerivativeFlight(LoopFlight):
 
 
 def _parts(state: NDArray) -> tuple[NDArray, NDArray]:
-    """The values (k,) and the derivatives (k, m) of a state (k, 1 + m)."""
+    """The values (k,) and the derivatives (k, m) of a state with derivatives (k, 1 + m)."""
     return np.ascontiguousarray(state[:, 0]), np.ascontiguousarray(state[:, 1:])

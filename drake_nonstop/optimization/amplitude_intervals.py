@@ -1,31 +1,31 @@
-"""Amplitudes that the constraints allow, those that do not depend on ξ."""
+"""Intervals of the amplitude A that the constraints allow which do not depend on ξ."""
 
 from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
-_AMPLITUDES = 32  # over the bounds
-_AMPLITUDES_ABOUT_EXTREMUM = 8
-_ZOOMS = 2  # about an extremum behind which a narrow interval may hide
-_MOST_STEPS = 40  # towards the end of an interval
+_AMPLITUDES = 32  # tried from bound to bound
+_AMPLITUDES_ABOUT_EXTREMUM = 8  # tried in each zoom
+_ZOOMS = 2  # into an extremum of the margins, where a narrow interval may hide
+_MOST_STEPS = 40  # of the iteration to an end of an interval
 _WIDTH_TOLERANCE = 1e-9  # relative, of an amplitude
-_MARGIN_TOLERANCE = 1e-9
+_MARGIN_TOLERANCE = 1e-9  # of margins, which have no unit
 
 
 def allowed_intervals(
     margins: Callable[[NDArray], NDArray], low: float, high: float, start: float
 ) -> list[tuple[float, float]]:
-    """The intervals (N) between `low` and `high` in which the margins are not negative.
+    """Returns the intervals, N, between `low` and `high` in which the margins are not negative.
 
-    Those that hold one of some amplitudes over the bounds, or `start`, and narrow ones about
-    extrema of the margins between these.
+    It finds those that hold one of 32 amplitudes from `low` to `high`, or `start`, and narrow ones
+    about extrema of the margins between these.
 
     Args:
-        margins: gives the worst margin (k,) of the constraints at amplitudes (k,), N.
-        low: the least amplitude, N.
-        high: the largest, N.
-        start: an amplitude (N) to look at besides the others.
+        margins: gives the least margin (k,) of all constraints at amplitudes (k,), N.
+        low: the least amplitude, N, above zero; turn rates in rad/s may stand for amplitudes.
+        high: the largest amplitude, N.
+        start: an amplitude, N, that is tried, too.
     """
     amplitudes = np.geomspace(low, high, _AMPLITUDES).clip(low, high)
     amplitudes = np.sort(np.append(amplitudes, start))
@@ -58,14 +58,14 @@ def _hidden_extrema(values: NDArray) -> NDArray:
 
 
 def _between_neighbours(amplitudes: NDArray, indices: NDArray) -> NDArray:
-    """Some amplitudes between the one before and the one behind each of those with the indices."""
+    """Amplitudes, evenly apart, between the two neighbours of each that has one of the indices."""
     shares = np.arange(1, _AMPLITUDES_ABOUT_EXTREMUM + 1) / (_AMPLITUDES_ABOUT_EXTREMUM + 1)
     low, high = amplitudes[indices - 1], amplitudes[indices + 1]
     return np.sort((low[:, None] + (high - low)[:, None] * shares).ravel())
 
 
 def _end(margins: Callable[[NDArray], NDArray], inside: list[float], outside: list[float]) -> float:
-    """The last allowed amplitude from one to another; each comes with its margin.
+    """The last allowed amplitude, N, from `inside` to `outside`: [amplitude, margin] each.
 
     Regula falsi with the weights of Illinois (M. Dowell and P. Jarratt, BIT 11, 1971, 168-174).
     """

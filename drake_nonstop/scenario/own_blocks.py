@@ -17,13 +17,15 @@ from drake_nonstop.validation import ScenarioError, one_line, require
 
 
 def make_importable(folder: str) -> None:
-    """Lets the modules in a folder be imported, after all that could be before."""
+    """Adds a folder to those that modules are imported from, as the last."""
     if folder not in sys.path:
         sys.path.append(folder)
 
 
 def import_config(field: str, path: str) -> type:
-    """The config class of the block, or of the pattern, at an import path.
+    """Returns the config class of the block or cable pattern at an import path.
+
+    `field` is the scenario's field that has the tag, for messages.
 
     Raises:
         ScenarioError: the module cannot be imported, or holds no such block and config.
@@ -38,7 +40,7 @@ def import_config(field: str, path: str) -> type:
             "correct it, or put it into the current folder, the scenario's or PYTHONPATH"
         ) from error
     finally:
-        os.chdir(folder)  # which the module may have left: results would be written elsewhere
+        os.chdir(folder)  # the module may have left it: results would go elsewhere
     config = getattr(module, f"{name}Config", None)
     if config is None and not hasattr(module, name):
         own = [key.removesuffix("Config") for key in vars(module) if key.endswith("Config")]

@@ -19,27 +19,27 @@ from drake_nonstop.validation import require
 if TYPE_CHECKING:
     from drake_nonstop.simulation.recording import LogSignals
 
-WALL_TIME = "solve_time"  # differs from run to run: kept out of the samples
+WALL_TIME = "solve_time"  # port; its values differ from run to run: `Run.signals` is without it
 
 
 @dataclass(kw_only=True)
 class Run(SignalTable):
     """Result of a simulation.
 
-    `signals` maps "block.port" to the samples of every signal but wall times, and accelerations and
-    jerks of carriers that no block reads, (samples, size), at the instants `time` (samples,),
-    100 Hz; `steps` maps the names of a few ports to their values at every step of the integrator,
-    (steps, size), and "time" to the steps' times (steps,), from t = 0 on. A value at an instant is
-    that before the controllers' update at that instant. `solve_times` (updates,) are the wall times
-    of the optimization layer's updates, `wall_time` that of the whole simulation but for pauses, in
-    s; NaN: unknown.
+    `signals` maps "block.port" to the samples (samples, size) of that signal at the instants `time`
+    (samples,), s, at 100 Hz. Wall times are not in it, nor are accelerations and jerks of carriers
+    where no block reads them. `steps` maps the names of a few ports to their values (steps, size)
+    at every step of the integrator, and "time" to the steps' times (steps,), s, from t = 0 on. A
+    value at an instant is that before the controllers' update at that instant. `solve_times`
+    (updates,), s, are the wall times of the optimization layer's updates, `wall_time`, s, is that
+    of the whole simulation but for pauses; NaN: unknown.
     Beyond 32 MB, some 100 s of flight, `signals` and `steps` are in temporary files, which are
     removed with the run: the arrays are mapped to memory, and cannot be written to.
-    A run that `is_steered` was changed from outside while it went on. `stopped` says why a run
-    ended before its time, and is empty where it did not. `step` is the longest step of the
-    integrator, s; `unresolved` has a sentence for each result that it does not resolve, and
+    `is_steered` tells whether a user changed the loop while the run went on. `stopped` says why a
+    run ended before its time, and is empty where it did not. `step` is the longest step of the
+    integrator, s; `unresolved` has a sentence for each metric that this step does not resolve, and
     `half_step` what `verify_step` found. `replacements` are the arguments of `simulate` that made
-    the loop or its blocks in place of the scenario's; None: the run is not one of `simulate`.
+    the loop or its blocks in place of the scenario's; None: `simulate` did not make the run.
     """
 
     scenario: Scenario
@@ -72,21 +72,20 @@ class Run(SignalTable):
         stopped: str = "",
         replacements: dict[str, Any] | None = None,
     ) -> "Run":
-        """The run that logs have of a context, for metrics, figures and a replay.
+        """Returns the run that was logged in a context, for metrics, figures and a replay.
 
         Args:
-            logs: of the loop's signals, by `LogSignals.AddToBuilder`.
-            context: of the whole diagram, such as a Simulator's, after the flight.
+            logs: what `LogSignals.AddToBuilder` returned for the loop.
+            context: that of the whole diagram, such as a Simulator's, after the flight.
             scenario: what the run is judged by: its system, limits and speed bound.
-            wall_time: of the simulation, in s; NaN: unknown.
-            step: the longest of the integrator's, in s; None: the longest that was logged.
-            stopped: why it ended before its time, if it did.
+            wall_time: that of the simulation, s; NaN: unknown.
+            step: the longest step of the integrator, s; None: the longest that was logged.
+            stopped: why the run ended before its time, if it did.
             replacements: as in `Run`.
 
         Raises:
-            ScenarioError: it is no scenario, the context is not that of the logs' diagram, there is
-                nothing in the logs, or the signals are those of another number of carriers than
-                the scenario's.
+            ScenarioError: `scenario` is no Scenario, the context is not that of the logs' diagram,
+                nothing was logged, or the number of carriers is not the scenario's.
         """
         remedy = "give the Scenario that the loop was made from"
         require(isinstance(scenario, Scenario), "scenario", scenario, remedy)
@@ -95,7 +94,7 @@ class Run(SignalTable):
         time, signals, steps = logs.collect(context)
         remedy = "advance a Simulator with this context first"
         require(len(time) > 0 or stopped != "", "logs", "no samples", remedy)
-        # Without the rounding of times.
+        # Nine digits: differences of times have rounding errors.
         longest = float(f"{np.max(np.diff(steps['time']), initial=0.0):.9g}")
         carriers, given = steps["carrier_state"].shape[1] // 6, len(scenario.system.attachments)
         remedy = f"give the scenario of the loop, with {carriers} of them"
@@ -116,14 +115,14 @@ class Run(SignalTable):
 
     @staticmethod
     def load(folder: Path | str, *, trust: bool = False) -> "Run":
-        """The run whose results are in a folder, as if it had just flown.
+        """Returns the run whose results are in a folder, as if it had just flown.
 
         Its metrics, figures and replay are the same. Its diagram is built again from the scenario;
         a ScenarioWarning tells of a run with blocks that its scenario does not name.
 
         Args:
-            folder: as `write_results` or `drake-nonstop run` left it.
-            trust: whether the scenario may import blocks of one's own.
+            folder: one that `write_results` or `drake-nonstop run` has written.
+            trust: whether the scenario may import blocks of the user's own.
 
         Raises:
             ScenarioError: there is no such run, or it cannot be read.
@@ -134,28 +133,28 @@ class Run(SignalTable):
 
 
 def solve_times_of(steps: Mapping[str, NDArray]) -> NDArray:
-    """The wall times (updates,) of the optimization layer's updates in Python, s."""
+    """Returns the wall times (updates,), s, of the optimization layer's updates made in Python."""
     if "diagnostics" not in steps or WALL_TIME not in steps:
         return np.zeros(0)
     counts = Diagnostics.view(steps["diagnostics"]).updates
     times = steps[WALL_TIME][np.flatnonzero(np.diff(counts, prepend=0.0)), 0]
-    return times[times > 0]  # it is 0 where a compiled loop found that nothing changes
+    return times[times > 0]  # 0: a compiled loop kept the parameters
 
 
 class StepAction(Enum):
-    """Action of a run after a step: the answer of `after_step`."""
+    """Action of a run after a step, as the function `after_step` of `simulate` returns it."""
 
     CONTINUE = 1
-    WAIT = 2  # and ask again
+    WAIT = 2  # then call `after_step` again, without a step
     END = 3
 
 
 class StepCheck(Enum):
-    """How much of a flight `simulate` repeats with half the step."""
+    """Extent of what `simulate` flies again with half the step."""
 
     NOTHING = 1
     PARTS = 2
-    WHOLE = 3  # where parts leave a doubt
+    WHOLE = 3  # parts, then the whole flight where these leave a doubt
 
 
 class RunStopped(RuntimeError):  # noqa: N818 - the end of a run; its message has the cause

@@ -34,10 +34,10 @@ from drake_nonstop.systems.tracing import NotFiniteError
 # The entries of the signal `diagnostics` that count updates.
 _UPDATE_COUNTS = ("updates", "kept", "solved", "relaxed", "held")
 _CHUNK = 10_000  # rows that are computed at a time: their temporary arrays are small
-_SMALL_TURN = math.cos(0.2)  # of a velocity between two steps
-_TURN = 0.1  # s, over which a turn and an acceleration are measured
-_MOVING = 1e-6  # m/s, of the load's reference; slower it rests
-_J_PER_KG_M = 1 / 3.6  # in Wh per kg and km
+_SMALL_TURN = math.cos(0.2)  # cosine of the angle, 0.2 rad, that a velocity turns by in a step
+_TURN = 0.1  # s, over which turn radii and accelerations are measured
+_MOVING = 1e-6  # m/s; slower, the load's reference rests; the least airspeed to divide by
+_J_PER_KG_M = 1 / 3.6  # 1 J/(kg m) in Wh/(kg km)
 
 
 class Stall(NamedTuple):
@@ -45,17 +45,17 @@ class Stall(NamedTuple):
 
     time: float  # s
     carrier: int  # from 1 on
-    lift: float  # C_L with the gusts' part
+    lift: float  # C_L with the part of gusts
     airspeed: float  # m/s
 
 
 class RunQuantities(Spacing):
     """The quantities of a run that metrics and figures are made from, each computed once.
 
-    k is the number of steps, n that of the carriers. Quantities of aircraft are those of the
-    simulated ones, where the carriers are some. The power of an aircraft is that of its thrust,
-    T V, none where it windmills; the motor takes it from the battery with the aircraft's
-    efficiency.
+    k is the number of steps of the integrator, n that of the carriers; samples are at 100 Hz. Where
+    the carriers are aircraft, their quantities are those of the simulated ones, which need not be
+    those that the controllers believe. The power of an aircraft is that of its thrust, T V, zero
+    for a thrust below zero; over the aircraft's efficiency it is taken from the battery.
     """
 
     def __init__(self, run: Run):
@@ -79,7 +79,7 @@ class RunQuantities(Spacing):
 
     @cached_property
     def reference_delays(self) -> tuple[float, float] | None:
-        """How late a governor has the reference at most, and at the end, s; None: there is none."""
+        """The governor's delay of the reference, the largest and the last, s; None: no governor."""
         if self.scenario.reference_governor is None:
             return None
         if not any(name.endswith(".reference_delay") for name in self.run.signals):
@@ -93,12 +93,12 @@ class RunQuantities(Spacing):
 
     @cached_property
     def carrier_positions(self) -> NDArray:
-        """(k, n, 3), m."""
+        """The carriers' positions (k, n, 3), in W, m."""
         return CarrierStates.view(self.run.steps["carrier_state"]).positions
 
     @cached_property
     def carrier_velocities(self) -> NDArray:
-        """(k, n, 3), m/s."""
+        """The carriers' velocities (k, n, 3), in W, m/s."""
         return CarrierStates.view(self.run.steps["carrier_state"]).velocities
 
     @cached_property
@@ -108,7 +108,7 @@ class RunQuantities(Spacing):
 
     @cached_property
     def speed_bounds(self) -> NDArray:
-        """The ε (k,), m/s, that was asked for; it may change during a live run."""
+        """The speed bound ε (k,), m/s, that was asked for; it may change during a live run."""
         if "speed_bound" in self.run.steps:
             return self.run.steps["speed_bound"][:, 0]
         return np.full(len(self.time), self.scenario.speed_bound)
@@ -128,10 +128,11 @@ class RunQuantities(Spacing):
 
     @cached_property
     def slowest_speed(self) -> float:
-        """Of any carrier, m/s, also between two steps.
+        """The least speed of any carrier, m/s, also between two steps.
 
-        Where a velocity turns far in a step it changes linearly there. Elsewhere a chord would be
-        slower than its arc, and the speed between two steps is within 0.5 % of theirs.
+        A velocity that turns by more than 0.2 rad in a step is taken to change linearly in it.
+        Elsewhere the least speed at steps counts: it is within 0.5 % of that between them, which a
+        linear change would make too small.
         """
         least = float(np.min(self.speeds))
         for velocities in _overlapping_chunks(self.carrier_velocities):
@@ -144,17 +145,17 @@ class RunQuantities(Spacing):
 
     @cached_property
     def steepest_angle(self) -> float:
-        """The largest angle of a carrier's velocity to the horizontal, rad.
+        """The largest angle of a carrier's velocity to the horizontal, rad, up or down.
 
-        It is where the velocity is, or where the derivative of its slope is zero in between.
+        It is found at the steps and between them, where velocities are taken to change linearly.
         """
         return max(map(_steepest_angle, _overlapping_chunks(self.carrier_velocities)))
 
     @cached_property
     def turns(self) -> tuple[float | None, float | None, float | None]:
-        """The largest acceleration and normal acceleration (m/s²), and smallest turn radius (m).
+        """Carriers' largest acceleration and normal acceleration, m/s², and least turn radius, m.
 
-        Of a carrier, over 0.1 s of its path; None: unknown.
+        Each is measured over 0.1 s of a carrier's path; None: unknown.
         """
         time, states = self.run.time, self.run.signal("carrier_state")
         if len(time) < 3:
@@ -184,7 +185,7 @@ class RunQuantities(Spacing):
 
     @cached_property
     def largest_carrier_force(self) -> float | None:
-        """The largest force asked for of a carrier at 100 Hz, N; None: unknown."""
+        """The largest force commanded to a carrier at 100 Hz, N; None: unknown."""
         try:
             forces = self.run.signal("carrier_forces")
         except KeyError:  # nothing in the loop makes it
@@ -193,27 +194,27 @@ class RunQuantities(Spacing):
 
     @cached_property
     def has_aircraft(self) -> bool:
-        """Whether the carriers are aircraft, whose state the run has."""
+        """Whether the carriers are aircraft and the run has their state."""
         ports = {name.partition(".")[2] for name in self.run.signals}
         return self.system.aircraft is not None and "aircraft_state" in ports
 
     @cached_property
     def aircraft(self) -> Aircraft:
-        """The simulated aircraft, where the carriers are some."""
+        """Parameters of the simulated aircraft; only where `has_aircraft`."""
         aircraft = aircraft_in(self.system)
         assert aircraft is not None
         return aircraft
 
     @cached_property
     def aircraft_state(self) -> AircraftState:
-        """Lift coefficient with that of gusts, bank, thrust and airspeed, (k, n) each."""
+        """Lift coefficient, bank (rad), thrust (N) and airspeed (m/s), (k, n) each."""
         return AircraftState.view(self.run.steps["aircraft_state"])
 
     @cached_property
     def aircraft_needs(self) -> FlightNeeds:
-        """Quantities of limits of aircraft, (k, n) each, as it was flown; forces are not known.
+        """`FlightNeeds`, (k, n) each, as flown, for the limits of aircraft; the force is NaN.
 
-        The climb is that through the air, of winds that change linearly between samples.
+        The climb angle is that through the air; winds change linearly between samples.
         """
         rise, state = self.carrier_velocities[..., 2], self.aircraft_state
         try:
@@ -234,20 +235,20 @@ class RunQuantities(Spacing):
 
     @cached_property
     def ranges(self) -> FlightRanges:
-        """The least and the largest of the quantities of aircraft."""
+        """The least and the largest values of `aircraft_needs`."""
         return FlightRanges.of(self.aircraft, self.aircraft_needs)
 
     @cached_property
     def thrust_powers(self) -> NDArray:
-        """The powers of the aircrafts' thrust, (samples, n), at 100 Hz, W."""
+        """The power of each aircraft's thrust (samples, n), at 100 Hz, W."""
         state = AircraftState.view(self.run.signal("aircraft_state"))
         return thrust_power(state.thrust, state.airspeed)
 
     @property
     def energy_per_mass_and_distance(self) -> float | None:
-        """From the batteries of all aircraft while the load's reference moves, Wh/(kg km).
+        """Energy from all batteries per mass of the load and length of its way, Wh/(kg km).
 
-        Per mass of the load and length of its reference's path; None where it rests all the time.
+        It counts while the load's reference moves, along its path; None where it always rests.
         """
         speeds = _norms(LoadReference.view(self.run.signal("reference")).velocity)
         moves = speeds > _MOVING
@@ -275,16 +276,16 @@ class RunQuantities(Spacing):
 
     @cached_property
     def bounded_speeds(self) -> NDArray:
-        """The speeds (k, n), m/s, that ε bounds: of aircraft through the air, else over ground."""
+        """The speeds (k, n), m/s, that ε bounds: airspeeds of aircraft, else speeds in W."""
         return self.aircraft_state.airspeed if self.has_aircraft else self.speeds
 
     @cached_property
     def time_below_bound(self) -> float:
-        """For how long a carrier was below ε, s."""
+        """The time for which any carrier was below ε, s."""
         return self.duration_of(np.any(self.bounded_speeds < self.speed_bounds[:, None], axis=1))
 
     def limited_by(self, limit: Limit) -> NDArray | None:
-        """Quantity of a limit (k, c), in its unit, of carriers or pairs; None: unknown."""
+        """What a limit is of (k, c), in its unit, at c carriers, cables or pairs; None: unknown."""
         if limit.of is Of.SEPARATION:
             one, other = np.triu_indices(self.carrier_positions.shape[1], 1)
             return _in_chunks(lambda at: _norms(at[:, one] - at[:, other]), self.carrier_positions)
@@ -296,7 +297,7 @@ class RunQuantities(Spacing):
 
     @property
     def limits(self) -> list[LimitAlong]:
-        """The limits that the layer is asked for, of what the run has."""
+        """The limits asked of the optimization layer, with their values in the run, where known."""
         rows = [
             (limit, stated, self.limited_by(limit))
             for limit, stated in asked(self.scenario.optimization_layer)
@@ -304,7 +305,7 @@ class RunQuantities(Spacing):
         return [LimitAlong(row, at, self.time, v) for row, at, v in rows if v is not None]
 
     def extreme_of(self, limit: Limit) -> float | None:
-        """The closest value to a limit in the run, or the farthest beyond; None: unknown."""
+        """The run's value closest to a limit, or farthest beyond, in its unit; None: unknown."""
         if limit.of is Of.SEPARATION:
             return self.carrier_separation
         values = self.limited_by(limit)
@@ -312,7 +313,7 @@ class RunQuantities(Spacing):
 
     @cached_property
     def missed_limits(self) -> dict[str, float]:
-        """How many updates ended without keeping each limit that is counted, by its name."""
+        """The number of updates that did not keep a limit, by the name of each counted limit."""
         try:
             columns = self.run.columns(["missed_limits"])
         except UnknownSignalError:
@@ -325,54 +326,54 @@ class RunQuantities(Spacing):
 
     @cached_property
     def tensions(self) -> NDArray:
-        """(k, n), N."""
+        """The tensions of the cables (k, n), N."""
         return self.run.steps["tensions"]
 
     @cached_property
     def slack_time(self) -> float:
-        """For how long a cable was slack, s."""
+        """The time for which any cable was slack, s."""
         return self.duration_of(np.any(self.tensions <= 0, axis=1))
 
     @cached_property
     def attachment_positions(self) -> NDArray:
-        """Where the cables are attached to the load, (k, n, 3), in W, m."""
+        """The points of the load that the cables are attached to, (k, n, 3), in W, m."""
         load_states = self.run.steps["load_state"]
         return _in_chunks(lambda states: attachment_positions(self.run, states), load_states)
 
     @property
     def predicted_margin(self) -> float | None:
-        """The margin (m/s) that was computed for the optimization layer, if one was."""
+        """The margin on ε, m/s, that was computed for the optimization layer; None: none was."""
         margin = getattr(self.run.diagram, "speed_margin", None)
         return None if margin is None else float(margin.total)
 
     @cached_property
     def measured_margin(self) -> float | None:
-        """By how much a carrier was slower than planned, m/s; None: unknown."""
+        """The largest amount by which a carrier was slower than planned, m/s; None: unknown."""
         try:
             return measured_speed_margin(self.run)
         except NotFiniteError:  # no speeds follow from such a reference
             return None
 
     def share_of_bound(self, speed: float | None) -> float | None:
-        """A speed (m/s) in units of the last bound; None where there is none."""
+        """A speed, m/s, over the last speed bound; None: no speed, or no bound."""
         bound = float(self.speed_bounds[-1])
         return None if speed is None or bound == 0 else speed / bound
 
     @cached_property
     def update_counts(self) -> dict[str, float]:
-        """How many updates of the optimization layer there were, and how they ended."""
+        """The number of updates of the optimization layer, and of those that ended in each way."""
         if "diagnostics" not in self.run.steps:
             return dict.fromkeys(_UPDATE_COUNTS, 0)
         diagnostics = Diagnostics.view(self.run.steps["diagnostics"][-1])
         return {name: _count(getattr(diagnostics, name)) for name in _UPDATE_COUNTS}
 
     def solve_time(self, share: float) -> float | None:
-        """A quantile of the wall time of an update, ms; None where nothing was solved."""
+        """The quantile `share`, 0 to 1, of updates' wall times, ms; None: nothing was solved."""
         times = self.run.solve_times
         return 1e3 * float(np.quantile(times, share)) if len(times) else None
 
     def duration_of(self, condition: NDArray) -> float:
-        """For how long (s) a condition (k,) holds; a step stands for half its two intervals."""
+        """The time, s, for which a condition (k,) holds: at a step for half of both intervals."""
         if len(self.time) < 2:
             return 0.0
         intervals = np.diff(self.time)
@@ -381,12 +382,12 @@ class RunQuantities(Spacing):
 
 
 def _count(value: float) -> float:
-    """A count in a signal as a whole number; one that is not finite as it is."""
+    """A count from a signal as a whole number, or as it is where it is not finite."""
     return int(value) if math.isfinite(value) else float(value)
 
 
 def load_errors(run: Run) -> tuple[NDArray, NDArray]:
-    """Position (m) and orientation (rad) errors of the load, (samples, 3) each.
+    """Position (m, in W) and orientation (rad) errors of the load, (samples, 3) each.
 
     The orientation error is the rotation vector from the reference to the load, in L; its
     norm is the angle between the two.
@@ -396,7 +397,7 @@ def load_errors(run: Run) -> tuple[NDArray, NDArray]:
 
 
 def _load_errors(load_states: NDArray, references: NDArray) -> NDArray:
-    """[position error, orientation error] (k, 6)."""
+    """[position error, orientation error] (k, 6), as of `load_errors`."""
     state, reference = Pose.view(load_states), Pose.view(references)
     inverse = quaternion_conjugate(reference.quaternion)
     rotation = rotation_vector(quaternion_product(inverse, state.quaternion))
@@ -413,7 +414,7 @@ def _norms(vectors: NDArray) -> NDArray:
 
 
 def _steepest_angle(velocities: NDArray) -> float:
-    """The largest angle of velocities (k, n, 3) to the horizontal, rad, also between two steps."""
+    """The largest angle of velocities (k, n, 3) to the horizontal, rad, also between two rows."""
     starts, changes = velocities[:-1], np.diff(velocities, axis=0)
     level, level_change = starts[..., :2], changes[..., :2]
     rise, rise_change = starts[..., 2], changes[..., 2]
@@ -427,20 +428,20 @@ def _steepest_angle(velocities: NDArray) -> float:
 
 
 def _overlapping_chunks(values: NDArray) -> Iterator[NDArray]:
-    """The rows, a few at a time; the last of some is the first of the next."""
+    """Yields the rows in chunks; the last row of one is the first of the next."""
     for start in range(0, max(1, len(values) - 1), _CHUNK):
         yield values[start : start + _CHUNK + 1]
 
 
 def _in_chunks(function: Callable[..., NDArray], *arrays: NDArray) -> NDArray:
-    """`function(*arrays)`, a few rows at a time; its rows depend on those of the arrays only."""
+    """Returns `function(*arrays)`, which has to work row by row, computed in chunks of rows."""
     starts = range(0, max(len(arrays[0]), 1), _CHUNK)
     parts = [function(*(array[i : i + _CHUNK] for array in arrays)) for i in starts]
     return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
 def attachment_positions(run: Run, load_states: NDArray) -> NDArray:
-    """The simulated attachment points (k, n, 3), in W, for load states (k, 13)."""
+    """The simulated attachment points (k, n, 3), in W, m, for load states (k, 13)."""
     quaternions, positions = Pose.view(load_states)
     R_WL = rotation_matrix(quaternions)
     return positions[:, None] + np.array(simulated_system(run).attachments) @ R_WL.swapaxes(1, 2)

@@ -1,4 +1,10 @@
-"""The search for formations of one number of carriers and kind, for one load or many."""
+"""The search for formations of one number of carriers and kind, for one load or many.
+
+The reserve is the least of all margins over what is asked of each: 1 where all that are asked for
+are kept, 0 at a limit of flight. κ is the number of turns of the carriers' phases in a round of
+them. The way is the load's, along the request's displacement; it has a motion per instant, the
+first at rest. Variables are `FormationVariables` (10,), the reserve is their last.
+"""
 
 import dataclasses
 import math
@@ -43,33 +49,34 @@ from drake_nonstop.studies.designed_formation import (
 from drake_nonstop.studies.run_all import fly
 from drake_nonstop.validation import ScenarioError, message_of
 
-_CANDIDATES = 150  # of a search's starts, of which the best are taken
-_COARSE, _FINE = 8, 24  # phases of a turn
-_ROUND = 1.01  # of the reserve, since extremes lie between phases
-_CLOSE = 0.02  # of reserves that are the same
-_LEAST_POWER = 1.0  # W, that others are compared with: in an updraught aircraft need none
-_OBSERVERS = (1.0, 0.7, 0.4)  # weights that are tried
-# A flight at rest has three parts of 14 s or a turn. From the second to the third one an error, m,
-# that is larger than the least may grow by 1.15.
+_CANDIDATES = 150  # drawn as starts of a search, which takes the best
+_COARSE, _FINE = 8, 24  # numbers of phases in a turn
+_SAFE_RESERVE = 1.01  # in place of 1, since extremes lie between phases
+_CLOSE = 0.02  # difference of reserves that count as equal
+_LEAST_POWER = 1.0  # W, the least to scale powers by: in an updraught aircraft need none
+_OBSERVERS = (1.0, 0.7, 0.4)  # weights of the aircraft's observers that are tried
+# A flight at rest has three parts, of 14 s each, or of a turn where that takes longer. From the
+# second to the third part an error, m, may grow by a factor of 1.15; below 1e-4 m it is steady.
 _STEADY_PARTS, _STEADY_TIME, _STEADY_GROWTH, _STEADY_ERROR = 3, 14.0, 1.15, 1e-4
-_STRONGEST = 20.0  # m/s, of the winds that are tried for a region
-_TOLERANCE = 0.05  # of the reserve, at its border
+_STRONGEST = 20.0  # m/s, the strongest wind that is tried for a region
+_TOLERANCE = 0.05  # of the reserve, which is 0 at the border of a region
 _MASS, _WIND, _RESERVE = map(FormationVariables._fields.index, ("mass", "wind", "reserve"))
-_EASED = 0.97  # of a margin that is kept, which is asked for instead
+_EASED = 0.97  # share of a margin that is kept; so much is proposed in its place
 
 
 def design_one(
     request: DesignRequest, carriers: int, kind: str
 ) -> list[DesignedFormation | Refusal]:
-    """The formations of one number of carriers and kind, or why there is none."""
+    """Returns the formations of one number of carriers and kind, or why there is none."""
     return FormationSearch(request, carriers, kind).formations()
 
 
 class FormationSearch:
-    """The search of one number of carriers and kind, from the usual κ on or a given one."""
+    """The search of one number of carriers and kind; `turns` is κ, None: the usual one first."""
 
     def __init__(self, request: DesignRequest, carriers: int, kind: str, turns: int | None = None):
         self.request, self.n, self.kind = request, carriers, kind
+        # The task with the instants of the way that matter most, and with many along it.
         self.task, self.way = (
             design_task(request, carriers, count) for count in (KEY_INSTANTS, INSTANTS)
         )
@@ -78,25 +85,25 @@ class FormationSearch:
             turns = 0 if kind != LEANING else 1 if carriers == 3 else carriers - 2
         self.turns = turns
         self.lower, self.upper = design_bounds(request, carriers, kind)
-        self.most_reserve = -np.eye(len(self.lower))[-1]
-        self._observer: float | None = None  # the weight, once it is known
+        self.most_reserve = -np.eye(len(self.lower))[-1]  # a cost (10,)
+        self._observer: float | None = None  # the observers' weight, once it is known
 
     def program(
         self, motions: int = KEY_INSTANTS, phases: int = _FINE, turns: int | None = None
     ) -> FormationProgram:
-        """The program of the first motions, at phases of a turn."""
+        """Returns the program of the first `motions`, with so many `phases` of a turn, and κ."""
         task, turns = self.task.with_motions(motions), self.turns if turns is None else turns
         return FormationProgram(task, self.kind, turns, phases=phases)
 
     def formations(self) -> list[DesignedFormation | Refusal]:
-        """Formations at rising reserves, each of the least power, or why there is none."""
+        """Returns formations of falling reserves, each of the least power, or why there is none."""
         start = self._best_of_starts()
         program = self.program()
         best = self._of_most_reserve(program, start, everywhere=True)
         if best[-1] < 1:
-            return [self._refusal(program, best)]
+            return [self._refusal_of_best(program, best)]
         found: list[DesignedFormation | Refusal] = []
-        levels = [_ROUND, (1 + best[-1]) / 2, best[-1]]
+        levels = [_SAFE_RESERVE, (1 + best[-1]) / 2, best[-1]]
         if best[-1] < 1 + 4 * _CLOSE:
             levels = [best[-1]]
         start = best
@@ -105,17 +112,17 @@ class FormationSearch:
             values = self._of_least_power(program, start, least)
             if values[-1] < 1:
                 if k > 0:
-                    continue  # of less power there is none
+                    continue  # none of less power keeps the margins
                 values = start
             start = values
             try:
                 found.append(self._described(values))
             except ScenarioError as error:
-                found.append(self._refused(values, f"it cannot be judged: {message_of(error)}"))
+                found.append(self._refusal(values, f"it cannot be judged: {message_of(error)}"))
         return found
 
     def _best_of_starts(self) -> NDArray:
-        """The variables of the largest reserve, from several starts and with any κ, coarsely."""
+        """The variables of the largest reserve, from several starts and over all κ, coarsely."""
         coarse, resting = self.program(2, _COARSE), self.program(1, 6)
         drawn = [self._drawn() for _ in range(_CANDIDATES)]
         drawn.sort(key=lambda values: -resting.rows(values)[0].min())
@@ -137,7 +144,7 @@ class FormationSearch:
         return best
 
     def _drawn(self) -> NDArray:
-        """A start, by the closed forms of circles of a constant speed."""
+        """Variables drawn at random, by the closed forms of circles at a constant speed."""
         random, task = self.random, self.task
         least, most = self.request.cable_length
         length = math.exp(random.uniform(math.log(least), math.log(most)))
@@ -166,7 +173,7 @@ class FormationSearch:
         return self.with_true_reserve(program, values, everywhere=everywhere)
 
     def _of_least_power(self, program: FormationProgram, start: NDArray, least: float) -> NDArray:
-        """The variables of the least power at a reserve; where it is missed on the way, at more."""
+        """Variables of the least power at a reserve; more is asked for where the way misses it."""
         lower, nothing = self.lower.copy(), np.zeros(len(self.lower))
         lower[-1] = least
         values = start
@@ -182,7 +189,7 @@ class FormationSearch:
     def with_true_reserve(
         self, program: FormationProgram, values: NDArray, *, everywhere: bool = True
     ) -> NDArray:
-        """With the reserve as it is, at the program's instants or everywhere on the way."""
+        """Returns variables with their reserve at the program's instants, or on the whole way."""
         values = values.copy()
         reserve = float(program.rows(values)[0].min())
         if everywhere:
@@ -192,20 +199,20 @@ class FormationSearch:
         return values
 
     def _described(self, values: NDArray) -> DesignedFormation | Refusal:
-        """The formation of these variables, or why it is none after all."""
+        """The formation of these variables, or why it cannot be flown after all."""
         x = variables_of(values)
         flight = flight_of(self.way, self.kind, x)
         scenario = formation_scenario(self.request, self.kind, self.n, self.turns, x, flight)
         margins = aircraft_margins(scenario)
         if not margins.is_flyable:
-            return self._refused(values, ", ".join(margin.sentence for margin in margins.missed))
+            return self._refusal(values, ", ".join(margin.sentence for margin in margins.missed))
         formation = find_formation(task_of(scenario), count=4)
         if not formation.is_stable:
             rate = formation.worst.rate
-            return self._refused(values, f"a deviation of the load grows by {rate:.2g} 1/s")
+            return self._refusal(values, f"a deviation of the load grows by {rate:.2g} 1/s")
         steadied = self._steadied(scenario, margins.turn)
         if steadied is None:
-            return self._refused(values, "in a flight at rest the load's sway grows")
+            return self._refusal(values, "in a flight at rest the load's sway grows")
         distances = float(margins.carrier_distance.min()), float(margins.cable_distance.min())
         return DesignedFormation(
             kind=self.kind,
@@ -221,10 +228,10 @@ class FormationSearch:
         )
 
     def _steadied(self, scenario: Scenario, turn: float) -> Scenario | None:
-        """With the largest weight of the aircraft's observers at which the load's sway fades.
+        """The scenario with the largest weight of observers that lets the load's sway fade, if any.
 
-        They hold the carriers on their references, and then nothing but the load's controller damps
-        it. The first formation is flown at rest for that; the others have the same weight.
+        Observers hold the carriers on their references, so that the load's controller alone damps
+        the sway. The first formation is flown at rest for that; the others have the same weight.
         """
         weights = _OBSERVERS if self._observer is None else (self._observer,)
         for weight in weights:
@@ -234,7 +241,7 @@ class FormationSearch:
                 return tried
         return None
 
-    def _refusal(self, program: FormationProgram, best: NDArray) -> Refusal:
+    def _refusal_of_best(self, program: FormationProgram, best: NDArray) -> Refusal:
         flight = flight_of(self.way, self.kind, variables_of(best))
         missed = [each.text for each in missed_limits(self.task, flight, 1.0)]
         apart = float(program.separations(best).min())
@@ -245,9 +252,9 @@ class FormationSearch:
             share = f"{best[-1]:.3g} of its margin (at least 1)"
             missed = [f"{OTHER_MARGINS.get(name, name)} with {share}"]
         remedy = self._remedy(program, best) or self._smaller_margins(flight, apart, best[-1])
-        return self._refused(best, missed=", ".join(missed), remedy=remedy)
+        return self._refusal(best, missed=", ".join(missed), remedy=remedy)
 
-    def _refused(
+    def _refusal(
         self, best: NDArray, fault: str = "", *, missed: str = "", remedy: str = ""
     ) -> Refusal:
         return Refusal(
@@ -261,7 +268,7 @@ class FormationSearch:
         )
 
     def _remedy(self, program: FormationProgram, best: NDArray) -> str:
-        """Remedies, each tried alone: longer cables, a lighter load, less wind or speed."""
+        """Text of the first remedy: longer cables, a lighter load, less wind or less speed."""
         request = self.request
         for field, sign, limit in (
             ("cable_length", 1, max(500.0, 2 * request.cable_length[1])),
@@ -276,9 +283,9 @@ class FormationSearch:
             (upper if sign > 0 else lower)[index] = limit
             eased = program.solve(best, lower, upper, self.most_reserve)
             eased = self.with_true_reserve(program, eased)
-            if eased[-1] < _ROUND:
+            if eased[-1] < _SAFE_RESERVE:
                 continue
-            lower[-1] = _ROUND
+            lower[-1] = _SAFE_RESERVE
             cost = np.zeros(len(lower))
             cost[index] = sign / max(best[index], 1.0)
             found = program.solve(eased, lower, upper, cost)
@@ -297,7 +304,7 @@ class FormationSearch:
         return ""
 
     def _smaller_margins(self, flight: FlightExtremes, apart: float, reserve: float) -> str:
-        """The margins that the best formation keeps, in place of those that it misses."""
+        """Text of the margins that the best formation keeps, in place of those that it misses."""
         if reserve < _CLOSE:
             return ""
         rows = [
@@ -313,12 +320,12 @@ class FormationSearch:
 
 
 def variables_of(values: NDArray) -> FormationVariables:
-    """The variables (10,) by their names."""
+    """Returns the variables (10,) with their names."""
     return FormationVariables(*values.tolist())
 
 
 def _is_steady(scenario: Scenario, turn: float) -> bool:
-    """Whether the load's error does not grow from one turn (s) to the next, in a flight at rest."""
+    """Whether the load's error does not grow, in a flight at rest whose turns take `turn` s."""
     part = max(_STEADY_TIME, turn)
     changes = [
         f"simulation_duration={_STEADY_PARTS * part}",
@@ -338,11 +345,12 @@ def _is_steady(scenario: Scenario, turn: float) -> bool:
 
 
 def _up(value: float) -> str:
+    """Text of one percent more, rounded up to a whole number."""
     return f"{math.ceil(value * 1.01):d}"
 
 
 def _down(value: float) -> str:
-    """One percent nearer to zero, of three digits that do not round away from it."""
+    """Text of one percent nearer to zero, of three digits, rounded toward zero."""
     if value == 0:
         return "0"
     digit = 10.0 ** (math.floor(math.log10(abs(value))) - 2)
@@ -355,10 +363,10 @@ class FeasibleRegion:
 
     Attributes:
         speed: m/s, the largest of the load on its way.
-        masses: (k,), kg.
-        winds: (k,), m/s; nan where none was found.
+        masses: (k,), kg, of the load.
+        winds: (k,), m/s; nan where no formation was found.
         limits: (k,), the limit that is missed first in more wind.
-        formations: (k,) that fly in these winds; None where none was found.
+        formations: (k,), those that fly in these winds; None where none was found.
     """
 
     speed: float
@@ -369,16 +377,16 @@ class FeasibleRegion:
 
 
 class _Redesign:
-    """Formations like a given one for other loads and winds, at a speed."""
+    """Formations like a given one for other loads and winds, at a load's largest speed, m/s."""
 
     def __init__(self, request: DesignRequest, formation: DesignedFormation, speed: float):
-        moved = dataclasses.replace(request, speed=speed)
+        at_speed = dataclasses.replace(request, speed=speed)
         shape = formation.carriers, formation.kind, formation.phase_turns
-        self.search = FormationSearch(moved, *shape)
+        self.search = FormationSearch(at_speed, *shape)
         self.program = self.search.program()
 
     def solved(self, start: NDArray, maximized: int, **bounds: tuple[float, float]) -> NDArray:
-        """The formation of the largest variable of a number, for the load of the start."""
+        """The variables with the largest entry `maximized`, an index, for the mass of `start`."""
         lower, upper = self.search.lower.copy(), self.search.upper.copy()
         lower[_MASS] = upper[_MASS] = start[_MASS]
         for name, (least, most) in bounds.items():
@@ -388,15 +396,15 @@ class _Redesign:
         return self.search.with_true_reserve(self.program, values)
 
     def in_wind(self, start: NDArray, wind: float) -> NDArray:
-        """The formation of the largest reserve in a wind."""
+        """The variables of the largest reserve in a wind, m/s."""
         return self.solved(start, _RESERVE, wind=(wind, wind))
 
     def in_most_wind(self, start: NDArray) -> NDArray | None:
-        """The formation that keeps its limits in the most wind."""
+        """The variables that keep the limits in the strongest wind; None: not found."""
         for share in (1.0, 0.7, 0.3, 0.0):
             found = start if share == 1 else self.in_wind(start, share * start[_WIND])
             least = 0.0
-            for _ in range(3):  # between the instants of the program the reserve is less
+            for _ in range(3):  # between the program's instants the reserve is less
                 found = self.solved(found, _WIND, wind=(0.0, _STRONGEST), reserve=(least, least))
                 if abs(found[_RESERVE]) < _TOLERANCE:
                     return found
@@ -407,14 +415,14 @@ class _Redesign:
 def redesigned_region(
     request: DesignRequest, formation: DesignedFormation, masses: Sequence[float], speed: float
 ) -> FeasibleRegion:
-    """The border of what aircraft can take in a formation that is designed for each load and wind.
+    """Returns the winds that aircraft can fly in, designed anew for each load's mass and wind.
 
-    The forces, ξ and, in the request's range, the cables are those that keep the limits in the most
-    wind, at rest and on the way; found from mass to mass, from that of the request on. Beyond the
-    border a limit of the aircraft or of their controllers is missed: of lift, airspeed, bank, climb
-    or thrust. The wind has the direction of the request's, or is against the load's way. The
-    formation was found for the request; its kind, n and κ stay. Masses are in rising order, in kg,
-    the load's speed is in m/s.
+    The cables' forces, ξ and, in the request's range, the cables' lengths are those that keep the
+    limits in the strongest wind, at rest and on the way; found from mass to mass, from that of the
+    request on. In more wind a limit of the aircraft or of their controllers is missed: of lift,
+    airspeed, bank, climb or thrust. The wind has the direction of the request's, or is against the
+    load's way. `formation` was found for the request; its kind, n and κ stay. Masses are in rising
+    order, in kg, the load's largest speed is in m/s.
     """
     redesign = _Redesign(request, formation, speed)
     found: dict[float, FormationVariables] = {}
@@ -439,9 +447,9 @@ def redesigned_region(
 def redesigned_scenario(
     request: DesignRequest, formation: DesignedFormation, beside: FormationVariables, wind: float
 ) -> Scenario:
-    """The scenario of the formation that keeps the most margin in a wind, m/s.
+    """Returns the scenario of the formation with the largest reserve in a wind, m/s.
 
-    The load and its speed are those of `beside`, such as a formation of a `FeasibleRegion`.
+    The load's mass and speed are those of `beside`, such as a formation of a `FeasibleRegion`.
     """
     redesign = _Redesign(request, formation, beside.speed)
     x = variables_of(redesign.in_wind(np.array(beside), wind))
@@ -455,6 +463,6 @@ def redesigned_scenario(
     shape = formation.kind, formation.carriers, formation.phase_turns
     scenario = formation_scenario(asked, *shape, x, flight)
     scenario.carrier_controller = formation.scenario.carrier_controller
-    # Beyond the border the least airspeed is no news.
+    # No bound on airspeeds: beyond the border they are expected to be too low.
     scenario.optimization_layer.speed_bound = 0.0
     return scenario

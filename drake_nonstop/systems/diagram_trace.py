@@ -1,15 +1,15 @@
-"""A diagram in symbols: what its ports show, how its states move, and what its samples change.
+"""A diagram in symbols: values of its ports, rates of its states, and its updates at samples.
 
 Every leaf system of the diagram is one of these:
 
 - a `LeafBlock` with the method `traced_output(port, at)`, and for its states `traced_rates(at)` and
-  `traced_update(at)`, which take a `TraceContext` and compute with NumPy on arrays of symbols. With
-  `trace_parameters(context)` it takes other numbers than its first numeric parameter. What it
-  takes by `TraceContext.known` is evaluated beforehand;
+  `traced_update(at)`, which take a `TraceContext` and compute with NumPy on arrays of symbols. A
+  method `trace_parameters(context)` gives numbers in place of its first numeric parameter. The
+  quantities that it reads by `TraceContext.known` are evaluated before a flight;
 - one of Drake's systems that are linear and have no state: their matrix is found at unit vectors;
 - Drake's Integrator or TrajectorySource.
 
-What is none of them stands outside: `TraceContext` asks for the values of its ports.
+All other systems are outside of the trace: their outputs are symbols that it takes as inputs.
 """
 
 import weakref
@@ -43,21 +43,23 @@ from drake_nonstop.systems.block import has_own
 from drake_nonstop.systems.tracing import object_array, to_symbols
 from drake_nonstop.systems.wiring import systems_in
 
-ROWS = "precomputed_outputs"  # the method of a block without inputs that gives rows of its outputs
-QUANTITIES = "precomputed_inputs"  # of a traced block, for what it takes by `TraceContext.known`
+# Methods of blocks, which give rows (k, size) at times (k,), s: of the outputs of a block without
+# inputs, and of quantities that a traced block reads by `TraceContext.known`.
+ROWS, QUANTITIES = "precomputed_outputs", "precomputed_inputs"
 _LINEAR = Selector, Gain, MatrixGain, Adder, Multiplexer, Demultiplexer, PassThrough
 
 Place = tuple[System, int]  # a port, by its system and its number
-Outside = Callable[[System, int | str, int], NDArray]  # gives an output outside, of a size
+# Gives symbols (size,) of a system's output, by number, or quantity, by name: system, which, size.
+Outside = Callable[[System, int | str, int], NDArray]
 
 
 def leaves(system: System) -> Iterator[Any]:
-    """The systems in a system that are no diagrams, itself if it is none."""
+    """Returns the leaf systems in a system, or the system itself if it is one."""
     return (part for part in systems_in(system) if not isinstance(part, Diagram))
 
 
 def is_traceable(system: System) -> bool:
-    """Whether all of a system can be traced."""
+    """Whether all leaf systems in a system can be traced."""
     return all(
         isinstance(leaf, (Integrator, TrajectorySource, *_LINEAR)) or _has_trace(leaf)
         for leaf in leaves(system)
@@ -70,31 +72,31 @@ def updates_in_trace(leaf: System) -> bool:
 
 
 def is_precomputed(leaf: System) -> bool:
-    """Whether a leaf that can be traced has outputs or quantities that it knows beforehand."""
+    """Whether a traceable leaf has outputs or quantities that depend on the time alone."""
     return hasattr(leaf, QUANTITIES) or isinstance(leaf, TrajectorySource)
 
 
 def _has_trace(leaf: System) -> bool:
-    """Whether a leaf has methods for a trace, and no class below theirs computes other values."""
+    """Whether a leaf has methods for a trace, and no derived class may compute other values."""
     has_trace = getattr(leaf, "traced_output", None) is not None
     is_own = has_own(leaf, "traced_output") or _is_one_function(leaf)
     return has_trace and is_own and getattr(leaf, "is_traced", True)
 
 
 def _is_one_function(leaf: Any) -> bool:
-    """Whether a `TracedBlock`'s function is all of a leaf, whatever class below it is."""
+    """Whether a leaf computes a `TracedBlock`'s function alone, even if its class is derived."""
     if not getattr(leaf, "is_one_function", False):
         return False
-    known = __name__.split(".")[0], "pydrake"
+    packages = __name__.split(".")[0], "pydrake"
     rates = (vars(kind).get("DoCalcTimeDerivatives") for kind in type(leaf).__mro__)
-    return all(own is None or own.__module__.split(".")[0] in known for own in rates)
+    return all(own is None or own.__module__.split(".")[0] in packages for own in rates)
 
 
 def trace_content(diagram: Diagram, wires: "Wires", outside: Callable[[System], bool]) -> Any:
-    """Key of a diagram's trace: diagrams of equal content have one trace.
+    """Key of a diagram's trace, which can be hashed: diagrams of equal keys have one trace.
 
-    It can be hashed. None: it is not known, see `LeafBlock.trace_key`. `outside` tells which of the
-    diagram's own systems stand outside.
+    None: a system's part of it is not known, see `LeafBlock.trace_key`. `outside` tells of each of
+    the diagram's own systems whether it is outside of the trace.
     """
     systems = [part for own in diagram.GetSystems() for part in _parts(own, outside)]
     numbers = {system: k for k, system in enumerate(systems)}
@@ -117,12 +119,12 @@ def trace_content(diagram: Diagram, wires: "Wires", outside: Callable[[System], 
 
 
 def _parts(system: System, outside: Callable[[System], bool]) -> Iterator[System]:
-    """A system, and all those in it, but of those outside."""
+    """A system and all systems in it, or it alone if it is outside of the trace."""
     return iter((system,)) if outside(system) else systems_in(system)
 
 
 def _content(system: Any, wires: "Wires", outside: Callable[[System], bool]) -> Any:
-    """Key of a leaf's part of a trace, besides its ports; None: it is not known."""
+    """Key of a system's part of a trace, besides its ports; None: it is not known."""
     kind = type(system)
     if isinstance(system, Diagram) or outside(system):
         return ()
@@ -143,10 +145,10 @@ class Wires:
 
     def __init__(self, diagram: Diagram):
         self._root = diagram
-        self._matrices: dict[Place, dict[str, casadi.DM]] = {}  # of linear leaves, found so far
+        self._matrices: dict[Place, dict[str, casadi.DM]] = {}  # of outputs of linear leaves
         self._sources: dict[Place, Place] = {}
         self._parents: dict[System, Diagram] = {}
-        self._outer: dict[Place, Place] = {}  # of an input that its diagram exports
+        self._outer: dict[Place, Place] = {}  # of an exported input: its diagram's
         self._add(diagram)
 
     def _add(self, diagram: Diagram) -> None:
@@ -161,7 +163,7 @@ class Wires:
                 self._add(part)
 
     def source(self, reader: System, index: int) -> Place | None:
-        """The output port that an input is connected to, of a leaf or of a diagram."""
+        """The output port, of a leaf or a diagram, that feeds an input; None: there is none."""
         place = (reader, index)
         while place not in self._sources:
             if place not in self._outer:
@@ -170,13 +172,13 @@ class Wires:
         return self._sources[place]
 
     def matrices_of(self, leaf: System, index: int) -> dict[str, casadi.DM]:
-        """Of an output of a linear leaf, from each input that it reads, by the inputs' names."""
+        """The matrices (outputs, inputs) to a linear leaf's output, by names of inputs it reads."""
         if (leaf, index) not in self._matrices:
             self._matrices[leaf, index] = _matrices(leaf, index)
         return self._matrices[leaf, index]
 
     def block_of(self, system: System) -> System:
-        """The diagram's own subsystem that a system is in."""
+        """The diagram's own subsystem that a system is, or is in."""
         while self._parents[system] is not self._root:
             system = self._parents[system]
         return system
@@ -186,10 +188,12 @@ class DiagramSnapshot:
     """A diagram at one instant: all values in symbols, each found once.
 
     Args:
+        wires: those of the diagram.
         states: of each leaf with a state its continuous state, then its discrete groups.
         parameters: the first numeric parameter of each leaf that has one.
-        outside: what ports of systems that cannot be traced show.
-        is_outside: which systems these are, of the diagram's own.
+        time: that of the instant (1,), s.
+        outside: gives symbols of the outputs of systems outside of the trace.
+        is_outside: tells of each of the diagram's own systems whether it is one of these.
     """
 
     def __init__(
@@ -204,10 +208,10 @@ class DiagramSnapshot:
         self.wires, self.time, self.outside = wires, time, outside
         self.states, self.parameters, self._is_outside = states, parameters, is_outside
         self._shown: dict[Place, NDArray] = {}
-        self.made: dict[Any, NDArray] = {}  # what leaves make once, by leaf and key
+        self.made: dict[Any, NDArray] = {}  # values that leaves make once, by leaf and key
 
     def output(self, system: System, index: int) -> NDArray:
-        """Value of an output port, flat."""
+        """Value (size,) of an output port."""
         block = self.wires.block_of(system)
         if self._is_outside(block):
             if system is not block:
@@ -223,32 +227,32 @@ class DiagramSnapshot:
         return self._shown[place]
 
     def input(self, system: System, index: int) -> NDArray | None:
-        """Value of an input port, flat; None: it is not connected."""
+        """Value (size,) of an input port; None: it is not connected."""
         source = self.wires.source(system, index)
         return None if source is None else self.output(*source)
 
 
 class FastUpdate(NamedTuple):
-    """Update of a block where it need not search, in symbols."""
+    """Update, in symbols, that holds where a block which searches need not do so."""
 
-    states: list[NDArray]  # the discrete groups after it
-    is_valid: Any  # 1; or 0: they are wrong, and the block has to make the update itself
+    states: list[NDArray]  # the discrete groups after the update
+    is_valid: Any  # 1; or 0: `states` are wrong, and the block has to make the update itself
 
 
 class TraceContext:
-    """A leaf system at an `DiagramSnapshot`, for its methods."""
+    """Inputs, states and parameters of a leaf in a `DiagramSnapshot`, for its methods."""
 
     def __init__(self, instant: DiagramSnapshot, leaf: System):
         self._instant, self._leaf = instant, leaf
 
     def input(self, name: str) -> NDArray:
-        """Value of an input port, which has to be connected."""
+        """Value (size,) of an input port, which has to be connected."""
         values = self._instant.input(self._leaf, self._index(name))
         assert values is not None, f"{self._leaf.GetSystemPathname()}.{name} is not connected"
         return values
 
     def input_or(self, name: str, other: NDArray) -> NDArray:
-        """Value of an input port, or something else where it is not connected."""
+        """Value of an input port, or `other` where it is not connected."""
         values = self._instant.input(self._leaf, self._index(name))
         return other if values is None else values
 
@@ -257,21 +261,21 @@ class TraceContext:
         return self._instant.wires.source(self._leaf, self._index(name)) is not None
 
     def known(self, name: int | str, size: int) -> NDArray:
-        """A quantity that is a function of the time alone, and no part of the trace.
+        """Value (size,) of a quantity that depends on the time alone, and is not traced.
 
-        It is what a port shows, by its number, or one of the block's own, by its name: the leaf's
+        It is an output of the leaf, by its number, or a quantity of the leaf, by its name: the
         method `precomputed_inputs(names, times)` gives rows (k, size) of each, at times (k,) in s.
         """
         return self._instant.outside(self._leaf, name, size)
 
     @property
     def time(self) -> NDArray:
-        """In s, (1,)."""
+        """The time (1,), s."""
         return self._instant.time
 
     @property
     def parameters(self) -> NDArray:
-        """The first numeric parameter."""
+        """The leaf's first numeric parameter."""
         return self._instant.parameters[self._leaf]
 
     def state(self, group: int) -> NDArray:
@@ -290,9 +294,9 @@ class TraceContext:
 
 
 class InContext:
-    """A `TraceContext` in a context of the block, of any scalar type.
+    """A `TraceContext` that reads Drake's context of a block, of any scalar type.
 
-    With it `traced_output`, `traced_update` and `traced_rates` are what Drake calls, too.
+    With it `traced_output`, `traced_update` and `traced_rates` compute for Drake's callbacks, too.
     """
 
     def __init__(self, block: Any, context: Context):
@@ -303,7 +307,7 @@ class InContext:
         return self._block.GetInputPort(name).Eval(self._context)
 
     def input_or(self, name: str, other: NDArray) -> NDArray:
-        """Value of an input port, or something else where it is not connected."""
+        """Value of an input port, or `other` where it is not connected."""
         return self.input(name) if self.has_input(name) else other
 
     def has_input(self, name: str) -> bool:
@@ -311,12 +315,12 @@ class InContext:
         return self._block.GetInputPort(name).HasValue(self._context)
 
     def known(self, name: str, size: int) -> NDArray:
-        """Values of the block's `precomputed_inputs` at the present time."""
+        """Value (size,) of one of the block's `precomputed_inputs` at the context's time."""
         return self._block.precomputed_inputs([name], self.time)[0][0]
 
     @property
     def time(self) -> NDArray:
-        """In s, (1,)."""
+        """The time (1,), s."""
         return np.array([self._context.get_time()])
 
     def state(self, group: int) -> NDArray:
@@ -327,7 +331,7 @@ class InContext:
 
 
 def shown(block: Any, port: str) -> Callable[[Context, BasicVector], None]:
-    """Computes an output port by `traced_output`; it does not hold the block."""
+    """Returns Drake's callback of an output port, by `traced_output`; the block is held weakly."""
     me: Any = weakref.ref(block)
 
     def calc(context: Context, output: BasicVector) -> None:
@@ -351,7 +355,7 @@ def _output(leaf: Any, index: int, instant: DiagramSnapshot) -> NDArray:
 
 
 def _matrices(leaf: System, index: int) -> dict[str, casadi.DM]:
-    """Gains of a linear system without a state, from each input that an output reads; sparse."""
+    """Sparse matrices of a linear leaf without a state, as `Wires.matrices_of` has them."""
     context = leaf.CreateDefaultContext()
     ports = [leaf.get_input_port(k) for k in range(leaf.num_input_ports())]
     fixed = [port.FixValue(context, np.zeros(port.size())) for port in ports]
@@ -369,7 +373,7 @@ def _matrices(leaf: System, index: int) -> dict[str, casadi.DM]:
 
 
 def rates(leaf: Any, instant: DiagramSnapshot) -> NDArray:
-    """The rates of a leaf's continuous state."""
+    """The time derivative of a leaf's continuous state, in symbols."""
     at = TraceContext(instant, leaf)
     if isinstance(leaf, Integrator):
         return at.input(leaf.get_input_port().get_name())

@@ -1,4 +1,4 @@
-"""Figures of what is said of a task without flying it: feasible set, formation, limits, needs."""
+"""Figures of a task that is checked, not flown: feasible set, formation, limits, needs."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _DOTS = {"marker": "o", "markersize": 3, "linestyle": "solid"}
 
 
 def make_check_figure(found: TaskCheck) -> Figure:
-    """The ξ and A that keep the bound at each instant, the plan, its speeds and the formation."""
+    """Returns a figure of ξ and A that keep ε, the plan, its speeds and the formation over time."""
     figure = new_figure((9.0, 9.0))
     (xi, amplitude), (ratios, growth), (shares, elevations) = figure.subplots(3, 2, sharex=True)
     speeds, instants = found.speeds, found.formation.instants[1:]
@@ -76,9 +76,10 @@ def make_check_figure(found: TaskCheck) -> Figure:
 
 
 def _draw_set(axes: Axes, found: TaskCheck, column: int) -> None:
-    """Where a constant ξ, or A, beside the plan's other one keeps the bound at all phases.
+    """Draws where a constant ξ (column 0) or A (1), and the plan's other one, keep the bound.
 
-    Outside of it a plan keeps the bound at the phases which come, if at all.
+    In this set they keep it at all phases of an orbit. Outside of it a plan may still keep the
+    bound at the phases that it flies through.
     """
     drawn = set_over_time(found.task, found.speeds, column)
     if drawn is None:
@@ -92,7 +93,7 @@ def _draw_set(axes: Axes, found: TaskCheck, column: int) -> None:
 
 
 def make_limits_figure(limits: Sequence[LimitAlong], title: str) -> Figure:
-    """A panel for each limit: a curve per carrier, cable or pair, and the limit, dashed."""
+    """Returns a figure of a panel per limit: curves of carriers, cables or pairs; limit dashed."""
     figure, panels = stacked(len(limits))
     for axes, along in zip(panels, limits, strict=True):
         plot_each(axes, along.times, along.values, linestyle="solid")
@@ -103,13 +104,13 @@ def make_limits_figure(limits: Sequence[LimitAlong], title: str) -> Figure:
 
 
 def make_aircraft_margins_figure(found: AircraftMargins) -> Figure:
-    """Needs of each aircraft over the phase, its limits dashed, and the least distances."""
+    """Returns a figure of aircraft's needs over the orbit's phase, limits dashed, and distances."""
     phases, needs, limits = np.degrees(found.phases), found.needs, found.limits
     figure = new_figure((9.0, 7.2))
     (lift, airspeed), (bank, climb), (thrust, distances) = figure.subplots(3, 2, sharex=True)
 
     def draw(axes: Axes, values: NDArray, label: str, limit: float | None = None) -> None:
-        """A curve for each carrier, and the limit, on both sides where there are values."""
+        """Draws a curve for each carrier, and the limit, with each sign that the values have."""
         plot_each(axes, phases, values, "carrier", linewidth=1.6)
         for sign in (-1, 1):
             if limit is not None and np.any(sign * values > 0):
