@@ -1,5 +1,7 @@
 """Distances of carriers over whole orbits, which depend on A alone."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -48,7 +50,7 @@ class OrbitDistances:
 
         The tangents shorten a distance by no more than the lengths of both within half a step.
         """
-        positions, rates = self._orbits(np.array([amplitude]), forces, levers, **cables)
+        positions, rates = self._orbits(np.array([amplitude]), forces[None], levers[None], **cables)
         points = positions[:, 0].transpose(1, 2, 0)  # (phases, n, 3)
         sizes = (points * points).sum(axis=2, keepdims=True)
         one = np.ones(sizes.shape)
@@ -80,10 +82,15 @@ class OrbitDistances:
         found = []
         for start in range(0, len(amplitudes), size):
             part = amplitudes[start : start + size]
-            gaps, gap_rates = (
-                values[..., phases, first] - values[..., phases, second]
-                for values in self._orbits(part, forces, levers, **cables)
-            )
+            if 2 * len(first) < _PHASES * self._count:  # few: no other carriers' orbits
+                both = np.array([first, second])
+                orbits = self._orbits(part, forces[both], levers[both], (phases, both), **cables)
+                gaps, gap_rates = (values[..., 0, :] - values[..., 1, :] for values in orbits)
+            else:
+                orbits = self._orbits(part, forces[None], levers[None], **cables)
+                gaps, gap_rates = (
+                    values[..., phases, first] - values[..., phases, second] for values in orbits
+                )
             found.append(nearest_squares(gaps, gap_rates, _HALF_STEP))
         return np.concatenate(found)
 
@@ -93,14 +100,24 @@ class OrbitDistances:
         return np.array(np.unravel_index(numbers, chosen.shape))
 
     def _orbits(
-        self, amplitudes: NDArray, forces: NDArray, levers: NDArray, **cables: float
+        self,
+        amplitudes: NDArray,
+        forces: NDArray,
+        levers: NDArray,
+        places: Any = ...,
+        **cables: float,
     ) -> tuple[NDArray, NDArray]:
-        """The carriers' positions and rates by the phase (3, a, phases, n)."""
+        """The carriers' positions and rates by the phase (3, a, phases, n), or at some places.
+
+        `places` (phases, carriers) are numbers of shapes that broadcast to (p, m); forces and
+        levers are (p, m, 3) then, and the results (3, a, p, m).
+        """
+        at = (slice(None), *places) if places is not ... else ...
         return orbit_positions(
             amplitudes[:, None, None],
-            forces.T[:, None, None],
-            levers.T[:, None, None],
-            self._directions[:, None],
-            self._direction_rates[:, None],
+            np.moveaxis(forces, -1, 0)[:, None],
+            np.moveaxis(levers, -1, 0)[:, None],
+            self._directions[at][:, None],
+            self._direction_rates[at][:, None],
             **cables,
         )

@@ -22,6 +22,7 @@ from drake_nonstop.optimization.traced_problem import (
 from drake_nonstop.optimization.update_data import ModelParameters, UpdateData
 from drake_nonstop.systems.tracing import NotFiniteError
 
+_MOST_LEARNED = 16  # encounters at a time
 _NEAR = 1.1  # times the least separation: close enough to know of
 
 
@@ -175,11 +176,14 @@ class UpdateProblem:
         """
         if not self._keeps_apart or self.margins(x)[-1] >= -FEASIBILITY_TOLERANCE:
             return False
-        known = self._known_encounters
-        near = self._encounters_within(self._traced.constraints.min_separation, x)
-        self._known_encounters = np.unique(np.concatenate([known, near], axis=1), axis=1)
+        known = {*map(tuple, self._known_encounters.T)}
+        near = self._closest_within(self._traced.constraints.min_separation, x)
+        unknown = [encounter for encounter in near.T if tuple(encounter) not in known]
+        if not unknown:
+            return False
+        self._known_encounters = np.column_stack([self._known_encounters, *unknown])
         self._search_problem = None
-        return self._known_encounters.shape != known.shape
+        return True
 
     def slowest_speed(self, x: NDArray) -> float:
         """The slowest predicted speed (m/s) at x."""
@@ -212,9 +216,7 @@ class UpdateProblem:
     @cached_property
     def _known_encounters(self) -> NDArray:
         """The encounters (3, m) that the search knows: at first those that are near at A⁻."""
-        return self._encounters_within(
-            _NEAR * self._traced.constraints.min_separation, self.previous
-        )
+        return self._closest_within(_NEAR * self._traced.constraints.min_separation, self.previous)
 
     def _known_separation_margins(self, amplitudes: NDArray) -> NDArray:
         """The worst margin (k,) of these at amplitudes (k,), N."""
@@ -222,13 +224,23 @@ class UpdateProblem:
 
     def _separation_margins(self, amplitudes: NDArray, encounters: NDArray) -> NDArray:
         """The worst margin (k,) of encounters at amplitudes (k,), N; inf if there are none."""
-        traced, terms = self._traced, self._terms
-        squares = traced.distances.least_squares(
-            encounters, amplitudes, terms.forces, terms.levers, **self._cables
-        )
-        (margins,) = traced.constraints.of_squares(Of.SEPARATION, squares)
+        squares = self._distance_squares(amplitudes, encounters)
+        (margins,) = self._traced.constraints.of_squares(Of.SEPARATION, squares)
         worst: NDArray = margins.min(axis=1, initial=np.inf)
         return worst
+
+    def _distance_squares(self, amplitudes: NDArray, encounters: NDArray) -> NDArray:
+        """The least squared distances (k, m), m², of encounters at amplitudes (k,), N."""
+        terms = self._terms
+        return self._traced.distances.least_squares(
+            encounters, amplitudes, terms.forces, terms.levers, **self._cables
+        )
+
+    def _closest_within(self, distance: float, x: NDArray) -> NDArray:
+        """The closest encounters (3, m) within a distance (m) at x, at most so many at a time."""
+        near = self._encounters_within(distance, x)
+        order = np.argsort(self._distance_squares(x[1:], near)[0], kind="stable")
+        return near[:, order[:_MOST_LEARNED]]
 
     def _encounters_within(self, distance: float, x: NDArray) -> NDArray:
         terms, amplitude = self._terms, float(x[1])
