@@ -285,7 +285,7 @@ class RunQuantities(Spacing):
         return self.duration_of(np.any(self.bounded_speeds < self.speed_bounds[:, None], axis=1))
 
     def limited_by(self, limit: Limit) -> NDArray | None:
-        """Quantity of a limit (k, c), in its unit, of c carriers, cables or pairs; None: unknown."""
+        """Quantity of a limit (k, c), in its unit, of carriers, cables or pairs; None: unknown."""
         if limit.of is Of.SEPARATION:
             one, other = np.triu_indices(self.carrier_positions.shape[1], 1)
             return _in_chunks(lambda at: _norms(at[:, one] - at[:, other]), self.carrier_positions)
