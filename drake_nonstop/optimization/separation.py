@@ -1,7 +1,5 @@
 """Distances of carriers over whole orbits, which depend on A alone."""
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,6 +21,7 @@ class OrbitDistances:
 
     def __init__(self, axes: tuple[NDArray, NDArray]):
         self._count = len(axes[0])
+        self._all = np.arange(_PHASES)[:, None], np.arange(self._count)[None]
         self._is_once = np.triu(np.ones((self._count, self._count), bool), 1)
         u, along, _ = orbit_directions(axes, 2 * np.pi * np.arange(_PHASES) / _PHASES)
         # (3, phases, n) each
@@ -50,7 +49,7 @@ class OrbitDistances:
 
         The tangents shorten a distance by no more than the lengths of both within half a step.
         """
-        positions, rates = self._orbits(np.array([amplitude]), forces[None], levers[None], **cables)
+        positions, rates = self._orbits(np.array([amplitude]), forces, levers, self._all, **cables)
         points = positions[:, 0].transpose(1, 2, 0)  # (phases, n, 3)
         sizes = (points * points).sum(axis=2, keepdims=True)
         one = np.ones(sizes.shape)
@@ -84,10 +83,10 @@ class OrbitDistances:
             part = amplitudes[start : start + size]
             if 2 * len(first) < _PHASES * self._count:  # few: no other carriers' orbits
                 both = np.array([first, second])
-                orbits = self._orbits(part, forces[both], levers[both], (phases, both), **cables)
+                orbits = self._orbits(part, forces, levers, (phases, both), **cables)
                 gaps, gap_rates = (values[..., 0, :] - values[..., 1, :] for values in orbits)
             else:
-                orbits = self._orbits(part, forces[None], levers[None], **cables)
+                orbits = self._orbits(part, forces, levers, self._all, **cables)
                 gaps, gap_rates = (
                     values[..., phases, first] - values[..., phases, second] for values in orbits
                 )
@@ -104,20 +103,19 @@ class OrbitDistances:
         amplitudes: NDArray,
         forces: NDArray,
         levers: NDArray,
-        places: Any = ...,
+        places: tuple[NDArray, NDArray],
         **cables: float,
     ) -> tuple[NDArray, NDArray]:
-        """The carriers' positions and rates by the phase (3, a, phases, n), or at some places.
+        """Positions and rates by the phase (3, a, p, m) at phases and of carriers by their numbers.
 
-        `places` (phases, carriers) are numbers of shapes that broadcast to (p, m); forces and
-        levers are (p, m, 3) then, and the results (3, a, p, m).
+        Both numbers of `places` broadcast to (p, m).
         """
-        at = (slice(None), *places) if places is not ... else ...
+        phases, carriers = places
         return orbit_positions(
             amplitudes[:, None, None],
-            np.moveaxis(forces, -1, 0)[:, None],
-            np.moveaxis(levers, -1, 0)[:, None],
-            self._directions[at][:, None],
-            self._direction_rates[at][:, None],
+            forces.T[:, None, carriers],
+            levers.T[:, None, carriers],
+            self._directions[:, None, phases, carriers],
+            self._direction_rates[:, None, phases, carriers],
             **cables,
         )
