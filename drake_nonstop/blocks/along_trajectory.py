@@ -20,7 +20,7 @@ from drake_nonstop.mechanics.signals import (
 )
 from drake_nonstop.systems.block import LeafBlock
 from drake_nonstop.systems.traced_block import TracedBlock
-from drake_nonstop.systems.tracing import TracedFunction
+from drake_nonstop.systems.tracing import RowsFunction
 
 _BOX = "load_trajectory"
 _RATES = 4  # derivatives of the coordinates
@@ -146,13 +146,13 @@ def _rows_of(
     """Function of times (k,) in s for the rows of both outputs, the one that is traced."""
 
     @functools.cache  # most runs do not ask for any
-    def traced() -> TracedFunction:
+    def traced() -> RowsFunction:
         sizes = coordinates.size, 1
-        return TracedFunction(lambda *v: np.concatenate(reference(*v)), sizes, name=lambda: _BOX)
+        return RowsFunction(lambda *v: np.concatenate(reference(*v)), sizes, name=lambda: _BOX)
 
     def rows(times: NDArray) -> dict[str, NDArray]:
         vectors = np.concatenate([coordinates.rows(times), times[:, None]], axis=1)
-        return by_name(_SIZES, traced().of_rows(vectors))
+        return by_name(_SIZES, traced()(vectors))
 
     return rows
 

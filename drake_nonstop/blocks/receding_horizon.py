@@ -283,11 +283,9 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
                 f"{BOX}.horizon",
             )
             return preview
-        now, reference = context.get_time(), self.GetInputPort("reference").Eval(context).copy()
-        return ReferencePreview(
-            lambda time: continued_reference(reference, time - now),
-            references=lambda times: continued_reference(reference, times - now),
-        )
+        assert self._planner is not None
+        reference = self.GetInputPort("reference").Eval(context)
+        return self._planner.continued(context.get_time(), reference)
 
 
 def _resting(nominal: NDArray) -> NDArray:
@@ -349,7 +347,8 @@ class _Planner(threading.local):
         # By the number of fixed coefficients: that of the config, or 0.
         self._solvers: dict[int, tuple[bytes, HorizonSolver]] = {}
         self._data: dict[int, tuple[HorizonSolver, ReferencePreview, HorizonData]] = {}
-        self._last: tuple[tuple[Any, ...], tuple[PlanAnswer, Outcome, float]] | None = None
+        self._continued: tuple[Any, ReferencePreview] | None = None
+        self._last: tuple[tuple[Any, ...], tuple[PlanAnswer, Outcome, NDArray, float]] | None = None
 
     def plan(
         self,
@@ -387,37 +386,47 @@ class _Planner(threading.local):
         judge = judging.problem
         is_new = is_first or speed_bound != last.speed_bound
         scale = 1.0 if is_new else max(last.scale, LEAST_START_SCALE)
-        arrays = judged.flat_terms, judged.flat_flight, start, numbers.beliefs
+        arrays = start, numbers.beliefs, wind
         starts, repeats = _STARTS, _REPEATS
         if not is_new and last.slack > PLAN_TOLERANCE:
             # The last plan has tried all in vain: starts take turns until one needs no slack.
             repeats, starts = 1, (_STARTS[round(start_time / spacing) % len(_STARTS)],)
         numbers_of = (start_time, angle, speed_bound, is_new, scale, repeats, starts)
-        key = (*numbers_of, *(array.tobytes() for array in arrays))
+        key = (reference, *numbers_of, *(array.tobytes() for array in arrays))
         known = self._last
         if known is None or known[0] != key:
-            made = self._make(solver, data, start, scale, is_new, repeats, starts)
-            if not np.all(np.isfinite(made[0].coefficients)):
+            answer, outcome = self._make(solver, data, start, scale, is_new, repeats, starts)
+            if not np.all(np.isfinite(answer.coefficients)):
                 raise NotFiniteError(problem.name())
+            found = answer.margins, answer.slowest
             if is_first:
-                slacks = judge.slacks(judge.margins(judged, made[0].coefficients))
-                if slacks.max() > PLAN_TOLERANCE:
+                found = judge.judged(judged, answer.coefficients)
+                if judge.slacks(found[0]).max() > PLAN_TOLERANCE:
                     made = self._make(judging, judged, start, scale, is_new, repeats, starts)
-            slowest = float(judge.speeds(judged, made[0].coefficients).min())
-            self._last = known = key, (*made, slowest)
-        answer, outcome, slowest = known[1]
-        coefficients, slack = answer.coefficients, answer.slack
-        begin = start_time, angle, answer.scale, speed_bound, slack
-        state = _PlanState(*begin, numbers.nominal, coefficients)
+                    answer, outcome = made
+                    found = answer.margins, answer.slowest
+            self._last = known = key, (answer, outcome, *found)
+        answer, outcome, margins, slowest = known[1]
+        slack, begin = answer.slack, (start_time, angle, answer.scale, speed_bound)
+        state = _PlanState(*begin, slack, numbers.nominal, answer.coefficients)
         solve_time = clock.perf_counter() - began
         if solve_time > self._config.time_limit and not is_first:
-            state, outcome, coefficients, slack = last, Outcome.HELD, start, math.inf
-            slowest = float(judge.speeds(judged, start).min())
-        missed: set[str] = set()
-        if slack > PLAN_TOLERANCE:
-            margins = judge.margins(judged, coefficients)
-            missed = judge.missed(margins, PLAN_TOLERANCE)
+            state, outcome, slack = last, Outcome.HELD, math.inf
+            margins, slowest = judge.judged(judged, start)
+        missed = judge.missed(margins, PLAN_TOLERANCE) if slack > PLAN_TOLERANCE else set()
         return _Planned(state, outcome, slowest, missed, solve_time)
+
+    def continued(self, now: float, reference: NDArray) -> ReferencePreview:
+        """How a reference (22,) at a time in s goes on, where that is not told."""
+        key = now, reference.tobytes()
+        if self._continued is None or self._continued[0] != key:
+            own = reference.copy()
+            preview = ReferencePreview(
+                lambda time: continued_reference(own, time - now),
+                references=lambda times: continued_reference(own, times - now),
+            )
+            self._continued = key, preview
+        return self._continued[1]
 
     def _data_for(
         self,

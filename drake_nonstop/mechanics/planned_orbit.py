@@ -61,11 +61,6 @@ class OrbitTerms(NamedTuple):
         none = np.zeros((1, 1, 3))
         return FlightTerms(*self[:2], none, self.velocities, none, self[3], none[0], none[0])
 
-    @property
-    def columns(self) -> NDArray:
-        """For each carrier at k instants the terms of it alone, flat, (12, k, n)."""
-        return _columns(self[:3], self[3:])
-
 
 class FlightTerms(NamedTuple):
     """Terms of the flight of n aircraft besides the `PlannedOrbit`, in L."""
@@ -98,18 +93,16 @@ class FlightTerms(NamedTuple):
         """Terms that count for speeds."""
         return OrbitTerms(self.forces, self.rates, self.velocities, self.angular_velocity)
 
-    @property
-    def columns(self) -> NDArray:
-        """For each carrier at k instants the terms of it alone, flat, (24, k, n)."""
-        return _columns(self[:5], self[5:])
 
+def term_columns(n: int, of_carriers: int = 3, of_load: int = 1) -> NDArray:
+    """Where in flat terms those of each of n carriers are, (3 (of_carriers + of_load), n).
 
-def _columns(of_carriers: Sequence[NDArray], of_load: Sequence[NDArray]) -> NDArray:
-    """Vectors (k, n, 3) of carriers and (k, 3) of the load, one below the other, (..., k, n)."""
-    columns = [np.moveaxis(vectors, -1, 0) for vectors in of_carriers]
-    shape = columns[0].shape
-    columns += [np.broadcast_to(vectors.T[:, :, None], shape) for vectors in of_load]
-    return np.concatenate(columns)
+    The vectors of carriers come first, n of each kind, and then those of the load; by default those
+    of `OrbitTerms`.
+    """
+    own = np.arange(3 * of_carriers * n).reshape(of_carriers, n, 3)
+    shared = 3 * of_carriers * n + np.arange(3 * of_load)
+    return np.vstack([own.transpose(0, 2, 1).reshape(-1, n), np.tile(shared[:, None], n)])
 
 
 class PlannedOrbit(NamedTuple):

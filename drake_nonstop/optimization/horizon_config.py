@@ -7,9 +7,12 @@ from typing import TypeVar
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.plan import DEGREE
 from drake_nonstop.optimization.problem_config import LimitsConfig
+from drake_nonstop.optimization.step_program import DAQP, SOLVERS
 from drake_nonstop.validation import (
+    checked,
     non_negative,
     number_with,
+    one_of,
     positive,
     require,
     require_period,
@@ -49,6 +52,9 @@ class HorizonConfig:
         ),
     )
     slack_weight: float = positive(100.0)  # ρ
+    solver: str = checked(  # of the quadratic programs: "daqp", "clarabel", "snopt" or "ipopt"
+        DAQP, one_of(SOLVERS, f"give one of {', '.join(SOLVERS)}")
+    )
     fixed_coefficients: int = 4  # the first of ξ and A: 4 for three continuous rates
     overshoot: float = non_negative(0.35)  # of a carrier's velocity, of a jump of the plan's
     settling_time: float = non_negative(0.1)  # s, of that overshoot

@@ -17,7 +17,7 @@ all phases of the orbit of the ξ and A there, taken as constant: these limits a
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,7 @@ from drake_nonstop.mechanics.planned_orbit import (
     PlannedOrbit,
     planned_gaps,
     planned_speeds,
+    term_columns,
 )
 from drake_nonstop.mechanics.rigid_load import STILL_AIR
 from drake_nonstop.mechanics.signals import WIND_SIZE
@@ -44,7 +45,7 @@ from drake_nonstop.optimization.linearization import (
 from drake_nonstop.optimization.orbit_constraints import OrbitConstraints
 from drake_nonstop.optimization.plan import DEGREE, Plan, spline_rows
 from drake_nonstop.optimization.problem_config import LimitsConfig, tightened_bound
-from drake_nonstop.optimization.terminal_set import TerminalSet
+from drake_nonstop.optimization.terminal_set import TerminalTables
 from drake_nonstop.optimization.update_data import ModelParameters
 from drake_nonstop.systems.tracing import ElementwiseFunction
 
@@ -54,7 +55,26 @@ _OTHERS_SHARE = 0.3  # of the weight of the speed bound's slack: that of the oth
 # they need has fewer dips in a turn than speeds that pass low values.
 _FLIGHT_EVERY, _LEAST_FLIGHTS = 4, 5
 
+_INTERVALS_AHEAD = 8  # for which what a plan needs to know is found at once
+_SAME_KNOT = 1e-9  # intervals
+
+_RATES = [2, 4, 5]  # of a `PlannedOrbit`: zero on orbits of constant ξ and A
+_NOT_OF_ORBITS = [0, *_RATES]  # by which the needs on these have no derivatives
+
 Reference = Callable[[float], NDArray]  # the load's reference (22,) at a time in s
+
+
+class HorizonMotion(NamedTuple):
+    """What plans need to know of a motion, from a time on, for one horizon and some intervals."""
+
+    start_time: float  # s
+    ahead: int  # intervals, by which a plan may start later
+    flat_terms: NDArray  # (k, 9n + 3), the `OrbitTerms` at the instants
+    flat_flight: NDArray  # (f, 15n + 9), as of `HorizonData`
+    least: NDArray  # (k, n), m/s, that speeds have to reach where nothing jumps
+    jumps: NDArray  # (k, n), m/s, that a jump at an instant adds, see `jump_margins`
+    target_speeds: NDArray  # (k, n), m/s, with all that have not settled yet
+    terminal: TerminalTables  # at the terminal instants
 
 
 class HorizonData(NamedTuple):
@@ -63,7 +83,7 @@ class HorizonData(NamedTuple):
     start_time: float  # s
     start_angle: float  # θ, rad
     flat_terms: NDArray  # (k, 9n + 3), the `OrbitTerms` at the instants
-    terminal: TerminalSet  # at the terminal instants
+    terminal: TerminalTables  # at the terminal instants
     speed_bound: float  # m/s, tightened
     target_speeds: (
         NDArray  # (k, n), m/s, what speeds have to reach at the instants: no less than that
@@ -71,11 +91,56 @@ class HorizonData(NamedTuple):
     # (f, 15n + 9), the `FlightTerms` at those with limits of flight; (f, 0) where there are none
     flat_flight: NDArray
     wind: NDArray  # (3,) or (k, 3), m/s, that aircraft fly in
+    motion: HorizonMotion  # of which these are a part
 
     @property
     def terms(self) -> OrbitTerms:
         """Data at the instants."""
         return OrbitTerms.view(self.flat_terms)
+
+    @property
+    def speed_unit(self) -> float:
+        """That of the margins of speeds, m/s; without a bound any speed is enough."""
+        return self.speed_bound or 1.0
+
+    @property
+    def excess(self) -> NDArray:
+        """By how much (k, n) margins of speeds have to be above those of the bound."""
+        return (self.target_speeds**2 - self.speed_bound**2) / self.speed_unit**2
+
+    def speed_of(self, margin: float) -> float:
+        """The speed in m/s of a margin."""
+        return math.sqrt(max(margin * self.speed_unit**2 + self.speed_bound**2, 0.0))
+
+
+class MarginFunction(NamedTuple):
+    """Margins of the carriers, or of pairs of them, at some instants of a plan.
+
+    The function is one of an orbit (6), terms, constants, and the bound with its unit (2).
+    """
+
+    function: ElementwiseFunction
+    instants: NDArray  # (r,), the numbers of those of the plan
+    along: int  # so many are of the plan, the others of whole orbits of its ξ and A there
+    angles: NDArray  # (r,), rad, the phases of the others
+    places: NDArray  # (margins, r, carriers), the numbers of the constraints
+    source: str  # of the terms, a field of `HorizonData`
+    rows: NDArray  # (r,), those of the source
+    columns: NDArray  # (terms, carriers), likewise
+    constants: NDArray  # (..., 1, carriers)
+
+    def orbits(self, orbit: PlannedOrbit) -> NDArray:
+        """The orbit's entries (6, r, 1)."""
+        found = np.stack(orbit)[:, self.instants, None]
+        found[0, self.along :, 0] = self.angles[self.along :]
+        found[_RATES, self.along :] = 0
+        return found
+
+    def inputs(self, data: HorizonData, orbit: PlannedOrbit) -> tuple[NDArray, ...]:
+        """The inputs of the function, (..., r, carriers) or what broadcasts to it."""
+        terms = np.moveaxis(getattr(data, self.source)[self.rows][:, self.columns], 1, 0)
+        scale = np.array([data.speed_bound, data.speed_unit])[:, None, None]
+        return self.orbits(orbit), terms, self.constants, scale
 
 
 class HorizonProblem(OrbitConstraints):
@@ -106,7 +171,8 @@ class HorizonProblem(OrbitConstraints):
         self._place_constraints()
         rows = spline_rows(self.instants, self.intervals, config.knot_spacing)
         xi, A = self.nominal
-        self._jacobians = PlannedOrbit(
+        self.terminal_unit = float(xi * A)  # N/s, of the margins of A ξ
+        self.jacobians = PlannedOrbit(
             angle=xi * rows.integral,
             frequency=xi * rows.value,
             frequency_rate=xi * rows.rate,
@@ -115,15 +181,6 @@ class HorizonProblem(OrbitConstraints):
             amplitude_second_rate=A * rows.second_rate,
         )
         self.hessian = self._hessian()
-        self._axis_columns = np.hstack(self.axes).T[:, None]
-        shape = len(self.instants), model.n
-        self._margins_along = [self._elementwise(self._carrier_margins, [6, 12, 6, 2], shape)]
-        if self._keeps_apart:
-            shape = len(self.instants), self._pairs.shape[1]
-            self._margins_along.append(self._elementwise(self._gap_margins, [6] * 5, shape))
-        if self._limits_flight:
-            shape = len(self._flight_at) + len(self._orbits_of) * len(self._orbit_angles), model.n
-            self._planned_flight = self._elementwise(self._flight_margins_of_one, [6, 24, 6], shape)
 
     def _place_instants(self) -> None:
         """Tells the instants at which carriers are limited, and which of them have more limits."""
@@ -133,11 +190,11 @@ class HorizonProblem(OrbitConstraints):
         self._first_instant = 1 if config.fixed_coefficients else 0
         end = intervals * config.knot_spacing
         self.instants = end / count * np.arange(self._first_instant, count + 1)
-        self._instant_spacing = end / count
+        self._settling_instants = self.settling_instants(end / count)
         last = len(self.instants) - 1
         back = np.arange(config.terminal_instants * config.terminal_knots)[::-1]
         # Some of the instants, the same ones in each interval.
-        self._terminal_at = last - back * config.instants // config.terminal_instants
+        self.terminal_at = last - back * config.instants // config.terminal_instants
         # The last instant of each interval is one of those at which flight is limited.
         flown = max(
             math.ceil(config.instants / _FLIGHT_EVERY), min(_LEAST_FLIGHTS, config.instants)
@@ -149,7 +206,7 @@ class HorizonProblem(OrbitConstraints):
         self._flights_per_knot = flown
         # What aircraft need on whole orbits is limited at the ends of the intervals.
         ends = np.arange(1, config.terminal_knots + 1) * config.terminal_instants - 1
-        self._orbits_of = np.searchsorted(self._flight_at, self._terminal_at[ends])
+        self._orbits_of = np.searchsorted(self._flight_at, self.terminal_at[ends])
 
     @property
     def largest_differences(self) -> NDArray:
@@ -184,64 +241,103 @@ class HorizonProblem(OrbitConstraints):
     ) -> HorizonData:
         """The data of a plan from a time in s and phase in rad on, for ε in m/s.
 
-        Where `last` is of the same reference, bound and wind, and began at the same time or one
-        interval between knots before, what both have in common is taken from it. The wind (3,) in
+        Where `last` is of the same reference, bound and wind, what is known of the motion is taken
+        from it; where that ends, the motion is found for some plans at once. The wind (3,) in
         m/s, in W, is that of the whole horizon, or those (k, 3) at its instants, without `last`; it
         counts for aircraft.
         """
         bound = tightened_bound(self.limits, speed_bound)
-        spacing = self.config.knot_spacing
         wind = STILL_AIR if self.model.aircraft is None else wind
-        is_alike = last is not None and last.speed_bound == bound and (last.wind == wind).all()
-        if last is not None and is_alike and last.start_time == start_time:
-            return last._replace(start_angle=start_angle)
-        is_next = last is not None and abs(start_time - last.start_time - spacing) < 1e-9
-        known = last if is_next and is_alike else None
-        count = self.config.instants if known is not None else len(self.instants)
-        flown = self._flights_per_knot if known is not None else len(self._flight_at)
-        references = references_at(reference, self.times(start_time)[-count:])
-        winds = np.broadcast_to(wind, (len(self.instants), WIND_SIZE))
-        at = self._flight_at[-flown:]
-        flat = self.all_terms(references, winds[-count:])
-        flight = self.flight_terms(references[at - len(self.instants)], winds[at])
-        if known is not None:
-            flat = np.concatenate([known.flat_terms[count:], flat])
-            flight = np.concatenate([known.flat_flight[flown:], flight])
-        target_speeds = self._target_speeds(flat, speed_bound, bound)
-        if known is None:
-            places = self._terminal_at
-            terminal = self.terminal_set(flat[places], target_speeds[places, :, None])
-        else:
-            places = self._terminal_at[-self.config.terminal_instants :]
-            new = self.terminal_set(flat[places], target_speeds[places, :, None])
-            terminal = known.terminal.continued(new, self.config.terminal_instants)
+        config, motion, later, ahead = self.config, None, 0, 0
+        if last is not None and last.speed_bound == bound and np.array_equal(last.wind, wind):
+            if last.start_time == start_time:
+                return last._replace(start_angle=start_angle)
+            motion, ahead = last.motion, _INTERVALS_AHEAD
+            intervals = (start_time - motion.start_time) / config.knot_spacing
+            later = round(intervals)
+            is_known = abs(intervals - later) < _SAME_KNOT and 0 <= later <= motion.ahead
+            if not is_known:
+                motion, later = None, 0
+        if motion is None:
+            motion = self._motion(start_time, reference, speed_bound, wind, ahead)
+        count, flights = len(self.instants), len(self._flight_at)
+        at, flight_at = later * config.instants, later * self._flights_per_knot
+        target_speeds = motion.target_speeds[at : at + count]
+        if later and speed_bound > 0:  # no jump before the start of a plan counts
+            target_speeds = target_speeds.copy()
+            settled = slice(at, at + self._settling_instants)
+            jumps = motion.jumps[settled].copy()
+            jumps[0] = 0
+            target_speeds[: len(jumps)] = motion.least[settled] + np.maximum.accumulate(jumps)
         return HorizonData(
-            start_time, start_angle, flat, terminal, bound, target_speeds, flight, wind
+            start_time,
+            start_angle,
+            motion.flat_terms[at : at + count],
+            motion.terminal.part(later * config.terminal_instants, len(self.terminal_at)),
+            bound,
+            target_speeds,
+            motion.flat_flight[flight_at : flight_at + flights],
+            wind,
+            motion,
         )
 
-    def _target_speeds(self, flat_terms: NDArray, speed_bound: float, tightened: float) -> NDArray:
-        """The speeds (k, n) in m/s that carriers have to keep in the plan, at k instants.
+    def _motion(
+        self,
+        start_time: float,
+        reference: Reference,
+        speed_bound: float,
+        wind: NDArray,
+        ahead: int,
+    ) -> HorizonMotion:
+        """The terms of a motion, also for plans that start so many intervals later, or fewer."""
+        config, bound = self.config, tightened_bound(self.limits, speed_bound)
+        end = start_time + config.horizon
+        left = (getattr(reference, "end_time", math.inf) - end) / config.knot_spacing
+        ahead = int(min(max(left, 0.0), ahead)) if wind.ndim == 1 else 0
 
-        Where carriers pass low speeds they are off by a share of what their orbits' speeds are
-        elsewhere.
+        def extended(numbers: NDArray, each: int) -> NDArray:
+            """Numbers of instants, of which there are so many in an interval, goes on with them."""
+            later = config.instants * np.arange(1, ahead + 1)[:, None]
+            return np.append(numbers, later + numbers[-each:])
+
+        count = len(self.instants) + ahead * config.instants
+        flight_at = extended(self._flight_at, self._flights_per_knot)
+        terminal_at = extended(self.terminal_at, config.terminal_instants)
+        references = references_at(reference, self.times(start_time, count))
+        winds = np.broadcast_to(wind, (count, WIND_SIZE))
+        flat = self.all_terms(references, winds)
+        terms = OrbitTerms.view(flat)
+        least, jumps = np.zeros((2, count, self.model.n))
+        target_speeds = least
+        if speed_bound > 0:
+            # Where carriers pass low speeds they are off by a share of their orbits' speeds.
+            sizes = float(np.prod(self.nominal)) * np.linalg.norm(self.axes[0], axis=1)
+            orbits = sizes * self._reach(terms)
+            least = np.maximum(bound, speed_bound + config.orbit_tightening * orbits)
+            jumps = self.jump_margins(terms)
+            target_speeds = least + self.settled(jumps, self._settling_instants)
+        return HorizonMotion(
+            start_time=start_time,
+            ahead=ahead,
+            flat_terms=flat,
+            flat_flight=self.flight_terms(references[flight_at], winds[flight_at]),
+            least=least,
+            jumps=jumps,
+            target_speeds=target_speeds,
+            terminal=self.terminal_tables(flat[terminal_at], target_speeds[terminal_at]),
+        )
+
+    def times(self, start_time: float, count: int | None = None) -> NDArray:
+        """The times of so many instants, those of two plans that start at knots to the bit.
+
+        None: those of a plan.
         """
-        terms = OrbitTerms.view(flat_terms)
-        if speed_bound == 0:
-            return np.zeros(terms.forces.shape[:2])
-        frequency, amplitude = self.nominal
-        sizes = np.linalg.norm(self.axes[0], axis=1)
-        orbits = frequency * amplitude * sizes * self._reach(terms)
-        least = np.maximum(tightened, speed_bound + self.config.orbit_tightening * orbits)
-        return least + self.jump_margins(flat_terms, self._instant_spacing)
-
-    def times(self, start_time: float) -> NDArray:
-        """The times (k,) of the instants, those of two plans that start at knots to the bit."""
-        spacing = self.config.knot_spacing
-        knot = round(start_time / spacing)
-        if abs(start_time - knot * spacing) > 1e-9 * max(1.0, start_time):
-            return start_time + self.instants
-        counts = knot * self.config.instants + self._first_instant + np.arange(len(self.instants))
-        return counts * (spacing / self.config.instants)
+        spacing = self.config.knot_spacing / self.config.instants
+        knot = round(start_time / self.config.knot_spacing)
+        numbers = self._first_instant + np.arange(len(self.instants) if count is None else count)
+        if abs(start_time - knot * self.config.knot_spacing) > 1e-9 * max(1.0, start_time):
+            return start_time + numbers * spacing
+        return (knot * self.config.instants + numbers) * spacing
 
     def amplitude_margins(
         self, data: HorizonData, every: int
@@ -268,7 +364,7 @@ class HorizonProblem(OrbitConstraints):
 
     def orbit(self, data: HorizonData, coefficients: NDArray) -> PlannedOrbit:
         """Phase, ξ and A with their rates (k,) at the instants."""
-        angle, *others = (rows @ coefficients[i // 3] for i, rows in enumerate(self._jacobians))
+        angle, *others = (rows @ coefficients[i // 3] for i, rows in enumerate(self.jacobians))
         return PlannedOrbit(data.start_angle + angle, *others)
 
     def speeds(self, data: HorizonData, coefficients: NDArray) -> NDArray:
@@ -277,39 +373,26 @@ class HorizonProblem(OrbitConstraints):
 
     def linearization(self, data: HorizonData, coefficients: NDArray) -> Linearization:
         """The constraints about coefficients (2, N)."""
-        orbit, bound = self.orbit(data, coefficients), data.speed_bound
-        unit = bound or 1.0  # m/s, of the margins of speeds; without a bound any speed is enough
-        columns = np.stack(orbit)[:, :, None]
-        scale = np.array([bound, unit])[:, None, None]
-        given: list[tuple[NDArray, ...]] = [(data.terms.columns, self._axis_columns, scale)]
-        if self._keeps_apart:
-            given.append(self._of_pairs(data.terms.forces))
-        functions = zip(self._margins_along, given, strict=True)
-        along, by_along = _side_by_side(*(function(columns, *own) for function, own in functions))
-        along, weights = with_dips(along)
+        orbit, size = self.orbit(data, coefficients), len(self.layout.names)
+        margins, gradients, weights = np.zeros(size), np.zeros((6, size)), np.zeros((3, size))
+        for part in self.functions:
+            values, slopes = part.function(*part.inputs(data, orbit))
+            slopes[:, _NOT_OF_ORBITS, part.along :] = 0
+            margins[part.places], gradients[:, part.places] = values, slopes.swapaxes(0, 1)
+        speeds = margins[self._speed_places]
+        slowest = data.speed_of(speeds.min())
+        for place in self.neighbouring:
+            dipping, own_weights = with_dips(margins[place])
+            margins[place], weights[:, place] = dipping, own_weights
         # What carriers have to keep beyond the bound steps with time: no minimum follows from it.
-        along[:, : self.model.n] -= (data.target_speeds**2 - bound**2) / unit**2
-        terminal, by_terminal = self._terminal_margins(data, orbit)
-        margins, gradients, all_weights = [along, terminal], [by_along, by_terminal], [weights]
-        if self._limits_flight:
-            flight, by_flight = self._flight_margins_along(data, orbit)
-            count = len(self._flight_at)
-            dipping, weights = with_dips(flight[:count])
-            by_orbits = by_flight[:, count:].copy()
-            by_orbits[[0, 2, 4, 5]] = 0  # the orbits are of constant ξ and A, at given phases
-            margins = [along, dipping, terminal, flight[count:]]
-            gradients = [by_along, by_flight[:, :count], by_terminal, by_orbits]
-            all_weights.append(weights)
-        flat = np.concatenate([part.ravel() for part in margins])
-        found = np.zeros((3, len(flat)))
-        dips = np.hstack([part.reshape(3, -1) for part in all_weights])
-        found[:, : dips.shape[1]] = dips
-        by = np.hstack([part.reshape(6, -1) for part in gradients])
-        return Linearization(flat, by, found, self._jacobians, self.layout)
+        margins[self._speed_places] -= data.excess
+        self._set_terminal(data, orbit, margins, gradients)
+        return Linearization(margins, gradients, weights, self.jacobians, self.layout, slowest)
 
-    def margins(self, data: HorizonData, coefficients: NDArray) -> NDArray:
-        """The margins (r,) of `linearization`."""
-        return self.linearization(data, coefficients).margins
+    def judged(self, data: HorizonData, coefficients: NDArray) -> tuple[NDArray, float]:
+        """The margins (r,) of `linearization`, and the least speed at the instants, m/s."""
+        found = self.linearization(data, coefficients)
+        return found.margins, found.slowest
 
     def slacks(self, margins: NDArray) -> NDArray:
         """The least slacks, as many as `slack_weights`, that margins (r,) need."""
@@ -345,19 +428,19 @@ class HorizonProblem(OrbitConstraints):
         pieces = np.floor(self.instants / self.config.knot_spacing - 1e-9).clip(0).astype(int)
         along = np.arange(len(self.instants))[:, None]
         blocks = [ConstraintBlock(along, pieces[:, None] + slacks * kinds, names, 0)]
+        if self._limits_flight:
+            at, first = self._flight_at[:, None], slacks * flight_kind
+            blocks.append(ConstraintBlock(at, pieces[at] + first, of_flight, 0))
         # Of the terminal set, what does not depend on ξ is one margin, of any limit of these.
         apart = tensions + pairs
         only = [(names[0] if len(names) == 1 else "") for names in ([BOUND], fast, apart)]
-        is_limited = np.array([True, bool(fast), bool(apart)])
-        self._terminal_kinds = np.flatnonzero(is_limited)
-        last = self.intervals + slacks * (self._terminal_kinds > 0)
-        terminal_names = np.array(only)[self._terminal_kinds]
+        self.terminal_kinds = np.flatnonzero([True, bool(fast), bool(apart)])
+        last = self.intervals + slacks * (self.terminal_kinds > 0)
+        terminal_names = np.array(only)[self.terminal_kinds]
         blocks.append(
-            ConstraintBlock(self._terminal_at, last[:, None], terminal_names[:, None], None)
+            ConstraintBlock(self.terminal_at, last[:, None], terminal_names[:, None], None)
         )
         if self._limits_flight:
-            at, first = self._flight_at[:, None], slacks * flight_kind
-            blocks.insert(1, ConstraintBlock(at, pieces[at] + first, of_flight, 0))
             phases = np.zeros((len(self._orbit_angles), 1), int)
             at = self._flight_at[self._orbits_of, None, None]
             slack = self.intervals + first + phases
@@ -367,47 +450,86 @@ class HorizonProblem(OrbitConstraints):
         weights[-1] *= self.config.terminal_knots
         shares = [1.0] + [_OTHERS_SHARE] * (has_others + self._limits_flight)
         self.slack_weights = self.config.slack_weight * np.outer(shares, weights).ravel()
+        shapes = [np.broadcast_shapes(*(part.shape for part in block[:3])) for block in blocks]
+        numbers = np.split(np.arange(len(self.layout.names)), np.cumsum([*map(np.prod, shapes)]))
+        places = [own.reshape(shape) for own, shape in zip(numbers, shapes, strict=False)]
+        self.neighbouring = places[: 1 + self._limits_flight]
+        self._speed_places = places[0][:, :n]
+        self.terminal_places = places[1 + self._limits_flight]
+        self._make_functions(places)
 
-    def _flight_margins_along(
-        self, data: HorizonData, orbit: PlannedOrbit
-    ) -> tuple[NDArray, NDArray]:
-        """The margins (k, m) of aircraft's limits and their gradients (6, k, m).
+    def _make_functions(self, places: list[NDArray]) -> None:
+        """Makes the functions of margins, of constraints numbered as in each block."""
+        count, n = len(self.instants), self.model.n
+        every = np.arange(count)
+        pairs = places[0].shape[1] - (self._pairs.shape[1] if self._keeps_apart else 0)
+        of_carriers = places[0][:, :pairs].reshape(count, -1, n).swapaxes(0, 1)
+        of_terms = term_columns(n)
+        along: dict[str, Any] = {"instants": every, "along": count, "angles": np.zeros(count)}
+        axes = np.hstack(self.axes).T[:, None]
+        self.functions = [
+            MarginFunction(
+                self._elementwise(self._carrier_margins, [6, 12, 6, 2], (count, n)),
+                **along,
+                places=of_carriers,
+                source="flat_terms",
+                rows=every,
+                columns=of_terms,
+                constants=axes,
+            )
+        ]
+        if self._keeps_apart:
+            of_pairs = places[0][None, :, pairs:]
+            vectors = (*self.axes, self.model.attachments)
+            constants = [part[chosen].T for part in vectors for chosen in self._pairs]
+            self.functions.append(
+                MarginFunction(
+                    self._elementwise(self._gap_margins, [6, 6, 18, 2], (count, of_pairs.shape[2])),
+                    **along,
+                    places=of_pairs,
+                    source="flat_terms",
+                    rows=every,
+                    columns=np.concatenate([of_terms[:3, chosen] for chosen in self._pairs]),
+                    constants=np.concatenate(constants)[:, None],
+                )
+            )
+        if self._limits_flight:
+            at, angles = self._flight_at, self._orbit_angles
+            orbits = np.repeat(self._orbits_of, len(angles))
+            of_both = [part.reshape(-1, part.shape[-1] // n, n) for part in (places[1], places[3])]
+            rows = np.concatenate([np.arange(len(at)), orbits])
+            self.functions.append(
+                MarginFunction(
+                    self._elementwise(self._flight_margins_of_one, [6, 24, 6, 2], (len(rows), n)),
+                    instants=at[rows],
+                    along=len(at),
+                    angles=np.append(np.zeros(len(at)), np.tile(angles, len(self._orbits_of))),
+                    places=np.concatenate(of_both).swapaxes(0, 1),
+                    source="flat_flight",
+                    rows=rows,
+                    columns=term_columns(n, 5, 3),
+                    constants=axes,
+                )
+            )
 
-        At those instants, and after them at all phases of orbits at the ends of the last intervals.
-        """
-        along = PlannedOrbit(*(values[self._flight_at] for values in orbit))
-        every = np.repeat(self._orbits_of, len(self._orbit_angles))
-        zero = np.zeros(len(every))
-        angles = np.tile(self._orbit_angles, len(self._orbits_of))
-        around = [angles, along.frequency[every], zero, along.amplitude[every], zero, zero]
-        terms = FlightTerms.view(np.concatenate([data.flat_flight, data.flat_flight[every]]))
-        columns = np.hstack([along, around])[:, :, None]
-        return _side_by_side(self._planned_flight(columns, terms.columns, self._axis_columns))
-
-    def _of_pairs(self, forces: NDArray) -> tuple[NDArray, ...]:
-        """Forces (k, n, 3), p, q and attachments of both carriers of a pair, each (6, k, m)."""
-
-        def of_both(vectors: NDArray) -> NDArray:
-            both = np.moveaxis(vectors[:, self._pairs], (1, 3), (0, 1))
-            return both.reshape(6, *both.shape[2:])
-
-        constants = (*self.axes, self.model.attachments)
-        return of_both(forces), *(of_both(part[None]) for part in constants)
-
-    def _terminal_margins(self, data: HorizonData, orbit: PlannedOrbit) -> tuple[NDArray, NDArray]:
-        """The margins (m, k) of the terminal set, and their gradients (6, m, k).
+    def _set_terminal(
+        self, data: HorizonData, orbit: PlannedOrbit, margins: NDArray, gradients: NDArray
+    ) -> None:
+        """Sets the margins of the terminal set among all, and their gradients.
 
         A ξ/s − 1 by a fixed unit of s, the same from above, and what does not depend on ξ.
         """
-        xi, A = orbit.frequency[self._terminal_at], orbit.amplitude[self._terminal_at]
+        xi, A = orbit.frequency[self.terminal_at], orbit.amplitude[self.terminal_at]
         (least, most, others), slopes = data.terminal.at(A)
-        unit = self.nominal[0] * self.nominal[1]
-        gradients = np.zeros((6, 3, len(A)))
+        unit = self.terminal_unit
+        by_xi, by_A = gradients[1], gradients[3]
+        zero, kinds, places = np.zeros(len(A)), self.terminal_kinds, self.terminal_places
         with np.errstate(invalid="ignore"):
-            margins = np.stack([(A * xi - least) / unit, (most - A * xi) / unit, others])
-            gradients[1, :2] = A / unit, -A / unit
-            gradients[3] = (xi - slopes[0]) / unit, (slopes[1] - xi) / unit, slopes[2]
-        return margins[self._terminal_kinds], gradients[:, self._terminal_kinds]
+            values = np.stack([(A * xi - least) / unit, (most - A * xi) / unit, others])
+            margins[places] = values[kinds]
+            by_xi[places] = np.stack([A / unit, -A / unit, zero])[kinds]
+            rates = (xi - slopes[0]) / unit, (slopes[1] - xi) / unit, slopes[2]
+            by_A[places] = np.stack(rates)[kinds]
 
     def _hessian(self) -> NDArray:
         """That (2N, 2N) of the cost by both splines' coefficients."""
@@ -444,9 +566,11 @@ class HorizonProblem(OrbitConstraints):
         tensions = self._constraints.of_squares(Of.TENSION, tension_squares)
         return [*self._constraints.of_speeds(squares, scale[:1], scale[1:]), *tensions]
 
-    def _gap_margins(self, orbit: NDArray, *both: NDArray) -> list[NDArray]:
+    def _gap_margins(
+        self, orbit: NDArray, forces: NDArray, constants: NDArray, scale: NDArray
+    ) -> list[NDArray]:
         """The margins of the distance of one pair of carriers at an instant."""
-        forces, p, q, attachments = (vectors.reshape(2, 3) for vectors in both)
+        forces, (p, q, attachments) = forces.reshape(2, 3), constants.reshape(3, 2, 3)
         squares = planned_gaps(
             forces[None],
             (p, q),
@@ -458,7 +582,7 @@ class HorizonProblem(OrbitConstraints):
         return self._constraints.of_squares(Of.SEPARATION, squares)
 
     def _flight_margins_of_one(
-        self, orbit: NDArray, terms: NDArray, axes: NDArray
+        self, orbit: NDArray, terms: NDArray, axes: NDArray, scale: NDArray
     ) -> list[NDArray]:
         """`_flight_margins` of one aircraft at an instant."""
         own = FlightTerms.view(terms[None])
@@ -471,13 +595,6 @@ class HorizonProblem(OrbitConstraints):
         """A function of one carrier or pair at an instant, for all of them."""
         key = function.__name__, self.model.aircraft, self.limits, self.rest_length, self.compliance
         return ElementwiseFunction(function, sizes, shape, key=key)
-
-
-def _side_by_side(*parts: tuple[NDArray, NDArray]) -> tuple[NDArray, NDArray]:
-    """Values (c, k, n) and gradients (c, 6, k, n), as (k, m) and (6, k, m) of all columns."""
-    values = [found.swapaxes(0, 1).reshape(found.shape[1], -1) for found, _ in parts]
-    slopes = [by.transpose(1, 2, 0, 3).reshape(6, by.shape[2], -1) for _, by in parts]
-    return np.concatenate(values, axis=1), np.concatenate(slopes, axis=2)
 
 
 def references_at(reference: Reference, times: NDArray) -> NDArray:

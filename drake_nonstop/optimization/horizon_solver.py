@@ -1,19 +1,17 @@
 """Successive quadratic programs for the nonstop problem over a horizon, or a whole task."""
 
 import math
-import threading
-import weakref
 from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.solvers import ClarabelSolver, MathematicalProgram
 
 from drake_nonstop.mechanics.planned_orbit import OrbitTerms
 from drake_nonstop.mechanics.rigid_load import STILL_AIR
 from drake_nonstop.model.system import Model
+from drake_nonstop.optimization.compiled_plan import CompiledPlan, compiled_solver
 from drake_nonstop.optimization.constraints import FEASIBILITY_TOLERANCE
 from drake_nonstop.optimization.horizon_config import HorizonConfig, timed
 from drake_nonstop.optimization.horizon_problem import (
@@ -30,6 +28,7 @@ from drake_nonstop.optimization.search_problem import (
     best_on_grid,
     nearest_feasible,
 )
+from drake_nonstop.optimization.step_program import DAQP, StepProgram
 from drake_nonstop.optimization.terminal_set import orbit_polynomials
 from drake_nonstop.systems.tracing import NotFiniteError
 
@@ -46,6 +45,11 @@ _LEAST_SCALE, _LARGEST_SCALE = 1e-3, 4.0  # of the trust region
 LEAST_START_SCALE = 0.1  # of the trust region with which a plan goes on from another
 _ROW_TOLERANCE = 1e-6  # on a margin of a step
 _ACTIVE_MARGIN = 0.01  # below which a constraint is likely to decide
+_SETTINGS = (  # in the order of solve_plan.c
+    *(_ANGLE_RADIUS, _COEFFICIENT_RADIUS, _LARGEST_MARGIN, _NEAR_MARGIN),
+    *(_LEAST_RATIO, _FAIR_RATIO, _GOOD_RATIO, _LEAST_SCALE, _LARGEST_SCALE),
+    *(_ROW_TOLERANCE, _ACTIVE_MARGIN, PLAN_TOLERANCE),
+)
 _SEARCH_PHASES = 16
 _FIRST_ITERATIONS = 20  # of the first plan, which has no other to begin with
 _MAX_ITERATIONS = 20  # of the plan of a whole task
@@ -62,6 +66,8 @@ class PlanAnswer(NamedTuple):
     iterations: int  # quadratic programs
     scale: float  # of the trust region at the end
     converged: bool
+    margins: NDArray  # (r,), of its constraints
+    slowest: float  # m/s, the least speed at the instants
 
     @property
     def next_start(self) -> NDArray:
@@ -77,33 +83,49 @@ class PlanAnswer(NamedTuple):
 class HorizonSolver:
     """Solves a `HorizonProblem` for given data; answers depend on the arguments alone.
 
-    Each step solves a quadratic program in a trust region, by Clarabel through
-    MathematicalProgram: the cost is quadratic as it is, the constraints are linearized with exact
-    gradients. Of thousands of constraints a few decide: a step begins with those that are near,
-    and is found anew with those that it violates. It is accepted where cost and exact penalty of
-    the slack fall; where they fall less than predicted and slack is left, a second-order
-    correction is tried (Nocedal and Wright, Numerical Optimization, 2006, section 18.3).
+    Each step solves a quadratic program in a trust region, by the config's `solver`: the cost is
+    quadratic as it is, the constraints are linearized with exact gradients. Of thousands of
+    constraints a few decide: a step begins with those that are near, and is found anew with those
+    that it violates. It is accepted where cost and exact penalty of the slack fall; where they
+    fall less than predicted and slack is left, a second-order correction is tried (Nocedal and
+    Wright, Numerical Optimization, 2006, section 18.3). With DAQP all of it is one call of
+    solve_plan.c, where that can be compiled.
 
     Attributes:
         problem: what all plans share.
         fixed: how many of the first coefficients are given.
+        free: (f,), the numbers of the others, among both splines' coefficients.
+        weights: (s,), of the slacks.
+        step_hessian: (f + s, f + s), of the cost of a step.
+        fixed_rows: (a + d, f + s), of the changes of θ at the knots, and of the differences of
+            neighbouring coefficients with a limit.
+        differences: (d, 2N), the latter by all coefficients.
+        largest_differences: (d,).
     """
 
-    def __init__(self, problem: HorizonProblem):
+    def __init__(self, problem: HorizonProblem, *, compiles: bool = True):
         self.problem, self.fixed = problem, problem.config.fixed_coefficients
+        self.solver = problem.config.solver
         count = problem.count
         free = np.arange(self.fixed, count)
-        self._free = np.concatenate([free, count + free])  # among both splines' coefficients
-        self._hessian = problem.hessian[np.ix_(self._free, self._free)]
-        self._weights = problem.slack_weights
-        angles = problem.angle_rows()[:, self.fixed :]
-        self._angle_rows = np.hstack([angles, np.zeros(angles.shape)])
+        self.free = np.concatenate([free, count + free])
+        self.weights = problem.slack_weights
+        size, slacks = len(self.free), len(self.weights)
+        self.step_hessian = np.zeros((size + slacks, size + slacks))
+        self.step_hessian[:size, :size] = problem.hessian[np.ix_(self.free, self.free)]
         rows = _difference_rows(count, self.fixed)
         largest = np.repeat(problem.largest_differences, len(rows) // 2)
         limited = np.isfinite(largest)
-        self._differences, self._largest_differences = rows[limited], largest[limited]
-        self._little_slack = PLAN_TOLERANCE * float(self._weights.min())
-        self._program = _StepProgram(self)
+        self.differences, self.largest_differences = rows[limited], largest[limited]
+        angles = problem.angle_rows()[:, self.fixed :]
+        of_angles = np.hstack([angles, np.zeros(angles.shape)])
+        of_step = np.vstack([of_angles, self.differences[:, self.free]])
+        self.fixed_rows = np.hstack([of_step, np.zeros((len(of_step), slacks))])
+        self._little_slack = PLAN_TOLERANCE * float(self.weights.min())
+        self._compiled: CompiledPlan | None = None
+        if compiles and self.solver == DAQP and (solve_plan := compiled_solver()) is not None:
+            settings = [*_SETTINGS, self._little_slack, _MOST_ROUNDS]
+            self._compiled = CompiledPlan(solve_plan, self, settings)
 
     def solve(
         self,
@@ -128,17 +150,21 @@ class HorizonSolver:
         """
         problem = self.problem
         x = self._within_limits(start)
+        if self._compiled is not None:
+            made = self._compiled.solved(
+                data, x, max_iterations, tolerance, scale, until_feasible=until_feasible
+            )
+            return PlanAnswer(problem.plan(data, x), x, *made)
         linearization = problem.linearization(data, x)
         merit, slack = self._merit(x, linearization)
         if not math.isfinite(merit):
             raise NotFiniteError(problem.name())
-        program = self._program
-        program.forget()
+        steps = _Steps(self)
         converged = False
         iterations = 0
         while iterations < max_iterations and scale >= _LEAST_SCALE:
             iterations += 1
-            found = program.step(x, linearization, scale)
+            found = steps.step(x, linearization, scale)
             if found is None:
                 scale /= 4
                 continue
@@ -156,7 +182,7 @@ class HorizonSolver:
             if is_poor and new_slack > PLAN_TOLERANCE and math.isfinite(new_merit):
                 # The step again, with the curvature of the constraints along it.
                 margins = there.margins - linearization.changes(candidate - x)
-                found = program.step(x, replace(linearization, margins=margins), scale)
+                found = steps.step(x, replace(linearization, margins=margins), scale)
                 if found is not None:
                     again = problem.linearization(data, found[0])
                     again_merit, again_slack = self._merit(found[0], again)
@@ -173,7 +199,15 @@ class HorizonSolver:
             if until_feasible and slack <= PLAN_TOLERANCE:
                 break
         return PlanAnswer(
-            problem.plan(data, x), x, problem.cost(x), slack, iterations, scale, converged
+            plan=problem.plan(data, x),
+            coefficients=x,
+            cost=problem.cost(x),
+            slack=slack,
+            iterations=iterations,
+            scale=scale,
+            converged=converged,
+            margins=linearization.margins,
+            slowest=linearization.slowest,
         )
 
     def first_guess(self, data: HorizonData, fixed: NDArray | None = None) -> NDArray:
@@ -193,15 +227,15 @@ class HorizonSolver:
     def merit(self, answer: PlanAnswer) -> float:
         """Score to compare plans of the same data by: the cost and the penalty of the slack."""
         slack = 0.0 if answer.is_feasible else answer.slack
-        return answer.cost + float(self._weights.sum()) * slack
+        return answer.cost + float(self.weights.sum()) * slack
 
     def _merit(self, x: NDArray, linearization: Linearization) -> tuple[float, float]:
         slacks = self.problem.slacks(linearization.margins)
-        return self.problem.cost(x) + float(self._weights @ slacks), float(slacks.max())
+        return self.problem.cost(x) + float(self.weights @ slacks), float(slacks.max())
 
     def _within_limits(self, start: NDArray) -> NDArray:
         """The coefficients with the free ones within their bounds and those of their rates."""
-        problem, x = self.problem, start.copy()
+        problem, x = self.problem, np.array(start, order="C")
         low, high = problem.bounds
         x[:, self.fixed :] = np.clip(x[:, self.fixed :], low, high)
         difference = problem.largest_differences[:, 0]
@@ -212,74 +246,44 @@ class HorizonSolver:
         return x
 
 
-class _StepProgram(threading.local):
-    """The quadratic program of a step, which is built once and changed from step to step.
-
-    Each thread has its own, built of the same arguments.
-    """
+class _Steps:
+    """The steps of a plan, each with those constraints that decide it."""
 
     def __init__(self, solver: HorizonSolver):
-        self._owner, self._problem = weakref.proxy(solver), solver.problem
-        self._solver = ClarabelSolver()
-        self._program = program = MathematicalProgram()
-        self._step = program.NewContinuousVariables(len(solver._free), "step")
-        self._slack = program.NewContinuousVariables(len(self._problem.slack_weights), "slack")
-        size = len(solver._free)
-        self._cost = program.AddQuadraticCost(
-            solver._hessian, np.zeros(size), self._step, is_convex=True
-        ).evaluator()
-        program.AddLinearCost(solver._weights, 0.0, self._slack)
-        program.AddBoundingBoxConstraint(0.0, np.inf, self._slack)
-        self._box = program.AddBoundingBoxConstraint(
-            np.zeros(size), np.zeros(size), self._step
-        ).evaluator()
-        self._fixed_rows = np.vstack([solver._angle_rows, solver._differences[:, solver._free]])
-        zero = np.zeros(len(self._fixed_rows))
-        self._fixed_constraint = program.AddLinearConstraint(
-            self._fixed_rows, zero, zero, self._step
-        ).evaluator()
-        both = np.concatenate([self._step, self._slack])
-        self._rows = program.AddLinearConstraint(
-            np.zeros((1, len(both))), np.zeros(1), np.zeros(1), both
-        ).evaluator()
-        self.forget()
-
-    def forget(self) -> None:
-        """Begins a plan: no constraint has decided a step of it."""
-        self._active = np.zeros(0, int)
+        self._owner, self._problem = solver, solver.problem
+        self._active = np.zeros(0, int)  # constraints that have decided a step
 
     def step(
         self, x: NDArray, linearization: Linearization, scale: float
     ) -> tuple[NDArray, float] | None:
         """The next coefficients and the merit that is predicted; None where no step is found."""
         problem, owner = self._problem, self._owner
-        free = owner._free
+        free = owner.free
         low, high = problem.bounds
         flat, part = x.ravel(), x[:, owner.fixed :]
         radius = scale * _COEFFICIENT_RADIUS
-        self._cost.UpdateCoefficients(
-            owner._hessian, (problem.hessian @ (flat - 1))[free], 0.0, is_convex=True
-        )
-        # No change at all is always allowed.
-        self._box.set_bounds(
-            np.clip(low - part, -radius, 0.0).ravel(), np.clip(high - part, 0.0, radius).ravel()
-        )
-        angle = np.full(len(owner._angle_rows), scale * _ANGLE_RADIUS)
-        differences, most = owner._differences @ flat, owner._largest_differences
-        below, above = np.minimum(-most - differences, 0), np.maximum(most - differences, 0)
-        self._fixed_constraint.set_bounds(
-            np.concatenate([-angle, below]), np.concatenate([angle, above])
+        slacks = len(owner.weights)
+        angle = np.full(problem.intervals, scale * _ANGLE_RADIUS)
+        differences, most = owner.differences @ flat, owner.largest_differences
+        program = StepProgram(
+            hessian=owner.step_hessian,
+            gradient=np.concatenate([(problem.hessian @ (flat - 1))[free], owner.weights]),
+            # No change at all is always allowed.
+            lower=np.append(np.clip(low - part, -radius, 0.0), np.zeros(slacks)),
+            upper=np.append(np.clip(high - part, 0.0, radius), np.full(slacks, np.inf)),
+            rows=owner.fixed_rows,
+            least=np.concatenate([-angle, np.minimum(-most - differences, 0)]),
+            most=np.concatenate([angle, np.maximum(most - differences, 0)]),
         )
         dips = linearization.dips(linearization.margins, _LARGEST_MARGIN)
         near = linearization.with_neighbours(dips, linearization.margins, _NEAR_MARGIN)
         chosen = np.union1d(self._active, near)
         for _ in range(_MOST_ROUNDS):
-            found = self._solved(linearization, chosen)
-            if found is None:
+            values = self._with_rows(program, linearization, chosen).solved(owner.solver)
+            if values is None:
                 return None
-            change, slack = found
             flat_step = np.zeros(x.size)
-            flat_step[free] = change
+            flat_step[free], slack = values[: len(free)], values[len(free) :]
             step = flat_step.reshape(x.shape)
             margins = linearization.margins + linearization.changes(step)
             excess = margins + slack[linearization.layout.slacks]
@@ -289,28 +293,22 @@ class _StepProgram(threading.local):
             if len(new) == 0:
                 break
             chosen = np.union1d(chosen, linearization.with_neighbours(new, excess, _ACTIVE_MARGIN))
-        slacks = problem.slacks(margins)
-        new = x + step
-        return new, problem.cost(new) + float(owner._weights @ slacks)
+        candidate, penalty = x + step, float(owner.weights @ problem.slacks(margins))
+        return candidate, problem.cost(candidate) + penalty
 
-    def _solved(
-        self, linearization: Linearization, chosen: NDArray
-    ) -> tuple[NDArray, NDArray] | None:
-        """The step and the slack under chosen constraints."""
+    def _with_rows(
+        self, program: StepProgram, linearization: Linearization, chosen: NDArray
+    ) -> StepProgram:
+        """The program with chosen constraints."""
         rows = len(chosen)
-        slack_columns = np.zeros((rows, len(self._problem.slack_weights)))
-        slack_columns[np.arange(rows), linearization.layout.slacks[chosen]] = 1
-        self._rows.UpdateCoefficients(
-            np.hstack([linearization.jacobian(chosen, self._owner.fixed), slack_columns]),
-            -linearization.margins[chosen],
-            np.full(rows, np.inf),
+        slacks = np.zeros((rows, len(self._owner.weights)))
+        slacks[np.arange(rows), linearization.layout.slacks[chosen]] = 1
+        own = np.hstack([linearization.jacobian(chosen, self._owner.fixed), slacks])
+        return program._replace(
+            rows=np.vstack([program.rows, own]),
+            least=np.concatenate([program.least, -linearization.margins[chosen]]),
+            most=np.concatenate([program.most, np.full(rows, np.inf)]),
         )
-        result = self._solver.Solve(self._program)
-        if not result.is_success():
-            return None
-        values = result.get_x_val()
-        count = len(self._step)
-        return values[:count], values[count:]
 
 
 def _difference_rows(count: int, fixed: int) -> NDArray:

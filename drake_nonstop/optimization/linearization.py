@@ -67,6 +67,7 @@ class Linearization:
     weights: NDArray  # (3, r), of the same constraint at the `_NEIGHBOURS`
     jacobians: PlannedOrbit  # matrices (k, N), of its entries by the coefficients of ξ, or of A
     layout: ConstraintLayout
+    slowest: float  # m/s, the least speed at the instants
 
     def changes(self, step: NDArray) -> NDArray:
         """Change of the margins (r,) by a step (2, N) of the coefficients, to first order."""

@@ -1,5 +1,6 @@
 """Constraints of orbits of ξ and A above a load's reference: their terms, and all their phases."""
 
+import functools
 import math
 from collections.abc import Callable
 from typing import Any
@@ -14,6 +15,7 @@ from drake_nonstop.mechanics.planned_orbit import (
     PlannedOrbit,
     flight_along_reference,
     orbit_along_reference,
+    orbit_directions,
     planned_gaps,
     planned_needs,
     planned_speeds,
@@ -26,9 +28,14 @@ from drake_nonstop.optimization.horizon_config import HorizonConfig
 from drake_nonstop.optimization.limits import Of
 from drake_nonstop.optimization.problem_config import LimitsConfig
 from drake_nonstop.optimization.separation import OrbitDistances
-from drake_nonstop.optimization.terminal_set import TerminalSet, product_limits
+from drake_nonstop.optimization.terminal_set import (
+    TerminalSet,
+    TerminalTables,
+    limits_of_carrier,
+    product_limits,
+)
 from drake_nonstop.optimization.update_data import ModelParameters, model_parameters_of
-from drake_nonstop.systems.tracing import TracedFunction
+from drake_nonstop.systems.tracing import ElementwiseFunction, RowsFunction
 
 
 class OrbitConstraints:
@@ -69,25 +76,35 @@ class OrbitConstraints:
         self.max_speed = self._constraints.max_speed  # m/s, tightened
         self._limits_flight = bool(self._constraints.names(Of.FLIGHT))
         self._orbit_angles = 2 * np.pi * np.arange(config.terminal_phases) / config.terminal_phases
+        u, along, _ = orbit_directions(self.axes, self._orbit_angles)
+        directions = np.concatenate([u, along], axis=2)
+        self.orbit_directions = np.ascontiguousarray(np.moveaxis(directions, 2, 0))
+        self.limits_of_carriers = ElementwiseFunction(
+            self._limits_of_carrier,
+            [12, 6, 1, 1],
+            directions.shape[:2],
+            key=("limits_of_carrier", limits, *self._cables.values()),
+            has_derivatives=False,
+        )
         self._keeps_apart = self._constraints.min_separation > 0
         self._distances = OrbitDistances(self.axes)
         self._pairs, self._encounters = self._distances.pairs(), self._distances.every()
-        self._terms = self._traced(orbit_along_reference)
+        self._terms = self._of_rows(orbit_along_reference)
         if self._limits_flight:
-            self._flight_terms = self._traced(flight_along_reference)
+            self._flight_terms = self._of_rows(flight_along_reference)
 
     def all_terms(self, references: NDArray, winds: NDArray = STILL_AIR) -> NDArray:
         """The flat `OrbitTerms` (k, 9n + 3) of references (k, 22).
 
         In winds (3,) or (k, 3), in m/s, in W, which count for aircraft.
         """
-        return self._terms.of_rows(self._stacked(references, winds))
+        return self._terms(self._stacked(references, winds))
 
     def flight_terms(self, references: NDArray, winds: NDArray) -> NDArray:
         """The flat `FlightTerms` (k, 15n + 9) likewise; (k, 0) without limits of flight."""
         if not self._limits_flight:
             return np.zeros((len(references), 0))
-        return self._flight_terms.of_rows(self._stacked(references, winds))
+        return self._flight_terms(self._stacked(references, winds))
 
     def _stacked(self, references: NDArray, winds: NDArray) -> NDArray:
         """Arguments of the functions for references (k, 22), in winds (3,) or (k, 3)."""
@@ -118,41 +135,39 @@ class OrbitConstraints:
         needs = planned_needs(aircraft, terms, axes, orbit, **self._cables)
         return self._constraints.of_flight(aircraft, needs)
 
-    def jump_margins(self, flat_terms: NDArray, spacing: float) -> NDArray:
-        """Excess of the speeds (k, n) above the bound that jumps of the plan ask for, m/s.
+    def jump_margins(self, terms: OrbitTerms) -> NDArray:
+        """Excess of the speeds (k, n) above the bound that a jump of the plan asks for, m/s.
 
-        Where the jerk of the reference jumps, so do the planned velocities, by at most
-        (L₀/T + 1/K_c) ‖Δd₀‖, T without A. The carriers then swing past the new velocity by a share
-        of the jump, the `overshoot`, within the `settling_time`. Own derivation.
-
-        Args:
-            flat_terms: (k, 9n + 3), at evenly spaced instants.
-            spacing: s, of the instants.
+        At k evenly spaced instants, of the jump since the one before. Where the jerk of the
+        reference jumps, so do the planned velocities, by at most (L₀/T + 1/K_c) ‖Δd₀‖, T without A.
+        The carriers then swing past the new velocity by a share of the jump, the `overshoot`,
+        within the `settling_time`. Own derivation.
         """
-        terms, config = OrbitTerms.view(flat_terms), self.config
         jumps = np.zeros(terms.forces.shape[:2])
-        changes = np.linalg.norm(np.diff(terms.rates, axis=0), axis=2)
-        jumps[1:] = self._reach(terms)[1:] * changes
-        largest = jumps.copy()
-        for i in range(1, math.ceil(config.settling_time / spacing)):
-            largest[i:] = np.maximum(largest[i:], jumps[:-i])
-        return config.overshoot * largest
+        jumps[1:] = self._reach(terms)[1:] * _lengths(np.diff(terms.rates, axis=0))
+        return self.config.overshoot * jumps
+
+    def settling_instants(self, spacing: float) -> int:
+        """How many instants, so many s apart, a jump counts for."""
+        return max(math.ceil(self.config.settling_time / spacing), 1)
+
+    @staticmethod
+    def settled(jumps: NDArray, instants: int) -> NDArray:
+        """The largest (k, n) of the jumps at an instant and those before it, so many in all."""
+        padded = np.concatenate([np.zeros((instants - 1, jumps.shape[1])), jumps])
+        return np.lib.stride_tricks.sliding_window_view(padded, instants, axis=0).max(axis=2)
 
     def _reach(self, terms: OrbitTerms) -> NDArray:
         """By how much (k, n) a carrier moves with a force across its cable, m/N."""
-        return self.rest_length / np.linalg.norm(terms.forces, axis=2) + self.compliance
+        return self.rest_length / _lengths(terms.forces) + self.compliance
 
     def terminal_set(
-        self,
-        flat_terms: NDArray,
-        speed_bound: NDArray | float,
-        amplitudes: NDArray | None = None,
+        self, flat_terms: NDArray, speed_bound: NDArray | float, amplitudes: NDArray
     ) -> TerminalSet:
         """The terminal set of flat terms (k, 9n + 3), for a bound in m/s or those (k, n, 1).
 
-        Over a table of A (a,) in N; None: that of all plans.
+        At amplitudes (a,) in N.
         """
-        amplitudes = self.amplitudes if amplitudes is None else amplitudes
         terms = OrbitTerms.view(flat_terms)
         least, most, *tension_squares = product_limits(
             terms,
@@ -163,18 +178,43 @@ class OrbitConstraints:
             phase_count=self.config.terminal_phases,
             **self._cables,
         )
-        margins = np.full(least.shape, np.inf)
+        margins = self._margins_apart(terms, amplitudes)
         for squares in tension_squares:
             for margin in self._constraints.of_squares(Of.TENSION, squares):
                 margins = np.minimum(margins, margin)
-        if self._keeps_apart:
-            for row, forces in zip(margins, terms.forces, strict=True):
-                squares = self._distances.least_squares(
-                    self._encounters, amplitudes, forces, self.model.attachments, **self._cables
-                ).min(axis=1)
-                for margin in self._constraints.of_squares(Of.SEPARATION, squares):
-                    np.minimum(row, margin, out=row)
         return TerminalSet(amplitudes, least, most, margins)
+
+    def _margins_apart(self, terms: OrbitTerms, amplitudes: NDArray) -> NDArray:
+        """The worst margins (k, a) of the distances of carriers; inf where none are limited."""
+        margins = np.full((len(terms.forces), len(amplitudes)), np.inf)
+        for row, forces in zip(margins, terms.forces if self._keeps_apart else (), strict=False):
+            squares = self._distances.least_squares(
+                self._encounters, amplitudes, forces, self.model.attachments, **self._cables
+            ).min(axis=1)
+            for margin in self._constraints.of_squares(Of.SEPARATION, squares):
+                np.minimum(row, margin, out=row)
+        return margins
+
+    def terminal_tables(self, flat_terms: NDArray, bounds: NDArray) -> TerminalTables:
+        """The tables over A of flat terms (k, 9n + 3), for bounds (k, n) in m/s."""
+        terms = OrbitTerms.view(flat_terms)
+        return TerminalTables(
+            amplitudes=self.amplitudes,
+            limits=np.full((3, len(bounds), len(self.amplitudes)), np.nan),
+            apart=self._margins_apart(terms, self.amplitudes),
+            flat_terms=flat_terms,
+            bounds=bounds,
+            function=self.limits_of_carriers,
+            directions=self.orbit_directions,
+        )
+
+    def _limits_of_carrier(
+        self, terms: NDArray, directions: NDArray, amplitude: NDArray, bound: NDArray
+    ) -> list[NDArray]:
+        """`limits_of_carrier` of an orbit in symbols."""
+        tensions = functools.partial(self._constraints.of_squares, Of.TENSION)
+        own = terms, directions, amplitude, bound, self.max_speed
+        return limits_of_carrier(*own, tensions, **self._cables)
 
     def values_along(self, of: Of, terms: OrbitTerms, orbit: PlannedOrbit) -> NDArray:
         """Speeds, tensions or separations (k, c) at k instants, of the carriers, cables or pairs.
@@ -187,7 +227,7 @@ class OrbitConstraints:
         speeds, tensions = planned_speeds(terms, self.axes, orbit, **self._cables)
         return np.sqrt(speeds if of is Of.SPEED else tensions)
 
-    def _traced(self, terms: Callable[..., NDArray]) -> TracedFunction:
+    def _of_rows(self, terms: Callable[..., NDArray]) -> RowsFunction:
         """The flat terms that a function has of a load, a reference, a wind and a model."""
         model = self.model
 
@@ -204,4 +244,9 @@ class OrbitConstraints:
 
         key = terms.__name__, model.attachments, model.pseudo_inverse, model.aircraft is None
         sizes = [LOAD_REFERENCE_SIZE, len(self._beliefs), WIND_SIZE]
-        return TracedFunction(of_reference, sizes, name=self.name, key=key)
+        return RowsFunction(of_reference, sizes, name=self.name, key=key)
+
+
+def _lengths(vectors: NDArray) -> NDArray:
+    """The Euclidean norms (k, n) of vectors (k, n, 3); faster than NumPy's."""
+    return np.sqrt(np.einsum("...i,...i", vectors, vectors))

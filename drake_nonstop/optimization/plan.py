@@ -78,6 +78,7 @@ def _piece() -> NDArray:
 
 
 _PIECE = _piece()
+_TURN = _PIECE.T @ (1 / np.arange(1, DEGREE + 2))  # of a piece, by its coefficients
 
 
 def _values_in_piece(
@@ -120,8 +121,7 @@ def traced_plan_values(plan: "Plan", time: Any) -> NDArray:
         return sum(here * value for here, value in zip(is_in, values, strict=False))
 
     window = [[of_piece(row[j:]) for j in range(DEGREE + 1)] for row in coefficients]
-    turn = _PIECE.T @ (1 / np.arange(1, DEGREE + 2))  # of a piece, by its coefficients
-    turns_of = [coefficients[0, k : k + DEGREE + 1] @ turn for k in range(intervals)]
+    turns_of = [coefficients[0, k : k + DEGREE + 1] @ _TURN for k in range(intervals)]
     before = of_piece(itertools.accumulate(turns_of, initial=0.0))
     polynomials = np.array(window) @ _PIECE.T
     is_moving = casadi.logic_not(is_over)
@@ -173,16 +173,17 @@ class Plan:
     @cached_property
     def _turned(self) -> NDArray:
         """By how much θ has turned at the knots, over ξ₀ times the spacing."""
-        turns = self._pieces[:, 0] @ (1 / np.arange(1, DEGREE + 2))
-        return np.concatenate([[0.0], np.cumsum(turns)])
+        windows = np.lib.stride_tricks.sliding_window_view(self.coefficients[0], DEGREE + 1)
+        return np.concatenate([[0.0], np.cumsum(windows @ _TURN)])
 
     def shifted(self, count: int = 1) -> "Plan":
         """The plan from a later knot on, as long, which goes on with its last coefficients."""
         last = np.repeat(self.coefficients[:, -1:], count, axis=1)
-        time = self.start_time + count * self.spacing
+        within = min(count, self.intervals)
+        late = (count - within) * float(self.coefficients[0, -DEGREE - 1 :] @ _PIECE.sum(axis=0))
         return Plan(
-            time,
-            self.values(time).angle,
+            self.start_time + count * self.spacing,
+            self.start_angle + self.nominal[0] * self.spacing * (self._turned[within] + late),
             self.spacing,
             self.nominal,
             np.hstack([self.coefficients[:, count:], last]),

@@ -298,7 +298,7 @@ def _is_planned(
     whole = dataclasses.replace(config, horizon=intervals * config.knot_spacing)
     problem = HorizonProblem(model, limits, whole, name)
     data = problem.data(0.0, 0.0, preview, bound, wind=wind(problem.instants))
-    margins = problem.margins(data, flown)
+    margins = problem.linearization(data, flown).margins
     return bool(np.min(margins) >= -tolerance)
 
 

@@ -71,7 +71,8 @@ def measured_speed_margin(run: Run) -> float | None:
         )
         wanted[-count:] = np.minimum(wanted[-count:], before)
     if plans_ahead:
-        wanted -= problem.jump_margins(terms, SIGNAL_PERIOD)
+        jumps = problem.jump_margins(OrbitTerms.view(terms))
+        wanted -= problem.settled(jumps, problem.settling_instants(SIGNAL_PERIOD))
     slowest = _least_around(planned_speed.min(axis=1), math.pi / limits.frequency)
     return float(np.max(np.minimum(wanted, slowest[:, None]) - flown[1:]))
 

@@ -44,7 +44,7 @@ class CompilationError(RuntimeError):
 class Compiled(NamedTuple):
     """A function as compiled C, and what its C text has besides."""
 
-    function: casadi.Function
+    function: casadi.Function | None
     library: ctypes.CDLL
 
 
@@ -66,6 +66,17 @@ def compiled(
     except CompilationError as error:
         _tell(str(error))
     return None
+
+
+@functools.cache
+def compiled_text(text: str) -> ctypes.CDLL | None:
+    """C text as a library; None: it cannot be compiled, which a ScenarioWarning tells."""
+    try:
+        found = _compiled("", text, True)
+    except CompilationError as error:
+        _tell(str(error))
+        return None
+    return None if found is None else found.library
 
 
 def compiler() -> str | None:
@@ -102,7 +113,9 @@ def _loaded(library: Path) -> ctypes.CDLL:
 
 
 def _of_library(name: str, library: Path) -> Compiled:
-    """The function of that name in a library."""
+    """The function of that name in a library; "": there is none."""
+    if not name:
+        return Compiled(None, _loaded(library))
     try:
         function = casadi.external(name, str(library))  # which closes a library without it
     except RuntimeError as error:

@@ -5,17 +5,21 @@ evaluated by CasADi's virtual machine, about ten times faster than NumPy on arra
 this size. CasADi is used here and nowhere else.
 """
 
+import ctypes
+import functools
 import math
 import pickle
 import threading
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.autodiffutils import AutoDiffXd, ExtractValue
 from pydrake.symbolic import Formula, Variable, if_then_else
+
+_ROWS = 20  # that a `RowsFunction` evaluates at once
 
 LARGEST = 1e9  # SI units; no rate or force of a load on cables comes near it
 
@@ -107,18 +111,6 @@ class TracedFunction:
             self._raise(vector)
         return results[0]
 
-    def of_rows(self, rows: NDArray) -> NDArray:
-        """The output, where there is one, for each row (k, size) of all inputs, stacked."""
-        vector, evaluate, squared_norm, results = self._scratch.parts
-        found = np.empty((len(rows), len(results[0])))
-        for values, row in zip(rows, found, strict=True):
-            vector[:] = values
-            evaluate()
-            if not squared_norm[0] < self._largest_squared:
-                self._raise(vector)
-            row[:] = results[0]
-        return found
-
     def _raise(self, vector: NDArray) -> None:
         was_given = not np.all(np.abs(vector) < self._largest)
         raise NotFiniteError(self._name(), was_given=was_given)
@@ -162,22 +154,35 @@ class ElementwiseFunction:
         input_sizes: the length of each input.
         shape: that of the arrays which stand for a number.
         key: as of `TracedFunction`.
+        has_derivatives: if not, g is 0.
 
     A call takes an array (size, *shape) for each input, or one that broadcasts to it, and returns
     new arrays: the values (m, *shape) and the derivatives (m, g, *shape).
     """
 
     def __init__(
-        self, function: Callable, input_sizes: Sequence[int], shape: tuple[int, ...], *, key: Any
+        self,
+        function: Callable,
+        input_sizes: Sequence[int],
+        shape: tuple[int, ...],
+        *,
+        key: Any,
+        has_derivatives: bool = True,
     ):
+        by_count = input_sizes[0] if has_derivatives else 0
         made = _cached(
-            lambda: _elementwise(function, input_sizes, math.prod(shape)),
+            lambda: _elementwise(function, input_sizes, math.prod(shape), by_count),
             "elementwise",
-            list(input_sizes),
+            [*input_sizes, by_count],
             shape,
             key,
         )
-        self._scratch = _ElementwiseScratch(made, input_sizes, shape)
+        self._scratch = _ElementwiseScratch(made, input_sizes, shape, by_count)
+
+    @property
+    def memory(self) -> "ElementwiseMemory":
+        """That in which this thread evaluates it."""
+        return self._scratch.memory
 
     def __call__(self, *inputs: NDArray) -> tuple[NDArray, NDArray]:
         """The values and the derivatives."""
@@ -189,6 +194,57 @@ class ElementwiseFunction:
         return found[:, 0], found[:, 1:]
 
 
+class RowsFunction:
+    """Evaluates `function` for rows of its inputs, some at a time.
+
+    The arguments are as of `TracedFunction`.
+    """
+
+    def __init__(
+        self,
+        function: Callable,
+        input_sizes: Sequence[int],
+        *,
+        name: Callable[[], str],
+        key: Any = None,
+    ):
+        size, ends = sum(input_sizes), np.cumsum(input_sizes)[:-1]
+
+        def of_row(row: NDArray) -> list[NDArray]:
+            return [np.ravel(function(*np.split(row, ends)))]
+
+        self._function = ElementwiseFunction(
+            of_row, [size], (_ROWS,), key=key, has_derivatives=False
+        )
+        self._name = name
+
+    def __call__(self, rows: NDArray) -> NDArray:
+        """The outputs (k, m), flat, for rows (k, size) of all inputs, stacked.
+
+        Raises:
+            NotFiniteError: one is not finite, or beyond 1e9.
+        """
+        parts = np.split(rows, range(_ROWS, len(rows), _ROWS))
+        made = [self._function(np.resize(part, (_ROWS, part.shape[1])).T)[0].T for part in parts]
+        found = np.concatenate(made)[: len(rows)]
+        if not np.abs(found).max(initial=0.0) < LARGEST:
+            was_given = not np.all(np.abs(rows) < LARGEST)
+            raise NotFiniteError(self._name(), was_given=was_given)
+        return found
+
+
+class ElementwiseMemory(NamedTuple):
+    """Memory of an `ElementwiseFunction`, which C evaluates by `evaluate(buffer)`.
+
+    Both are addresses, of a `void (*)(void *)` and of its argument.
+    """
+
+    inputs: NDArray  # (inputs, *shape)
+    outputs: NDArray  # (values * (1 + derivatives), *shape)
+    evaluate: int
+    buffer: int
+
+
 class _ElementwiseScratch(threading.local):
     """The memory in which a thread evaluates an `ElementwiseFunction`.
 
@@ -196,7 +252,11 @@ class _ElementwiseScratch(threading.local):
     """
 
     def __init__(
-        self, function: casadi.Function, input_sizes: Sequence[int], shape: tuple[int, ...]
+        self,
+        function: casadi.Function,
+        input_sizes: Sequence[int],
+        shape: tuple[int, ...],
+        by_count: int,
     ):
         inputs, outputs = (
             np.zeros((count, *shape)) for count in (function.n_in(), function.n_out())
@@ -204,19 +264,35 @@ class _ElementwiseScratch(threading.local):
         rows = [values.reshape(-1) for values in (*inputs, *outputs)]
         self._kept_alive, evaluate = bound(function, rows[: len(inputs)], rows[len(inputs) :])
         parts = np.split(inputs, np.cumsum(input_sizes)[:-1])
-        self.parts = parts, evaluate, outputs, input_sizes[0]
+        self.parts = parts, evaluate, outputs, by_count
+        buffer = _pointer(self._kept_alive[0]._self(), None)
+        self.memory = ElementwiseMemory(inputs, outputs, evaluate_address(), buffer)
 
 
-def _elementwise(function: Callable, input_sizes: Sequence[int], entries: int) -> casadi.Function:
-    """Each output and its derivatives by the first input, of inputs that stand for arrays."""
+@functools.cache
+def evaluate_address() -> int:
+    """The address of what evaluates a function that is bound to memory; 0: it is not known."""
+    libraries = ctypes.CDLL(casadi._casadi.__file__)  # with those that it is linked to
+    evaluate = getattr(libraries, "_ZN6casadi21_function_buffer_evalEPv", None)
+    return ctypes.cast(evaluate, ctypes.c_void_p).value or 0 if evaluate else 0
+
+
+_pointer = ctypes.pythonapi.PyCapsule_GetPointer
+_pointer.restype, _pointer.argtypes = ctypes.c_void_p, [ctypes.py_object, ctypes.c_char_p]
+
+
+def _elementwise(
+    function: Callable, input_sizes: Sequence[int], entries: int, by_count: int
+) -> casadi.Function:
+    """Each output and its derivatives by the first inputs, which stand for arrays."""
     symbols = [casadi.MX.sym(f"input_{i}", entries) for i in range(sum(input_sizes))]
     array = np.fromiter(symbols, dtype=object, count=len(symbols))
     with np.errstate(divide="ignore"):  # symbols raise the flag without a cause
         outputs = function(*np.split(array, np.cumsum(input_sizes)[:-1]))
-    by, seed = symbols[: input_sizes[0]], casadi.MX.ones(entries)
+    by, seed = symbols[:by_count], casadi.MX.ones(entries)
     found = []
     for value in np.concatenate([np.ravel(output) for output in outputs]):
-        found += [value, *casadi.reverse([value], by, [[seed]])[0]]
+        found += [value, *(casadi.reverse([value], by, [[seed]])[0] if by else [])]
     return casadi.Function("elementwise", symbols, [*map(casadi.densify, found)], {"cse": True})
 
 
@@ -424,7 +500,7 @@ def where(condition: Any, values: _Values, others: _Values) -> NDArray:
         return _made(values if condition else others)
     pairs = zip(_made(values), _made(others), strict=True)
     if_else = if_then_else if isinstance(condition, Formula) else casadi.if_else
-    return np.array([if_else(condition, value, other) for value, other in pairs])
+    return np.fromiter((if_else(condition, *pair) for pair in pairs), dtype=object)
 
 
 def _made(values: _Values) -> NDArray:

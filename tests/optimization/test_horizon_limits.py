@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers import Motion, difference, irregular, nightly_beyond, regular, spatial
+from plan_checks import require_equal_plans, require_equal_steps
 
 from drake_nonstop.mechanics.carrier import carrier_motion
 from drake_nonstop.mechanics.grasp import cable_forces_and_rates
@@ -62,7 +63,7 @@ def test_what_is_missed_has_the_name_of_its_row(limit):
         value = 100.0 if limit.is_least == beyond else 0.01
         problem = problem_of("cycle-4", **{limit.field: value})
         data = problem.data(0.0, 0.0, Motion(2).reference, 0.4)
-        margins = problem.margins(data, problem.nominal_coefficients())
+        margins = problem.linearization(data, problem.nominal_coefficients()).margins
         assert problem.missed(margins, 1e-3) - {BOUND} == names
 
 
@@ -88,7 +89,7 @@ def test_gradients_of_all_margins_are_central_differences(name):
     step = np.random.default_rng(5).normal(size=x.shape)
 
     def margins(h):
-        return problem.margins(data, x + h * step)
+        return problem.linearization(data, x + h * step).margins
 
     slopes = difference(margins, 0.0, 1e-5)
     rows = found.jacobian(np.arange(len(slopes)))
@@ -207,7 +208,7 @@ def test_the_terminal_set_keeps_the_limits_at_all_phases(name):
     system, terminal = problem.model, data.terminal
     k, j = 3, 9
     A = float(terminal.amplitudes[j])
-    terms = OrbitTerms.view(data.flat_terms[problem._terminal_at[k], None])
+    terms = OrbitTerms.view(data.flat_terms[problem.terminal_at[k], None])
     angles = np.linspace(0, 2 * np.pi, 721)
 
     def squares(s):
@@ -220,7 +221,7 @@ def test_the_terminal_set_keeps_the_limits_at_all_phases(name):
             compliance=problem.compliance,
         )
 
-    least, most = terminal.least_products[k, j], terminal.most_products[k, j]
+    least, most, others = terminal.at(np.full(len(problem.terminal_at), A))[0][:, k]
     assert np.sqrt(squares(least)[0].min()) == pytest.approx(1.02 * 0.4, rel=0.01)
     assert np.sqrt(squares(1.02 * least)[0].min()) > 1.02 * 0.4
     assert np.sqrt(squares(most)[0].max()) == pytest.approx(0.98 * 2.0, rel=0.01)
@@ -239,7 +240,7 @@ def test_the_terminal_set_keeps_the_limits_at_all_phases(name):
         1 - (tensions.max() / 5.88) ** 2,
         apart.min() / 0.51**2 - 1,
     )
-    assert terminal.amplitude_margins[k, j] == pytest.approx(margin, abs=2e-3)
+    assert others == pytest.approx(margin, abs=2e-3)
 
 
 def best_plan(problem, reference, bound):
@@ -330,7 +331,7 @@ def test_a_start_below_the_bound_is_left_as_soon_as_the_rates_allow():
     is_slow = slowest < 1.0
     late = problem.instants[is_slow].max()
     assert late < 1.0
-    assert problem.slacks(problem.margins(data, answer.coefficients))[3:].max() < 1e-3
+    assert problem.slacks(problem.linearization(data, answer.coefficients).margins)[3:].max() < 1e-3
 
 
 def test_limits_that_exclude_each_other_give_a_finite_plan_that_prefers_the_speed_bound():
@@ -343,3 +344,32 @@ def test_limits_that_exclude_each_other_give_a_finite_plan_that_prefers_the_spee
     below = 1 - squares.min() / (1.02 * 0.8) ** 2
     above = squares.max() / (0.98 * 0.9) ** 2 - 1
     assert above > max(below, 1e-3)
+
+
+def test_entries_of_the_tables_are_those_of_the_whole_terminal_set():
+    problem, terminal = limited("cycle-4"), moving_data("cycle-4").terminal
+    expected = problem.terminal_set(
+        terminal.flat_terms, terminal.bounds[:, :, None], terminal.amplitudes
+    )
+    for j, amplitude in enumerate(terminal.amplitudes[:-1]):
+        found, slopes = terminal.at(np.full(len(terminal.bounds), amplitude))
+        for limits, slope, table in zip(found, slopes, expected[1:], strict=True):
+            np.testing.assert_allclose(limits, table[:, j], rtol=1e-9)
+            at_next = limits + slope * terminal.spacing
+            np.testing.assert_allclose(at_next, table[:, j + 1], rtol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["cycle-3", "cycle-8"])
+def test_plans_in_c_are_those_in_python(name):
+    require_equal_plans(limited(name), moving_data(name))
+
+
+def test_all_solvers_find_the_same_steps():
+    require_equal_steps(limited("cycle-3"), moving_data("cycle-3"))
+
+
+@pytest.mark.parametrize("compiles", [True, False])
+def test_a_plan_that_is_no_number_is_said(compiles):
+    solver = HorizonSolver(limited("cycle-3"), compiles=compiles)
+    with pytest.raises(ArithmeticError, match="not finite"):
+        solver.solve(moving_data("cycle-3"), np.full((2, solver.problem.count), np.nan))
