@@ -222,4 +222,9 @@ def write_pictures(
 
 
 def _write_figure(run: Run, name: str, file: BinaryIO) -> None:
-    make_figure(run, name).savefig(file, format="png", dpi=150)
+    """Draws the figure once, where `savefig` draws it twice for the sake of its layout."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    figure = make_figure(run, name)
+    figure.set_dpi(150)
+    FigureCanvasAgg(figure).print_png(file, pil_kwargs={"compress_level": 1})

@@ -1,6 +1,5 @@
 """The signals of a drawing: their labels, and the routes of their wires over a grid."""
 
-import functools
 import heapq
 import math
 import textwrap
@@ -9,6 +8,8 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
+
+import numpy as np
 
 UNIT = 10  # px between neighbouring lanes; lengths are in units unless they say px
 SPARE_COLUMNS = 8  # between two boxes, beside the room for labels
@@ -24,10 +25,10 @@ _BEND_COST, _CROSSING_COST, _BRANCH_COST = 5, 9, 2
 _PASSES = 3
 
 Node = tuple[int, int]
-Step = tuple[int, int]
-_STEPS: tuple[Step, ...] = ((1, 0), (0, 1), (-1, 0), (0, -1))
-_State = tuple[int, Node, Step]  # cost of a path to a node, and its last step
-_Taken = dict[Node, set[Step]]  # nodes of other wires, and the steps to or from these
+_STEPS: tuple[Node, ...] = ((-1, 0), (0, -1), (0, 1), (1, 0))
+_TURNS = [[turn for turn in range(4) if turn != 3 - step] for step in range(4)]  # none back
+_ACROSS, _DOWN = 1, 2  # directions of wires
+_CROSSED = (_DOWN, _ACROSS, _ACROSS, _DOWN)  # by each step
 
 
 @dataclass
@@ -102,78 +103,117 @@ def route_all(signals: Sequence[Signal], blocked: set[Node], reserved: dict[Node
 
 
 class _Router:
-    """Routes wires over the grid: around boxes and labels, across other wires."""
+    """Routes wires over the grid: around boxes and labels, across other wires.
+
+    A node is numbered by column, then row; a state, that is a node and the step to it, is four
+    times that plus the step's index in `_STEPS`.
+    """
 
     def __init__(self, signals: Sequence[Signal], blocked: set[Node], reserved: dict[Node, str]):
-        self._signals, self._blocked, self._reserved = signals, blocked, reserved
+        self._signals = signals
         xs, ys = zip(*blocked, *reserved, strict=True)
-        self._columns = range(min(xs) - SPARE_COLUMNS, max(xs) + SPARE_COLUMNS)
-        self._rows = range(min(ys) - SPARE_ROWS, max(ys) + SPARE_ROWS)
+        self._left, self._top = min(xs) - SPARE_COLUMNS - 1, min(ys) - SPARE_ROWS - 1
+        self._width = max(xs) + SPARE_COLUMNS + 1 - self._left
+        self._height = max(ys) + SPARE_ROWS + 1 - self._top
+        self._moves = [dx * self._height + dy for dx, dy in _STEPS]
+        self._blocked = {self._number(node) for node in blocked}
+        self._reserved: dict[str, list[int]] = defaultdict(list)
+        free = np.zeros((self._width, self._height), np.uint8)
+        free[1:-1, 1:-1] = 1  # so that no step leaves the grid
+        self._free = bytearray(free)
+        for number in self._blocked:
+            self._free[number] = 0
+        for node, name in reserved.items():
+            self._reserved[name].append(self._number(node))
+            self._free[self._number(node)] = 0
+
+    def _number(self, node: Node) -> int:
+        return (node[0] - self._left) * self._height + node[1] - self._top
+
+    def _node(self, number: int) -> Node:
+        return number // self._height + self._left, number % self._height + self._top
 
     def route(self, signal: Signal) -> bool:
         """Routes all wires of the signal again, the cheapest first; False if one has no route."""
         signal.paths = {}
-        others: _Taken = defaultdict(set)
-        for path in (path for other in self._signals for path in other.paths.values()):
-            for a, b in pairwise(path):
-                step = abs(a[0] - b[0]), abs(a[1] - b[1])
-                others[a].add(step)
-                others[b].add(step)
-        starts = [(0, signal.stem[-1], (signal.flow, 0))]
-        goals = {sink: wire for wire, sink in signal.sinks.items()}
+        taken = self._directions()
+        free = self._free.copy()
+        for number in self._reserved[signal.name]:
+            free[number] = 1
+        stem = [self._number(node) for node in signal.stem]
+        starts = [(0, 4 * stem[-1] + _STEPS.index((signal.flow, 0)))]
+        goals = {self._number(sink): wire for wire, sink in signal.sinks.items()}
         while goals:
-            path = self._cheapest_path(signal.name, starts, goals, others)
+            path = self._cheapest_path(starts, goals, free, taken)
             if not path:
                 return False
             if not signal.paths:
-                path = signal.stem[:-1] + path
+                path = stem[:-1] + path
                 starts = []
-            signal.paths[goals.pop(path[-1])] = path
-            branchable = set(path) - others.keys() - self._blocked - set(signal.stem[:-1])
-            starts += [(_BRANCH_COST, node, step) for node in branchable for step in _STEPS]
+            signal.paths[goals.pop(path[-1])] = [self._node(number) for number in path]
+            branchable = {number for number in path if not taken[number]} - self._blocked
+            branchable -= set(stem[:-1])
+            starts += [(_BRANCH_COST, 4 * node + step) for node in branchable for step in range(4)]
         return True
 
+    def _directions(self) -> bytearray:
+        """Of each node the directions of the wires there; 0: there is none."""
+        taken = bytearray(len(self._free))
+        for path in (path for signal in self._signals for path in signal.paths.values()):
+            numbers = [self._number(node) for node in path]
+            for a, b in pairwise(numbers):
+                direction = _ACROSS if abs(a - b) == self._height else _DOWN
+                taken[a] |= direction
+                taken[b] |= direction
+        return taken
+
     def _cheapest_path(
-        self, name: str, starts: list[_State], goals: Collection[Node], others: _Taken
-    ) -> list[Node]:
-        """The cheapest path by the A* algorithm; empty if there is none."""
+        self,
+        starts: list[tuple[int, int]],
+        goals: Collection[int],
+        free: bytearray,
+        taken: bytearray,
+    ) -> list[int]:
+        """The cheapest path by the A* algorithm; empty if there is none.
 
-        @functools.cache
-        def distance(node: Node) -> int:
-            return min(abs(node[0] - x) + abs(node[1] - y) for x, y in goals)
-
-        queue = [(cost + distance(node), cost, node, step) for cost, node, step in starts]
+        Args:
+            starts: cost and state of each.
+            goals: their nodes.
+            free: whether a node may be used.
+            taken: as of `_directions`.
+        """
+        distances = self._distances(goals)
+        queue = [(cost + distances[state // 4], cost, state) for cost, state in starts]
         heapq.heapify(queue)
-        costs = {(node, step): cost for cost, node, step in starts}
-        came_from: dict[tuple[Node, Step], tuple[Node, Step]] = {}
+        costs = {state: cost for cost, state in starts}
+        came_from: dict[int, int] = {}
         while queue:
-            _, cost, node, step = heapq.heappop(queue)
+            _, cost, state = heapq.heappop(queue)
+            node, step = divmod(state, 4)
             if node in goals:
                 path = [node]
-                while (node, step) in came_from:
-                    node, step = came_from[(node, step)]
-                    path.append(node)
+                while state in came_from:
+                    state = came_from[state]
+                    path.append(state // 4)
                 return path[::-1]
-            if cost > costs[(node, step)]:
+            if cost > costs[state]:
                 continue
-            for turn in _STEPS:
-                turns_back = turn == (-step[0], -step[1])
-                turns_on_a_wire = turn != step and node in others
-                onto = (node[0] + turn[0], node[1] + turn[1])
-                if turns_back or turns_on_a_wire or not self._is_free(onto, name):
+            for turn in (step,) if taken[node] else _TURNS[step]:  # no turns on another wire
+                onto = node + self._moves[turn]
+                if not free[onto] or taken[onto] not in (0, _CROSSED[turn]):
                     continue
-                is_crossing = onto in others
-                if is_crossing and others[onto] != {(abs(turn[1]), abs(turn[0]))}:
-                    continue
-                longer = cost + 1 + _BEND_COST * (turn != step) + _CROSSING_COST * is_crossing
-                if longer < costs.get((onto, turn), math.inf):
-                    costs[(onto, turn)] = longer
-                    came_from[(onto, turn)] = (node, step)
-                    heapq.heappush(queue, (longer + distance(onto), longer, onto, turn))
+                crossing = _CROSSING_COST if taken[onto] else 0
+                longer = cost + 1 + crossing + (0 if turn == step else _BEND_COST)
+                next_state = 4 * onto + turn
+                if longer < costs.get(next_state, math.inf):
+                    costs[next_state] = longer
+                    came_from[next_state] = state
+                    heapq.heappush(queue, (longer + distances[onto], longer, next_state))
         return []
 
-    def _is_free(self, node: Node, name: str) -> bool:
-        if node in self._reserved:
-            return self._reserved[node] == name
-        on_the_grid = node[0] in self._columns and node[1] in self._rows
-        return on_the_grid and node not in self._blocked
+    def _distances(self, goals: Collection[int]) -> list[int]:
+        """Steps from each node to the nearest of the goals."""
+        x, y = np.divmod(np.array([*goals]), self._height)
+        across = abs(np.arange(self._width)[:, None] - x)
+        down = abs(np.arange(self._height)[:, None] - y)
+        return (across[:, None] + down).min(axis=2).ravel().tolist()
