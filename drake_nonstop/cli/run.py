@@ -156,7 +156,8 @@ def run_into(folder: Path, scenario: Scenario, options: argparse.Namespace = _NO
         try:
             with TaskProgress() as task, interruption.patient(0):
                 show = no_progress if is_quiet else task
-                write_pictures(run, place, figures=figures, replay=replay, progress=show)
+                kinds = {"figures": figures, "replay": replay, "may_fork": not options.live}
+                write_pictures(run, place, **kinds, progress=show)
         except KeyboardInterrupt:
             return metrics, place, "without all pictures"
         except Exception as error:  # what was flown is kept

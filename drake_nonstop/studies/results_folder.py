@@ -3,6 +3,7 @@
 import itertools
 import json
 import os
+import sys
 import zipfile
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -27,9 +28,11 @@ from drake_nonstop.studies.files import (
     read_regular,
     replacing_files,
     require_writable,
+    shared,
     write_json,
 )
 from drake_nonstop.studies.journal import journalled_settings, own_code_of
+from drake_nonstop.studies.processes import forked
 from drake_nonstop.studies.run_all import Progress, no_progress
 from drake_nonstop.validation import require, require_flags
 from drake_nonstop.visualization.drawing import draw_diagram
@@ -40,11 +43,8 @@ _METRICS = "metrics.json"
 _DATA = (SCENARIO, _METRICS, SIGNALS, STEPS)
 _OWN_CODE = "own_code"  # in metrics.json, beside the versions of packages
 
-_PICTURES = (
-    "diagram.svg",
-    "replay.html",
-    *(f"figures/{name}.png" for name in FIGURE_NAMES),
-)
+_DIAGRAM, _REPLAY = "diagram.svg", "replay.html"
+_PICTURES = (_DIAGRAM, _REPLAY, *(f"figures/{name}.png" for name in FIGURE_NAMES))
 
 # All files that may be written; those that a run does not write are removed.
 RUN_FILES = (*_DATA, *_PICTURES)
@@ -196,35 +196,47 @@ def write_pictures(
     figures: bool = True,
     replay: bool = True,
     progress: Progress = no_progress,
+    may_fork: bool = False,
 ) -> None:
     """Writes diagram.svg, replay.html and figures/, each of which appears once it is complete.
 
-    Earlier pictures that are not asked for are removed at the end.
+    Earlier pictures that are not asked for are removed at the end. With `may_fork`, for a process
+    without threads that may hold a lock, a fork draws the figures meanwhile.
     """
     folder = as_path(folder)
-    todo: list[tuple[str, Callable[[BinaryIO], Any]]] = [
-        ("diagram.svg", lambda file: file.write(draw_diagram(run.diagram).encode()))
-    ]
-    if replay:
-        todo.append(("replay.html", lambda file: file.write(record_replay(run).encode())))
-    if figures:
-        todo += [
-            (f"figures/{name}.png", partial(_write_figure, run, name)) for name in figure_names(run)
-        ]
-    for k, (item, write) in enumerate(todo):
-        progress("writing", k / len(todo))
+    todo = [_DIAGRAM, _REPLAY] if replay else [_DIAGRAM]
+    drawn = [f"figures/{name}.png" for name in figure_names(run)] if figures else []
+    if drawn and may_fork and sys.platform == "linux" and len(os.sched_getaffinity(0)) > 1:
+        with shared([folder]), forked(partial(_write_each, run, folder, drawn)) as fork:
+            _write_each(run, folder, todo, progress)
+            fork.join()
+        left = drawn if fork.exitcode else []  # this process tells why
+    else:
+        left = [*todo, *drawn]
+    _write_each(run, folder, left, progress)
+    _remove(folder, [item for item in _PICTURES if item not in (*todo, *drawn)])
+
+
+def _write_each(
+    run: Run, folder: Path, items: Sequence[str], progress: Progress = no_progress
+) -> None:
+    for k, item in enumerate(items):
+        progress("writing", k / len(items))
         with replacing_files(folder, [item]) as new:
             (new / item).parent.mkdir(exist_ok=True)
             with (new / item).open("wb") as file:
-                write(file)
-    written = {item for item, _ in todo}
-    _remove(folder, [item for item in _PICTURES if item not in written])
+                _write_picture(run, item, file)
 
 
-def _write_figure(run: Run, name: str, file: BinaryIO) -> None:
-    """Draws the figure once, where `savefig` draws it twice for the sake of its layout."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
+def _write_picture(run: Run, item: str, file: BinaryIO) -> None:
+    if item == _DIAGRAM:
+        file.write(draw_diagram(run.diagram).encode())
+    elif item == _REPLAY:
+        file.write(record_replay(run).encode())
+    else:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-    figure = make_figure(run, name)
-    figure.set_dpi(150)
-    FigureCanvasAgg(figure).print_png(file, pil_kwargs={"compress_level": 1})
+        figure = make_figure(run, Path(item).stem)
+        figure.set_dpi(150)
+        # `savefig` would draw it twice, for the sake of its layout.
+        FigureCanvasAgg(figure).print_png(file, pil_kwargs={"compress_level": 1})

@@ -3,7 +3,6 @@
 import heapq
 import math
 import textwrap
-from collections import defaultdict
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -25,6 +24,7 @@ _BEND_COST, _CROSSING_COST, _BRANCH_COST = 5, 9, 2
 _PASSES = 3
 
 Node = tuple[int, int]
+_Start = tuple[int, int]  # cost and state
 _STEPS: tuple[Node, ...] = ((-1, 0), (0, -1), (0, 1), (1, 0))
 _TURNS = [[turn for turn in range(4) if turn != 3 - step] for step in range(4)]  # none back
 _ACROSS, _DOWN = 1, 2  # directions of wires
@@ -117,15 +117,12 @@ class _Router:
         self._height = max(ys) + SPARE_ROWS + 1 - self._top
         self._moves = [dx * self._height + dy for dx, dy in _STEPS]
         self._blocked = {self._number(node) for node in blocked}
-        self._reserved: dict[str, list[int]] = defaultdict(list)
+        self._reserved = {self._number(node): name for node, name in reserved.items()}
         free = np.zeros((self._width, self._height), np.uint8)
         free[1:-1, 1:-1] = 1  # so that no step leaves the grid
-        self._free = bytearray(free)
-        for number in self._blocked:
+        self._free = bytearray(free)  # of each node, whether any signal may use it
+        for number in (*self._blocked, *self._reserved):
             self._free[number] = 0
-        for node, name in reserved.items():
-            self._reserved[name].append(self._number(node))
-            self._free[self._number(node)] = 0
 
     def _number(self, node: Node) -> int:
         return (node[0] - self._left) * self._height + node[1] - self._top
@@ -138,8 +135,8 @@ class _Router:
         signal.paths = {}
         taken = self._directions()
         free = self._free.copy()
-        for number in self._reserved[signal.name]:
-            free[number] = 1
+        for number, name in self._reserved.items():
+            free[number] = name == signal.name
         stem = [self._number(node) for node in signal.stem]
         starts = [(0, 4 * stem[-1] + _STEPS.index((signal.flow, 0)))]
         goals = {self._number(sink): wire for wire, sink in signal.sinks.items()}
@@ -157,39 +154,27 @@ class _Router:
         return True
 
     def _directions(self) -> bytearray:
-        """Of each node the directions of the wires there; 0: there is none."""
+        """Of each node the directions of the wires there, added; 0: there is none."""
         taken = bytearray(len(self._free))
         for path in (path for signal in self._signals for path in signal.paths.values()):
-            numbers = [self._number(node) for node in path]
-            for a, b in pairwise(numbers):
-                direction = _ACROSS if abs(a - b) == self._height else _DOWN
-                taken[a] |= direction
-                taken[b] |= direction
+            for a, b in pairwise(path):
+                direction = _ACROSS if a[1] == b[1] else _DOWN
+                taken[self._number(a)] |= direction
+                taken[self._number(b)] |= direction
         return taken
 
     def _cheapest_path(
-        self,
-        starts: list[tuple[int, int]],
-        goals: Collection[int],
-        free: bytearray,
-        taken: bytearray,
+        self, starts: list[_Start], goals: Collection[int], free: bytearray, taken: bytearray
     ) -> list[int]:
-        """The cheapest path by the A* algorithm; empty if there is none.
-
-        Args:
-            starts: cost and state of each.
-            goals: their nodes.
-            free: whether a node may be used.
-            taken: as of `_directions`.
-        """
-        distances = self._distances(goals)
+        """The cheapest path by the A* algorithm; empty if there is none."""
+        distances, moves = self._distances(goals), self._moves
         queue = [(cost + distances[state // 4], cost, state) for cost, state in starts]
         heapq.heapify(queue)
         costs = {state: cost for cost, state in starts}
         came_from: dict[int, int] = {}
         while queue:
             _, cost, state = heapq.heappop(queue)
-            node, step = divmod(state, 4)
+            node, step = state >> 2, state & 3
             if node in goals:
                 path = [node]
                 while state in came_from:
@@ -199,10 +184,11 @@ class _Router:
             if cost > costs[state]:
                 continue
             for turn in (step,) if taken[node] else _TURNS[step]:  # no turns on another wire
-                onto = node + self._moves[turn]
-                if not free[onto] or taken[onto] not in (0, _CROSSED[turn]):
+                onto = node + moves[turn]
+                wires = taken[onto]
+                if not free[onto] or (wires and wires != _CROSSED[turn]):
                     continue
-                crossing = _CROSSING_COST if taken[onto] else 0
+                crossing = _CROSSING_COST if wires else 0
                 longer = cost + 1 + crossing + (0 if turn == step else _BEND_COST)
                 next_state = 4 * onto + turn
                 if longer < costs.get(next_state, math.inf):
