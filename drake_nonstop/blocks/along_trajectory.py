@@ -118,7 +118,7 @@ class LoadTrajectory(AlongTrajectory):
 
         key = (reference_along.__qualname__, yaw_rate) if pose is None else None
         super().__init__(trajectory, reference, inputs={}, reads_time=True, key=key)
-        self._rows = rows = _rows_of(self._coordinates, reference)
+        self._rows = rows = _rows_of(self._coordinates, reference, key)
         preview = ReferencePreview(
             lambda time: rows(np.array([time]))["reference"][0],
             references=lambda times: rows(times)["reference"],
@@ -141,14 +141,18 @@ def declare_preview(block: LeafBlock, preview: ReferencePreview) -> None:
 
 
 def _rows_of(
-    coordinates: _Coordinates, reference: Callable[..., tuple[NDArray, NDArray]]
+    coordinates: _Coordinates, reference: Callable[..., tuple[NDArray, NDArray]], key: Any
 ) -> Callable[[NDArray], dict[str, NDArray]]:
     """Function of times (k,) in s for the rows of both outputs, the one that is traced."""
 
     @functools.cache  # most runs do not ask for any
     def traced() -> RowsFunction:
-        sizes = coordinates.size, 1
-        return RowsFunction(lambda *v: np.concatenate(reference(*v)), sizes, name=lambda: _BOX)
+        return RowsFunction(
+            lambda *values: np.concatenate(reference(*values)),
+            [coordinates.size, 1],
+            name=lambda: _BOX,
+            key=None if key is None else ("rows", *key),
+        )
 
     def rows(times: NDArray) -> dict[str, NDArray]:
         vectors = np.concatenate([coordinates.rows(times), times[:, None]], axis=1)

@@ -55,7 +55,7 @@ def spline_rows(times: NDArray, intervals: int, spacing: float) -> SplineRows:
     )
     start = integral.value(0.0).ravel()
     rates = [integral.MakeDerivative(i) if i else integral for i in range(5)]
-    rows = [np.array([rate.value(time).ravel() for time in times]) for rate in rates]
+    rows = [rate.vector_values(times).T for rate in rates]
     return SplineRows(rows[0] - start, *rows[1:])
 
 
