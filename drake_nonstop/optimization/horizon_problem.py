@@ -64,11 +64,20 @@ _NOT_OF_ORBITS = [0, *_RATES]  # by which the needs on these have no derivatives
 Reference = Callable[[float], NDArray]  # the load's reference (22,) at a time in s
 
 
+class KnownReferences(NamedTuple):
+    """References at the instants of a plan, and of plans that start some intervals later."""
+
+    start_time: float  # s
+    ahead: int  # intervals, by which a plan may start later
+    rows: NDArray  # (k, 22)
+
+
 class HorizonMotion(NamedTuple):
     """What plans need to know of a motion, from a time on, for one horizon and some intervals."""
 
     start_time: float  # s
     ahead: int  # intervals, by which a plan may start later
+    references: KnownReferences
     flat_terms: NDArray  # (k, 9n + 3), the `OrbitTerms` at the instants
     flat_flight: NDArray  # (f, 15n + 9), as of `HorizonData`
     least: NDArray  # (k, n), m/s, that speeds have to reach where nothing jumps
@@ -248,18 +257,18 @@ class HorizonProblem(OrbitConstraints):
         """
         bound = tightened_bound(self.limits, speed_bound)
         wind = STILL_AIR if self.model.aircraft is None else wind
-        config, motion, later, ahead = self.config, None, 0, 0
-        if last is not None and last.speed_bound == bound and np.array_equal(last.wind, wind):
-            if last.start_time == start_time:
-                return last._replace(start_angle=start_angle)
-            motion, ahead = last.motion, _INTERVALS_AHEAD
-            intervals = (start_time - motion.start_time) / config.knot_spacing
-            later = round(intervals)
-            is_known = abs(intervals - later) < _SAME_KNOT and 0 <= later <= motion.ahead
-            if not is_known:
-                motion, later = None, 0
-        if motion is None:
-            motion = self._motion(start_time, reference, speed_bound, wind, ahead)
+        config, motion, later, known = self.config, None, None, None
+        if last is not None:
+            if last.speed_bound == bound and np.array_equal(last.wind, wind):
+                if last.start_time == start_time:
+                    return last._replace(start_angle=start_angle)
+                motion = last.motion
+                later = self._intervals_later(motion.start_time, motion.ahead, start_time)
+            known = last.motion.references
+        if motion is None or later is None:
+            ahead, later = (0 if motion is None else _INTERVALS_AHEAD), 0
+            references = self._references(start_time, reference, known, ahead)
+            motion = self._motion(start_time, references, speed_bound, wind, ahead)
         count, flights = len(self.instants), len(self._flight_at)
         at, flight_at = later * config.instants, later * self._flights_per_knot
         target_speeds = motion.target_speeds[at : at + count]
@@ -281,19 +290,44 @@ class HorizonProblem(OrbitConstraints):
             motion,
         )
 
+    def _intervals_later(self, first: float, most: int, start_time: float) -> int | None:
+        """How many intervals a time (s) is after a first one; None: no whole one, or too many."""
+        intervals = (start_time - first) / self.config.knot_spacing
+        later = round(intervals)
+        is_known = abs(intervals - later) < _SAME_KNOT and 0 <= later <= most
+        return later if is_known else None
+
+    def _references(
+        self, start_time: float, reference: Reference, known: KnownReferences | None, ahead: int
+    ) -> KnownReferences:
+        """References from a time on, for plans that start so many intervals later, or fewer.
+
+        Those that are known, of the same motion, are taken where they reach as far.
+        """
+        config = self.config
+        if known is not None:
+            later = self._intervals_later(known.start_time, known.ahead - ahead, start_time)
+            if later is not None:
+                return KnownReferences(
+                    start_time, known.ahead - later, known.rows[later * config.instants :]
+                )
+            ahead = max(ahead, _INTERVALS_AHEAD)
+        left = getattr(reference, "end_time", math.inf) - (start_time + config.horizon)
+        ahead = int(min(max(left / config.knot_spacing, 0.0), ahead))
+        times = self.times(start_time, len(self.instants) + ahead * config.instants)
+        return KnownReferences(start_time, ahead, references_at(reference, times))
+
     def _motion(
         self,
         start_time: float,
-        reference: Reference,
+        known: KnownReferences,
         speed_bound: float,
         wind: NDArray,
         ahead: int,
     ) -> HorizonMotion:
         """The terms of a motion, also for plans that start so many intervals later, or fewer."""
         config, bound = self.config, tightened_bound(self.limits, speed_bound)
-        end = start_time + config.horizon
-        left = (getattr(reference, "end_time", math.inf) - end) / config.knot_spacing
-        ahead = int(min(max(left, 0.0), ahead)) if wind.ndim == 1 else 0
+        ahead = min(ahead, known.ahead) if wind.ndim == 1 else 0
 
         def extended(numbers: NDArray, each: int) -> NDArray:
             """Numbers of instants, of which there are so many in an interval, goes on with them."""
@@ -303,7 +337,7 @@ class HorizonProblem(OrbitConstraints):
         count = len(self.instants) + ahead * config.instants
         flight_at = extended(self._flight_at, self._flights_per_knot)
         terminal_at = extended(self.terminal_at, config.terminal_instants)
-        references = references_at(reference, self.times(start_time, count))
+        references = known.rows[:count]
         winds = np.broadcast_to(wind, (count, WIND_SIZE))
         flat = self.all_terms(references, winds)
         terms = OrbitTerms.view(flat)
@@ -319,6 +353,7 @@ class HorizonProblem(OrbitConstraints):
         return HorizonMotion(
             start_time=start_time,
             ahead=ahead,
+            references=known,
             flat_terms=flat,
             flat_flight=self.flight_terms(references[flight_at], winds[flight_at]),
             least=least,

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from pydrake.autodiffutils import AutoDiffXd, ExtractValue
 from pydrake.symbolic import Formula, Variable, if_then_else
 
-_ROWS = 20  # that a `RowsFunction` evaluates at once
+_ROWS = 60  # that a `RowsFunction` evaluates at once
 
 LARGEST = 1e9  # SI units; no rate or force of a load on cables comes near it
 
