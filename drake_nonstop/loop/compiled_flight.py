@@ -203,6 +203,12 @@ class CompiledFlight(LoopFlight):
         self.samples += 1
         return self._in_rows(1, signals, step_signals)
 
+    @property
+    def no_rows(self) -> tuple[NDArray, NDArray]:
+        """Signals and signals of steps (0, size) of no samples."""
+        sizes = self._shown.output_sizes
+        return np.zeros((0, sizes[0])), np.zeros((0, sizes[1]))
+
     def _in_rows(self, samples: int, *rows: NDArray) -> tuple[NDArray, NDArray]:
         """Signals, and signals of steps, with a row for each of their instants."""
         signals, step_signals = rows

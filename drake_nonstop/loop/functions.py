@@ -140,6 +140,11 @@ class Evaluation:
             own = self._input, self._outputs, self._arguments
             self._fly = _FlyingInC(library, evaluated, *own).fly
 
+    @property
+    def output_sizes(self) -> list[int]:
+        """The numbers of entries of the results."""
+        return [*map(len, self._outputs)]
+
     def __call__(self, inputs: Sequence[NDArray]) -> list[NDArray]:
         """The results for all arguments, and for what stands outside."""
         np.concatenate(inputs, out=self._input)

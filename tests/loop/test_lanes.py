@@ -1,0 +1,76 @@
+"""Flights side by side show what each shows alone, to the bit."""
+
+import numpy as np
+import pytest
+
+from drake_nonstop import ScenarioError, load_scenario, make_nonstop
+from drake_nonstop.loop.compiled_loop import CompiledLoop
+from drake_nonstop.loop.lanes import advance_together
+from drake_nonstop.scenario.overrides import changed
+from drake_nonstop.systems.tracing import NotFiniteError
+
+CONSTANT = "optimization_layer=ConstantParameters"
+
+
+def makers(name, numbers, **options):
+    """For each list of overrides of a scenario a function that starts its flight."""
+    found = []
+    for overrides in numbers:
+        scenario = changed(load_scenario(name), overrides)
+        diagram = make_nonstop(scenario)
+        loop = CompiledLoop(diagram, scenario.simulator_config, scenario.control_period, **options)
+
+        def start(loop=loop, diagram=diagram):
+            flight = loop.fly(diagram.CreateDefaultContext())
+            flight.start()
+            return flight
+
+        found.append(start)
+    return found
+
+
+def masses(*values):
+    return [[CONSTANT, f"simulated.load_mass={mass}"] for mass in values]
+
+
+def alone(flight, samples):
+    """Signals and signals of steps, in rows, of all these samples."""
+    end, rows = flight.samples + samples, []
+    while flight.samples < end:
+        rows.append(flight.advance(end - flight.samples))
+    return [np.concatenate(kind) for kind in zip(*rows, strict=True)]
+
+
+def test_flights_go_on_by_their_own_samples():
+    counts = [3, 1, 5]
+    starts = makers("quintic", masses(1.0, 1.1, 1.2), compiles=False, samples=1)
+    flights = [start() for start in starts]
+    shown = [advance_together(flights, counts) for _ in range(2)][1]
+    for start, flight, count, own in zip(starts, flights, counts, shown, strict=True):
+        expected = start()
+        alone(expected, count)
+        for rows, own_rows in zip(alone(expected, count), own[:2], strict=True):
+            np.testing.assert_array_equal(own_rows, rows)
+        assert flight.samples == 2 * count
+        np.testing.assert_array_equal(flight.state, expected.state)
+
+
+def test_a_flight_that_diverges_keeps_what_it_showed_and_harms_no_other():
+    start, start_bad = makers("quintic", masses(1.0, 1.1), compiles=False, samples=1)
+    flight, bad = start(), start_bad()
+    advance_together([flight, bad], [2, 2])
+    bad.go_to(2, np.full(len(bad.state), np.nan))
+    (signals, _, error), (nothing, steps, raised) = advance_together([flight, bad], [2, 2])
+    assert error is None
+    expected = start()
+    alone(expected, 2)
+    np.testing.assert_array_equal(signals, alone(expected, 2)[0])
+    assert isinstance(raised, NotFiniteError)
+    assert len(nothing) == len(steps) == 0
+    assert bad.samples == 2
+
+
+def test_a_number_of_samples_is_one_or_more():
+    (start,) = makers("quintic", masses(1.0), compiles=False, samples=1)
+    with pytest.raises(ScenarioError, match="samples = 0: give 1 or more"):
+        advance_together([start()], [0])
