@@ -80,7 +80,10 @@ from drake_nonstop.analysis.aircraft_margins import (
 )
 from drake_nonstop.analysis.flight_envelope import FlightMargin as FlightMargin
 from drake_nonstop.simulation.make_simulator import make_simulator as make_simulator
-from drake_nonstop.simulation.make_gym_env import make_gym_env as make_gym_env
+from drake_nonstop.simulation.make_gym_env import (
+    make_gym_env as make_gym_env,
+    make_gym_vec_env as make_gym_vec_env,
+)
 from drake_nonstop.simulation.simulate import verify_step as verify_step
 from drake_nonstop.simulation.run import StepAction as StepAction, StepCheck as StepCheck
 from drake_nonstop.simulation.recording import LogSignals as LogSignals

@@ -34,6 +34,7 @@ PACKAGES = {
     "IPython": "ipykernel",
     "griffe": "mkdocstrings",
     "make_gym_env": "gymnasium",
+    "make_gym_vec_env": "gymnasium",
     "pydrake": "drake",
     "sweep": "pyarrow",
     "yaml": "pyyaml",

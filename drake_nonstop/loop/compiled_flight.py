@@ -1,5 +1,7 @@
 """A flight of a compiled loop, and what stands beside the trace as it goes on."""
 
+import copy
+import functools
 import math
 import time
 from collections.abc import Mapping, Sequence
@@ -20,10 +22,11 @@ from drake_nonstop.systems.diagram_trace import (
     updates_in_trace,
 )
 from drake_nonstop.systems.port_state import copied_context, set_discrete_values
-from drake_nonstop.systems.tracing import NotFiniteError
+from drake_nonstop.systems.tracing import LruCache, NotFiniteError
 from drake_nonstop.validation import require
 
 _MOST_SAMPLES = 128  # for which what stands outside is evaluated at once
+_MOST_KEPT = 100  # times so many samples, for flights that share them
 
 
 class LoopFlight:
@@ -287,6 +290,22 @@ class CompiledFlight(LoopFlight):
         """
         self.samples, self._state = samples, np.array(state)
 
+    def set_parameters(self, place: slice, values: NDArray) -> None:
+        """Sets some of the parameters (p,) from the last sample on."""
+        self._parameters[place] = values
+
+    def twin(self) -> "CompiledFlight":
+        """Another flight, which stands where this one does, and goes on by itself.
+
+        Both share what stands outside, which is kept, and work memory: no blocks may be beside the
+        trace, and one thread alone flies both.
+        """
+        require(not self._stepped, "flight", "of blocks that are stepped", "give loop.fly(context)")
+        self._outside.keep()
+        other = copy.copy(self)
+        other._state, other._parameters = self.state, self.parameters
+        return other
+
     def times_of(self, samples: NDArray) -> NDArray:
         """Times of samples by their numbers (k,), s."""
         return sample_times(samples, self._period)
@@ -428,24 +447,35 @@ class _ExogenousInputs:
         self._first = self._end = 0  # samples, of the rows
         self._times = np.zeros(0)
         self._rows = np.zeros((0, 0))
+        self._kept: LruCache | None = None
+
+    def keep(self) -> None:
+        """Evaluates blocks of samples, and keeps them, for flights that ask for the same ones."""
+        self._kept = self._kept or LruCache(_MOST_KEPT)
 
     def of_samples(self, first: int, most: int) -> tuple[NDArray, NDArray]:
         """The times (k,), s, and the rows (k, size) of samples from the first on."""
         if not self._first <= first < self._end:
-            self._first, self._end = first, first + min(most, _MOST_SAMPLES)
-            self._times = sample_times(np.arange(first, self._end), self._period)
-            self._rows = self._made()
+            if self._kept is None:
+                self._times, self._rows = self._made(first, min(most, _MOST_SAMPLES))
+                self._first = first
+            else:
+                self._first = first - first % _MOST_SAMPLES
+                make = functools.partial(self._made, self._first, _MOST_SAMPLES)
+                self._times, self._rows = self._kept.get(self._first, make)
+            self._end = self._first + len(self._times)
         chosen = slice(first - self._first, first - self._first + most)
         return self._times[chosen], self._rows[chosen]
 
-    def _made(self) -> NDArray:
+    def _made(self, first: int, count: int) -> tuple[NDArray, NDArray]:
         """Each source is evaluated once at each time."""
-        after = sample_times(np.arange(self._first + 1, self._end + 1), self._period)
+        ends = sample_times(np.arange(first, first + count + 1), self._period)
+        now, after = ends[:-1], ends[1:]
         columns: list[Any] = [None] * len(self._readings)
         for number in dict.fromkeys(reading.system for reading in self._readings):
             own = [k for k, reading in enumerate(self._readings) if reading.system == number]
             at = [
-                after if offset == self._period else self._times + offset
+                after if offset == self._period else now + offset
                 for offset in (self._readings[k].offset for k in own)
             ]
             times, places = np.unique(np.array(at), return_inverse=True)
@@ -454,4 +484,4 @@ class _ExogenousInputs:
             rows = dict(zip(outputs, self._sources[number].values(outputs, times), strict=True))
             for k, place in zip(own, places, strict=True):
                 columns[k] = rows[self._readings[k].output][place]
-        return np.hstack([np.zeros((len(self._times), 0)), *columns])
+        return now, np.hstack([np.zeros((count, 0)), *columns])

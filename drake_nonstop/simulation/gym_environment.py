@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 from pydrake.common import RandomGenerator
 from pydrake.gym import DrakeGymEnv
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
-from pydrake.systems.framework import Diagram, DiagramBuilder
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, EventStatus
 from pydrake.systems.primitives import ConstantVectorSource, Multiplexer
 
 from drake_nonstop.diagrams.nonstop import make_nonstop
+from drake_nonstop.loop.block_events import sample_times
 from drake_nonstop.loop.equilibrium import set_equilibrium
 from drake_nonstop.mechanics.signals import (
     LOAD_REFERENCE_SIZE,
@@ -29,8 +30,8 @@ from drake_nonstop.validation import require
 
 PARAMETERS, WRENCH = "parameters", "wrench"  # what may be the action
 _ACTIONS, _OBSERVATIONS = "actions", "observations"
-_OBSERVED = ("load_state", "reference", "carrier_state")
-_DIVERGED = -1000.0  # the reward
+OBSERVED = ("load_state", "reference", "carrier_state")
+DIVERGED = -1000.0  # the reward
 _ROUNDING = 1e-6  # of a bound
 
 Reward = Callable[[NDArray, NDArray], float]  # of observation and action
@@ -47,8 +48,7 @@ class NonstopEnv(DrakeGymEnv):
         simulator, actions = self._simulator_of(scenario.sampled())
         self._judge = reward or self._default_reward
         self._is_reset = False
-        n = len(self._scenario.system.attachments)
-        size = LOAD_STATE_SIZE + LOAD_REFERENCE_SIZE + 6 * n
+        size = observation_size(self._scenario)
         super().__init__(
             simulator=simulator,
             time_step=time_step,
@@ -58,6 +58,7 @@ class NonstopEnv(DrakeGymEnv):
             action_port_id=_ACTIONS,
             observation_port_id=_OBSERVATIONS,
         )
+        self._given_step = time_step
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -80,7 +81,7 @@ class NonstopEnv(DrakeGymEnv):
         self.action_port.FixValue(context, self._resting)
         set_equilibrium(self._loop, self._loop.GetMyMutableContextFromRoot(context))
         simulator.Initialize()
-        self._is_reset = True
+        self._is_reset, self._steps = True, 0
         return self._observation(), {}
 
     def step(self, action: NDArray) -> tuple[NDArray, float, bool, bool, dict[str, Any]]:
@@ -95,18 +96,22 @@ class NonstopEnv(DrakeGymEnv):
                 reset, or the reward is no number.
         """
         require(self._is_reset, "step", "before reset", "call reset() first")
-        values = _as_action(action, self.action_space)
+        values = as_action(action, self.action_space)
         before = self._observation()
+        # To the bit at a sample of the controllers: else some of their updates would come before
+        # the observation, and others after it.
+        period, self._steps = self._scenario.control_period, self._steps + 1
+        end, every = self._steps * self._given_step, samples_of(self._given_step, period)
+        end = sample_times(self._steps * every, period) if every else end
+        self.time_step = end - self.simulator.get_context().get_time()
         try:
             observation, _, terminated, truncated, info = super().step(values)
         except NotFiniteError as error:
-            return before, _DIVERGED, True, False, {"message": str(error)}
+            return before, DIVERGED, True, False, {"message": str(error)}
         time = self.simulator.get_context().get_time()
         is_over = time >= self._scenario.simulation_duration - 1e-9
-        reward = self._judge(observation, values)
-        remedy = "return a finite number from the function"
-        require(np.ndim(reward) == 0 and np.isfinite(reward), "reward", reward, remedy)
-        return observation.copy(), float(reward), bool(terminated), bool(truncated or is_over), info
+        reward = checked_reward(self._judge(observation, values))
+        return observation.copy(), reward, bool(terminated), bool(truncated or is_over), info
 
     def _simulator_of(self, scenario: Scenario) -> tuple[Simulator, gymnasium.spaces.Box]:
         """A simulator of the loop of a scenario without distributions, which is flown from now.
@@ -115,10 +120,21 @@ class NonstopEnv(DrakeGymEnv):
         """
         model = Model(scenario.system, scenario.pattern, scenario.control_period)
         self._scenario = scenario
-        self._resting, actions = _actions(scenario, model, self._action)
+        self._resting, actions = actions_of(scenario, model, self._action)
         diagram, self._loop = _diagram(scenario, self._action, model.n)
         simulator = Simulator(diagram)
         ApplySimulatorConfig(scenario.simulator_config, simulator)
+        ending = [block for block in self._loop.GetSystems() if hasattr(block, "ends_run")]
+
+        def end_of_run(root: Context) -> EventStatus:
+            for block in ending:
+                own = block.GetMyContextFromRoot(root)
+                if block.ends_run(own, block.GetOutputPort(block.ending_signal).Eval(own)):
+                    return EventStatus.ReachedTermination(block, "over")
+            return EventStatus.DidNothing()
+
+        if ending:
+            simulator.set_monitor(end_of_run)
         return simulator, actions
 
     def _observation(self) -> NDArray:
@@ -126,31 +142,68 @@ class NonstopEnv(DrakeGymEnv):
         return values.copy()
 
     def _default_reward(self, observation: NDArray, action: NDArray) -> float:
-        """Minus the load's error by the cable's length, and what the slowest carrier lacks of ε."""
-        load, reference, carriers = np.split(
-            observation, np.cumsum([LOAD_STATE_SIZE, LOAD_REFERENCE_SIZE])
+        scenario = self._scenario
+        return float(
+            default_reward(observation, scenario.system.cable_length, scenario.speed_bound)
         )
-        error = LoadState.view(load).position - LoadReference.view(reference).position
-        slowest = np.linalg.norm(CarrierStates.view(carriers).velocities, axis=1).min()
-        bound = self._scenario.speed_bound
-        lacking = max(0.0, 1 - slowest / bound) if bound > 0 else 0.0
-        return -float(np.linalg.norm(error)) / self._scenario.system.cable_length - lacking
 
 
-def _as_action(action: Any, space: gymnasium.spaces.Box) -> NDArray:
+def observation_size(scenario: Scenario) -> int:
+    """The number of entries of an observation."""
+    return LOAD_STATE_SIZE + LOAD_REFERENCE_SIZE + 6 * len(scenario.system.attachments)
+
+
+def default_reward(observations: NDArray, length: Any, bound: Any) -> NDArray:
+    """Minus the load's error by the cable's length, and what the slowest carrier lacks of ε.
+
+    Of observations (..., size), lengths in m and bounds in m/s, numbers or arrays (...); 0 is none.
+    """
+    ends = np.cumsum([LOAD_STATE_SIZE, LOAD_REFERENCE_SIZE])
+    load, reference, carriers = np.split(observations, ends, axis=-1)
+    error = LoadState.view(load).position - LoadReference.view(reference).position
+    speeds = np.linalg.norm(CarrierStates.view(carriers).velocities, axis=-1)
+    has_bound = np.greater(bound, 0)
+    lacking = np.maximum(0.0, 1 - speeds.min(axis=-1) / np.where(has_bound, bound, 1.0))
+    shown: NDArray = -np.linalg.norm(error, axis=-1) / length - has_bound * lacking
+    return shown
+
+
+def checked_reward(reward: Any) -> float:
+    """A reward as a number; raises ScenarioError where it is none."""
+    remedy = "return a finite number from the function"
+    require(np.ndim(reward) == 0 and np.isfinite(reward), "reward", reward, remedy)
+    return float(reward)
+
+
+def samples_of(time_step: float, period: float) -> int:
+    """The number of the controllers' samples in a time step (both s); 0 where it is not whole."""
+    count = round(time_step / period) if period > 0 else 0
+    return count if abs(count * period - time_step) < _ROUNDING * period else 0
+
+
+def as_action(action: Any, space: gymnasium.spaces.Box, field: str = "action") -> NDArray:
     """The action as floats; raises ScenarioError where it is not in the space."""
-    try:
-        values = np.asarray(action, dtype=float)
-    except (TypeError, ValueError):
-        values = np.array([np.nan])
-    # A policy of single precision may be beyond a bound by rounding.
-    is_within = values.shape == space.shape and np.all(
-        (values >= space.low - _ROUNDING * np.abs(space.low))
-        & (values <= space.high + _ROUNDING * np.abs(space.high))
-    )
+    values = as_floats(action)
+    is_within = values.shape == space.shape and are_within(values, space)
     low, high = space.low.tolist(), space.high.tolist()
-    require(is_within, "action", action, f"give numbers from {low} to {high}")
+    require(is_within, field, action, f"give numbers from {low} to {high}")
     return np.clip(values, space.low, space.high)
+
+
+def are_within(actions: NDArray, space: gymnasium.spaces.Box) -> NDArray:
+    """Whether actions (..., k) are in a space, or beyond by a rounding to single precision."""
+    low, high = space.low, space.high
+    low, high = low - _ROUNDING * np.abs(low), high + _ROUNDING * np.abs(high)
+    found: NDArray = np.all((actions >= low) & (actions <= high), axis=-1)
+    return found
+
+
+def as_floats(values: Any) -> NDArray:
+    """An array of floats; a NaN where they cannot be one."""
+    try:
+        return np.asarray(values, dtype=float)
+    except (TypeError, ValueError):
+        return np.array([np.nan])
 
 
 def _diagram(scenario: Scenario, action: str, n: int) -> tuple[Diagram, Diagram]:
@@ -167,13 +220,15 @@ def _diagram(scenario: Scenario, action: str, n: int) -> tuple[Diagram, Diagram]
         rate = builder.AddSystem(ConstantVectorSource(np.zeros(WRENCH_SIZE)))
         builder.Connect(rate.get_output_port(), loop.GetInputPort("wrench_rate"))
     observed = builder.AddSystem(Multiplexer([LOAD_STATE_SIZE, LOAD_REFERENCE_SIZE, 6 * n]))
-    for i, name in enumerate(_OBSERVED):
+    for i, name in enumerate(OBSERVED):
         builder.Connect(loop.GetOutputPort(name), observed.get_input_port(i))
     builder.ExportOutput(observed.get_output_port(), _OBSERVATIONS)
     return builder.Build(), loop
 
 
-def _actions(scenario: Scenario, model: Model, action: str) -> tuple[NDArray, gymnasium.spaces.Box]:
+def actions_of(
+    scenario: Scenario, model: Model, action: str
+) -> tuple[NDArray, gymnasium.spaces.Box]:
     """The scenario's own action, and the space of all.
 
     That is the layer's initial ξ and A within its bounds, or the wrench that carries the weight

@@ -1,14 +1,22 @@
 """The loop of a scenario as an environment of Gymnasium."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from drake_nonstop.scenario.schema import Scenario, check
-from drake_nonstop.validation import require, require_installed, require_known, require_positive
+from drake_nonstop.validation import (
+    require,
+    require_installed,
+    require_known,
+    require_positive,
+    require_whole,
+)
 
 if TYPE_CHECKING:
     from drake_nonstop.simulation.gym_environment import NonstopEnv, Reward
+    from drake_nonstop.simulation.gym_vector_environment import NonstopVecEnv
 
 _NAMES = ("parameters", "wrench")
+_MOST = 100_000  # environments
 
 
 def make_gym_env(
@@ -37,11 +45,48 @@ def make_gym_env(
         ScenarioError: Gymnasium is not installed, the scenario cannot be built, or an argument
             cannot be used.
     """
-    require_installed("make_gym_env", gymnasium="drake-nonstop[gym]")
-    check(scenario)
-    require_known(action, _NAMES, "action", action)
-    require_positive("make_gym_env.time_step", time_step)
-    require(reward is None or callable(reward), "reward", reward, "give a function, or None")
+    _check("make_gym_env", scenario, action, time_step, reward)
     from drake_nonstop.simulation.gym_environment import NonstopEnv
 
     return NonstopEnv(scenario, action, time_step, reward)
+
+
+def make_gym_vec_env(
+    scenario: Scenario,
+    n: int,
+    *,
+    action: str = "parameters",
+    time_step: float = 0.1,
+    reward: "Reward | None" = None,
+) -> "NonstopVecEnv":
+    """As many environments as of `make_gym_env` side by side, by Gymnasium's vector API.
+
+    Their episodes are flights of one compiled loop, and equal those of single environments to
+    rounding. An episode that is over begins anew in the same step (`AutoresetMode.SAME_STEP`), with
+    `final_obs` and `final_info` in the infos. `reset` takes a seed, those of further environments
+    exceed it by 1, or one for each.
+
+    Args:
+        scenario: what is flown, by a loop that can be compiled, see `CompiledLoop`.
+        n: the number of environments.
+        action: as of `make_gym_env`.
+        time_step: s, of an action, a multiple of the scenario's `control_period`.
+        reward: as of `make_gym_env`, of one environment.
+
+    Raises:
+        ScenarioError: as of `make_gym_env`, or the loop cannot be compiled.
+    """
+    _check("make_gym_vec_env", scenario, action, time_step, reward)
+    require_whole("n", n, 1, _MOST)
+    from drake_nonstop.simulation.gym_vector_environment import NonstopVecEnv
+
+    return NonstopVecEnv(scenario, n, action, time_step, reward)
+
+
+def _check(name: str, scenario: Scenario, action: str, time_step: float, reward: Any) -> None:
+    """Raises ScenarioError for an argument that cannot be used, or without Gymnasium."""
+    require_installed(name, gymnasium="drake-nonstop[gym]")
+    check(scenario)
+    require_known(action, _NAMES, "action", action)
+    require_positive(f"{name}.time_step", time_step)
+    require(reward is None or callable(reward), "reward", reward, "give a function, or None")

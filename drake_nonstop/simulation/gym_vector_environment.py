@@ -1,0 +1,286 @@
+"""Loops side by side as one environment of Gymnasium's vector API, flown by their compiled loops.
+
+The agent's action is a parameter of a block that stands in the place of the layer or controller, so
+that the loop has no inputs. `make_gym_vec_env` makes the environment.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+import gymnasium
+import numpy as np
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+from pydrake.common import RandomGenerator
+
+from drake_nonstop.diagrams.nonstop import make_nonstop
+from drake_nonstop.loop.compiled_flight import CompiledFlight
+from drake_nonstop.loop.compiled_loop import CompiledLoop
+from drake_nonstop.loop.equilibrium import set_equilibrium
+from drake_nonstop.loop.lanes import Advance, advance_together
+from drake_nonstop.mechanics.signal_layouts import by_name
+from drake_nonstop.mechanics.signals import WRENCH_SIZE
+from drake_nonstop.model.block import Block
+from drake_nonstop.model.system import Model
+from drake_nonstop.scenario.schema import Scenario, sample
+from drake_nonstop.simulation.gym_environment import (
+    DIVERGED,
+    OBSERVED,
+    PARAMETERS,
+    WRENCH,
+    Reward,
+    actions_of,
+    are_within,
+    as_action,
+    as_floats,
+    checked_reward,
+    default_reward,
+    observation_size,
+    samples_of,
+)
+from drake_nonstop.systems.tracing import NotFiniteError
+from drake_nonstop.validation import StrictFields, require, require_whole
+
+_HOLDER = "action"  # the name of the block that holds it
+_LARGEST_SEED = 2**32 - 1  # of Drake's RandomGenerator
+
+
+@dataclass(kw_only=True)
+class _HeldAction(StrictFields):
+    action: list[float] = field(default_factory=lambda: [0.0])
+
+
+class _HeldParameters(Block):
+    """ξ (rad/s) and A (N) that are parameters of the context."""
+
+    makes = (PARAMETERS,)
+
+    @staticmethod
+    def equations(*, action: NDArray) -> NDArray:
+        return action
+
+
+class _HeldWrench(Block):
+    """A wrench (N m, N) that is a parameter of the context, held from step to step."""
+
+    makes = (WRENCH, "wrench_rate")
+
+    @staticmethod
+    def equations(*, action: NDArray) -> tuple[NDArray, NDArray]:
+        return action, np.zeros(WRENCH_SIZE)
+
+
+_HOLDERS = {
+    PARAMETERS: (_HeldParameters, "optimization_layer"),
+    WRENCH: (_HeldWrench, "wrench_controller"),
+}  # of an action, and the box in whose place it stands
+
+
+class _Start:
+    """The compiled loop of a scenario without distributions, and the start of its episodes.
+
+    Attributes:
+        scenario: its own.
+        space: of the actions.
+        samples: of the controllers in a step.
+        action: where the action is among the parameters of a flight.
+        observation: at the equilibrium under the scenario's own action.
+    """
+
+    def __init__(self, scenario: Scenario, action: str, time_step: float):
+        self.scenario = scenario
+        self.samples = samples_of(time_step, scenario.control_period)
+        is_whole = self.samples > 0 or scenario.control_period == 0  # which cannot be compiled
+        remedy = f"give a multiple of control_period = {scenario.control_period:g} s"
+        require(is_whole, "make_gym_vec_env.time_step", time_step, remedy)
+        model = Model(scenario.system, scenario.pattern, scenario.control_period)
+        resting, self.space = actions_of(scenario, model, action)
+        holder, box = _HOLDERS[action]
+        left_out: dict[str, Any] = {box: None}
+        config = _HeldAction(action=resting.tolist())
+        extra = {_HOLDER: lambda own: holder(own, config)}
+        nonstop = make_nonstop(scenario, at_equilibrium=False, extra=extra, **left_out)
+        self._context = nonstop.CreateDefaultContext()
+        set_equilibrium(nonstop, self._context)
+        self._ending = [
+            (block, nonstop.GetSubsystemContext(block, self._context))
+            for block in nonstop.GetSystems()
+            if hasattr(block, "ends_run")
+        ]
+        ends = dict.fromkeys([*OBSERVED, *(block.ending_signal for block, _ in self._ending)])
+        self._loop = CompiledLoop(
+            nonstop,
+            scenario.simulator_config,
+            scenario.control_period,
+            signals=() if self._ending else OBSERVED,
+            step_signals=(*ends,) if self._ending else (),  # any step may be the last one
+        )
+        beside = ", ".join(self._loop.blocks_beside)
+        require(not beside, "scenario", beside, "it is stepped by itself; give make_gym_env")
+        first = self._loop.parameter_names.index(f"{_HOLDER}.action[0]")
+        self.action = slice(first, first + len(resting))
+        self._flight = self._loop.fly(self._context)
+        self.observation = np.concatenate(self._flight.start())[: observation_size(scenario)]
+        self._state = self._flight.state
+
+    def flight(self) -> CompiledFlight:
+        """A new flight."""
+        return self._flight.twin()
+
+    def begin(self, flight: CompiledFlight) -> None:
+        """Sets a flight of the loop to the start of an episode."""
+        flight.go_to(0, self._state)
+
+    def end(self, flown: Advance) -> tuple[NDArray, bool]:
+        """The observation (size,) after a flight, and whether a block has ended the run there."""
+        size = len(self.observation)
+        if not self._ending:
+            return flown.signals[-1, :size], False
+        rows = flown.step_signals
+        shown = by_name(self._loop.step_signals, rows)
+        for k in range(len(rows)):
+            for block, context in self._ending:
+                if block.ends_run(context, shown[block.ending_signal][k]):
+                    return rows[k, :size], True
+        return rows[-1, :size], False
+
+
+class NonstopVecEnv(VectorEnv[NDArray, NDArray, NDArray]):
+    """Episodes of a scenario side by side; see `drake_nonstop.make_gym_vec_env`."""
+
+    metadata: ClassVar[dict[str, Any]] = {"autoreset_mode": AutoresetMode.SAME_STEP}
+
+    def __init__(
+        self, scenario: Scenario, n: int, action: str, time_step: float, reward: Reward | None
+    ):
+        self.num_envs, self._given, self._action = n, scenario, action
+        self._time_step, self._reward = time_step, reward
+        sampled, drawn = sample(scenario)
+        self._is_drawn = bool(drawn)
+        start = _Start(sampled, action, time_step)
+        seeds = (scenario.random_seed + np.arange(n)) % (_LARGEST_SEED + 1)
+        self._generators = [RandomGenerator(seed) for seed in seeds.tolist()]
+        self._starts = n * [start]
+        self._flights = [start.flight() for _ in range(n)]
+        size = observation_size(sampled)
+        self.single_action_space = start.space
+        self.single_observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float64)
+        self.action_space = batch_space(self.single_action_space, n)
+        self.observation_space = batch_space(self.single_observation_space, n)
+        self._observations = np.zeros((n, size))
+        # m, m/s and s, of each scenario
+        self._lengths, self._bounds, self._durations = np.ones((3, n))
+        self._is_reset = False
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: Any = None
+    ) -> tuple[NDArray, dict[str, Any]]:
+        """Starts all episodes at their equilibria, as n single environments do.
+
+        Args:
+            seed: of the first environment, which that of the next exceeds by 1; or one for each.
+            options: there are none.
+
+        Raises:
+            ScenarioError: a seed cannot be used, or there are options, or a scenario that was
+                drawn cannot be built.
+        """
+        require(not options, "options", options, "leave them out, there are none")
+        seeds = _seeds(seed, self.num_envs)
+        for i, own in enumerate(seeds):
+            if own is not None:
+                self._generators[i] = RandomGenerator(own)
+            self._begin(i)
+        self._is_reset = True
+        return self._observations.copy(), {}
+
+    def _begin(self, i: int) -> None:
+        """Starts an episode of one environment."""
+        if self._is_drawn:
+            drawn = self._given.sampled(self._generators[i])
+            self._starts[i] = _Start(drawn, self._action, self._time_step)
+            self._flights[i] = self._starts[i].flight()
+        start = self._starts[i]
+        scenario = start.scenario
+        self._lengths[i], self._bounds[i] = scenario.system.cable_length, scenario.speed_bound
+        self._durations[i] = scenario.simulation_duration
+        start.begin(self._flights[i])
+        self._observations[i] = start.observation
+
+    def step(self, actions: NDArray) -> tuple[NDArray, NDArray, NDArray, NDArray, dict[str, Any]]:
+        """Flies each episode on for `time_step` s under its action, a row of `actions` (n, k).
+
+        An episode that is over begins anew at once: its row of the observations (n, size) is the
+        first one then, and `final_obs` and `final_info` are in the infos. Rewards, terminations
+        and truncations (n,) are as of a single environment.
+
+        Raises:
+            ScenarioError: an action is not in the action space, the environment has not been
+                reset, or a reward is no number.
+        """
+        require(self._is_reset, "step", "before reset", "call reset() first")
+        values = self._as_actions(actions)
+        self._is_reset = False  # until all are flown
+        for flight, start, action in zip(self._flights, self._starts, values, strict=True):
+            flight.set_parameters(start.action, action)
+        flown = advance_together(self._flights, [start.samples for start in self._starts])
+        has_diverged = np.array([each.error is not None for each in flown])
+        has_ended = has_diverged.copy()
+        messages = {}
+        for i, (start, each) in enumerate(zip(self._starts, flown, strict=True)):
+            if each.error is None:
+                self._observations[i], has_ended[i] = start.end(each)
+            elif isinstance(each.error, NotFiniteError):
+                messages[i] = {"message": str(each.error)}
+            else:
+                raise each.error
+        rewards = np.where(has_diverged, DIVERGED, self._rewards(values, has_diverged))
+        times = np.array([flight.time for flight in self._flights])
+        is_truncated = ~has_ended & (times >= self._durations - 1e-9)
+        observations = self._observations
+        infos: dict[str, Any] = {}
+        for i in np.flatnonzero(has_ended | is_truncated).tolist():
+            final = {"final_obs": observations[i].copy(), "final_info": messages.get(i, {})}
+            infos = self._add_info(infos, final, i)
+            self._begin(i)
+        self._is_reset = True
+        return observations.copy(), rewards, has_ended, is_truncated, infos
+
+    def _rewards(self, actions: NDArray, has_diverged: NDArray) -> NDArray:
+        """Rewards (n,), of a function that was given but for those that have diverged."""
+        if self._reward is None:
+            return default_reward(self._observations, self._lengths, self._bounds)
+        given = zip(self._observations.copy(), actions, has_diverged, strict=True)
+        return np.array(
+            [
+                DIVERGED if is_over else checked_reward(self._reward(observation, action))
+                for observation, action, is_over in given
+            ]
+        )
+
+    def _as_actions(self, actions: Any) -> NDArray:
+        """Actions (n, k) as floats; raises ScenarioError, which names the first wrong one."""
+        values, space = as_floats(actions), self.single_action_space
+        shape = self.action_space.shape
+        remedy = f"give an array {shape}, with a row for each environment"
+        require(values.shape == shape, "actions", f"an array {values.shape}", remedy)
+        for i in np.flatnonzero(~are_within(values, space)).tolist():
+            as_action(values[i], space, f"actions[{i}]")
+        return np.clip(values, space.low, space.high)
+
+
+def _seeds(seed: Any, n: int) -> list[int | None]:
+    """A seed for each environment; raises ScenarioError where one cannot be used."""
+    if seed is None:
+        return [None] * n
+    if np.ndim(seed) == 0:
+        require_whole("seed", seed, 0, _LARGEST_SEED + 1 - n)
+        return [seed + i for i in range(n)]
+    found = np.array(seed, dtype=object).tolist()
+    require(len(found) == n, "seed", f"{len(found)} seeds", f"give {n}, one for each environment")
+    for i, own in enumerate(found):
+        if own is not None:
+            require_whole(f"seed[{i}]", own, 0, _LARGEST_SEED)
+    return found

@@ -1,0 +1,187 @@
+"""Environments side by side: each as it is alone, by the rules of Gymnasium's vector API."""
+
+import numpy as np
+import pytest
+from helpers import nightly_beyond
+
+from drake_nonstop import ScenarioError, load_scenario, make_gym_env, make_gym_vec_env
+
+pytest.importorskip("gymnasium")
+BRIEF = ["simulation_duration=0.3"]
+HOLD, PUSH = [0.0, 0.0, 0.0, 0.0, 0.0, 9.81], [0.0, 0.0, 0.0, 9.8, 9.8, 0.0]
+
+
+@pytest.fixture(scope="module")
+def three():
+    return make_gym_vec_env(load_scenario("quintic", BRIEF), 3)
+
+
+def drawn_actions(env, n, rng):
+    space = env.single_action_space
+    share = rng.uniform(0.4, 0.6, (n, *space.shape))
+    return space.low + share * (space.high - space.low)
+
+
+@pytest.mark.parametrize(
+    ("scenario", "action", "step", "duration"),
+    nightly_beyond(
+        1,
+        "engines",
+        [
+            ("quintic", "parameters", 0.1, 0.3),
+            ("three_carriers", "wrench", 0.1, 0.3),
+            ("aircraft_transfer", "parameters", 0.2, 1.0),
+            ("quintic", "parameters", 0.01, 0.05),
+        ],
+    ),
+)
+def test_episodes_are_those_of_single_environments(scenario, action, step, duration, rng):
+    flown = load_scenario(scenario, [f"simulation_duration={duration}"])
+    env, alone = (make_gym_vec_env(flown, n, action=action, time_step=step) for n in (5, 1))
+    single = make_gym_env(flown, action=action, time_step=step)
+    (first, _), (same, _), (begin, _) = env.reset(), alone.reset(), single.reset()
+    np.testing.assert_allclose(first, np.tile(begin, (5, 1)), rtol=0, atol=1e-9)
+    np.testing.assert_array_equal(first[3:4], same)
+    ends = 0
+    for _ in range(round(duration / step) + 2):  # into the next episode
+        actions = drawn_actions(env, 5, rng)
+        shown = env.step(actions)
+        by_itself = alone.step(actions[3:4])
+        expected, *judged, _ = single.step(actions[3])
+        for values, own in zip(shown[:4], by_itself[:4], strict=True):
+            np.testing.assert_array_equal(values[3:4], own)
+        np.testing.assert_allclose([values[3] for values in shown[1:4]], judged, rtol=0, atol=1e-9)
+        last = shown[0][3]
+        if judged[2]:
+            ends += 1
+            last = shown[4]["final_obs"][3]
+            np.testing.assert_array_equal(shown[0], first)
+            single.reset()
+        np.testing.assert_allclose(last, expected, rtol=0, atol=1e-9)
+    assert ends == 1
+
+
+def test_a_divergence_ends_its_own_episode_alone():
+    env = make_gym_vec_env(load_scenario("quintic"), 3, action="wrench")
+    first, _ = env.reset()
+    observations = first
+    quiet = make_gym_vec_env(load_scenario("quintic"), 1, action="wrench")
+    quiet.reset()
+    for _ in range(50):
+        before = observations[1]
+        observations, rewards, terminated, truncated, infos = env.step([HOLD, PUSH, HOLD])
+        np.testing.assert_array_equal(observations[[0, 2]], np.tile(quiet.step([HOLD])[0], (2, 1)))
+        if terminated.any():
+            break
+    assert terminated.tolist() == [False, True, False]
+    assert not truncated.any()
+    assert rewards[1] == -1000
+    assert min(rewards[0], rewards[2]) > -1
+    np.testing.assert_array_equal(infos["final_obs"][1], before)
+    assert infos["_final_obs"].tolist() == [False, True, False]
+    assert "not finite" in infos["final_info"]["message"][1]
+    np.testing.assert_array_equal(observations[1], first[1])
+    assert not env.step([HOLD, HOLD, HOLD])[2].any()
+
+
+@pytest.mark.parametrize(
+    "make", [make_gym_env, pytest.param(make_gym_vec_env, marks=pytest.mark.nightly("engines"))]
+)
+def test_a_stall_ends_an_episode(make):
+    scenario = load_scenario("aircraft_transfer")
+    n = {} if make is make_gym_env else {"n": 2}
+    env = make(scenario, time_step=0.2, **n)
+    env.reset()
+    slowest = env.action_space.low
+    ends = [env.step(slowest)[2:4] for _ in range(7)]
+    assert not np.any(ends[:6])
+    assert np.all(ends[6][0])
+    assert not np.any(ends[6][1])
+
+
+def test_it_is_a_vector_environment(three):
+    from gymnasium.vector import AutoresetMode, VectorEnv
+    from gymnasium.wrappers.vector import RecordEpisodeStatistics
+
+    assert isinstance(three, VectorEnv)
+    assert three.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
+    counted = RecordEpisodeStatistics(three)
+    observations, infos = counted.reset(seed=1)
+    assert infos == {}
+    lengths = []
+    for _ in range(7):
+        assert three.observation_space.contains(observations)
+        actions = three.action_space.sample().astype(np.float32)
+        observations, *judged, infos = counted.step(actions)
+        assert [values.dtype for values in judged] == [float, bool, bool]
+        assert {values.shape for values in judged} == {(3,)}
+        lengths += infos["episode"]["l"].tolist() if "episode" in infos else []
+    assert lengths == [3] * 6
+    three.close()
+    three.close()
+
+
+def test_episodes_draw_their_numbers_by_their_seeds():
+    varied = load_scenario("quintic", [*BRIEF, "system.load_mass=!Uniform {min: 0.8, max: 1.2}"])
+    env, single = make_gym_vec_env(varied, 2), make_gym_env(varied)
+
+    def ends(*seeds):
+        env.reset(seed=list(seeds))
+        return env.step(env.action_space.low)[0]
+
+    both = ends(4, 7)
+    env.reset(seed=4)
+    np.testing.assert_array_equal(env.step(env.action_space.low)[0][0], both[0])
+    assert np.max(np.abs(both[0] - both[1])) > 1e-6
+    assert np.max(np.abs(ends(None, 7)[0] - both[0])) > 1e-6
+    single.reset(seed=7)
+    expected = single.step(single.action_space.low)[0]
+    np.testing.assert_allclose(both[1], expected, rtol=0, atol=1e-9)
+
+
+def test_a_reward_of_ones_own_is_asked_for_each():
+    scenario = load_scenario("quintic", BRIEF)
+    env = make_gym_vec_env(scenario, 2, reward=lambda observation, action: action[0])
+    with pytest.raises(ScenarioError, match="call reset"):
+        env.step(env.action_space.low)
+    env.reset()
+    actions = env.action_space.low * [[1.0, 1.0], [1.1, 1.0]]
+    np.testing.assert_array_equal(env.step(actions)[1], actions[:, 0])
+
+
+@pytest.mark.parametrize(
+    ("n", "arguments", "said"),
+    [
+        (0, {}, "n = 0: give a whole number"),
+        (2, {"action": "thrust"}, "action = thrust"),
+        (2, {"time_step": 0.015}, "time_step = 0.015: give a multiple of control_period = 0.01 s"),
+    ],
+)
+def test_what_cannot_be_used_is_refused(n, arguments, said):
+    with pytest.raises(ScenarioError, match=said):
+        make_gym_vec_env(load_scenario("quintic"), n, **arguments)
+    with pytest.raises(ScenarioError, match="control_period = 0: it goes from sample to sample"):
+        make_gym_vec_env(load_scenario("quintic", ["control_period=0"]), 2)
+
+
+def test_what_cannot_be_flown_is_refused_in_a_sentence(three):
+    before, _ = three.reset()
+    low = three.action_space.low
+    for actions, said in (
+        (low[0], r"actions = an array \(2,\): give an array \(3, 2\), with a row for each"),
+        (None, r"actions = an array"),
+        (low - [[0.0], [0.0], [1.0]], r"actions\[2\] = .*give numbers from"),
+        (low * [[1.0], [np.nan], [1.0]], r"actions\[1\] = .*give numbers from"),
+    ):
+        with pytest.raises(ScenarioError, match=said):
+            three.step(actions)
+    for seed, said in (
+        ([1, 2], "seed = 2 seeds: give 3"),
+        (-1, "seed = -1: give a whole number"),
+        ([0, 1.5, 2], r"seed\[1\] = 1.5"),
+    ):
+        with pytest.raises(ScenarioError, match=said):
+            three.reset(seed=seed)
+    with pytest.raises(ScenarioError, match="options"):
+        three.reset(options={"a": 1})
+    np.testing.assert_array_equal(three.reset()[0], before)
