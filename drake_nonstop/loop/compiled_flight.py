@@ -1,6 +1,5 @@
 """A flight of a compiled loop, and what stands beside the trace as it goes on."""
 
-import copy
 import functools
 import math
 import time
@@ -22,7 +21,7 @@ from drake_nonstop.systems.diagram_trace import (
     updates_in_trace,
 )
 from drake_nonstop.systems.port_state import copied_context, set_discrete_values
-from drake_nonstop.systems.tracing import LruCache, NotFiniteError
+from drake_nonstop.systems.tracing import NotFiniteError
 from drake_nonstop.validation import require
 
 _MOST_SAMPLES = 128  # for which what stands outside is evaluated at once
@@ -294,17 +293,14 @@ class CompiledFlight(LoopFlight):
         """Sets some of the parameters (p,) from the last sample on."""
         self._parameters[place] = values
 
-    def twin(self) -> "CompiledFlight":
-        """Another flight, which stands where this one does, and goes on by itself.
+    def share(self, other: "CompiledFlight") -> None:
+        """Takes what stands outside from what another flight of the loop has evaluated of it.
 
-        Both share what stands outside, which is kept, and work memory: no blocks may be beside the
-        trace, and one thread alone flies both.
+        Where it is the same in both. One thread alone flies them.
         """
-        require(not self._stepped, "flight", "of blocks that are stepped", "give loop.fly(context)")
-        self._outside.keep()
-        other = copy.copy(self)
-        other._state, other._parameters = self.state, self.parameters
-        return other
+        if all(source.is_like(other._sources[k]) for k, source in self._sources.items()):
+            other._outside.keep()
+            self._outside = other._outside
 
     def times_of(self, samples: NDArray) -> NDArray:
         """Times of samples by their numbers (k,), s."""
@@ -391,6 +387,14 @@ class _Source:
         self._time = math.nan
         self._known: dict[int | str, Any] = {}  # at that time
 
+    def is_like(self, other: "_Source") -> bool:
+        """Whether it is certain that another one of the block has the same values."""
+        own, others = self._context, other._context
+        return own.num_abstract_parameters() == 0 and all(
+            np.array_equal(*(c.get_numeric_parameter(k).value() for c in (own, others)))
+            for k in range(own.num_numeric_parameter_groups())
+        )
+
     def value(self, output: int | str, at: float) -> Any:
         """Value of a port or a quantity at a time in s."""
         if at != self._time:
@@ -447,23 +451,20 @@ class _ExogenousInputs:
         self._first = self._end = 0  # samples, of the rows
         self._times = np.zeros(0)
         self._rows = np.zeros((0, 0))
-        self._kept: LruCache | None = None
+        self._kept: Any = None
 
     def keep(self) -> None:
-        """Evaluates blocks of samples, and keeps them, for flights that ask for the same ones."""
-        self._kept = self._kept or LruCache(_MOST_KEPT)
+        """Keeps rows, made for blocks of samples, for several flights."""
+        self._kept = self._kept or functools.lru_cache(_MOST_KEPT)(self._made)
 
     def of_samples(self, first: int, most: int) -> tuple[NDArray, NDArray]:
         """The times (k,), s, and the rows (k, size) of samples from the first on."""
         if not self._first <= first < self._end:
-            if self._kept is None:
-                self._times, self._rows = self._made(first, min(most, _MOST_SAMPLES))
-                self._first = first
-            else:
-                self._first = first - first % _MOST_SAMPLES
-                make = functools.partial(self._made, self._first, _MOST_SAMPLES)
-                self._times, self._rows = self._kept.get(self._first, make)
-            self._end = self._first + len(self._times)
+            self._first, count = first, min(most, _MOST_SAMPLES)
+            if self._kept is not None:
+                self._first, count = first - first % _MOST_SAMPLES, _MOST_SAMPLES
+            self._times, self._rows = (self._kept or self._made)(self._first, count)
+            self._end = self._first + count
         chosen = slice(first - self._first, first - self._first + most)
         return self._times[chosen], self._rows[chosen]
 

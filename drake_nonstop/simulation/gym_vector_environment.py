@@ -127,7 +127,9 @@ class _Start:
 
     def flight(self) -> CompiledFlight:
         """A new flight."""
-        return self._flight.twin()
+        flight = self._loop.fly(self._context)
+        flight.share(self._flight)
+        return flight
 
     def begin(self, flight: CompiledFlight) -> None:
         """Sets a flight of the loop to the start of an episode."""
@@ -189,6 +191,7 @@ class NonstopVecEnv(VectorEnv[NDArray, NDArray, NDArray]):
         """
         require(not options, "options", options, "leave them out, there are none")
         seeds = _seeds(seed, self.num_envs)
+        super().reset(seed=seeds[0])
         for i, own in enumerate(seeds):
             if own is not None:
                 self._generators[i] = RandomGenerator(own)

@@ -125,15 +125,11 @@ def test_episodes_draw_their_numbers_by_their_seeds():
     varied = load_scenario("quintic", [*BRIEF, "system.load_mass=!Uniform {min: 0.8, max: 1.2}"])
     env, single = make_gym_vec_env(varied, 2), make_gym_env(varied)
 
-    def ends(*seeds):
-        env.reset(seed=list(seeds))
-        return env.step(env.action_space.low)[0]
-
-    both = ends(4, 7)
-    env.reset(seed=4)
-    np.testing.assert_array_equal(env.step(env.action_space.low)[0][0], both[0])
+    env.reset(seed=[4, 7])
+    both, *_ = env.step(env.action_space.low)
     assert np.max(np.abs(both[0] - both[1])) > 1e-6
-    assert np.max(np.abs(ends(None, 7)[0] - both[0])) > 1e-6
+    env.reset(seed=7)
+    np.testing.assert_array_equal(env.step(env.action_space.low)[0][0], both[1])
     single.reset(seed=7)
     expected = single.step(single.action_space.low)[0]
     np.testing.assert_allclose(both[1], expected, rtol=0, atol=1e-9)
