@@ -236,6 +236,10 @@ def actions_of(
     """
     if action == PARAMETERS:
         layer = scenario.optimization_layer
+        kind = type(layer).__name__.removesuffix("Config")
+        remedy = 'it has no ξ and A to begin with; give ConstantParameters, or action="wrench"'
+        has_both = hasattr(layer, "frequency") and hasattr(layer, "amplitude")
+        require(has_both, "optimization_layer", kind, remedy)
         resting = np.array([layer.frequency, layer.amplitude])
         bounds = [
             getattr(layer, f"{name}_bounds", None) or [0.5 * value, 2 * value]

@@ -80,6 +80,11 @@ def test_what_cannot_be_used_is_refused(arguments, said):
         make_gym_env(load_scenario("quintic"), **arguments)
 
 
+def test_a_layer_without_parameters_to_begin_with_is_refused():
+    with pytest.raises(ScenarioError, match="optimization_layer = TurnRateOptimizer: it has no ξ"):
+        make_gym_env(load_scenario("aircraft_co_rotating_rising_wind"))
+
+
 def test_episodes_draw_their_numbers_by_the_seed():
     varied = load_scenario("quintic", [*BRIEF, "system.load_mass=!Uniform {min: 0.8, max: 1.2}"])
     env = make_gym_env(varied)
