@@ -74,6 +74,7 @@ from drake_nonstop.loop.parameters import (
     LoopParameter as LoopParameter,
 )
 from drake_nonstop.simulation.simulate import simulate as simulate
+from drake_nonstop.simulation.many import simulate_many as simulate_many
 from drake_nonstop.analysis.aircraft_margins import (
     aircraft_margins as aircraft_margins,
     AircraftMargins as AircraftMargins,
@@ -91,6 +92,7 @@ from drake_nonstop.simulation.run import (
     Run as Run,
     RunStopped as RunStopped,
     RunInterrupted as RunInterrupted,
+    RunsInterrupted as RunsInterrupted,
 )
 from drake_nonstop.simulation.metrics import compute_metrics as compute_metrics
 from drake_nonstop.systems.energy import (

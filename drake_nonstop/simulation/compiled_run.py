@@ -1,9 +1,9 @@
 """The compiled engine of a run: what it can fly of it, and how that is recorded."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from pydrake.systems.framework import Context
 
 from drake_nonstop.loop.block_events import NotCompilableError, sample_times
 from drake_nonstop.loop.compiled_loop import CompiledFlight, CompiledLoop, reason_against
+from drake_nonstop.loop.lanes import Advance, advance_together
 from drake_nonstop.mechanics.signal_layouts import by_name
 from drake_nonstop.mechanics.signals import SIGNAL_PERIOD
 from drake_nonstop.scenario.schema import Scenario
@@ -29,6 +30,23 @@ _ROUNDING = 1e-9  # s, of instants
 _SAME = 1e-9  # of 1 + a signal's largest value: what both engines show
 _COMPARED = 3  # samples, of loops with a user's own blocks
 _UNUSUAL = 1e-3 * LARGEST  # a value beyond it may become one that a block of the diagram refuses
+
+Result = TypeVar("Result")
+# Of what flies by a compiled loop, perhaps beside others: it asks for samples of a flight, so many,
+# gets what these show, and returns its result in the end.
+Flying = Generator[tuple[CompiledFlight, int], Advance, Result]
+
+
+def flown_alone(flying: Flying[Result]) -> Result:
+    """The result of what flies, with no others beside it."""
+    try:
+        flight, samples = next(flying)
+        while True:
+            (advance,) = advance_together([flight], [samples])
+            flight, samples = flying.send(advance)
+    except StopIteration as end:
+        result: Result = end.value
+        return result
 
 
 def compiled_loop_of(
@@ -139,7 +157,7 @@ class CompiledRun:
         self._context.SetTime(self._flight.time)
         self._flight.write_state(self._loop.diagram.GetMyMutableContextFromRoot(self._context))
 
-    def fly(self, duration: float, monitor: Monitor) -> bool:
+    def fly(self, duration: float, monitor: Monitor) -> Flying[bool]:
         """Flies up to a time in s, and sets the context to the end of what was flown.
 
         What is left then is less than a sample, or follows an error of a block, a value that is not
@@ -165,7 +183,12 @@ class CompiledRun:
             while not ends and self._flight.samples < samples:
                 to_save = math.ceil((monitor.saved.next_time - self._flight.time) / period)
                 most = min(samples - self._flight.samples, max(1, to_save))
-                ends = self._advance(monitor, duration, most)
+                first = self._flight.samples
+                advance = yield self._flight, most
+                if len(advance.signals):
+                    ends = self._record(monitor, duration, first, advance)
+                if advance.error is not None and not ends:
+                    raise advance.error
         except (RecordingError, NotCompilableError):
             raise
         except Exception as error:  # whatever blocks may raise: the diagram does again, at its step
@@ -182,12 +205,12 @@ class CompiledRun:
             self._context.SetTime(duration)
         return True
 
-    def _advance(self, monitor: Monitor, duration: float, samples: int) -> bool:
-        """Flies and records samples, not more than so many; whether the run ends with them."""
-        first, period = self._flight.samples, self._loop.control_period
-        signals, steps = self._flight.advance(samples)
+    def _record(self, monitor: Monitor, duration: float, first: int, advance: Advance) -> bool:
+        """Records samples from the first one on; whether the run ends with them."""
+        signals, steps, period = advance.signals, advance.step_signals, self._loop.control_period
+        samples = len(signals) // self._loop.shown_per_sample
         self._compare(signals)
-        begins = self._flight.times_of(np.arange(first, self._flight.samples))[:, None]
+        begins = self._flight.times_of(np.arange(first, first + samples))[:, None]
         ends = np.append(begins[1:, 0], self._flight.time)
         if abs(ends[-1] - duration) < _ROUNDING:
             ends[-1] = duration  # as of a Simulator

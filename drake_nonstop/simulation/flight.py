@@ -17,7 +17,7 @@ from drake_nonstop.loop.equilibrium import set_equilibrium
 from drake_nonstop.loop.plant_states import PlantStates
 from drake_nonstop.scenario.proportions import warn_of_angles
 from drake_nonstop.scenario.schema import COMPILED, DIAGRAM, Scenario, check
-from drake_nonstop.simulation.compiled_run import CompiledRun, compiled_loop_of
+from drake_nonstop.simulation.compiled_run import CompiledRun, Flying, compiled_loop_of
 from drake_nonstop.simulation.interruption import ALL, Interruption
 from drake_nonstop.simulation.monitor import Monitor
 from drake_nonstop.simulation.preparation import (
@@ -57,13 +57,13 @@ class Request:
     """
 
     scenario: Scenario
-    progress: Callable[[float], None] | None
-    viewers: Sequence[Viewer]
-    after_step: Callable[[Simulator, Diagram], StepAction] | None
-    check_step: StepCheck
-    make_loop: LoopMaker
-    engine: str | None
-    replacements: dict[str, Any]
+    progress: Callable[[float], None] | None = None
+    viewers: Sequence[Viewer] = ()
+    after_step: Callable[[Simulator, Diagram], StepAction] | None = None
+    check_step: StepCheck = StepCheck.WHOLE
+    make_loop: LoopMaker = make_nonstop
+    engine: str | None = None
+    replacements: dict[str, Any] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:
         check(self.scenario)
@@ -144,7 +144,7 @@ class Flight:
         ApplySimulatorConfig(chosen.config, self._simulator)
         return chosen
 
-    def fly(self, engine: str, chosen: ChosenStep) -> None:
+    def fly(self, engine: str, chosen: ChosenStep) -> Flying[None]:
         """Flies to the end, the compiled engine what it can, Drake's Simulator the rest."""
         compiled = self._compiled(chosen) if engine == COMPILED else None
         self._simulator.set_monitor(self.monitor)
@@ -153,7 +153,7 @@ class Flight:
             self._interruption.collect = lambda: self.run(self._interrupted)
         try:
             duration = self.scenario.simulation_duration
-            is_begun = compiled is not None and compiled.fly(duration, self.monitor)
+            is_begun = compiled is not None and (yield from compiled.fly(duration, self.monitor))
             if not (is_begun and self._is_over):
                 parameters = InitializeParams(suppress_initialization_events=is_begun)
                 self._simulator.Initialize(parameters)
@@ -236,6 +236,8 @@ class Flight:
             yield
         except NotCompilableError:
             release(self.nonstop)
+            raise
+        except GeneratorExit:  # nothing waits for it any more
             raise
         except KeyboardInterrupt:
             raise RunInterrupted(self.run(self._interrupted)) from None

@@ -171,3 +171,12 @@ class RunInterrupted(KeyboardInterrupt):
     def __init__(self, run: Run):
         super().__init__(run.stopped)
         self.run = run
+
+
+class RunsInterrupted(KeyboardInterrupt):
+    """Runs were interrupted; `runs` are as of `simulate_many`, None for those that were missing."""
+
+    def __init__(self, runs: list[Run | BaseException | None]):
+        ended = sum(run is not None for run in runs)
+        super().__init__(f"interrupted: {ended} of {len(runs)} runs have ended, and are kept")
+        self.runs = runs

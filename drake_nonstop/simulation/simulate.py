@@ -10,7 +10,7 @@ from pydrake.systems.framework import Diagram
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.loop.block_events import NotCompilableError
 from drake_nonstop.scenario.schema import AUTO, DIAGRAM, Scenario
-from drake_nonstop.simulation.compiled_run import tell_not_compiled
+from drake_nonstop.simulation.compiled_run import Flying, flown_alone, tell_not_compiled
 from drake_nonstop.simulation.flight import Flight, Request, Viewer, without_warnings
 from drake_nonstop.simulation.interruption import Interruption, current_interruption
 from drake_nonstop.simulation.preparation import LoopMaker
@@ -75,12 +75,7 @@ def simulate(
                 engine=engine,
                 replacements=replacements,
             )
-            try:
-                run = _simulate(request, interruption, engine or scenario.engine)
-            except NotCompilableError as error:
-                tell_not_compiled(f"{error};")
-                with without_warnings():
-                    run = _simulate(request, interruption, DIAGRAM)
+            run = flown_alone(simulating(request, interruption))
         except RunStopped:
             raise
         except Exception:
@@ -92,12 +87,23 @@ def simulate(
     return run
 
 
-def _simulate(request: Request, interruption: Interruption, engine: str) -> Run:
+def simulating(request: Request, interruption: Interruption) -> Flying[Run]:
+    """The run of a request as `simulate` makes it, whose flight may be one of several."""
+    engine = request.engine or request.scenario.engine
+    try:
+        return (yield from _simulating(request, interruption, engine))
+    except NotCompilableError as error:
+        tell_not_compiled(f"{error};")
+        with without_warnings():
+            return (yield from _simulating(request, interruption, DIAGRAM))
+
+
+def _simulating(request: Request, interruption: Interruption, engine: str) -> Flying[Run]:
     """Builds, prepares, flies, makes the run, and judges its step."""
     flight = Flight(request, interruption)
     with flight.kept():
         chosen = flight.prepare()
-        flight.fly(engine, chosen)
+        yield from flight.fly(engine, chosen)
     if flight.early_end is not None:
         return flight.run(flight.early_end)  # as it is: another step may end it elsewhere
     return _judged(flight.run(), flight, chosen, request, engine)

@@ -1,0 +1,161 @@
+"""Many scenarios to runs: several fly at a time, side by side in one loop where they share it."""
+
+import contextlib
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from drake_nonstop.loop.compiled_flight import CompiledFlight
+from drake_nonstop.loop.lanes import Advance, advance_together
+from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.simulation.compiled_run import Flying
+from drake_nonstop.simulation.flight import Request
+from drake_nonstop.simulation.interruption import Interruption, current_interruption
+from drake_nonstop.simulation.recording import MEMORY_LIMIT, least_size
+from drake_nonstop.simulation.run import Run, RunInterrupted, RunsInterrupted, StepCheck
+from drake_nonstop.simulation.simulate import simulating
+from drake_nonstop.validation import listed, require, warn_user
+
+_MOST = 16  # flights at a time
+_SHARE = 0.5  # of the free memory, that their signals may take
+_LOOP = 5e6  # bytes that a flight takes besides
+_COPIES = 2  # of the signals of a run: as they are recorded, and in its arrays
+
+
+def simulate_many(
+    scenarios: Iterable[Scenario],
+    *,
+    check_step: StepCheck = StepCheck.WHOLE,
+    engine: str | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> list[Run | BaseException]:
+    """Simulates scenarios, and returns what `simulate` makes of each, in their order, to the bit.
+
+    Several fly at a time, those that differ in numbers alone side by side in one compiled loop.
+    Where `simulate` raises an exception, such as a ScenarioError or a RunStopped, that is in the
+    place of the run; the others are what they are without it.
+
+    Args:
+        scenarios: what to run.
+        check_step: as of `simulate`.
+        engine: as of `simulate`.
+        progress: called with the share of the runs that have ended, as each does.
+
+    Raises:
+        ScenarioError: `scenarios` is no list, or `progress` no function.
+        RunsInterrupted: Ctrl-C; carries the runs that have ended.
+    """
+    scenarios = listed("scenarios", scenarios, "give a list of them")
+    remedy = "give a function, or None"
+    require(progress is None or callable(progress), "progress", progress, remedy)
+    outcomes: list[Any] = [None] * len(scenarios)
+    arguments: dict[str, Any] = {"check_step": check_step, "engine": engine}
+    ended = 0
+    try:
+        for k, outcome in fly_many([{"scenario": each} | arguments for each in scenarios]):
+            outcomes[k], ended = outcome, ended + 1
+            if progress is not None:
+                progress(ended / len(scenarios))
+    except KeyboardInterrupt:
+        raise RunsInterrupted(outcomes) from None
+    return outcomes
+
+
+@dataclass(eq=False)
+class _Flyer:
+    """One of several runs that fly.
+
+    Attributes:
+        number: of the run.
+        flying: the run, which asks for samples of its flight.
+        asked: what it waits for.
+    """
+
+    number: int
+    flying: Flying[Run]
+    interruption: Interruption
+    asked: tuple[CompiledFlight, int] | None = None
+    outcome: Run | BaseException | None = None
+
+    def go_on(self, advance: Advance | None, interruption: Interruption) -> None:
+        """Gives it what it waits for; it then has an outcome, or waits for more."""
+        self.interruption.number = interruption.number
+        try:
+            self.asked = next(self.flying) if advance is None else self.flying.send(advance)
+        except StopIteration as end:
+            self.outcome = end.value
+        except RunInterrupted:
+            raise KeyboardInterrupt from None
+        except (Exception, SystemExit) as error:  # whatever the user's own blocks may raise
+            self.outcome = error
+
+
+def fly_many(
+    arguments: Sequence[dict[str, Any]],
+) -> Iterator[tuple[int, Run | BaseException]]:
+    """The numbers of runs and what they are, as they end, by the fields of their `Request`.
+
+    Of those that raise anything but an interrupt the exception.
+
+    Raises:
+        KeyboardInterrupt: Ctrl-C; runs that have not ended are left out.
+    """
+    waiting = iter(range(len(arguments)))
+    most = min(_MOST, len(arguments))
+    flyers: list[_Flyer] = []
+    with current_interruption() as interruption, interruption.patient(1):
+        while not interruption.number:
+            while len(flyers) < most and (number := next(waiting, None)) is not None:
+                flyer = _flyer(number, arguments[number])
+                flyer.go_on(None, interruption)
+                flyers.append(flyer)
+                if flyer.outcome is None:
+                    most = _flights_at_a_time(most, arguments[number]["scenario"])
+            if not flyers:
+                return
+            asked = [flyer for flyer in flyers if flyer.outcome is None]
+            pairs = [flyer.asked for flyer in asked if flyer.asked is not None]
+            advances = advance_together(*map(list, zip(*pairs, strict=True))) if pairs else []
+            for flyer, advance in zip(asked, advances, strict=True):
+                flyer.go_on(advance, interruption)
+            ended, flyers = flyers, []
+            for flyer in ended:
+                if flyer.outcome is None:
+                    flyers.append(flyer)
+                elif not interruption.number:
+                    yield flyer.number, flyer.outcome
+    raise KeyboardInterrupt
+
+
+def _flyer(number: int, arguments: dict[str, Any]) -> _Flyer:
+    interruption = Interruption()
+
+    def flying() -> Flying[Run]:
+        request = Request(**arguments)
+        return (yield from simulating(request, interruption))
+
+    return _Flyer(number, flying(), interruption)
+
+
+def _flights_at_a_time(most: int, scenario: Scenario) -> int:
+    """The number of flights, `most` or less, for which there is memory; tells where it is less."""
+    free = free_memory()
+    size = _LOOP + _COPIES * min(MEMORY_LIMIT, 2 * least_size(scenario))
+    number = min(most, max(1, int(_SHARE * free / size)))
+    if number < most:
+        warn_user(
+            f"memory = {free / 1e6:.0f} MB are free: {number} of the runs fly at a time, in place "
+            f"of {most}; the results are the same"
+        )
+    return number
+
+
+def free_memory() -> float:
+    """Bytes that the system has left, without what it can drop; inf where it does not tell."""
+    with contextlib.suppress(OSError):
+        for line in Path("/proc/meminfo").read_text().splitlines():
+            if line.startswith("MemAvailable:"):
+                return 1024 * float(line.split()[1])
+    return math.inf

@@ -1,0 +1,109 @@
+"""Many runs together are those that `simulate` makes of each alone, to the bit."""
+
+import os
+import signal
+import warnings
+
+import numpy as np
+import pytest
+
+from drake_nonstop import (
+    Run,
+    RunsInterrupted,
+    RunStopped,
+    ScenarioError,
+    ScenarioWarning,
+    StepCheck,
+    load_scenario,
+    simulate,
+    simulate_many,
+)
+from drake_nonstop.simulation import many
+
+CONSTANT = "optimization_layer=ConstantParameters"
+SHORT = [CONSTANT, "simulation_duration=0.3"]
+MEASURED = {"time", "solve_time"}  # among the steps' signals, by a clock
+NOTHING = {"check_step": StepCheck.NOTHING, "engine": "compiled"}
+
+
+def assert_equal(run, expected):
+    assert run.scenario == expected.scenario
+    assert (run.stopped, run.step, run.unresolved) == (
+        expected.stopped,
+        expected.step,
+        expected.unresolved,
+    )
+    pairs = [(run.signals, expected.signals, {*run.signals})]
+    pairs += [(run.steps, expected.steps, {*run.steps} - MEASURED)]
+    for signals, others, names in pairs:
+        assert {*signals} == {*others}
+        for name in names:
+            np.testing.assert_array_equal(signals[name], others[name], name)
+
+
+def caught(call):
+    try:
+        call()
+    except Exception as error:
+        return error
+
+
+def test_runs_are_those_of_simulate_in_order_whatever_flies_beside_them():
+    numbers = [["simulated.load_mass=0.9"], ["wrench_controller.position_gain=12"], []]
+    scenarios = [load_scenario("quintic", [*SHORT, *each]) for each in numbers]
+    scenarios.append(load_scenario("three_carriers", ["simulation_duration=0.05"]))
+    scenarios.append(load_scenario("quintic", [CONSTANT, "simulation_duration=0.104"]))
+    scenarios.append(
+        load_scenario("quintic", [*SHORT, "control_period=0", "simulation_duration=0.02"])
+    )  # not compiled
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ScenarioWarning)
+        found = simulate_many(scenarios, **NOTHING)
+        for run, scenario in zip(found, scenarios, strict=True):
+            assert_equal(run, simulate(scenario, **NOTHING))
+
+
+def test_what_is_wrong_or_diverges_has_a_row_of_its_own_and_harms_no_other():
+    wrong = load_scenario("quintic", SHORT)
+    wrong.system.load_mass = -1.0
+    diverging = load_scenario(
+        "quintic", [CONSTANT, "simulation_duration=1", "wrench_controller.velocity_gain=400"]
+    )
+    right = load_scenario("quintic", SHORT)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ScenarioWarning)
+        found = simulate_many([wrong, right, diverging, right], **NOTHING)
+    assert isinstance(found[0], ScenarioError)
+    assert "load_mass" in str(found[0])
+    assert isinstance(found[2], RunStopped)
+    assert 0 < found[2].run.time[-1] < 1
+    with pytest.warns(ScenarioWarning):
+        stopped = caught(lambda: simulate(diverging, **NOTHING))
+    assert str(found[2]) == str(stopped)
+    assert_equal(found[2].run, stopped.run)
+    expected = simulate(right, **NOTHING)
+    assert_equal(found[1], expected)
+    assert_equal(found[3], expected)
+
+
+def test_an_interrupt_keeps_the_runs_that_have_ended():
+    scenarios = [load_scenario("quintic", SHORT), load_scenario("quintic", [CONSTANT])]
+
+    def interrupt(share):
+        os.kill(os.getpid(), signal.SIGINT)
+
+    with pytest.raises(RunsInterrupted, match="1 of 2 runs have ended") as raised:
+        simulate_many(scenarios, progress=interrupt, **NOTHING)
+    run, missing = raised.value.runs
+    assert isinstance(run, Run)
+    assert missing is None
+
+
+def test_with_little_memory_fewer_fly_at_a_time(monkeypatch):
+    monkeypatch.setattr(many, "free_memory", lambda: 1e6)
+    scenarios = [load_scenario("quintic", SHORT)] * 3
+    with pytest.warns(ScenarioWarning, match="1 of the runs fly at a time") as told:
+        found = simulate_many(scenarios, **NOTHING)
+    assert sum("memory" in str(each.message) for each in told) == 1
+    for run in found:
+        assert_equal(run, found[0])
