@@ -5,6 +5,7 @@ import typing
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -234,18 +235,25 @@ def _predicted_turn(task: Task, turns: TurnRate, turn: TurnAlong) -> TurnAlong:
     return TurnAlong(turn.trajectory, np.array(rates), times)
 
 
-def task_at(scenario: Scenario, nonstop: Diagram, context: Context) -> Task:
+def task_at(
+    scenario: Scenario,
+    nonstop: Diagram,
+    context: Context,
+    instead: Mapping[str, System] = MappingProxyType({}),
+) -> Task:
     """The task of a loop that has been built, with the load's reference as it is in a context.
 
     Args:
         scenario: what the loop was made from, with its numbers drawn.
         nonstop: the loop, which exports `reference` and `parameters`.
         context: of the loop.
+        instead: blocks that tell what they do in place of those of their boxes in the loop.
     """
     reference, (frequency, amplitude) = (
         nonstop.GetOutputPort(name).Eval(context).copy() for name in ("reference", "parameters")
     )
     blocks = {block.get_name(): block for block in nonstop.GetSystems()}
+    blocks |= instead
     task = _task(scenario, lambda time: reference, blocks)
     limits = dataclasses.replace(task.limits, frequency=frequency, amplitude=amplitude)
     if described(blocks.get("wind"), WIND) is None and nonstop.HasOutputPort("load_wind"):

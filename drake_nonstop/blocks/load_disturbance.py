@@ -2,10 +2,11 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from pydrake.common.value import Value
 from pydrake.systems.framework import BasicVector, Context
 
 from drake_nonstop.mechanics.signals import WRENCH_SIZE
@@ -62,11 +63,32 @@ class DisturbanceForceConfig(StrictFields):
     seed: int = checked(0, require_seed)  # of the gust
 
 
+_BANDS: dict[str, Any] = {"count": 32, "highest": 30.0}  # of the gust's waves
+
+
+class _Push(NamedTuple):
+    """Numbers of a `DisturbanceForce`."""
+
+    wrench: NDArray  # (6,), N m and N, in W
+    start_time: float  # s
+    gust: float  # N
+    waves: Any  # of the gust
+
+    @classmethod
+    def of(cls, config: DisturbanceForceConfig) -> "_Push":
+        """Those of a config."""
+        require_ranges(_BOX, config)
+        waves = random_waves(np.random.default_rng(config.seed), 3, config.gust_time, **_BANDS)
+        wrench = np.array([*config.torque, *config.force], float)
+        return cls(wrench, config.start_time, config.gust_force, waves)
+
+
 class DisturbanceForce(LeafBlock):
     """A constant wrench on the load, with a seeded, coloured gust.
 
     The gust is that of `mechanics.wind` with 32 waves on each axis, up to ωτ = 30: a
     function of time alone, so that runs repeat to the bit whatever the integrator's steps are.
+    Its numbers are a parameter of the context, which `take_config` sets.
 
     Raises:
         ScenarioError: a field is out of range.
@@ -77,30 +99,38 @@ class DisturbanceForce(LeafBlock):
 
     def __init__(self, model: Model, config: DisturbanceForceConfig | None = None):
         super().__init__()
-        config = require_ranges(_BOX, config or DisturbanceForceConfig())
-        self._wrench = np.array([*config.torque, *config.force], float)
-        self._start_time = config.start_time
-        random = np.random.default_rng(config.seed)
-        bands: dict[str, Any] = {"count": 32, "highest": 30.0}
-        self._waves = random_waves(random, 3, config.gust_time, **bands)
-        self._gust = config.gust_force
-        frequencies = wave_frequencies(config.gust_time, **bands)
-        self._gusts = Gusts(np.repeat([0.0, self._gust], 3), frequencies)
-        ticket = self.time_ticket()
-        self.DeclareVectorOutputPort("disturbance_wrench", WRENCH_SIZE, self._calc, {ticket})
+        config = config or DisturbanceForceConfig()
+        self._push = self.DeclareAbstractParameter(Value(_Push.of(config)))
+        frequencies = wave_frequencies(config.gust_time, **_BANDS)
+        gusts = Gusts(np.repeat([0.0, config.gust_force], 3), frequencies)
+        self._described = LoadWrench(np.array([*config.torque, *config.force], float), gusts)
+        tickets = {self.time_ticket(), self.all_parameters_ticket()}
+        self.DeclareVectorOutputPort("disturbance_wrench", WRENCH_SIZE, self._calc, tickets)
 
     def describe_response(self) -> LoadWrench:
-        return LoadWrench(self._wrench, self._gusts)
+        return self._described
+
+    def take_config(self, context: Context, config: DisturbanceForceConfig) -> None:
+        """Sets its numbers in a context of its own.
+
+        Raises:
+            ScenarioError: a field is out of range.
+        """
+        context.get_mutable_abstract_parameter(self._push).set_value(_Push.of(config))
 
     def _calc(self, context: Context, output: BasicVector) -> None:
-        (rows,) = self.precomputed_outputs(["disturbance_wrench"], np.array([context.get_time()]))
+        times = np.array([context.get_time()])
+        (rows,) = self.precomputed_outputs(["disturbance_wrench"], times, context)
         output.SetFromVector(rows[0])
 
-    def precomputed_outputs(self, ports: Sequence[str], times: NDArray) -> list[NDArray]:
+    def precomputed_outputs(
+        self, ports: Sequence[str], times: NDArray, context: Context
+    ) -> list[NDArray]:
         """Values of the port `disturbance_wrench` at times (k,) in s, (k, 6)."""
-        forces = coloured_noise(times[:, None, None], self._waves, self._gust)
-        wrenches = self._wrench + np.column_stack([np.zeros((len(times), 3)), forces])
-        has_begun = np.array([number(time) >= self._start_time for time in times])
+        push: _Push = context.get_abstract_parameter(self._push).get_value()
+        forces = coloured_noise(times[:, None, None], push.waves, push.gust)
+        wrenches = push.wrench + np.column_stack([np.zeros((len(times), 3)), forces])
+        has_begun = np.array([number(time) >= push.start_time for time in times])
         wrenches = np.where(has_begun[:, None], wrenches, 0.0)
         return [wrenches for _ in ports]
 

@@ -89,7 +89,7 @@ def make_parts(
     require(is_scenario, "scenario", scenario, 'give one, such as load_scenario("line")')
     scenario, others = replaced(boxes, scenario, replacements)
     scenario = scenario.sampled()
-    believed, simulated = _models(scenario)
+    believed, simulated = models_of(scenario)
     sizes = _figure_sizes(boxes, believed)
     blocks: dict[str, System] = {}
     watched: dict[str, WatchedModel] = {}
@@ -108,7 +108,7 @@ def make_parts(
             entry = with_margin(entry, margin)
         is_simulated = box is not None and box.is_simulated
         model = watched[name] = WatchedModel(simulated if is_simulated else believed)
-        block = blocks[name] = _made(boxes, name, entry, model)
+        block = blocks[name] = make_block(boxes, name, entry, model)
         _check_layouts(name, block)
         expected = ({}, {}) if box is None else box.required_and_optional(believed, block)
         made = wiring.check_outputs(name, block, *expected)
@@ -159,7 +159,7 @@ def connected(boxes: Boxes, parts: Parts, inputs: Collection[str]) -> Diagram:
     return diagram
 
 
-def _models(scenario: LoopConfig) -> tuple[Model, Model]:
+def models_of(scenario: LoopConfig) -> tuple[Model, Model]:
     """Models of what the controllers believe, and of what is simulated."""
     believed = Model(scenario.system, scenario.pattern, scenario.control_period)
     plant = overridden(scenario.system, scenario.simulated)
@@ -248,7 +248,7 @@ def _check_preview(loop: LoopBlocks) -> None:
         require(is_equal, field, told.tolist(), remedy)
 
 
-def _made(boxes: Boxes, name: str, entry: Any, model: Model) -> System:
+def make_block(boxes: Boxes, name: str, entry: Any, model: Model) -> System:
     """The block that an entry makes of a model, for a box or beside them."""
     field, besides = f"replacement {name}", ", or None to leave the box out"
     if name not in boxes:

@@ -18,6 +18,7 @@ from drake_nonstop.systems.block import has_own
 from drake_nonstop.systems.diagram_trace import (
     QUANTITIES,
     ROWS,
+    TAKE_CONFIG,
     updates_in_trace,
 )
 from drake_nonstop.systems.port_state import copied_context, set_discrete_values
@@ -435,7 +436,8 @@ class _Source:
             return getattr(self._block, QUANTITIES)(outputs, times)
         ports = [self._block.get_output_port(output) for output in outputs]
         names = [port.get_name() for port in ports]
-        rows = getattr(self._block, ROWS)(names, times)
+        given = (self._context,) if hasattr(self._block, TAKE_CONFIG) else ()
+        rows = getattr(self._block, ROWS)(names, times, *given)
         for port, own in zip(ports, rows, strict=True):
             if own.shape != (len(times), port.size()):
                 name = f"{self._block.get_name()}.{ROWS}"

@@ -211,6 +211,10 @@ class CompiledLoop:
         functions.prepare(self._samples, self._compiles)
         return functions
 
+    def prepare(self, samples: int) -> None:
+        """Prepares the functions for so many more samples to be flown."""
+        self._functions.prepare(samples, self._compiles)
+
     @cached_property
     def _content(self) -> Any:
         """Key of the traces of an instant, which can be hashed; None: it is not known."""

@@ -54,7 +54,7 @@ class LoopParameter:
 
 
 @dataclass(frozen=True)
-class _Holder:
+class Holder:
     """Parameters of a block: their place in the loop's context, or None where they are kept."""
 
     box: str
@@ -125,7 +125,7 @@ class _Loop:
     def __init__(self, loop: Diagram, context: Context):
         loop, context = _innermost(loop, context)
         self._loop, self._context = loop, context
-        self._holders = [*_holders(loop)]
+        self._holders = [*holders_in(loop)]
 
     def listed(self) -> list[LoopParameter]:
         """The parameters, each once."""
@@ -140,7 +140,7 @@ class _Loop:
                 found[path] = LoopParameter(path=path, value=value, meaning=meaning, blocks=boxes)
         return list(found.values())
 
-    def _entries(self, holder: _Holder) -> Iterator[tuple[str, Any, str]]:
+    def _entries(self, holder: Holder) -> Iterator[tuple[str, Any, str]]:
         """The paths that set it, with its values and their meanings."""
         parameters = holder.parameters
         for name in parameters.of_system:
@@ -173,7 +173,7 @@ class _Loop:
         require_known(scope, [_SYSTEM, _SIMULATED, _PATTERN, *boxes], "parameter", path)
         models = self._changed_models(scope, field, path, value)
         name = OFFSET if scope == _PATTERN else field
-        writes: list[tuple[_Holder, Any]] = []
+        writes: list[tuple[Holder, Any]] = []
         for holder in self._holders:
             changed = models.get(holder.role)
             is_own = scope == holder.box and field in holder.parameters.own
@@ -233,7 +233,7 @@ class _Loop:
         return dataclasses.replace(config, spread=_plain(value)).make(model.attachments).offset
 
     def _checked(
-        self, holder: _Holder, changed: Model | None, own: dict[str, Any], path: str
+        self, holder: Holder, changed: Model | None, own: dict[str, Any], path: str
     ) -> Any:
         """Raises ScenarioError where the block cannot be so; returns the pattern's offset."""
         parameters = holder.parameters
@@ -263,12 +263,12 @@ class _Loop:
         )
         return model.pattern.offset
 
-    def _require_following(self, holder: _Holder, name: str, path: str, value: Any) -> None:
+    def _require_following(self, holder: Holder, name: str, path: str, value: Any) -> None:
         is_kept = holder.group is None or name in holder.parameters.fixed
         block = f"{holder.box} = {type(holder.block).__name__}"
         require(not is_kept, path, value, f"{block} keeps what it was built with; {_BUILD}")
 
-    def _require_effect(self, holder: _Holder, name: str, value: Any) -> None:
+    def _require_effect(self, holder: Holder, name: str, value: Any) -> None:
         """Raises ScenarioError where a signal that the block reads takes the parameter's place."""
         require_effect = getattr(holder.block, "require_effect", None)
         if require_effect is not None and isinstance(self._context, Context):
@@ -340,7 +340,7 @@ class _Loop:
         pairs = ((a, b) for a in values[_SYSTEM][:1] for b in values[_SIMULATED])
         return all(a == b for a, b in pairs)
 
-    def _following(self, holder: _Holder) -> list[str]:
+    def _following(self, holder: Holder) -> list[str]:
         """The fields of the config that are "auto", but for those set to another value since."""
         parameters = holder.parameters
         numbers = self._numbers(holder)
@@ -351,14 +351,14 @@ class _Loop:
             if parameters.is_auto(name) and _are_same(found[name], numbers[name])
         ]
 
-    def _numbers(self, holder: _Holder) -> dict[str, NDArray]:
+    def _numbers(self, holder: Holder) -> dict[str, NDArray]:
         """All parameters of a block by name, with derivatives where the context has them."""
         vector = holder.parameters.vector
         if holder.group is not None:
             vector = self._context.get_numeric_parameter(holder.group).CopyToVector()
         return holder.parameters.view(vector)
 
-    def _value(self, holder: _Holder, name: str) -> Any:
+    def _value(self, holder: Holder, name: str) -> Any:
         """A number, or a list as in a scenario."""
         default = holder.parameters.defaults[name]
         if holder.group is None:
@@ -368,7 +368,7 @@ class _Loop:
             vector = _floats(vector)
         return vector[holder.parameters.place(name)].reshape(default.shape).tolist()
 
-    def _write(self, holder: _Holder, name: str, value: Any) -> None:
+    def _write(self, holder: Holder, name: str, value: Any) -> None:
         assert holder.group is not None
         vector = self._context.get_numeric_parameter(holder.group).CopyToVector()
         place = holder.parameters.place(name)
@@ -419,14 +419,15 @@ def _is_loop(system: System) -> bool:
     return isinstance(system, Diagram) and all(len(ports_of(system, s)) == 1 for s in LOOP_SIGNALS)
 
 
-def _holders(loop: Diagram) -> Iterator[_Holder]:
+def holders_in(loop: Diagram) -> Iterator[Holder]:
+    """The parameters of the blocks of a loop that go by their models and configs."""
     first = 0
     for block in loop.GetSystems():
         found: Any
         for _, found, group in declared(block, first):
             if hasattr(found, "fixed"):  # of a block's config and system
                 place = group if len(found) > 0 else None
-                yield _Holder(title(block), block, found, place)
+                yield Holder(title(block), block, found, place)
         first += block.num_numeric_parameter_groups()
 
 

@@ -83,6 +83,19 @@ class BlockParameters(NumericParameters):
         }
         super().__init__(values | of_config)
 
+    def with_numbers(self, model: Model, config: Any) -> "BlockParameters":
+        """Those of the same block with another model and config."""
+        return BlockParameters(
+            model,
+            self.of_system,
+            config=config,
+            own=self.own,
+            check=self.check,
+            structure=self.structure,
+            fixed=self.fixed,
+            follow=self.follow,
+        )
+
     def is_auto(self, name: str) -> bool:
         """Whether a field of the config is `AUTO`."""
         return bool(getattr(self.config, name) == AUTO)

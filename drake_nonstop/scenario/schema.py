@@ -162,7 +162,7 @@ class Scenario(_Boxes):
     def __eq__(self, other: object) -> bool:
         if type(other) is not type(self):
             return NotImplemented
-        return bool(_comparable(self) == _comparable(other))
+        return bool(comparable(self) == comparable(other))
 
     def _rewrite_yaml_dump_attr_name(self, name: str) -> str:
         """Drake's `yaml_dump_typed` asks for the attribute that a field's value is in.
@@ -244,7 +244,7 @@ _LONGEST_PERIOD = 10.0  # s, of the controllers
 _LARGEST_SEED = 2**32 - 1  # of Drake's RandomGenerator; larger ones repeat its numbers
 
 
-def _comparable(value: Any) -> Any:
+def comparable(value: Any) -> Any:
     """A value's key, equal to another's if they are of one class and their fields are equal.
 
     A NaN equals another one, and an array a list of its numbers. All else equals what it says.
@@ -252,13 +252,13 @@ def _comparable(value: Any) -> Any:
     kind = type(value)
     if dataclasses.is_dataclass(kind) or hasattr(kind, "__fields__"):
         fields = fields_of(kind)
-        return kind, {f.name: _comparable(getattr(value, f.name, None)) for f in fields}
+        return kind, {f.name: comparable(getattr(value, f.name, None)) for f in fields}
     if isinstance(value, (np.generic, np.ndarray)):
-        return _comparable(value.tolist())
+        return comparable(value.tolist())
     if isinstance(value, (list, tuple)):
-        return [_comparable(item) for item in value]
+        return [comparable(item) for item in value]
     if isinstance(value, dict):
-        return {key: _comparable(item) for key, item in value.items()}
+        return {key: comparable(item) for key, item in value.items()}
     return (float, "nan") if isinstance(value, float) and math.isnan(value) else value
 
 

@@ -4,12 +4,12 @@ import contextlib
 import dataclasses
 import time
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from pydrake.systems.analysis import ApplySimulatorConfig, InitializeParams, Simulator
-from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem
+from pydrake.systems.framework import Context, Diagram, System
 
 from drake_nonstop.diagrams.nonstop import make_nonstop, replaced
 from drake_nonstop.loop.block_events import NotCompilableError
@@ -17,6 +17,7 @@ from drake_nonstop.loop.equilibrium import set_equilibrium
 from drake_nonstop.loop.plant_states import PlantStates
 from drake_nonstop.scenario.proportions import warn_of_angles
 from drake_nonstop.scenario.schema import COMPILED, DIAGRAM, Scenario, check
+from drake_nonstop.simulation.built_loop import BuiltLoop, SharedLoops, Viewer
 from drake_nonstop.simulation.compiled_run import CompiledRun, Flying, compiled_loop_of
 from drake_nonstop.simulation.interruption import ALL, Interruption
 from drake_nonstop.simulation.monitor import Monitor
@@ -32,7 +33,6 @@ from drake_nonstop.simulation.preparation import (
 )
 from drake_nonstop.simulation.recording import (
     RUN_SIGNALS,
-    LogSignals,
     RecordingError,
     require_room,
 )
@@ -42,10 +42,7 @@ from drake_nonstop.systems.block import is_of_package, release
 from drake_nonstop.systems.diagnosis import raising_block, source_of_fault
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
 from drake_nonstop.systems.wiring import nested
-from drake_nonstop.validation import ScenarioError, ScenarioWarning, called, one_line, require
-
-# Adds a system beside the loop's diagram, which the builder has already, and returns it.
-Viewer = Callable[[DiagramBuilder, Diagram, Scenario], LeafSystem]
+from drake_nonstop.validation import ScenarioError, ScenarioWarning, one_line, require
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,6 +79,7 @@ class Flight:
 
     Attributes:
         scenario: with the configs of the replacements, and with drawn numbers.
+        is_shared: whether the loop was built for another scenario.
         nonstop: the loop's diagram.
         context: of the diagram around the loop.
         monitor: what happens after its steps.
@@ -90,23 +88,29 @@ class Flight:
         ScenarioError: the loop cannot be built.
     """
 
-    def __init__(self, request: Request, interruption: Interruption):
+    def __init__(
+        self, request: Request, interruption: Interruption, shared: SharedLoops | None = None
+    ):
         self._request, self._interruption = request, interruption
         self._is_second = interruption.collect is not None  # of a run that is there already
         self._stated_bound = request.scenario.sampled().speed_bound
         scenario, self._replacements = replaced(request.scenario, request.replacements)
         self.scenario = scenario = scenario.sampled()
         check_simulation(scenario)
-        self.nonstop = nonstop = loop_of(request.make_loop, scenario, self._replacements)
-        builder = DiagramBuilder()
-        builder.AddSystem(nonstop)
-        self._logs = LogSignals(builder, nonstop, uses_files=True)
-        remedy = "give functions that take the builder, the loop's diagram and the scenario"
-        self._visualizers = [
-            called("viewers", remedy, viewer, builder, nonstop, scenario)
-            for viewer in request.viewers
-        ]
-        self._simulator = Simulator(builder.Build())
+        made = request.make_loop, scenario, self._replacements
+        found = None if shared is None or request.viewers else shared.find(*made)
+        self.is_shared = found is not None
+        self._described: Mapping[str, System] = {}
+        if found is None:
+            self._loop = BuiltLoop(*made, request.viewers)
+            context = self._loop.context()
+            if shared is not None:
+                shared.add(self._loop)
+        else:
+            self._loop, context, self._described = found
+        self.nonstop = nonstop = self._loop.nonstop
+        self._logs, self._visualizers = self._loop.logs, self._loop.visualizers
+        self._simulator = Simulator(self._loop.diagram, context)
         self.context = self._simulator.get_mutable_context()
         self._ending = [
             (block, block.GetMyContextFromRoot(self.context))
@@ -132,12 +136,13 @@ class Flight:
         """Sets the equilibrium and the step, and warns of what a user may not expect."""
         request, scenario, nonstop = self._request, self.scenario, self.nonstop
         set_equilibrium(nonstop, self.loop_context)
-        PlantStates(nonstop).declare_defaults(self.loop_context)
+        if not self.is_shared:
+            PlantStates(nonstop).declare_defaults(self.loop_context)
         warn_of_other_bound(nonstop, self.loop_context, self._stated_bound)
         if not self._is_second:  # it has been said
             warn_of_angles(scenario)
             warn_of_margins(scenario, nonstop, self.loop_context)
-            warn_of_growth(scenario, nonstop, self.loop_context)
+            warn_of_growth(scenario, nonstop, self.loop_context, self._described)
         chosen = with_chosen_step(scenario, nonstop, self.loop_context)
         if request.after_step is None:  # which may end a run of any duration
             require_room(nonstop, dataclasses.replace(scenario, simulator_config=chosen.config))
@@ -169,9 +174,15 @@ class Flight:
         request = self._request
         given = {"viewers": request.viewers, "after_step": request.after_step}
         steering = [name for name, value in given.items() if value]
-        loop = compiled_loop_of(self.scenario, self._logs, chosen.config, steering)
+        step = chosen.config.max_step_size
+        loop = self._loop.compiled.get(step)
         if loop is None:
-            return None
+            loop = compiled_loop_of(self.scenario, self._logs, chosen.config, steering)
+            if loop is None:
+                return None
+            self._loop.compiled[step] = loop
+        else:
+            loop.prepare(int(self.scenario.simulation_duration / self.scenario.control_period))
         compared = None
         if not all(map(is_of_package, self.nonstop.GetSystems())):
             with without_warnings():
@@ -235,7 +246,8 @@ class Flight:
         try:
             yield
         except NotCompilableError:
-            release(self.nonstop)
+            if not self._loop.can_be_shared:
+                release(self.nonstop)
             raise
         except GeneratorExit:  # nothing waits for it any more
             raise

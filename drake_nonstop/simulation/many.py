@@ -10,6 +10,7 @@ from typing import Any
 from drake_nonstop.loop.compiled_flight import CompiledFlight
 from drake_nonstop.loop.lanes import Advance, advance_together
 from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.simulation.built_loop import SharedLoops
 from drake_nonstop.simulation.compiled_run import Flying
 from drake_nonstop.simulation.flight import Request
 from drake_nonstop.simulation.interruption import Interruption, current_interruption
@@ -105,10 +106,11 @@ def fly_many(
     waiting = iter(range(len(arguments)))
     most = min(_MOST, len(arguments))
     flyers: list[_Flyer] = []
+    shared = SharedLoops()
     with current_interruption() as interruption, interruption.patient(1):
         while not interruption.number:
             while len(flyers) < most and (number := next(waiting, None)) is not None:
-                flyer = _flyer(number, arguments[number])
+                flyer = _flyer(number, arguments[number], shared)
                 flyer.go_on(None, interruption)
                 flyers.append(flyer)
                 if flyer.outcome is None:
@@ -129,12 +131,12 @@ def fly_many(
     raise KeyboardInterrupt
 
 
-def _flyer(number: int, arguments: dict[str, Any]) -> _Flyer:
+def _flyer(number: int, arguments: dict[str, Any], shared: SharedLoops) -> _Flyer:
     interruption = Interruption()
 
     def flying() -> Flying[Run]:
         request = Request(**arguments)
-        return (yield from simulating(request, interruption))
+        return (yield from simulating(request, interruption, shared))
 
     return _Flyer(number, flying(), interruption)
 

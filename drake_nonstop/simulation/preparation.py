@@ -1,12 +1,13 @@
 """Preparation of a flight: its loop, its step, and its warnings."""
 
 import contextlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from pydrake.systems.analysis import GetIntegrationSchemes
-from pydrake.systems.framework import Context, Diagram
+from pydrake.systems.framework import Context, Diagram, System
 
 from drake_nonstop.analysis.aircraft_margins import aircraft_margins_for
 from drake_nonstop.analysis.formation import growth_complaint
@@ -95,20 +96,34 @@ def warn_of_margins(scenario: Scenario, nonstop: Diagram, context: Context) -> N
 
 
 def _growth_complaint(
-    scenario: Scenario, nonstop: Diagram, context: Context, time: float, *, in_samples: bool
+    scenario: Scenario,
+    nonstop: Diagram,
+    context: Context,
+    time: float,
+    *,
+    in_samples: bool,
+    described: Mapping[str, System] = MappingProxyType({}),
 ) -> str:
     """A sentence on a formation that is unstable at the start, in a flight of a time in s."""
     with contextlib.suppress(ScenarioError):  # what is no formation
         loop, context = innermost(nonstop, context, RUN_SIGNALS)
         if is_known(loop):
-            return growth_complaint(task_at(scenario, loop, context), time, in_samples=in_samples)
+            task = task_at(scenario, loop, context, described)
+            return growth_complaint(task, time, in_samples=in_samples)
     return ""
 
 
-def warn_of_growth(scenario: Scenario, nonstop: Diagram, context: Context) -> None:
-    """Warns where a small deviation of the load grows from the start on."""
+def warn_of_growth(
+    scenario: Scenario, nonstop: Diagram, context: Context, described: Mapping[str, System]
+) -> None:
+    """Warns where a small deviation of the load grows from the start on.
+
+    The blocks `described` tell what they do in place of those of their boxes in the loop.
+    """
     duration = scenario.simulation_duration
-    complaint = _growth_complaint(scenario, nonstop, context, duration, in_samples=False)
+    complaint = _growth_complaint(
+        scenario, nonstop, context, duration, in_samples=False, described=described
+    )
     if complaint:
         warn_user(complaint)
 

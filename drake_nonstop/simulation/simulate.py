@@ -10,8 +10,9 @@ from pydrake.systems.framework import Diagram
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.loop.block_events import NotCompilableError
 from drake_nonstop.scenario.schema import AUTO, DIAGRAM, Scenario
+from drake_nonstop.simulation.built_loop import SharedLoops, Viewer
 from drake_nonstop.simulation.compiled_run import Flying, flown_alone, tell_not_compiled
-from drake_nonstop.simulation.flight import Flight, Request, Viewer, without_warnings
+from drake_nonstop.simulation.flight import Flight, Request, without_warnings
 from drake_nonstop.simulation.interruption import Interruption, current_interruption
 from drake_nonstop.simulation.preparation import LoopMaker
 from drake_nonstop.simulation.run import Run, RunInterrupted, RunStopped, StepAction, StepCheck
@@ -87,20 +88,30 @@ def simulate(
     return run
 
 
-def simulating(request: Request, interruption: Interruption) -> Flying[Run]:
-    """The run of a request as `simulate` makes it, whose flight may be one of several."""
+def simulating(
+    request: Request, interruption: Interruption, shared: SharedLoops | None = None
+) -> Flying[Run]:
+    """The run of a request as `simulate` makes it, whose flight may be one of several.
+
+    A loop that is `shared` may be that of another scenario; where something is wrong with the run,
+    its own is built, and tells of it.
+    """
     engine = request.engine or request.scenario.engine
+    flight = Flight(request, interruption, shared)
     try:
-        return (yield from _simulating(request, interruption, engine))
+        return (yield from _simulating(flight, request, engine))
     except NotCompilableError as error:
         tell_not_compiled(f"{error};")
-        with without_warnings():
-            return (yield from _simulating(request, interruption, DIAGRAM))
+        engine = DIAGRAM
+    except (RunStopped, ScenarioError):
+        if not flight.is_shared:
+            raise
+    with without_warnings():
+        return (yield from _simulating(Flight(request, interruption), request, engine))
 
 
-def _simulating(request: Request, interruption: Interruption, engine: str) -> Flying[Run]:
-    """Builds, prepares, flies, makes the run, and judges its step."""
-    flight = Flight(request, interruption)
+def _simulating(flight: Flight, request: Request, engine: str) -> Flying[Run]:
+    """Prepares, flies, makes the run, and judges its step."""
     with flight.kept():
         chosen = flight.prepare()
         yield from flight.fly(engine, chosen)

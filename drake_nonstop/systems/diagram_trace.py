@@ -44,7 +44,10 @@ from drake_nonstop.systems.tracing import object_array, to_symbols
 from drake_nonstop.systems.wiring import systems_in
 
 # Methods of blocks, which give rows (k, size) at times (k,), s: of the outputs of a block without
-# inputs, and of quantities that a traced block reads by `TraceContext.known`.
+# inputs, and of quantities that a traced block reads by `TraceContext.known`. The first takes the
+# block's own context, too, where the block has `TAKE_CONFIG(context, config)`, which sets there
+# whatever a config says.
+TAKE_CONFIG = "take_config"
 ROWS, QUANTITIES = "precomputed_outputs", "precomputed_inputs"
 _LINEAR = Selector, Gain, MatrixGain, Adder, Multiplexer, Demultiplexer, PassThrough
 

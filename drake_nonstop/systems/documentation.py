@@ -120,6 +120,7 @@ def meanings(config: type) -> dict[str, str]:
     return {name: found.meaning for name, found in field_comments(config).items()}
 
 
+@functools.cache  # a class that no source file has is looked for in all of them
 def field_comments(config: type) -> dict[str, FieldComments]:
     """The comments on the fields of a config class, by name."""
     found: dict[str, FieldComments] = {}

@@ -18,7 +18,7 @@ from drake_nonstop import (
     simulate,
     simulate_many,
 )
-from drake_nonstop.simulation import many
+from drake_nonstop.simulation import built_loop, many
 
 CONSTANT = "optimization_layer=ConstantParameters"
 SHORT = [CONSTANT, "simulation_duration=0.3"]
@@ -41,6 +41,12 @@ def assert_equal(run, expected):
             np.testing.assert_array_equal(signals[name], others[name], name)
 
 
+def with_warnings(call):
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        return call(), [str(each.message) for each in told]
+
+
 def caught(call):
     try:
         call()
@@ -48,14 +54,57 @@ def caught(call):
         return error
 
 
-def test_runs_are_those_of_simulate_in_order_whatever_flies_beside_them():
-    numbers = [["simulated.load_mass=0.9"], ["wrench_controller.position_gain=12"], []]
-    scenarios = [load_scenario("quintic", [*SHORT, *each]) for each in numbers]
-    scenarios.append(load_scenario("three_carriers", ["simulation_duration=0.05"]))
-    scenarios.append(load_scenario("quintic", [CONSTANT, "simulation_duration=0.104"]))
-    scenarios.append(
-        load_scenario("quintic", [*SHORT, "control_period=0", "simulation_duration=0.02"])
-    )  # not compiled
+GUST = "load_disturbance=!DisturbanceForce {{gust_force: {}, seed: {}, start_time: 0.01}}"
+OTHER_NUMBERS = {
+    "constant": (
+        SHORT,
+        [
+            ["simulated.load_mass=0.9", GUST.format(0.1, 2**61 + 1), "limits.slack_time=1"],
+            ["simulated.load_mass=1.1", GUST.format(0.2, 3), "simulation_duration=0.104"],
+            ["system.cable_stiffness=400", GUST.format(0.2, 4)],
+            ["optimization_layer.frequency=1.9", "wrench_controller.position_gain=12"],
+            [GUST.format(0.2, 3), "carrier_controller.velocity_gain=3"],
+        ],
+    ),
+    "planned": (
+        ["simulation_duration=0.12"],
+        [
+            ["optimization_layer.speed_bound=0.5", "system.load_mass=1.1"],
+            ["optimization_layer.speed_bound=0.4", GUST.format(0.2, 3)],
+        ],
+    ),
+}
+
+
+@pytest.mark.parametrize("name", OTHER_NUMBERS)
+def test_runs_that_differ_in_numbers_share_one_loop_and_are_those_of_simulate(name, monkeypatch):
+    common, numbers = OTHER_NUMBERS[name]
+    common = [*common, GUST.format(0.0, 0)]
+    scenarios = [load_scenario("quintic", [*common, *each]) for each in numbers]
+    built, build = [], built_loop.loop_of
+    monkeypatch.setattr(
+        built_loop, "loop_of", lambda *made: built.append(build(*made)) or built[-1]
+    )
+    found, told = with_warnings(lambda: simulate_many(scenarios, engine="compiled"))
+    assert len(built) == 1
+    expected, told_alone = with_warnings(
+        lambda: [simulate(scenario, engine="compiled") for scenario in scenarios]
+    )
+    for run, alone in zip(found, expected, strict=True):
+        assert_equal(run, alone)
+    assert sorted(told) == sorted(told_alone)
+
+
+OTHER_LOOPS = [
+    ["simulated.attachments=[[0.8, 0.8, 0], [-0.8, 0.8, 0], [-0.8, -0.8, 0], [0.8, -0.8, 0]]"],
+    ["load_trajectory.move_time=8"],
+    ["control_period=0"],  # is not compiled
+]
+
+
+def test_other_loops_are_built_and_fly_beside():
+    short = [CONSTANT, "simulation_duration=0.06"]
+    scenarios = [load_scenario("quintic", [*short, *each]) for each in OTHER_LOOPS]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ScenarioWarning)
         found = simulate_many(scenarios, **NOTHING)
