@@ -1,7 +1,7 @@
 """A loop that has been built with its logs, for one run or for several that differ in numbers."""
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem, System
@@ -73,11 +73,8 @@ class BuiltLoop:
         self.can_be_shared = (
             make_loop is make_nonstop
             and not (replacements or viewers or told)
-            and scenario.reference_governor is None
-            and getattr(self.nonstop, "speed_margin", None) is None
-            and all(map(is_of_package, self.nonstop.GetSystems()))
+            and goes_by_numbers(self.nonstop, scenario)
         )
-        self._numbers = _numbers_of(scenario) if self.can_be_shared else None
 
     def context(self) -> Context:
         """A new context of the diagram, as it was built."""
@@ -90,25 +87,48 @@ class BuiltLoop:
 
         None: another loop has to be built for them.
         """
-        own = self._scenario
-        is_like = scenario.reference_governor is None and all(
-            comparable(getattr(scenario, k)) == comparable(getattr(own, k)) for k in _STRUCTURE
-        )
-        if not is_like or self._numbers is None:
+        if not self.can_be_shared:
             return None
-        numbers, context = _numbers_of(scenario), self.context()
+        context = self.context()
         loop_context = self.nonstop.GetMyMutableContextFromRoot(context)
-        try:
-            if not take_numbers(self.nonstop, loop_context, self._numbers, numbers):
-                return None
-        except ScenarioError:  # which is told as it is built
+        if not take_scenario(self.nonstop, loop_context, self._scenario, scenario):
             return None
-        return context, _descriptions(self._numbers, numbers)
+        return context, _descriptions(_numbers_of(self._scenario), _numbers_of(scenario))
 
 
-def _numbers_of(scenario: Scenario) -> LoopNumbers:
+def goes_by_numbers(nonstop: Diagram, scenario: Scenario) -> bool:
+    """Whether a context of a scenario's loop has all that follows from the scenario's numbers."""
+    return (
+        scenario.reference_governor is None
+        and getattr(nonstop, "speed_margin", None) is None
+        and all(map(is_of_package, nonstop.GetSystems()))
+    )
+
+
+def take_scenario(
+    nonstop: Diagram,
+    context: Context,
+    built: Scenario,
+    scenario: Scenario,
+    left_out: Collection[str] = (),
+) -> bool:
+    """Sets a new context of a loop, which `goes_by_numbers`, to those of another scenario.
+
+    False where another loop has to be built for it. Boxes that are left out do not count.
+    """
+    is_like = scenario.reference_governor is None and all(
+        comparable(getattr(scenario, k)) == comparable(getattr(built, k)) for k in _STRUCTURE
+    )
+    numbers = (_numbers_of(each, left_out) for each in (built, scenario))
+    try:
+        return is_like and take_numbers(nonstop, context, *numbers)
+    except ScenarioError:  # which is told as it is built
+        return False
+
+
+def _numbers_of(scenario: Scenario, left_out: Collection[str] = ()) -> LoopNumbers:
     believed, simulated = models_of(scenario)
-    configs = {name: getattr(scenario, name) for name in BOXES}
+    configs = {name: getattr(scenario, name) for name in BOXES if name not in left_out}
     return LoopNumbers({"system": believed, "simulated": simulated}, configs)
 
 

@@ -4,6 +4,7 @@ The agent's action is a parameter of a block that stands in the place of the lay
 that the loop has no inputs. `make_gym_vec_env` makes the environment.
 """
 
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
@@ -14,8 +15,10 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 from pydrake.common import RandomGenerator
+from pydrake.systems.framework import Context
 
 from drake_nonstop.diagrams.nonstop import make_nonstop
+from drake_nonstop.loop.assembly import models_of
 from drake_nonstop.loop.compiled_flight import CompiledFlight
 from drake_nonstop.loop.compiled_loop import CompiledLoop
 from drake_nonstop.loop.equilibrium import set_equilibrium
@@ -23,8 +26,8 @@ from drake_nonstop.loop.lanes import Advance, advance_together
 from drake_nonstop.mechanics.signal_layouts import by_name
 from drake_nonstop.mechanics.signals import WRENCH_SIZE
 from drake_nonstop.model.block import Block
-from drake_nonstop.model.system import Model
 from drake_nonstop.scenario.schema import Scenario, sample
+from drake_nonstop.simulation.built_loop import goes_by_numbers, take_scenario
 from drake_nonstop.simulation.gym_environment import (
     DIVERGED,
     OBSERVED,
@@ -90,45 +93,66 @@ class _Start:
     """
 
     def __init__(self, scenario: Scenario, action: str, time_step: float):
-        self.scenario = scenario
-        self.samples = samples_of(time_step, scenario.control_period)
-        is_whole = self.samples > 0 or scenario.control_period == 0  # which cannot be compiled
-        remedy = f"give a multiple of control_period = {scenario.control_period:g} s"
+        period, config = scenario.control_period, scenario.simulator_config
+        self.samples = samples_of(time_step, period)
+        remedy = f"give a multiple of control_period = {period:g} s"
+        is_whole = self.samples > 0 or period == 0  # which cannot be compiled
         require(is_whole, "make_gym_vec_env.time_step", time_step, remedy)
-        model = Model(scenario.system, scenario.pattern, scenario.control_period)
-        resting, self.space = actions_of(scenario, model, action)
-        holder, box = _HOLDERS[action]
-        left_out: dict[str, Any] = {box: None}
-        config = _HeldAction(action=resting.tolist())
-        extra = {_HOLDER: lambda own: holder(own, config)}
+        self._kind, (holder, self._box) = action, _HOLDERS[action]
+        resting, self.space = _actions_of(scenario, action)
+        held = _HeldAction(action=resting.tolist())
+        extra = {_HOLDER: lambda own: holder(own, held)}
+        left_out: dict[str, Any] = {self._box: None}
         nonstop = make_nonstop(scenario, at_equilibrium=False, extra=extra, **left_out)
-        self._context = nonstop.CreateDefaultContext()
-        set_equilibrium(nonstop, self._context)
-        self._ending = [
-            (block, nonstop.GetSubsystemContext(block, self._context))
-            for block in nonstop.GetSystems()
-            if hasattr(block, "ends_run")
-        ]
-        ends = dict.fromkeys([*OBSERVED, *(block.ending_signal for block, _ in self._ending)])
+        ending = [block for block in nonstop.GetSystems() if hasattr(block, "ends_run")]
+        shown = dict.fromkeys([*OBSERVED, *(block.ending_signal for block in ending)])
         self._loop = CompiledLoop(
             nonstop,
-            scenario.simulator_config,
-            scenario.control_period,
-            signals=() if self._ending else OBSERVED,
-            step_signals=(*ends,) if self._ending else (),  # any step may be the last one
+            config,
+            period,
+            signals=() if ending else OBSERVED,
+            step_signals=(*shown,) if ending else (),  # any step may be the last one
         )
         beside = ", ".join(self._loop.blocks_beside)
         require(not beside, "scenario", beside, "it is stepped by itself; give make_gym_env")
         first = self._loop.parameter_names.index(f"{_HOLDER}.action[0]")
         self.action = slice(first, first + len(resting))
-        self._flight = self._loop.fly(self._context)
+        self._has_parameters = goes_by_numbers(nonstop, scenario)
+        self._settle(scenario, nonstop.CreateDefaultContext())
+
+    def _settle(self, scenario: Scenario, context: Context) -> None:
+        """Finds the start of the scenario, whose numbers are in a context of the loop."""
+        nonstop = self._loop.diagram
+        self.scenario, self._context = scenario, context
+        set_equilibrium(nonstop, context)
+        self._ending = [
+            (block, nonstop.GetSubsystemContext(block, context))
+            for block in nonstop.GetSystems()
+            if hasattr(block, "ends_run")
+        ]
+        self._flight = self._loop.fly(context)
         self.observation = np.concatenate(self._flight.start())[: observation_size(scenario)]
         self._state = self._flight.state
 
-    def flight(self) -> CompiledFlight:
-        """A new flight."""
+    def of(self, scenario: Scenario) -> "_Start | None":
+        """The start of a scenario in the same loop; None where another one has to be built."""
+        nonstop, other = self._loop.diagram, copy.copy(self)
+        context = nonstop.CreateDefaultContext()
+        if not self._has_parameters or not take_scenario(
+            nonstop, context, self.scenario, scenario, [self._box]
+        ):
+            return None
+        holder = nonstop.GetMutableSubsystemContext(nonstop.GetSubsystemByName(_HOLDER), context)
+        resting, _ = _actions_of(scenario, self._kind)
+        holder.get_mutable_numeric_parameter(0).SetFromVector(resting)
+        other._settle(scenario, context)
+        return other
+
+    def flight(self, other: "_Start") -> CompiledFlight:
+        """A new flight, which shares with that of another start what is the same in both."""
         flight = self._loop.fly(self._context)
-        flight.share(self._flight)
+        if self._loop is other._loop:
+            flight.share(other._flight)
         return flight
 
     def begin(self, flight: CompiledFlight) -> None:
@@ -161,11 +185,11 @@ class NonstopVecEnv(VectorEnv[NDArray, NDArray, NDArray]):
         self._time_step, self._reward = time_step, reward
         sampled, drawn = sample(scenario)
         self._is_drawn = bool(drawn)
-        start = _Start(sampled, action, time_step)
+        self._start = start = _Start(sampled, action, time_step)
         seeds = (scenario.random_seed + np.arange(n)) % (_LARGEST_SEED + 1)
         self._generators = [RandomGenerator(seed) for seed in seeds.tolist()]
         self._starts = n * [start]
-        self._flights = [start.flight() for _ in range(n)]
+        self._flights = [start.flight(start) for _ in range(n)]
         size = observation_size(sampled)
         self.single_action_space = start.space
         self.single_observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float64)
@@ -203,8 +227,8 @@ class NonstopVecEnv(VectorEnv[NDArray, NDArray, NDArray]):
         """Starts an episode of one environment."""
         if self._is_drawn:
             drawn = self._given.sampled(self._generators[i])
-            self._starts[i] = _Start(drawn, self._action, self._time_step)
-            self._flights[i] = self._starts[i].flight()
+            own = self._start.of(drawn) or _Start(drawn, self._action, self._time_step)
+            self._starts[i], self._flights[i] = own, own.flight(self._start)
         start = self._starts[i]
         scenario = start.scenario
         self._lengths[i], self._bounds[i] = scenario.system.cable_length, scenario.speed_bound
@@ -272,6 +296,11 @@ class NonstopVecEnv(VectorEnv[NDArray, NDArray, NDArray]):
         for i in np.flatnonzero(~are_within(values, space)).tolist():
             as_action(values[i], space, f"actions[{i}]")
         return np.clip(values, space.low, space.high)
+
+
+def _actions_of(scenario: Scenario, action: str) -> tuple[NDArray, gymnasium.spaces.Box]:
+    """The scenario's own action, and the space of all."""
+    return actions_of(scenario, models_of(scenario)[0], action)
 
 
 def _seeds(seed: Any, n: int) -> list[int | None]:

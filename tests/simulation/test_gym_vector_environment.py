@@ -121,18 +121,43 @@ def test_it_is_a_vector_environment(three):
     three.close()
 
 
-def test_episodes_draw_their_numbers_by_their_seeds():
-    varied = load_scenario("quintic", [*BRIEF, "system.load_mass=!Uniform {min: 0.8, max: 1.2}"])
-    env, single = make_gym_vec_env(varied, 2), make_gym_env(varied)
-
+@pytest.mark.parametrize(
+    ("scenario", "drawn", "is_built"),
+    nightly_beyond(
+        1,
+        "engines",
+        [
+            ("quintic", "system.load_mass=!Uniform {min: 0.8, max: 1.2}", False),
+            ("quintic", "load_trajectory.move_time=!Uniform {min: 5.0, max: 8.0}", True),
+            ("aircraft_transfer_gusty", "wind.gust=!Uniform {min: 0.1, max: 0.5}", True),
+        ],
+    ),
+)
+def test_episodes_draw_their_numbers_by_their_seeds(scenario, drawn, is_built, monkeypatch):
+    varied = load_scenario(scenario, ["simulation_duration=0.48", drawn])
+    env, single = (
+        make(varied, **n, time_step=0.24)
+        for make, n in ((make_gym_vec_env, {"n": 2}), (make_gym_env, {}))
+    )
+    action = env.action_space.low
+    if not is_built:  # beyond the first
+        monkeypatch.setattr("drake_nonstop.simulation.gym_vector_environment.make_nonstop", None)
     env.reset(seed=[4, 7])
-    both, *_ = env.step(env.action_space.low)
-    assert np.max(np.abs(both[0] - both[1])) > 1e-6
+    both, *_ = env.step(action)
+    assert np.max(np.abs(both[0] - both[1])) > 1e-9
     env.reset(seed=7)
-    np.testing.assert_array_equal(env.step(env.action_space.low)[0][0], both[1])
+    np.testing.assert_array_equal(env.step(action)[0][0], both[1])
     single.reset(seed=7)
-    expected = single.step(single.action_space.low)[0]
+    expected = single.step(action[0])[0]
     np.testing.assert_allclose(both[1], expected, rtol=0, atol=1e-9)
+
+
+def test_each_episode_has_its_own_duration():
+    varied = load_scenario("quintic", ["simulation_duration=!Uniform {min: 0.1, max: 0.5}"])
+    env = make_gym_vec_env(varied, 4)
+    env.reset(seed=1)
+    ends = np.array([env.step(env.action_space.low)[3] for _ in range(5)])
+    assert len({*ends.argmax(axis=0).tolist()}) > 1
 
 
 def test_a_reward_of_ones_own_is_asked_for_each():
