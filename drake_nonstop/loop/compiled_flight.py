@@ -13,6 +13,7 @@ from pydrake.systems.framework import Context, PortDataType, System
 
 from drake_nonstop.loop.block_events import SteppedBlock, sample_times
 from drake_nonstop.loop.functions import Evaluation, LoopFunctions, Reading
+from drake_nonstop.loop.lane_functions import LaneFunction, LaneInputs
 from drake_nonstop.loop.trace import LoopLayout, discrete_state_of
 from drake_nonstop.systems.block import has_own
 from drake_nonstop.systems.diagram_trace import (
@@ -102,6 +103,7 @@ class CompiledFlight(LoopFlight):
         at_sample, whole = functions.at_sample, functions.whole
         self._at_sample = None if at_sample is None else Evaluation(at_sample, compiles)
         self._whole = None if whole is None else Evaluation(whole, compiles)
+        self._in_lanes = whole if compiles else None
         self._no_answers = np.zeros(layout.answers_size)
         self._systems = [*layout.numbers]
         self._outside = _ExogenousInputs(
@@ -233,6 +235,27 @@ class CompiledFlight(LoopFlight):
         self._state = state
         self.samples += flown
         return self._in_rows(flown, *rows)
+
+    @property
+    def lanes(self) -> LaneFunction | None:
+        """The function by which it may fly with others, after its first sample; None: alone."""
+        if self._in_lanes is None:
+            return None
+        self._in_lanes.compile_lanes(builds=False)
+        return self._in_lanes.lanes
+
+    def lane_inputs(self, samples: int) -> LaneInputs:
+        """What the next samples depend on: so many, or fewer."""
+        times, outside = self._outside.of_samples(self.samples, samples)
+        return LaneInputs(self._largest, self._state, self._parameters, times, outside)
+
+    def take(self, state: NDArray, signals: NDArray, steps: NDArray) -> tuple[NDArray, NDArray]:
+        """Goes on as of `advance`, by samples that a LaneFunction has flown."""
+        self._state = state
+        self.samples += len(signals)
+        for block in self._watched:
+            block.watch_to(self.time)
+        return self._in_rows(len(signals), signals, steps)
 
     def _with_answers(self, whole: Evaluation, outside: NDArray) -> list[NDArray]:
         """The state, and the signals, after a sample that some blocks' own updates are asked for.

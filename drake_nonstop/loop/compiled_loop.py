@@ -273,6 +273,15 @@ class CompiledLoop:
             largest=largest,
         )
 
+    def prepare_lanes(self, samples: int | None = None) -> None:
+        """Lets its flights go on side by side in `lanes.advance_together`, where it is compiled.
+
+        C for that is taken from the cache. It is compiled, which takes some seconds, where this
+        process is to fly so many `samples` that it is worth it; None: in any case.
+        """
+        if self._compiles:
+            self._functions.prepare_lanes(samples)
+
     def _require_start(self, context: Context) -> None:
         require_context("context", self.diagram, context)
         require(context.get_time() == 0, "context.time", context.get_time(), "start at 0")

@@ -1,6 +1,7 @@
 """The traced functions of a loop, and how they are evaluated: as C, or in CasADi's machine."""
 
 import ctypes
+import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.resources import files
@@ -11,11 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.framework import System
 
-from drake_nonstop.systems.compilation import Compiled, compiled
+from drake_nonstop.loop.lane_functions import LaneFunction, lanes_code
+from drake_nonstop.systems.compilation import Compiled, compiled, compiled_for_processor
 from drake_nonstop.systems.tracing import bound, object_array
 
 _WORTH_SHORTENING = 1_500  # samples, which save about what it takes
 _WORTH_COMPILING = 20_000  # samples, 2 s in the virtual machine
+_WORTH_LANES = 1_000_000  # samples, which save about what the compilation takes
 _FLY_SAMPLES = files(__package__).joinpath("fly_samples.c").read_text()
 
 
@@ -78,7 +81,9 @@ class LoopFunction:
         self.function = casadi.Function("loop", [stacked], results)
         self.compiled: Compiled | None = None  # the same, as C
         self._besides = _FLY_SAMPLES if is_whole else ""
+        self.lanes: LaneFunction | None = None  # the same, of several flights, as C
         self._tried: set[bool] = set()  # to take it from the cache (False), or to build it
+        self._tried_lanes: set[bool] = set()
 
     def shorten(self) -> None:
         """Computes what is the same in two places once; the numbers stay, to the bit."""
@@ -93,6 +98,16 @@ class LoopFunction:
             self._tried |= {builds, False}
             self.compiled = compiled(self.function, besides=self._besides, builds=builds)
 
+    def compile_lanes(self, builds: bool) -> None:
+        """Does so with the C of several flights side by side, of a whole sample."""
+        if self.lanes is None and builds not in self._tried_lanes:
+            self._tried_lanes |= {builds, False}
+            self.shorten()
+            make = functools.partial(lanes_code, self.function, self.argument_sizes)
+            library = compiled_for_processor(make, builds=builds)
+            if library is not None:
+                self.lanes = LaneFunction(library, self.function)
+
 
 @dataclass
 class LoopFunctions:
@@ -104,6 +119,7 @@ class LoopFunctions:
     at_sample: LoopFunction | None  # where blocks are stepped between it and `after_sample`
     whole: LoopFunction | None  # where none are: both in one
     samples: int = 0  # that loops have asked for
+    lane_samples: int = 0  # that these have asked for, of flights side by side
 
     @property
     def of_samples(self) -> list[LoopFunction]:
@@ -121,6 +137,12 @@ class LoopFunctions:
             function.shorten()
             if compiles:
                 function.compile(builds)
+
+    def prepare_lanes(self, samples: int | None) -> None:
+        """Takes C of several flights side by side, as `CompiledLoop` says."""
+        self.lane_samples += samples or 0
+        if self.whole is not None:
+            self.whole.compile_lanes(samples is None or self.lane_samples >= _WORTH_LANES)
 
 
 class Evaluation:

@@ -1,9 +1,9 @@
 """Traced functions as C, compiled once and kept in the user's cache folder.
 
-An entry is named after the C text, the compiler and its options. It is loaded only where it is
-this user's own, nobody else may write to it, and its checksum is right; else it is built again.
-Without a compiler, or without a folder to write to, CasADi's virtual machine evaluates instead,
-which is told in one line.
+An entry is named after the C text, the compiler and its options, and the processor where it is
+compiled for that. It is loaded only where it is this user's own, nobody else may write to it, and
+its checksum is right; else it is built again. Without a compiler, or without a folder to write to,
+CasADi's virtual machine evaluates instead, which is told in one line.
 """
 
 import contextlib
@@ -18,9 +18,9 @@ import stat
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import casadi
 
@@ -29,16 +29,22 @@ from drake_nonstop.validation import warn_user
 COMPILER = "CC"  # the variable of the environment that names another compiler
 CACHE = "DRAKE_NONSTOP_CACHE"  # likewise, another folder
 _COMPILERS = "cc", "gcc", "clang"
-_OPTIONS = [  # on Linux a library calls its own functions, and none of that name elsewhere
-    *("-Og", "-fPIC", "-shared", "-ffp-contract=off"),
+_SHARED = [  # on Linux a library calls its own functions, and none of that name elsewhere
+    *("-fPIC", "-shared", "-ffp-contract=off"),
     *(["-Wl,-Bsymbolic"] if sys.platform == "linux" else []),
 ]
+_OPTIONS = ["-Og", *_SHARED]
+_OF_PROCESSOR = ["-O2", "-march=native", "-fno-math-errno", "-fno-builtin-pow", *_SHARED]
+_FEATURES = "vendor_id", "cpu family", "model", "stepping", "flags", "CPU part", "Features"
 _TIME_LIMIT = 600.0  # s, of a compilation
 _VERSION_TIME_LIMIT = 10.0  # s
 
 
 class CompilationError(RuntimeError):
     """Nothing was compiled; the message tells why, in a few words."""
+
+
+_Loaded = TypeVar("_Loaded")
 
 
 class Compiled(NamedTuple):
@@ -61,10 +67,24 @@ def compiled(
         besides: C text that follows that of the function, and may call it.
         builds: whether it is compiled where the cache does not have it.
     """
+    load = functools.partial(_of_library, function.name())
     try:
-        return _compiled(function.name(), _c_text(function) + besides, builds)
+        return _compiled(load, _c_text(function) + besides, _OPTIONS, builds)
     except CompilationError as error:
-        _tell(str(error))
+        _tell(str(error), "compiled loop", "CasADi's virtual machine evaluates it")
+    return None
+
+
+def compiled_for_processor(make_text: Callable[[], str], *, builds: bool) -> ctypes.CDLL | None:
+    """A C text of flights side by side as a library for this processor; None: it cannot be had.
+
+    `builds` as of `compiled`. A ScenarioWarning tells why it cannot be compiled, which may be a
+    CompilationError of `make_text`.
+    """
+    try:
+        return _compiled(_loaded, make_text(), [*_OF_PROCESSOR, _processor()], builds)
+    except CompilationError as error:
+        _tell(str(error), "flights side by side", "they are flown one by one")
     return None
 
 
@@ -101,8 +121,18 @@ def cache_folder() -> Path:
 
 
 @functools.cache
-def _tell(reason: str) -> None:
-    warn_user(f"compiled loop: {reason}; CasADi's virtual machine evaluates it instead")
+def _tell(reason: str, what: str, remedy: str) -> None:
+    warn_user(f"{what}: {reason}; {remedy} instead")
+
+
+@functools.cache
+def _processor() -> str:
+    """A definition for C that tells processors apart, of which one may lack what another has."""
+    told = f"{platform.processor()} {platform.node()}"
+    with contextlib.suppress(OSError):
+        lines = Path("/proc/cpuinfo").read_text().partition("\n\n")[0].splitlines()
+        told = "\n".join(line for line in lines if line.split("\t")[0].strip() in _FEATURES)
+    return f'-DPROCESSOR="{hashlib.sha256(told.encode()).hexdigest()}"'
 
 
 def _loaded(library: Path) -> ctypes.CDLL:
@@ -128,39 +158,41 @@ def _not_loaded(library: Path, error: Exception) -> CompilationError:
     return CompilationError(f"{library} cannot be loaded ({told[:200]})")
 
 
-def _compiled(name: str, text: str, builds: bool) -> Compiled | None:
-    """A function of a C text from the cache, or compiled now; None: the cache does not have it."""
+def _compiled(
+    load: Callable[[Path], _Loaded], text: str, options: list[str], builds: bool
+) -> _Loaded | None:
+    """What is loaded of a C text's library, from the cache or compiled now; None: it has none."""
     own_compiler = compiler()
     if own_compiler is None:
         asked = os.environ.get(COMPILER)
         wanted = f"{COMPILER} = {asked} is no program" if asked else "cc, gcc or clang"
         raise CompilationError(f"there is no C compiler ({wanted})")
-    parts = (text, own_compiler, _version(own_compiler), *_OPTIONS, platform.machine())
+    parts = (text, own_compiler, _version(own_compiler), *options, platform.machine())
     key = hashlib.sha256("\0".join(parts).encode()).hexdigest()
     folder = cache_folder()
     library = folder / f"{key}.so"
-    found = _cached(name, library)
+    found = _cached(load, library)
     if found is not None or not builds:
         return found
     try:
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         with _locked(folder / f"{key}.lock"):
-            found = _cached(name, library)
+            found = _cached(load, library)
             if found is None:
-                _build(own_compiler, text, library)
-                found = _of_library(name, library)
+                _build([own_compiler, *options], text, library)
+                found = load(library)
     except OSError as error:
         reason = f"{folder} cannot be written ({error.strerror or error})"
         raise CompilationError(reason) from None
     return found
 
 
-def _cached(name: str, library: Path) -> Compiled | None:
-    """The function of that name in a library of the cache; None: it is not sound, or of no use."""
+def _cached(load: Callable[[Path], _Loaded], library: Path) -> _Loaded | None:
+    """What is loaded of a library of the cache; None: it is not sound, or of no use."""
     if not _is_sound(library):
         return None
     try:
-        return _of_library(name, library)
+        return load(library)
     except CompilationError:
         return None
 
@@ -231,19 +263,20 @@ def _is_sound(library: Path) -> bool:
         return False
 
 
-def _build(own_compiler: str, text: str, library: Path) -> None:
+def _build(compiler_call: list[str], text: str, library: Path) -> None:
     """Compiles C to a library, which is put in its place when it is complete."""
     with tempfile.TemporaryDirectory(prefix=".new-", dir=library.parent) as scratch:
         source, made = Path(scratch) / "text.c", Path(scratch) / "text.so"
         source.write_text(text)
-        call = [own_compiler, *_OPTIONS, str(source), "-o", str(made), "-lm"]
+        call = [*compiler_call, str(source), "-o", str(made), "-lm"]
         try:
             done = _called(call, _TIME_LIMIT)
         except subprocess.TimeoutExpired:
-            raise CompilationError(f"{own_compiler} took more than {_TIME_LIMIT:g} s") from None
+            raise CompilationError(f"{call[0]} took more than {_TIME_LIMIT:g} s") from None
         if done.returncode != 0 or not made.is_file():
-            told = (done.stderr.strip().splitlines() or ["it says nothing"])[-1]
-            raise CompilationError(f"{own_compiler} failed ({told[:200]})")
+            lines = done.stderr.strip().splitlines() or ["it says nothing"]
+            told = next((line for line in lines if "error" in line), lines[-1])
+            raise CompilationError(f"{call[0]} failed ({told[:200]})")
         _loaded(made)  # or it would not be from the cache either
         made.chmod(0o600)
         checksum = Path(scratch) / "checksum"

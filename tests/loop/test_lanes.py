@@ -2,23 +2,27 @@
 
 import numpy as np
 import pytest
+from helpers import nightly_beyond
 
 from drake_nonstop import ScenarioError, load_scenario, make_nonstop
 from drake_nonstop.loop.compiled_loop import CompiledLoop
 from drake_nonstop.loop.lanes import advance_together
 from drake_nonstop.scenario.overrides import changed
+from drake_nonstop.systems.compilation import compiler
 from drake_nonstop.systems.tracing import NotFiniteError
 
 CONSTANT = "optimization_layer=ConstantParameters"
 
 
-def makers(name, numbers, **options):
+def makers(name, numbers, *, prepares_lanes=False, **options):
     """For each list of overrides of a scenario a function that starts its flight."""
     found = []
     for overrides in numbers:
         scenario = changed(load_scenario(name), overrides)
         diagram = make_nonstop(scenario)
         loop = CompiledLoop(diagram, scenario.simulator_config, scenario.control_period, **options)
+        if prepares_lanes:
+            loop.prepare_lanes()
 
         def start(loop=loop, diagram=diagram):
             flight = loop.fly(diagram.CreateDefaultContext())
@@ -31,6 +35,22 @@ def makers(name, numbers, **options):
 
 def masses(*values):
     return [[CONSTANT, f"simulated.load_mass={mass}"] for mass in values]
+
+
+IN_LANES = [
+    (
+        "quintic",  # short, so that it compiles soon
+        [[*own, "control_period=0.005"] for own in masses(1, 1.05, 1.1, 1.15, 1.2)],
+        {"signals": ["load_state"], "samples": 1600},
+    ),
+    ("quintic", masses(1.0, 1.05, 1.1), {}),
+    ("three_carriers", [[f"simulated.load_mass={m}"] for m in (0.95, 1.0, 1.05, 1.1, 1.15)], {}),
+    (
+        "aircraft_transfer_gusty",
+        [[f"simulated.load_mass={9 + m}", f"random_seed={m}"] for m in range(5)],
+        {},
+    ),
+]
 
 
 def alone(flight, samples):
@@ -53,6 +73,27 @@ def test_flights_go_on_by_their_own_samples():
             np.testing.assert_array_equal(own_rows, rows)
         assert flight.samples == 2 * count
         np.testing.assert_array_equal(flight.state, expected.state)
+
+
+@pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
+@pytest.mark.parametrize(("name", "numbers", "options"), nightly_beyond(1, "engines", IN_LANES))
+def test_flights_in_lanes_show_the_bits_of_each_alone(name, numbers, options, monkeypatch):
+    """Each has other numbers, and is at another sample; they go on again and again."""
+    monkeypatch.setattr("time.perf_counter", lambda: 0.0)  # by which layers show their solve_time
+    starts = makers(name, numbers, prepares_lanes=True, **options)
+    counts = [1 + 5 * k % 7 for k in range(len(starts))]
+    flights, expected = ([start() for start in starts] for _ in range(2))
+    for flight, alone_flight, count in zip(flights, expected, counts, strict=True):
+        alone(flight, count)
+        alone(alone_flight, count)
+        assert flight.lanes is not None
+    for factor in (1, 40, 3):
+        shown = advance_together(flights, [factor * count for count in counts])
+        for flight, alone_flight, count, own in zip(flights, expected, counts, shown, strict=True):
+            assert own.error is None
+            for rows, own_rows in zip(alone(alone_flight, factor * count), own[:2], strict=True):
+                np.testing.assert_array_equal(own_rows, rows)
+            np.testing.assert_array_equal(flight.state, alone_flight.state)
 
 
 def test_a_flight_that_diverges_keeps_what_it_showed_and_harms_no_other():
