@@ -47,6 +47,7 @@ from drake_nonstop.systems.tracing import NotFiniteError
 from drake_nonstop.validation import StrictFields, require, require_whole
 
 _HOLDER = "action"  # the name of the block that holds it
+_WORTH_LANES = 4  # flights
 _LARGEST_SEED = 2**32 - 1  # of Drake's RandomGenerator
 
 
@@ -155,6 +156,10 @@ class _Start:
             flight.share(other._flight)
         return flight
 
+    def prepare_lanes(self) -> None:
+        """Lets flights of the loop fly in lanes, for which it is compiled if it has not been."""
+        self._loop.prepare_lanes()
+
     def begin(self, flight: CompiledFlight) -> None:
         """Sets a flight of the loop to the start of an episode."""
         flight.go_to(0, self._state)
@@ -186,6 +191,8 @@ class NonstopVecEnv(VectorEnv[NDArray, NDArray, NDArray]):
         sampled, drawn = sample(scenario)
         self._is_drawn = bool(drawn)
         self._start = start = _Start(sampled, action, time_step)
+        if n >= _WORTH_LANES:
+            start.prepare_lanes()
         seeds = (scenario.random_seed + np.arange(n)) % (_LARGEST_SEED + 1)
         self._generators = [RandomGenerator(seed) for seed in seeds.tolist()]
         self._starts = n * [start]
