@@ -20,7 +20,7 @@ class Advance(NamedTuple):
 
     signals: NDArray  # (instants, size)
     step_signals: NDArray  # (steps, size)
-    error: Exception | None  # that ended it before the sample which raised it
+    error: BaseException | None  # that ended it before the sample which raised it
 
 
 class _Way:
@@ -29,13 +29,13 @@ class _Way:
     def __init__(self, flight: CompiledFlight, samples: int):
         self.flight, self.end = flight, flight.samples + samples
         self.shown: list[tuple[NDArray, NDArray]] = []
-        self.error: Exception | None = None
+        self.error: BaseException | None = None
 
     def add(self, go_on: Callable[..., tuple[NDArray, NDArray]], *given: Any) -> None:
         """Goes on by a method of the flight, with what is given to it."""
         try:
             self.shown.append(go_on(*given))
-        except Exception as error:  # whatever blocks may raise
+        except (Exception, SystemExit) as error:  # whatever blocks may raise
             self.error = error
 
     @property

@@ -42,8 +42,12 @@ def flown_alone(flying: Flying[Result]) -> Result:
     try:
         flight, samples = next(flying)
         while True:
-            (advance,) = advance_together([flight], [samples])
-            flight, samples = flying.send(advance)
+            try:
+                (advance,) = advance_together([flight], [samples])
+            except BaseException as error:  # such as the SystemExit of a block
+                flight, samples = flying.throw(error)
+            else:
+                flight, samples = flying.send(advance)
     except StopIteration as end:
         result: Result = end.value
         return result

@@ -2,8 +2,10 @@
 
 import contextlib
 import math
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from contextlib import nullcontext
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -55,7 +57,7 @@ def simulate_many(
     arguments: dict[str, Any] = {"check_step": check_step, "engine": engine}
     ended = 0
     try:
-        for k, outcome in fly_many([{"scenario": each} | arguments for each in scenarios]):
+        for k, outcome, _ in fly_many([{"scenario": each} | arguments for each in scenarios]):
             outcomes[k], ended = outcome, ended + 1
             if progress is not None:
                 progress(ended / len(scenarios))
@@ -72,17 +74,27 @@ class _Flyer:
         number: of the run.
         flying: the run, which asks for samples of its flight.
         asked: what it waits for.
+        told: warnings, where it `is_recording`.
     """
 
     number: int
     flying: Flying[Run]
     interruption: Interruption
+    is_recording: bool = False
+    told: list[str] = field(default_factory=list)
     asked: tuple[CompiledFlight, int] | None = None
     outcome: Run | BaseException | None = None
 
     def go_on(self, advance: Advance | None, interruption: Interruption) -> None:
         """Gives it what it waits for; it then has an outcome, or waits for more."""
         self.interruption.number = interruption.number
+        with warnings.catch_warnings(record=True) if self.is_recording else nullcontext([]) as told:
+            if self.is_recording:
+                warnings.simplefilter("always")
+            self._go_on(advance)
+        self.told += [str(warning.message) for warning in told or ()]
+
+    def _go_on(self, advance: Advance | None) -> None:
         try:
             self.asked = next(self.flying) if advance is None else self.flying.send(advance)
         except StopIteration as end:
@@ -94,11 +106,15 @@ class _Flyer:
 
 
 def fly_many(
-    arguments: Sequence[dict[str, Any]],
-) -> Iterator[tuple[int, Run | BaseException]]:
-    """The numbers of runs and what they are, as they end, by the fields of their `Request`.
+    arguments: Sequence[dict[str, Any]], *, is_recording: bool = False
+) -> Iterator[tuple[int, Run | BaseException, list[str]]]:
+    """The numbers of runs, what they are, and their warnings, as they end.
 
     Of those that raise anything but an interrupt the exception.
+
+    Args:
+        arguments: of each as of `simulate`, with the `scenario`.
+        is_recording: whether warnings are recorded; if not, users are warned.
 
     Raises:
         KeyboardInterrupt: Ctrl-C; runs that have not ended are left out.
@@ -110,7 +126,7 @@ def fly_many(
     with current_interruption() as interruption, interruption.patient(1):
         while not interruption.number:
             while len(flyers) < most and (number := next(waiting, None)) is not None:
-                flyer = _flyer(number, arguments[number], shared)
+                flyer = _flyer(number, arguments[number], shared, is_recording)
                 flyer.go_on(None, interruption)
                 flyers.append(flyer)
                 if flyer.outcome is None:
@@ -127,18 +143,22 @@ def fly_many(
                 if flyer.outcome is None:
                     flyers.append(flyer)
                 elif not interruption.number:
-                    yield flyer.number, flyer.outcome
+                    yield flyer.number, flyer.outcome, flyer.told
     raise KeyboardInterrupt
 
 
-def _flyer(number: int, arguments: dict[str, Any], shared: SharedLoops) -> _Flyer:
+def _flyer(
+    number: int, arguments: dict[str, Any], shared: SharedLoops, is_recording: bool
+) -> _Flyer:
     interruption = Interruption()
 
     def flying() -> Flying[Run]:
-        request = Request(**arguments)
+        own = {k: v for k, v in arguments.items() if k in Request.__dataclass_fields__}
+        others = {k: v for k, v in arguments.items() if k not in own}
+        request = Request(replacements=others, **own)
         return (yield from simulating(request, interruption, shared))
 
-    return _Flyer(number, flying(), interruption)
+    return _Flyer(number, flying(), interruption, is_recording)
 
 
 def _flights_at_a_time(most: int, scenario: Scenario) -> int:

@@ -5,7 +5,7 @@ import json
 import math
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -42,7 +42,7 @@ from drake_nonstop.studies.run_all import (
     FAILED,
     UNBUILDABLE,
     Progress,
-    attempt,
+    attempts,
     no_progress,
     run_all,
 )
@@ -161,6 +161,7 @@ def ablate(
             lambda key, error: {"ending": FAILED, "message": error, "curves": {}},
             done=done,
             progress=progress,
+            is_of_many=True,
         )
         rows = ordered(rows)
         without_run = [row.folder for row in rows if row.metrics is None]
@@ -208,17 +209,19 @@ def _is_there(folder: Path, row: Row, text: str, journal: Journal, key: int) -> 
 
 
 def _run(
-    text: str, folder: Path, row: Row, replay: bool, arguments: Mapping[str, Any]
-) -> dict[str, Any]:
-    """Runs a variant and writes its results."""
-    scenario = parse_scenario(text, trust=True)  # a copy of one that was trusted when it was loaded
-    tried = attempt(lambda: scenario, **arguments)
-    curves: Curves = {}
-    if tried.run is not None:
-        keep_what_is_done()
-        curves = curves_of(tried.run)
-        write_results(tried.run, folder / row.folder, figures=False, replay=replay)
-    return {"ending": tried.ending, "message": tried.message, "curves": curves}
+    calls: Sequence[tuple[str, Path, Row, bool, dict[str, Any]]],
+) -> Iterator[tuple[int, dict[str, Any]]]:
+    """Runs variants and writes their results; the numbers of the calls as they end."""
+    # Copies of scenarios that were trusted when they were loaded.
+    runs = [(parse_scenario(text, trust=True), given) for text, *_, given in calls]
+    for k, tried in attempts(runs):
+        _, folder, row, replay, _ = calls[k]
+        curves: Curves = {}
+        if tried.run is not None:
+            keep_what_is_done()
+            curves = curves_of(tried.run)
+            write_results(tried.run, folder / row.folder, figures=False, replay=replay)
+        yield k, {"ending": tried.ending, "message": tried.message, "curves": curves}
 
 
 def _named(variants: Iterable[tuple[str, Sequence[Change]]]) -> list[Row]:

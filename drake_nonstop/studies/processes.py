@@ -3,6 +3,7 @@
 import atexit
 import contextlib
 import gc
+import math
 import multiprocessing.forkserver as forkserver
 import os
 import pickle
@@ -12,7 +13,7 @@ import threading
 import time
 import warnings
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor
 from dataclasses import dataclass, field
 from functools import partial
@@ -42,6 +43,8 @@ _RESTART_PAUSE = 0.2  # s, in which a process that was killed ends
 _GUARD = '`if __name__ == "__main__":`'
 
 _READY, _KEEPING = "ready", "keeping"  # what a worker sends besides answers
+_ALL = -1  # in the place of a number: the end of all calls
+_MOST_TOGETHER, _PARTS = 32, 4  # calls that a process gets at a time, and how often at least
 
 _connection: Connection | None = None  # to the parent, in a worker
 
@@ -124,14 +127,16 @@ def keep_what_is_done() -> None:
 
 def call_in_processes(
     function: Callable[..., Any],
-    keys: Iterable[Any],
+    parts: Iterable[Sequence[Any]],
     arguments: Callable[[Any], tuple],
     record: Callable[[Any, Answer], None],
 ) -> None:
-    """Calls a function once per key, in a process per core, and records answers as they come.
+    """Makes calls of a function, in a process per core, and records answers as they come.
 
-    The calls whose processes die are repeated at the end, one after the other in a process of
-    their own each; one that dies again is answered by an error.
+    The function takes the arguments of a part of the keys, in a list, and yields numbers of this
+    list with the results for these, as `one_by_one` does. The calls whose processes die are
+    repeated at the end, one after the other in a process of their own each; one that dies again is
+    answered by an error.
 
     Where this ends by an error, the processes are killed; where it ends by an interrupt, those
     that keep what is done (`keep_what_is_done`) have a short time for that. A first signal while an
@@ -141,10 +146,22 @@ def call_in_processes(
         ScenarioError: processes end as they start.
     """
     require_main()
-    calls = _Calls(function, arguments, record)
-    for key in calls.make(keys, os.cpu_count() or 1):
-        if calls.make([key], 1):
+    calls, count = _Calls(function, arguments, record), os.cpu_count() or 1
+    for key in calls.make(parts, count):
+        if calls.make([[key]], 1):
             record(key, Answer(error=PROCESS_DIED))
+
+
+def one_by_one(function: Callable[..., Any], calls: Sequence[tuple]) -> Iterator[tuple[int, Any]]:
+    """The numbers of calls of a function, and their results."""
+    return ((k, function(*arguments)) for k, arguments in enumerate(calls))
+
+
+def in_parts(keys: Sequence[Any], *, is_of_many: bool) -> list[Sequence[Any]]:
+    """The keys in parts, of which each process gets several; else one by one."""
+    size = math.ceil(len(keys) / (_PARTS * (os.cpu_count() or 1)))
+    size = min(_MOST_TOGETHER, max(1, size)) if is_of_many else 1
+    return [keys[start : start + size] for start in range(0, len(keys), size)]
 
 
 @contextlib.contextmanager
@@ -183,7 +200,7 @@ class _Worker:
     is_ready: bool = False
     is_busy: bool = False
     is_keeping: bool = False
-    key: Any = None  # of the call that it is busy with
+    keys: dict[int, Any] = field(default_factory=dict)  # of the calls that it has to answer
 
     def kill(self) -> None:
         """Ends the process at once."""
@@ -217,9 +234,12 @@ class _Calls:
     _has_started: bool = False
     _failed_starts: int = 0
 
-    def make(self, keys: Iterable[Any], count: int) -> list[Any]:
-        """Makes these calls, in so many processes at most; returns those whose processes died."""
-        waiting, self._died = deque(keys), []
+    def make(self, parts: Iterable[Sequence[Any]], count: int) -> list[Any]:
+        """Makes the calls of parts of the keys, in so many processes at most.
+
+        Returns the keys whose processes died.
+        """
+        waiting, self._died = deque(parts), []
         is_interrupt, ending_time = False, 0.0
         try:
             while waiting or any(worker.is_busy for worker in self._workers):
@@ -266,14 +286,15 @@ class _Calls:
             self._lose(worker)
             time.sleep(_RESTART_PAUSE)
 
-    def _give(self, worker: _Worker, key: Any) -> None:
-        """Has a worker make the call of a key."""
-        worker.key, worker.is_busy = key, True
+    def _give(self, worker: _Worker, keys: Sequence[Any]) -> None:
+        """Has a worker make the calls of some keys."""
+        worker.keys, worker.is_busy = dict(enumerate(keys)), True
         try:
-            call = pickle.dumps((self._function, self._arguments(key)))
+            call = pickle.dumps((self._function, [*map(self._arguments, keys)]))
         except (pickle.PicklingError, AttributeError, TypeError) as error:
             worker.is_busy = False
-            self._record(key, Answer(error=one_line(error)))
+            for key in keys:
+                self._record(key, Answer(error=one_line(error)))
             return
         with contextlib.suppress(OSError):  # it has died, which shows in what is heard of it
             worker.connection.send_bytes(call)
@@ -301,10 +322,16 @@ class _Calls:
         elif message == _KEEPING:
             worker.is_keeping = True
         else:
-            worker.is_busy = worker.is_keeping = False
-            if not message.error:  # which may be of what this process cannot import
-                message = Answer.of(partial(pickle.loads, message.result))
-            self._record(worker.key, message)
+            number, answer = message
+            worker.is_keeping, worker.is_busy = False, number != _ALL
+            if not worker.is_busy:  # an error is the answer to all that have none
+                numbers = [*worker.keys] if answer.error else []
+            else:
+                numbers = [number]
+                if not answer.error:  # which may be of what this process cannot import
+                    answer = Answer.of(partial(pickle.loads, answer.result))
+            for each in numbers:
+                self._record(worker.keys.pop(each), answer)
 
     def _lose(self, worker: _Worker) -> None:
         """Notes the end of a worker; raises ScenarioError where workers end as they start."""
@@ -315,7 +342,7 @@ class _Calls:
             code = worker.process.exitcode
         worker.kill()
         if worker.is_busy:
-            self._died.append(worker.key)
+            self._died += worker.keys.values()
         if worker.is_ready:
             return
         self._failed_starts += 1
@@ -393,12 +420,15 @@ def _work(connection: Connection) -> None:
     with contextlib.suppress(EOFError, OSError):
         connection.send(_READY)
         while True:
-            connection.send(Answer.of(partial(_result, connection.recv_bytes())))
+            answered = Answer.of(partial(_answer, connection, connection.recv_bytes()))
+            connection.send((_ALL, answered))
 
 
-def _result(call: bytes) -> bytes:
+def _answer(connection: Connection, call: bytes) -> None:
+    """Sends the answers to calls as they are there."""
     function, arguments = pickle.loads(call)
-    return pickle.dumps(function(*arguments))
+    for number, result in function(arguments):
+        connection.send((number, Answer.of(partial(pickle.dumps, result))))
 
 
 def _exit_with_parent() -> None:

@@ -1,8 +1,8 @@
 """How a run changes with errors that its controllers do not know of, one at a time."""
 
 import dataclasses
+import functools
 import math
-import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -23,7 +23,7 @@ from drake_nonstop.studies.run_all import (
     FAILED,
     UNBUILDABLE,
     Progress,
-    attempt,
+    attempts,
     no_progress,
     run_all,
 )
@@ -136,6 +136,7 @@ def robustness(
             lambda key, error: {"ending": FAILED, "message": error, "metrics": {}},
             done=journal,
             progress=progress,
+            is_of_many=True,
         )
         journal.finish()
         return [dataclasses.replace(case, **journal.result(k)) for k, case in enumerate(cases)]
@@ -210,30 +211,33 @@ def _errors(scenario: Scenario, seed: int) -> Iterator[tuple[str, float, str, li
         yield "gusty force", percent, "% of weight (standard deviation)", [force]
 
 
-def _measured(text: str, overrides: Sequence[str]) -> dict[str, Any]:
-    """How the run of a case ended, and its metrics.
+def _measured(
+    calls: Sequence[tuple[str, Sequence[str]]],
+) -> Iterator[tuple[int, dict[str, Any]]]:
+    """The numbers of cases, how their runs ended, and their metrics.
 
     Raises:
         ScenarioError: this process cannot read the scenario, or cannot build it without overrides.
     """
-    with warnings.catch_warnings(record=True) as caught:  # of a case, which they do not name
-        warnings.simplefilter("always")
-        # A copy of a scenario that was trusted when it was loaded; what it cannot be read for here,
-        # such as a module that this process lacks, is no fault of a case.
-        scenario = parse_scenario(text, trust=True)
-        tried = attempt(lambda: changed(scenario, overrides))
-    if tried.ending == UNBUILDABLE and not overrides:
-        raise ScenarioError(tried.message) from tried.error
-    values: dict[str, Any] = {}
-    if tried.run is not None:
-        metrics = compute_metrics(tried.run)
-        kept = (
-            metric
-            for metric in METRICS
-            if not metric.is_wall_time
-            and (not metric.is_list or metric.path in (_REASONS, _WARNINGS))
-        )
-        values = {metric.path: metric.value(metrics) for metric in kept}
-    found = [*(str(warning.message) for warning in caught), *values.get(_WARNINGS, [])]
-    values[_WARNINGS] = list(dict.fromkeys(found))
-    return {"ending": tried.ending, "message": tried.message, "metrics": values}
+    # A copy of a scenario that was trusted when it was loaded; what it cannot be read for here,
+    # such as a module that this process lacks, is no fault of a case.
+    scenarios = [parse_scenario(text, trust=True) for text, _ in calls]
+    runs: list[Any] = [
+        (functools.partial(changed, scenario, overrides), {})
+        for scenario, (_, overrides) in zip(scenarios, calls, strict=True)
+    ]
+    for k, tried in attempts(runs, is_recording=True):
+        if tried.ending == UNBUILDABLE and not calls[k][1]:
+            raise ScenarioError(tried.message) from tried.error
+        values: dict[str, Any] = {}
+        if tried.run is not None:
+            metrics = compute_metrics(tried.run)
+            kept = (
+                metric
+                for metric in METRICS
+                if not metric.is_wall_time
+                and (not metric.is_list or metric.path in (_REASONS, _WARNINGS))
+            )
+            values = {metric.path: metric.value(metrics) for metric in kept}
+        values[_WARNINGS] = list(dict.fromkeys([*tried.told, *values.get(_WARNINGS, [])]))
+        yield k, {"ending": tried.ending, "message": tried.message, "metrics": values}

@@ -1,18 +1,29 @@
 """Many runs that are independent of each other: in processes, each to an ending of its own."""
 
+import gc
 import warnings
 from collections import deque
-from collections.abc import Callable, Container, Hashable, Sequence
+from collections.abc import Callable, Container, Hashable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, TypeVar
 
+from pydrake.systems.framework import Diagram
+
 from drake_nonstop.scenario.schema import AUTO, COMPILED, Scenario
 from drake_nonstop.simulation.compiled_run import NOT_COMPILED
+from drake_nonstop.simulation.many import fly_many
 from drake_nonstop.simulation.run import Run, RunInterrupted, RunStopped
 from drake_nonstop.simulation.simulate import simulate
-from drake_nonstop.studies.processes import Answer, call_in_processes, deferred_signals
+from drake_nonstop.studies.processes import (
+    Answer,
+    call_in_processes,
+    deferred_signals,
+    in_parts,
+    one_by_one,
+)
+from drake_nonstop.systems.block import release
 from drake_nonstop.validation import ScenarioError, ScenarioWarning, message_of, one_line, require
 
 # How a run may end.
@@ -33,7 +44,7 @@ def no_progress(what: str, share: float) -> None:
 
 
 def run_all(
-    function: Callable[..., Result],
+    function: Callable[..., Any],
     keys: Sequence[Key],
     arguments: Callable[[Key], tuple],
     record: Callable[[Key, Result], None],
@@ -43,12 +54,15 @@ def run_all(
     executor: Executor | None = None,
     what: str = "simulating",
     progress: Progress = no_progress,
+    is_of_many: bool = False,
 ) -> None:
     """Calls a function once per key, in a process per core, and records results as they come.
 
-    A call whose process dies is repeated once, by itself. Where this function ends by an error
-    or by Ctrl-C, calls that have not ended are dropped and their processes killed; those that
-    write results (`keep_what_is_done`) have two seconds to end, unless Ctrl-C comes again.
+    One `is_of_many` takes the arguments of several keys, in a list, and yields numbers of this list
+    with the results for these. A call whose process dies is repeated once, by itself. Where this
+    function ends by an error or by Ctrl-C, calls that have not ended are dropped and their
+    processes killed; those that write results (`keep_what_is_done`) have two seconds to end, unless
+    Ctrl-C comes again.
 
     Processes can import the function, and what `arguments` makes of a key can be pickled. `failed`
     makes the result of a key from an error message, where the function raised anything but
@@ -75,13 +89,14 @@ def run_all(
 
     require(callable(progress), "progress", progress, "give a function, such as a TaskProgress()")
     call = call_in_processes if executor is None else partial(_call_in, executor)
-    call(function, missing, arguments, record_answer)
+    each = function if is_of_many else partial(one_by_one, function)
+    call(each, in_parts(missing, is_of_many=is_of_many), arguments, record_answer)
 
 
 def _call_in(
     executor: Executor,
     function: Callable[..., Any],
-    keys: Sequence[Key],
+    parts: Iterable[Sequence[Key]],
     arguments: Callable[[Key], tuple],
     record: Callable[[Key, Answer], None],
 ) -> None:
@@ -90,13 +105,13 @@ def _call_in(
     require(is_one, "executor", executor, "give one of concurrent.futures' kind, or None")
     name = type(executor).__name__
 
-    waiting = deque(keys)
-    pending: dict[Future, Key] = {}
+    waiting = deque(parts)
+    pending: dict[Future, Sequence[Key]] = {}
     try:
         while waiting or pending:
             while waiting and len(pending) < _MAX_PENDING:
                 try:
-                    future = executor.submit(function, *arguments(waiting[0]))
+                    future = executor.submit(_made, function, [*map(arguments, waiting[0])])
                 except BrokenExecutor:
                     raise
                 except RuntimeError as error:  # it is shut down
@@ -107,7 +122,10 @@ def _call_in(
                     break  # a serial executor: recorded before the next one is run
             for future in wait(pending, return_when=FIRST_COMPLETED).done:
                 with deferred_signals():
-                    record(pending.pop(future), Answer.of(future.result))
+                    answer, part = Answer.of(future.result), pending.pop(future)
+                    results = {} if answer.error else answer.result
+                    for k, key in enumerate(part):
+                        record(key, Answer(result=results[k]) if k in results else answer)
     except BrokenExecutor as error:
         raise ScenarioError(
             f"executor = {name}: its workers end or cannot be used ({one_line(error)}); give "
@@ -116,6 +134,11 @@ def _call_in(
     finally:
         for future in pending:
             future.cancel()
+
+
+def _made(function: Callable[..., Any], calls: Sequence[tuple]) -> dict[int, Any]:
+    """The results of calls by their numbers."""
+    return dict(function(calls))
 
 
 @dataclass(kw_only=True)
@@ -130,6 +153,22 @@ class Attempt:
     message: str = ""
     run: Run | None = None
     error: BaseException | None = None  # of a scenario that is "unbuildable"
+    told: tuple[str, ...] = ()  # warnings
+
+    @classmethod
+    def of(cls, outcome: Run | BaseException, told: Iterable[str] = ()) -> "Attempt":
+        """Ending of a run, or of what `simulate` raises, with its warnings."""
+        said = tuple(told)
+        if isinstance(outcome, RunStopped):
+            ending = DIVERGED if outcome.__cause__ is None else FAILED
+            run = outcome.run if len(outcome.run.time) > 0 else None
+            return cls(ending=ending, message=str(outcome), run=run, told=said)
+        if isinstance(outcome, BaseException):  # whatever the user's own blocks may raise
+            is_bad = isinstance(outcome, ScenarioError)
+            message = message_of(outcome) if is_bad else one_line(outcome)
+            return cls(ending=UNBUILDABLE, message=message, error=outcome, told=said)
+        run = outcome if len(outcome.time) > 0 else None
+        return cls(ending=COMPLETED, run=run, told=said)
 
 
 def fly(scenario: Scenario, **arguments: Any) -> Run:
@@ -145,24 +184,49 @@ def fly(scenario: Scenario, **arguments: Any) -> Run:
         return simulate(scenario, **arguments | {"engine": COMPILED})
 
 
+def attempts(
+    runs: Iterable[tuple[Any, dict[str, Any]]], *, is_recording: bool = False
+) -> Iterator[tuple[int, Attempt]]:
+    """The numbers of runs and how they ended, as they do; several fly at a time.
+
+    A run is a scenario, or a function that returns it, and arguments as of `simulate`. Nothing but
+    Ctrl-C is raised. The systems of the loops, whose memory is mostly C++'s, are released after the
+    last run. What is warned of is in the attempts where it `is_recording`.
+    """
+    arguments: dict[int, dict[str, Any]] = {}
+    diagrams: dict[int, Diagram] = {}
+    for number, (make, given) in enumerate(runs):
+        try:
+            scenario = make() if callable(make) else make
+            engine = COMPILED if scenario.engine == AUTO else None
+            arguments[number] = {"scenario": scenario, "engine": engine} | given
+        except (Exception, SystemExit) as error:  # whatever the user's own blocks may raise
+            yield number, Attempt.of(error)
+    numbers = [*arguments]
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", NOT_COMPILED, ScenarioWarning)
+        for k, outcome, told in fly_many([*arguments.values()], is_recording=is_recording):
+            found = Attempt.of(outcome, told)
+            if found.run is not None:
+                diagrams[id(found.run.diagram)] = found.run.diagram
+            yield numbers[k], found
+            del found, outcome
+    for diagram in diagrams.values():
+        release(diagram)
+    gc.collect()  # Python's collector would run too late
+
+
 def attempt(scenario: Callable[[], Scenario], **arguments: Any) -> Attempt:
     """Flies the scenario that a function returns, with arguments as of `simulate`.
 
     Nothing but Ctrl-C is raised.
     """
-    ending, message = COMPLETED, ""
     try:
-        run = fly(scenario(), **arguments)
-    except RunStopped as stopped:
-        run, message = stopped.run, str(stopped)
-        ending = DIVERGED if stopped.__cause__ is None else FAILED
+        return Attempt.of(fly(scenario(), **arguments))
     except RunInterrupted:
         raise KeyboardInterrupt from None  # without the run, which cannot be sent to a process
-    except ScenarioError as error:
-        return Attempt(ending=UNBUILDABLE, message=message_of(error), error=error)
     except (Exception, SystemExit) as error:  # whatever the user's own blocks may raise
-        return Attempt(ending=UNBUILDABLE, message=one_line(error), error=error)
-    return Attempt(ending=ending, message=message, run=run if len(run.time) > 0 else None)
+        return Attempt.of(error)
 
 
 class SerialExecutor(Executor):

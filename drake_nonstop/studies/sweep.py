@@ -2,10 +2,8 @@
 
 import contextlib
 import functools
-import gc
-import itertools
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -28,13 +26,12 @@ from drake_nonstop.studies.run_all import (
     FAILED,
     UNBUILDABLE,
     Progress,
-    attempt,
+    attempts,
     no_progress,
     run_all,
 )
 from drake_nonstop.studies.sweep_spec import PlannedRun, SweepSpec, dump_spec
 from drake_nonstop.studies.variants import Change, identity, labels, require_sendable, varied
-from drake_nonstop.systems.block import release
 from drake_nonstop.validation import ScenarioError, require, require_flags, require_installed
 
 TABLE = "runs.parquet"
@@ -47,9 +44,6 @@ _MOST_SHOWN = 5  # messages in a summary
 _MAX_MESSAGES = 1000  # that are counted
 _WALL_TIME_PATHS = {metric.path for metric in METRICS if metric.is_wall_time}
 _RESULT = {"drawn": dict, "ending": str, "error": str, "metrics": dict, "wall_times": dict}
-
-_ended_runs = itertools.count(1)  # of this process
-_RUNS_PER_COLLECTION = 10
 
 Result = dict[str, Any]  # of a run, with the fields of _RESULT
 Row = dict[str, Any]  # values by their columns
@@ -150,6 +144,7 @@ def sweep(
             what=f"simulating {total} runs",
             done=journal,
             progress=progress,
+            is_of_many=True,
         )
         return _write_tables(folder, spec, journal)
 
@@ -205,31 +200,31 @@ def _base(text: str) -> Scenario:
 
 
 def _simulated(
-    text: str, changes: Sequence[Change], trust: bool, make_loop: LoopMaker
-) -> tuple[bool, Result]:
-    """Whether the run has a scenario, and its result."""
-    try:
-        scenario, others = varied(_base(text), changes, trust=trust)
-    except ScenarioError as error:
-        return False, _without_run(UNBUILDABLE, str(error))
-    drawn: dict[str, Any] = {}
-    if has_distributions(scenario):
-        drawn["random_seed"] = scenario.random_seed
-        with contextlib.suppress(ScenarioError):  # which the run ends with
-            drawn |= sample(scenario)[1]
-    tried = attempt(lambda: scenario, make_loop=make_loop, **others)
-    result = _without_run(tried.ending, tried.message) | {"drawn": drawn}
-    if tried.run is not None:
-        for path, value in flattened(compute_metrics(tried.run)).items():
-            result["wall_times" if path in _WALL_TIME_PATHS else "metrics"][path] = value
-    # The systems of a run refer to each other, and their memory is mostly C++'s: Python's
-    # collector would run too late.
-    if tried.run is not None:
-        release(tried.run.diagram)
-    del tried
-    if next(_ended_runs) % _RUNS_PER_COLLECTION == 0:
-        gc.collect()
-    return True, result
+    calls: Sequence[tuple[str, Sequence[Change], bool, LoopMaker]],
+) -> Iterator[tuple[int, tuple[bool, Result]]]:
+    """The numbers of runs, whether each has a scenario, and its result."""
+    runs: list[tuple[Scenario, dict[str, Any]]] = []
+    about: list[tuple[int, dict[str, Any]]] = []
+    for number, (text, changes, trust, make_loop) in enumerate(calls):
+        try:
+            scenario, others = varied(_base(text), changes, trust=trust)
+        except ScenarioError as error:
+            yield number, (False, _without_run(UNBUILDABLE, str(error)))
+            continue
+        drawn: dict[str, Any] = {}
+        if has_distributions(scenario):
+            drawn["random_seed"] = scenario.random_seed
+            with contextlib.suppress(ScenarioError):  # which the run ends with
+                drawn |= sample(scenario)[1]
+        runs.append((scenario, {"make_loop": make_loop} | others))
+        about.append((number, drawn))
+    for k, tried in attempts(runs):
+        number, drawn = about[k]
+        result = _without_run(tried.ending, tried.message) | {"drawn": drawn}
+        if tried.run is not None:
+            for path, value in flattened(compute_metrics(tried.run)).items():
+                result["wall_times" if path in _WALL_TIME_PATHS else "metrics"][path] = value
+        yield number, (True, result)
 
 
 def _write_tables(folder: Path, spec: SweepSpec, journal: Journal) -> Sweep:

@@ -476,7 +476,7 @@ def test_an_interrupted_repetition_keeps_table_page_and_plots(tmp_path, monkeypa
         (tmp_path / name).write_text("earlier")
 
     def first_only(run, keys, arguments, record, *others, **options):
-        record(keys[0], run(*arguments(keys[0])))
+        record(keys[0], dict(run([arguments(keys[0])]))[0])
         raise KeyboardInterrupt
 
     monkeypatch.setattr(ablation, "run_all", first_only)

@@ -320,7 +320,7 @@ class Recording(SerialExecutor):
     def submit(self, fn, /, *args, **kwargs):
         if len(self.overrides) >= self.most:
             raise KeyboardInterrupt
-        self.overrides.append(args[1])
+        self.overrides += [overrides for _, overrides, *_ in args[1]]
         return super().submit(fn, *args, **kwargs)
 
 
