@@ -50,7 +50,7 @@ _Loaded = TypeVar("_Loaded")
 class Compiled(NamedTuple):
     """A function as compiled C, and what its C text has besides."""
 
-    function: casadi.Function | None
+    function: casadi.Function
     library: ctypes.CDLL
 
 
@@ -90,13 +90,12 @@ def compiled_for_processor(make_text: Callable[[], str], *, builds: bool) -> cty
 
 @functools.cache
 def compiled_text(text: str) -> ctypes.CDLL | None:
-    """C text as a library; None: it cannot be compiled, which a ScenarioWarning tells."""
+    """C text of plans as a library; None: it cannot be compiled, which a ScenarioWarning tells."""
     try:
-        found = _compiled("", text, True)
+        return _compiled(_loaded, text, [*_OF_PROCESSOR, _processor()], builds=True)
     except CompilationError as error:
-        _tell(str(error))
-        return None
-    return None if found is None else found.library
+        _tell(str(error), "plans", "Python makes them, ten times slower,")
+    return None
 
 
 def compiler() -> str | None:
@@ -143,9 +142,7 @@ def _loaded(library: Path) -> ctypes.CDLL:
 
 
 def _of_library(name: str, library: Path) -> Compiled:
-    """The function of that name in a library; "": there is none."""
-    if not name:
-        return Compiled(None, _loaded(library))
+    """The function of that name in a library."""
     try:
         function = casadi.external(name, str(library))  # which closes a library without it
     except RuntimeError as error:
