@@ -160,21 +160,16 @@ class Plan:
         late = x - self.intervals if place > self.intervals else 0.0
         x = x - piece if place - piece < 1 else 1.0
         is_moving = float(place <= self.intervals)
+        polynomials = self.coefficients[:, piece : piece + DEGREE + 1] @ _PIECE.T
         return PlanValues(
-            *_values_in_piece(self, self._turned[piece], self._pieces[piece], (x, late), is_moving)
+            *_values_in_piece(self, self._turned[piece], polynomials, (x, late), is_moving)
         )
-
-    @cached_property
-    def _pieces(self) -> NDArray:
-        """The polynomials (intervals, 2, 5) of x in [0, 1] of each interval."""
-        windows = np.lib.stride_tricks.sliding_window_view(self.coefficients, DEGREE + 1, axis=1)
-        return np.einsum("aij,pj->iap", windows, _PIECE)
 
     @cached_property
     def _turned(self) -> NDArray:
         """By how much θ has turned at the knots, over ξ₀ times the spacing."""
-        windows = np.lib.stride_tricks.sliding_window_view(self.coefficients[0], DEGREE + 1)
-        return np.concatenate([[0.0], np.cumsum(windows @ _TURN)])
+        turns = np.convolve(self.coefficients[0], _TURN[::-1], "valid")
+        return np.concatenate([[0.0], np.cumsum(turns)])
 
     def shifted(self, count: int = 1) -> "Plan":
         """The plan from a later knot on, as long, which goes on with its last coefficients."""
