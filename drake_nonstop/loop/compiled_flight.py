@@ -11,7 +11,7 @@ from pydrake.systems.framework import Context, System
 from drake_nonstop.loop.block_events import SteppedBlock, sample_times
 from drake_nonstop.loop.exogenous_inputs import ExogenousInputs, Source
 from drake_nonstop.loop.functions import Evaluation, LoopFunctions, Reading
-from drake_nonstop.loop.lane_functions import LaneFunction, LaneInputs
+from drake_nonstop.loop.lane_functions import LaneInputs
 from drake_nonstop.loop.trace import LoopLayout, discrete_state_of
 from drake_nonstop.systems.diagram_trace import updates_in_trace
 from drake_nonstop.systems.port_state import copied_context, set_discrete_values
@@ -70,7 +70,11 @@ class LoopFlight:
 
 
 class CompiledFlight(LoopFlight):
-    """A flight that `CompiledLoop.fly` makes, which is advanced from sample to sample."""
+    """A flight that `CompiledLoop.fly` makes, which is advanced from sample to sample.
+
+    Attributes:
+        side_by_side: the function by which it may fly with others, but for its first sample.
+    """
 
     def __init__(
         self,
@@ -92,7 +96,7 @@ class CompiledFlight(LoopFlight):
         at_sample, whole = functions.at_sample, functions.whole
         self._at_sample = None if at_sample is None else Evaluation(at_sample, compiles)
         self._whole = None if whole is None else Evaluation(whole, compiles)
-        self._in_lanes = whole if compiles else None
+        self.side_by_side = whole if compiles else None
         self._no_answers = np.zeros(layout.answers_size)
         self._systems = [*layout.numbers]
         self._outside = ExogenousInputs(
@@ -224,14 +228,6 @@ class CompiledFlight(LoopFlight):
         self._state = state
         self.samples += flown
         return self._in_rows(flown, *rows)
-
-    @property
-    def lanes(self) -> LaneFunction | None:
-        """The function by which it may fly with others, after its first sample; None: alone."""
-        if self._in_lanes is None:
-            return None
-        self._in_lanes.compile_lanes(builds=False)
-        return self._in_lanes.lanes
 
     def lane_inputs(self, samples: int) -> LaneInputs:
         """What the next samples depend on: so many, or fewer."""

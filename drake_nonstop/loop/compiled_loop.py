@@ -279,8 +279,9 @@ class CompiledLoop:
         C for that is taken from the cache. It is compiled, which takes some seconds, where this
         process is to fly so many `samples` that it is worth it; None: in any case.
         """
-        if self._compiles:
-            self._functions.prepare_lanes(samples)
+        whole = self._functions.whole if self._compiles else None
+        if whole is not None:
+            whole.compile_lanes(builds=True) if samples is None else whole.lanes_for(samples)
 
     def _require_start(self, context: Context) -> None:
         require_context("context", self.diagram, context)

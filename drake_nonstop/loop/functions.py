@@ -18,7 +18,7 @@ from drake_nonstop.systems.tracing import bound, object_array
 
 _WORTH_SHORTENING = 1_500  # samples, which save about what it takes
 _WORTH_COMPILING = 20_000  # samples, 2 s in the virtual machine
-_WORTH_LANES = 1_000_000  # samples, which save about what the compilation takes
+_WORTH_LANES = 1_000_000  # samples, which save about what it takes to compile them
 _FLY_SAMPLES = files(__package__).joinpath("fly_samples.c").read_text()
 
 
@@ -84,6 +84,7 @@ class LoopFunction:
         self.lanes: LaneFunction | None = None  # the same, of several flights, as C
         self._tried: set[bool] = set()  # to take it from the cache (False), or to build it
         self._tried_lanes: set[bool] = set()
+        self._lane_samples = 0  # that have been asked for
 
     def shorten(self) -> None:
         """Computes what is the same in two places once; the numbers stay, to the bit."""
@@ -108,6 +109,13 @@ class LoopFunction:
             if library is not None:
                 self.lanes = LaneFunction(library, self.function)
 
+    def lanes_for(self, samples: int) -> LaneFunction | None:
+        """Lanes for so many samples more, where they are there, or worth to be compiled by now."""
+        self._lane_samples += samples
+        if self._lane_samples >= _WORTH_COMPILING:
+            self.compile_lanes(self._lane_samples >= _WORTH_LANES)
+        return self.lanes
+
 
 @dataclass
 class LoopFunctions:
@@ -119,7 +127,6 @@ class LoopFunctions:
     at_sample: LoopFunction | None  # where blocks are stepped between it and `after_sample`
     whole: LoopFunction | None  # where none are: both in one
     samples: int = 0  # that loops have asked for
-    lane_samples: int = 0  # that these have asked for, of flights side by side
 
     @property
     def of_samples(self) -> list[LoopFunction]:
@@ -137,12 +144,6 @@ class LoopFunctions:
             function.shorten()
             if compiles:
                 function.compile(builds)
-
-    def prepare_lanes(self, samples: int | None) -> None:
-        """Takes C of several flights side by side, as `CompiledLoop` says."""
-        self.lane_samples += samples or 0
-        if self.whole is not None:
-            self.whole.compile_lanes(samples is None or self.lane_samples >= _WORTH_LANES)
 
 
 class Evaluation:

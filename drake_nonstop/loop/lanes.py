@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.loop.compiled_flight import CompiledFlight
+from drake_nonstop.loop.functions import LoopFunction
 from drake_nonstop.loop.lane_functions import LaneFunction
 from drake_nonstop.validation import require
 
@@ -64,14 +65,15 @@ def advance_together(flights: Sequence[CompiledFlight], samples: Sequence[int]) 
     for count in samples:
         require(count >= 1, "samples", count, "give 1 or more")
     ways = [_Way(flight, count) for flight, count in zip(flights, samples, strict=True)]
-    of_lanes: dict[LaneFunction, list[_Way]] = {}
+    together: dict[LoopFunction, list[_Way]] = {}
     for way in ways:
         if way.flight.samples == 0:
             way.add(way.flight.advance, 1)  # by another function than that of all others
-        if way.left and way.flight.lanes is not None:
-            of_lanes.setdefault(way.flight.lanes, []).append(way)
-    for lanes, own in of_lanes.items():
-        while len(own) > 1:
+        if way.left and way.flight.side_by_side is not None:
+            together.setdefault(way.flight.side_by_side, []).append(way)
+    for function, own in together.items():
+        lanes = function.lanes_for(sum(way.left for way in own)) if len(own) > 1 else None
+        while lanes is not None and len(own) > 1:
             _advance_in_lanes(lanes, own)
             own = [way for way in own if way.left]
     for way in ways:

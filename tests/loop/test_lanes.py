@@ -86,7 +86,7 @@ def test_flights_in_lanes_show_the_bits_of_each_alone(name, numbers, options, mo
     for flight, alone_flight, count in zip(flights, expected, counts, strict=True):
         alone(flight, count)
         alone(alone_flight, count)
-        assert flight.lanes is not None
+        assert flight.side_by_side.lanes is not None
     for factor in (1, 40, 3):
         shown = advance_together(flights, [factor * count for count in counts])
         for flight, alone_flight, count, own in zip(flights, expected, counts, shown, strict=True):

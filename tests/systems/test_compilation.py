@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from drake_nonstop.systems import compilation
-from drake_nonstop.systems.compilation import compiled, compiler
+from drake_nonstop.systems.compilation import compiled, compiled_for_processor, compiler
 from drake_nonstop.validation import ScenarioWarning
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
@@ -189,3 +189,26 @@ def test_a_cache_that_cannot_be_written_is_told(monkeypatch, tmp_path):
         made = compiled(function())
     assert made is None
     assert (tmp_path / "file").read_text() == "mine"
+
+
+@needs_compiler
+def test_what_is_compiled_for_another_processor_is_not_used(folder, monkeypatch):
+    def text():
+        return "double twice(double x) { return 2 * x; }"
+
+    assert compiled_for_processor(text, builds=False) is None
+    assert compiled_for_processor(text, builds=True) is not None
+    assert compiled_for_processor(text, builds=False) is not None
+    monkeypatch.setattr(compilation, "_processor", lambda: "-DPROCESSOR=another")
+    assert compiled_for_processor(text, builds=False) is None
+    assert len([*folder.glob("*.so")]) == 1
+
+
+def test_a_compiler_without_vectors_is_told_and_flights_go_one_by_one(use_compiler):
+    use_compiler("[ $1 = --version ] && exit 0\necho note >&2\necho error: vector >&2\nexit 1")
+    said = (
+        r"^flights side by side: .*own failed \(error: vector\); they are flown one by one instead$"
+    )
+    with pytest.warns(ScenarioWarning, match=said) as told:
+        assert compiled_for_processor(lambda: "double x;", builds=True) is None
+    assert len(told) == 1
