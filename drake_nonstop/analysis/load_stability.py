@@ -27,6 +27,8 @@ _TURN_OF_FASTEST = 2.0  # rad, that the fastest mode turns in a step, which a se
 _LEAST_STEPS, _MOST_STEPS = 48, 4096  # of a turn
 _STRETCH = 1e-3  # of their length, at an equal share of the weight: cables taken not to stretch
 
+_SMALL, _TERMS = 0.5, 13  # a norm, and the terms of a series that is exact for it to rounding
+
 _ERRORS = TRACKING_ERROR_SIZE  # of rotation, position, angular velocity and velocity
 _ALL = np.ones(_ERRORS)
 _SIZE = _ERRORS + WRENCH_SIZE  # with the integrals
@@ -98,20 +100,16 @@ class LoadDeviations:
         jacobians[:, 12:15, :3], jacobians[:, 15:, 3:6] = rotation.T, np.eye(3)
         jacobians[:, 12:, :6] *= self._is_measured[:6]
         pattern = self.model.pattern
-        for k, angle in enumerate(angles):
-            waves = internal_force(
-                parameters, np.array([angle]), phases=pattern.phases, orders=pattern.orders
-            )
-            internal = np.zeros((4, 3 * self.model.n))
-            internal[:2] = np.stack(waves[:2]) @ pattern.basis.T
-            internal[0] += pattern.offset
-            found = self._response.at(
-                reference,
-                internal,
-                gains,
-                is_measured=self._is_measured,
-                wind=wind,
-            )
+        waves = internal_force(
+            parameters, angles[:, None], phases=pattern.phases, orders=pattern.orders
+        )
+        internals = np.zeros((len(angles), 4, 3 * self.model.n))
+        internals[:, :2] = np.stack(waves[:2], axis=1) @ pattern.basis.T
+        internals[:, 0] += pattern.offset
+        along = self._response.along(
+            reference, internals, gains, is_measured=self._is_measured, wind=wind
+        )
+        for k, found in enumerate(along):
             jacobians[k, 6:12] = found.load[:, :_SIZE]
             carriers = found.commands[: 6 * self.model.n]
             jacobians[k, 6:12] += found.load[:, _SIZE:] @ carriers
@@ -176,8 +174,6 @@ def _monodromy(jacobians: NDArray, period: float, fastest: float) -> NDArray:
     By the fourth-order Magnus expansion of steps with two Gauss points, with J interpolated
     trigonometrically; Blanes, Casas and Ros, BIT 42 (2002), eq. 3.2.
     """
-    from scipy.linalg import expm  # here: the import takes 0.2 s, which runs do not need
-
     count = max(_LEAST_STEPS, math.ceil(period * fastest / _TURN_OF_FASTEST))
     # Rates in units of the fastest mode, so that the matrices are of its size.
     scale = np.ones(jacobians.shape[1])
@@ -191,4 +187,20 @@ def _monodromy(jacobians: NDArray, period: float, fastest: float) -> NDArray:
     )
     exponent = step / 2 * (first + second)
     exponent += math.sqrt(3) / 12 * step**2 * (second @ first - first @ second)
-    return functools.reduce(lambda turn, step: step @ turn, expm(exponent))
+    return functools.reduce(lambda turn, step: step @ turn, _exponentials(exponent))
+
+
+def _exponentials(matrices: NDArray) -> NDArray:
+    """The exponentials of matrices (k, s, s), by their series where they are small, and squares.
+
+    SciPy's takes them one by one, and 0.2 s for its import.
+    """
+    norm = float(np.max(np.abs(matrices).sum(axis=2)))
+    squarings = max(0, math.ceil(math.log2(norm / _SMALL))) if 0 < norm < math.inf else 0
+    part = matrices / 2**squarings
+    found = np.eye(matrices.shape[1]) + part / _TERMS
+    for k in range(_TERMS - 1, 0, -1):  # Horner's scheme
+        found = np.eye(matrices.shape[1]) + part @ found / k
+    for _ in range(squarings):
+        found = found @ found
+    return found

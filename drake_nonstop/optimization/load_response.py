@@ -92,11 +92,24 @@ class LoadResponse:
         is_measured: NDArray,
         wind: NDArray = STILL_AIR,
     ) -> Response:
-        """The derivatives where the load is on its reference (22,).
+        """The derivatives where the load is on its reference; the arguments are as of `along`."""
+        (found,) = self.along(reference, internal[None], gains, is_measured=is_measured, wind=wind)
+        return found
+
+    def along(
+        self,
+        reference: NDArray,
+        internals: NDArray,
+        gains: Mapping[str, Any],
+        *,
+        is_measured: NDArray,
+        wind: NDArray = STILL_AIR,
+    ) -> list[Response]:
+        """The derivatives at k phases, where the load is on its reference (22,).
 
         Args:
             reference: of the load.
-            internal: (4, 3n), N, what the cables' forces have beside those of the wrench, and
+            internals: (k, 4, 3n), N, what the cables' forces have beside those of the wrench, and
                 their rate, in L; then their second and third rates, in W.
             gains: those of `FEEDBACK_GAINS`, each a number or (1,), the orientation's also (3, 3).
             is_measured: (12,), 0 for errors that the controllers take as zero, else 1.
@@ -110,14 +123,16 @@ class LoadResponse:
         ]
         packed = np.concatenate([*scalars, *matrices])
         on_reference = np.zeros(TRACKING_ERROR_SIZE + WRENCH_SIZE + 6 * n)
-        *_, jacobian = self._rates(
-            on_reference, np.ravel(internal), reference, wind, packed, self._constants
-        )
-        commands = jacobian[: 15 * n, : TRACKING_ERROR_SIZE + WRENCH_SIZE].copy()
-        commands[:, :TRACKING_ERROR_SIZE] *= is_measured
-        return Response(
-            commands, jacobian[15 * n : 15 * n + 6].copy(), jacobian[15 * n + 6 :].copy()
-        )
+        found = []
+        for internal in internals.reshape(len(internals), -1):
+            *_, jacobian = self._rates(
+                on_reference, internal, reference, wind, packed, self._constants
+            )
+            commands = jacobian[: 15 * n, : TRACKING_ERROR_SIZE + WRENCH_SIZE].copy()
+            commands[:, :TRACKING_ERROR_SIZE] *= is_measured
+            load, forces = jacobian[15 * n : 15 * n + 6], jacobian[15 * n + 6 :]
+            found.append(Response(commands, load.copy(), forces.copy()))
+        return found
 
 
 def _trace(
