@@ -5,6 +5,7 @@ The other modules are imported only once signals are handled: pydrake takes a se
 
 import atexit
 import codecs
+import gc
 import locale
 import os
 import resource
@@ -80,6 +81,8 @@ def _main(arguments: list[str] | None, interruption: CommandInterruption) -> int
         show_warning,
     )
 
+    if arguments is None:
+        gc.freeze()  # the collector need not look at what the imports made
     options = make_parser().parse_args(arguments)
     interruption.waits = options.command in STUDIES
     try:

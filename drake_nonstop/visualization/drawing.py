@@ -8,6 +8,7 @@ the lanes (`wires`), and lanes without a wire are removed.
 """
 
 import functools
+import html
 import itertools
 import math
 import re
@@ -16,7 +17,6 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
-from xml.sax.saxutils import escape, quoteattr
 
 from pydrake.systems.framework import Diagram
 
@@ -308,7 +308,7 @@ def _svg(title: str, boxes: list[_Box]) -> str:
     size = f'width="{width}" height="{height}"'
     lines = [
         f'<svg xmlns="http://www.w3.org/2000/svg" {size} viewBox="0 0 {width} {height}">',
-        f"<title>{escape(title)}</title>",
+        f"<title>{html.escape(title, quote=False)}</title>",
         f"<style>{STYLE}</style>",
         *ARROWHEADS,
         f'<rect {size} fill="white"/>',
@@ -320,11 +320,11 @@ def _svg(title: str, boxes: list[_Box]) -> str:
 
 def _signal_svg(signal: Signal, pixel: Pixel) -> list[str]:
     kind = "wire" if signal.paths else "unread"
-    lines = [f"<g data-signal={quoteattr(signal.name)}>"]
+    lines = [f'<g data-signal="{html.escape(signal.name)}">']
     neighbours: dict[Node, set[Node]] = defaultdict(set)
     for wire, path in signal.paths.items():
         data = _path_data(path, pixel)
-        lines.append(f'<path class="wire" data-wire={quoteattr(wire)} d="{data}"/>')
+        lines.append(f'<path class="wire" data-wire="{html.escape(wire)}" d="{data}"/>')
         for node, other in (*pairwise(path), *pairwise(path[::-1])):
             neighbours[node].add(other)
     if not signal.paths:
@@ -347,7 +347,7 @@ def _box_svg(box: _Box, pixel: Pixel) -> list[str]:
     right, bottom = pixel((box.left + BOX_WIDTH, box.top + box.height))
     fill, border = COLOURS[box.place.kind]
     lines = [
-        f"<g data-block={quoteattr(box.name)}>",
+        f'<g data-block="{html.escape(box.name)}">',
         f'<rect x="{left}" y="{top}" width="{right - left}" height="{bottom - top}" rx="5"'
         f' fill="{fill}" stroke="{border}"/>',
     ]
@@ -359,7 +359,7 @@ def _box_svg(box: _Box, pixel: Pixel) -> list[str]:
 
 
 def _text_svg(kind: str, text: str, x: float, y: float) -> str:
-    return f'<text class="{kind}" x="{x:.1f}" y="{y:.1f}">{escape(text)}</text>'
+    return f'<text class="{kind}" x="{x:.1f}" y="{y:.1f}">{html.escape(text, quote=False)}</text>'
 
 
 def _path_data(path: list[Node], pixel: Pixel) -> str:

@@ -7,14 +7,15 @@ import socket
 import subprocess
 import sys
 import weakref
+from pathlib import Path
 
 from pydrake.geometry import Meshcat, MeshcatParams
 
 from drake_nonstop.systems.drake_log import drake_log_level
 from drake_nonstop.validation import ScenarioError, require
-from drake_nonstop.visualization import reverse_proxy
 
 _PORTS = range(7000, 8000)  # of which the first free one is taken
+_PROXY = Path(__file__).with_name("reverse_proxy.py")  # not imported: asyncio takes a while
 
 
 def start_meshcat(port: int | None = None) -> Meshcat:
@@ -45,7 +46,7 @@ def start_meshcat(port: int | None = None) -> Meshcat:
         descriptors = [each.fileno() for each in sockets]
         proxy = subprocess.Popen(
             [
-                *(sys.executable, "-S", "-E", reverse_proxy.__file__),
+                *(sys.executable, "-S", "-E", str(_PROXY)),
                 *(host, str(meshcat.port()), *map(str, descriptors)),
             ],
             stdin=subprocess.PIPE,

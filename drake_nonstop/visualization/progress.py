@@ -88,7 +88,7 @@ class RunProgress(_Progress):
 
     def __init__(self, name: str, duration: float):
         super().__init__()
-        _import_tqdm()  # not while the run is timed
+        _bar_class()  # not while the run is timed
         bar_format = "{desc} |{bar}| {n:6.2f} / {total:g} s{postfix}"
         self._options = {"desc": name, "total": duration, "bar_format": bar_format}
 
@@ -102,17 +102,24 @@ class RunProgress(_Progress):
         bar.update(simulated - bar.n)
 
 
-def _import_tqdm() -> Any:
-    """Imports tqdm.auto late: commands that show no progress start without it."""
-    import tqdm.asyncio
-    import tqdm.auto
+def _bar_class() -> "tuple[type[tqdm[Any]], bool]":
+    """The class of bars, and whether it is a notebook's.
 
-    return tqdm
+    It is imported late, since many commands show no progress, and tqdm.auto, which takes as long
+    again, where there may be a notebook.
+    """
+    if "IPython" not in sys.modules:
+        from tqdm import tqdm as on_terminal
+
+        return on_terminal, False
+    from tqdm.asyncio import tqdm as on_terminal
+    from tqdm.auto import tqdm as anywhere
+
+    return anywhere, anywhere is not on_terminal
 
 
 def _new_bar(**options: Any) -> "tqdm[Any]":
-    tqdm = _import_tqdm()
-    is_notebook = tqdm.auto.tqdm is not tqdm.asyncio.tqdm
+    bar_class, is_notebook = _bar_class()
     if is_notebook or sys.stderr.isatty():
         period = _BAR_PERIOD
         options |= {"file": sys.stderr, "dynamic_ncols": True}
@@ -120,7 +127,7 @@ def _new_bar(**options: Any) -> "tqdm[Any]":
         period = _LINE_PERIOD
         options |= {"file": _Lines(sys.stderr), "leave": False, "ascii": ".#"}
     # Without the thread that looks after bars whose miniters are not 0.
-    bar = type("Bar", (tqdm.auto.tqdm,), {"monitor_interval": 0})
+    bar = type("Bar", (bar_class,), {"monitor_interval": 0})
     return bar(mininterval=period, delay=period, miniters=0, smoothing=0, **options)
 
 

@@ -90,7 +90,7 @@ def _compressed(command: re.Match[str]) -> str:
     """A command of the page, compressed where it is large, as the animation is."""
     if len(command[1]) < _LARGE:
         return command[0]
-    data = base64.b64encode(gzip.compress(base64.b64decode(command[1]), mtime=0)).decode()
+    data = base64.b64encode(gzip.compress(base64.b64decode(command[1]), 6, mtime=0)).decode()
     return (
         f'fetch("data:application/gzip;base64,{data}")\n    .then(res => new Response('
         'res.body.pipeThrough(new DecompressionStream("gzip"))).arrayBuffer())'
