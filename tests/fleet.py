@@ -31,7 +31,7 @@ from drake_nonstop import (
     compute_metrics,
 )
 from drake_nonstop.scenario.loading import dump_scenario, load_scenario, scenario_names
-from drake_nonstop.studies.run_all import fly
+from drake_nonstop.simulation.simulate import simulate
 
 
 def _carriers(n: int, shape=irregular, **settings: object) -> list[str]:
@@ -244,7 +244,7 @@ def flown(scenario: Scenario, **arguments: object) -> Run:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ScenarioWarning)
         try:
-            return fly(scenario, **arguments)
+            return simulate(scenario, **arguments)
         except RunStopped as stopped:
             return stopped.run
 

@@ -19,7 +19,7 @@ from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.simulation.metrics import compute_metrics
 from drake_nonstop.simulation.moved_metrics import moved_metrics
 from drake_nonstop.simulation.run import RunStopped, StepCheck
-from drake_nonstop.studies import run_all
+from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.validation import ScenarioError, ScenarioWarning
 
 loaded = cache(load_scenario)
@@ -217,7 +217,7 @@ def fly(seed: int, *, is_judged_if_said: bool = True, draw=draw) -> Flight:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             scenario = changed(loaded(name), overrides)
-            run = run_all.fly(scenario)
+            run = simulate(scenario)
         flight.said += [
             str(w.message)
             for w in caught
@@ -240,9 +240,7 @@ def fly(seed: int, *, is_judged_if_said: bool = True, draw=draw) -> Flight:
                 finer.append(
                     f"simulator_config.accuracy={scenario.simulator_config.accuracy / 100!r}"
                 )
-            fine = compute_metrics(
-                run_all.fly(changed(scenario, finer), check_step=StepCheck.NOTHING)
-            )
+            fine = compute_metrics(simulate(changed(scenario, finer), check_step=StepCheck.NOTHING))
     except (ScenarioError, RunStopped) as error:
         flight.moves = [f"with a fifth of the step: {error}"]
     else:

@@ -14,7 +14,7 @@ from drake_nonstop.cli.arguments import (
 from drake_nonstop.cli.ending import FAILED
 from drake_nonstop.cli.run import run_into
 from drake_nonstop.scenario.overrides import changed
-from drake_nonstop.scenario.schema import AUTO, COMPILED, Scenario
+from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.studies.ablation import (
     ablate,
     ablation_settings,
@@ -246,8 +246,6 @@ def _sweep(options: argparse.Namespace) -> int:
         print(f"run {planned.number}: {', '.join(labels(planned.overrides))}", flush=True)
         scenario, _ = varied(scenario, planned.overrides, trust=options.trust)
         scenario = scenario.sampled()
-        if scenario.engine == AUTO:  # as in the sweep, to the bit
-            scenario = dataclasses.replace(scenario, engine=COMPILED)
         return run_into(options.out or folder / f"run_{planned.number}", scenario)
     with TaskProgress() as progress:
         done = sweep(

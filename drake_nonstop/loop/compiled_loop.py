@@ -156,9 +156,10 @@ class CompiledLoop:
         compiles: whether the functions are compiled as C, see `systems.compilation`; if not,
             CasADi's virtual machine evaluates them, in six times the time and more; the numbers are
             the same to the bit.
-        samples: how many are to be flown. Where this process has many of them to fly, the
-            functions are made shorter, and C is used that is in the cache; where it has more,
-            C is compiled, which takes seconds. None: it is compiled at once.
+        samples: how many are to be flown. From 100 in a process on C is used that is in the cache;
+            what is not there, is compiled beside this process, for a later loop. Where many are to
+            be flown without, the functions are made shorter. None: C is compiled at once, which
+            takes seconds.
 
     Attributes:
         signals, step_signals: the names of the signals with their sizes, in order.
@@ -340,6 +341,11 @@ class CompiledLoop:
         """Whether it is evaluated as C, and not by CasADi's virtual machine."""
         found = [function.compiled for function in self._functions.of_samples]
         return self._compiles and None not in found
+
+    @property
+    def reason_against_c(self) -> str:
+        """Why C of it can be neither taken nor compiled; empty where it can."""
+        return next((each.reason for each in self._functions.of_samples if each.reason), "")
 
     def seconds_of_functions(self, context: Context, samples: int) -> float:
         """The time, s, that the traced functions alone take for so many samples."""

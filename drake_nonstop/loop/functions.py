@@ -13,12 +13,19 @@ from numpy.typing import NDArray
 from pydrake.systems.framework import System
 
 from drake_nonstop.loop.lane_functions import LaneFunction, lanes_code
-from drake_nonstop.systems.compilation import Compiled, compiled, compiled_for_processor
+from drake_nonstop.systems.compilation import (
+    CompilationError,
+    Compiled,
+    compiled,
+    compiled_for_processor,
+    compiled_or_begun,
+    digest,
+)
 from drake_nonstop.systems.tracing import bound, object_array
 
+_WORTH_LOOKING = 100  # samples, less than are flown while the cache is looked up
 _WORTH_SHORTENING = 1_500  # samples, which save about what it takes
-_WORTH_COMPILING = 20_000  # samples, 2 s in the virtual machine
-_WORTH_LANES = 1_000_000  # samples, which save about what it takes to compile them
+_WORTH_LANES = 1_000_000  # samples, which save about what the compilation takes
 _FLY_SAMPLES = files(__package__).joinpath("fly_samples.c").read_text()
 
 
@@ -81,9 +88,10 @@ class LoopFunction:
         self.function = casadi.Function("loop", [stacked], results)
         self.compiled: Compiled | None = None  # the same, as C
         self._besides = _FLY_SAMPLES if is_whole else ""
+        self._digest = ""
+        self.reason = ""  # why it is not compiled
         self.lanes: LaneFunction | None = None  # the same, of several flights, as C
-        self._tried: set[bool] = set()  # to take it from the cache (False), or to build it
-        self._tried_lanes: set[bool] = set()
+        self._tried_lanes: set[bool] = set()  # to take it from the cache (False), or to build it
         self._lane_samples = 0  # that have been asked for
 
     def shorten(self) -> None:
@@ -93,11 +101,17 @@ class LoopFunction:
             self.function = casadi.Function("loop", [stacked], casadi.cse(results))
             self._not_short = None
 
-    def compile(self, builds: bool) -> None:
-        """Takes C that is in the cache, or builds it."""
-        if self.compiled is None and builds not in self._tried:
-            self._tried |= {builds, False}
-            self.compiled = compiled(self.function, besides=self._besides, builds=builds)
+    def compile(self, waits: bool) -> None:
+        """Takes C of the cache; else waits for it, or has it compiled beside for a later call."""
+        if self.compiled is not None:
+            return
+        self._digest = self._digest or digest(self.function, self._besides)
+        own = {"besides": self._besides, "own_digest": self._digest}
+        try:
+            make = compiled if waits else compiled_or_begun
+            self.compiled, self.reason = make(self.function, **own), ""
+        except CompilationError as error:
+            self.reason = str(error)
 
     def compile_lanes(self, builds: bool) -> None:
         """Does so with the C of several flights side by side, of a whole sample."""
@@ -135,15 +149,14 @@ class LoopFunctions:
         return [part for part in parts if part is not None]
 
     def prepare(self, samples: int | None, compiles: bool) -> None:
-        """Shortens those of samples, and takes C in their place, as `CompiledLoop` says."""
+        """Takes C for those of samples, or shortens them, as `CompiledLoop` says."""
         self.samples += samples or 0
-        if samples is not None and self.samples < _WORTH_SHORTENING:
-            return
-        builds = samples is None or self.samples >= _WORTH_COMPILING
         for function in self.of_samples:
-            function.shorten()
-            if compiles:
-                function.compile(builds)
+            if compiles and (samples is None or self.samples >= _WORTH_LOOKING):
+                function.compile(waits=samples is None)
+            is_slow = not compiles or function.compiled is None
+            if is_slow and (samples is None or self.samples >= _WORTH_SHORTENING):
+                function.shorten()
 
 
 class Evaluation:

@@ -87,7 +87,7 @@ class _Common(StrictFields):
     random_seed: int = 0  # of the numbers that are drawn where fields hold distributions
     simulation_duration: float = 15.0  # s
     control_period: float = 0.01  # s, sample time of the controllers; 0: continuous
-    engine: str = AUTO  # diagram, compiled, or auto: the diagram, but for studies the compiled loop
+    engine: str = AUTO  # diagram, compiled, or auto: compiled what can be
     # Slows the load's trajectory down where no ξ and A keep the speed bound with it; none: never.
     reference_governor: ReferenceGovernorConfig | None = None
     # What the run is held against: beyond which figures it is not ok, or not plausible.

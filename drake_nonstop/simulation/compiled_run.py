@@ -15,7 +15,7 @@ from drake_nonstop.loop.compiled_loop import CompiledFlight, CompiledLoop, reaso
 from drake_nonstop.loop.lanes import Advance, advance_together
 from drake_nonstop.mechanics.signal_layouts import by_name
 from drake_nonstop.mechanics.signals import SIGNAL_PERIOD
-from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.scenario.schema import COMPILED, Scenario
 from drake_nonstop.simulation.monitor import SAME_RATIO, Monitor, at_instant
 from drake_nonstop.simulation.recording import LogSignals, RecordingError
 from drake_nonstop.simulation.run import WALL_TIME
@@ -58,10 +58,8 @@ def compiled_loop_of(
     logs: LogSignals,
     config: SimulatorConfig,
     steering: Sequence[str],
-) -> CompiledLoop | None:
-    """The loop as a run of `engine: compiled` flies it.
-
-    None: it cannot be compiled, and its diagram is simulated; a ScenarioWarning tells why.
+) -> CompiledLoop | str:
+    """The loop as a run flies it by the compiled engine, or why it cannot be, in words.
 
     Args:
         scenario: of the run.
@@ -79,8 +77,7 @@ def compiled_loop_of(
             "multiples of each other"
         )
     if reason:
-        tell_not_compiled(f"{reason};")
-        return None
+        return reason
     samples = int(scenario.simulation_duration / period)
     return recorded_loop(logs, config, period, samples=samples)
 
@@ -100,9 +97,10 @@ def recorded_loop(
     )
 
 
-def tell_not_compiled(reason: str) -> None:
-    """Warns of what is not compiled."""
-    warn_user(f"{NOT_COMPILED}: {reason} the diagram is simulated instead")
+def tell_not_compiled(reason: str, engine: str) -> None:
+    """Warns of what is not compiled where that `engine` was asked for."""
+    if engine == COMPILED:
+        warn_user(f"{NOT_COMPILED}: {reason} the diagram is simulated instead")
 
 
 @dataclass(frozen=True)
@@ -129,6 +127,10 @@ class CompiledRun:
         ending: as of `Monitor`.
         compared: of another diagram of the loop, which the first samples are compared with, for
             what a user's own blocks may have declared falsely; None: there are no such blocks.
+
+    Attributes:
+        evaluator: that of the loop's functions, "C" or "virtual machine".
+        failure: the error of a block with which it left the rest to the diagram; empty: none.
     """
 
     def __init__(
@@ -147,6 +149,7 @@ class CompiledRun:
         self._signal_ends = np.arange(1, loop.shown_per_sample + 1) / loop.shown_per_sample
         self._recorded = 0, self._flight.state  # samples, and the state after them
         self._end = 0.0  # s, of what is recorded
+        self.evaluator, self.failure = "C" if loop.is_compiled else "virtual machine", ""
         self._compared, self._expected = compared, np.zeros((0, 0))
 
     def _state(self) -> RestorableState:
@@ -195,9 +198,11 @@ class CompiledRun:
                     raise advance.error
         except (RecordingError, NotCompilableError):
             raise
-        except Exception as error:  # whatever blocks may raise: the diagram does again, at its step
+        except BaseException as error:  # whatever blocks raise: the diagram does again, at its step
+            if monitor.is_interrupted:
+                raise
             self._go_back()
-            tell_not_compiled(f"{one_line(error)}; from t = {self._flight.time:g} s on")
+            self.failure = f"{one_line(error)}; from t = {self._flight.time:g} s on"
             self._end = self._flight.time
             if self._flight.samples == 0:
                 return False
@@ -226,12 +231,12 @@ class CompiledRun:
         steps, step_times = steps[:last], step_times[:last]
         # No sample is between the signals' instants, where the control period is a shorter one.
         kept = at_instant(times) & (times <= step_times[-1] + _ROUNDING)
+        self._end = float(step_times[-1])
         self._rows.add(times[kept], signals[kept], step_times, steps)
         if last is not None:
-            self._end = float(step_times[-1])
             monitor.has_ended = True
             return True
-        self._recorded, self._end = (self._flight.samples, self._flight.state), float(ends[-1])
+        self._recorded = self._flight.samples, self._flight.state
         return monitor.ends(self._end, self._state)
 
     def _rows_of(self, simulator: Simulator, samples: int) -> NDArray:

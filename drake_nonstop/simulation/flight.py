@@ -18,7 +18,12 @@ from drake_nonstop.loop.plant_states import PlantStates
 from drake_nonstop.scenario.proportions import warn_of_angles
 from drake_nonstop.scenario.schema import COMPILED, DIAGRAM, Scenario, check
 from drake_nonstop.simulation.built_loop import BuiltLoop, SharedLoops, Viewer
-from drake_nonstop.simulation.compiled_run import CompiledRun, Flying, compiled_loop_of
+from drake_nonstop.simulation.compiled_run import (
+    CompiledRun,
+    Flying,
+    compiled_loop_of,
+    tell_not_compiled,
+)
 from drake_nonstop.simulation.interruption import ALL, Interruption
 from drake_nonstop.simulation.monitor import Monitor
 from drake_nonstop.simulation.preparation import (
@@ -39,6 +44,7 @@ from drake_nonstop.simulation.recording import (
 from drake_nonstop.simulation.run import Run, RunInterrupted, RunStopped, StepAction, StepCheck
 from drake_nonstop.simulation.step_size import ChosenStep
 from drake_nonstop.systems.block import is_of_package, release
+from drake_nonstop.systems.compilation import tell_not_c
 from drake_nonstop.systems.diagnosis import raising_block, source_of_fault
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
 from drake_nonstop.systems.wiring import nested
@@ -81,6 +87,7 @@ class Flight:
         scenario: with the configs of the replacements, and with drawn numbers.
         is_shared: whether the loop was built for another scenario.
         nonstop: the loop's diagram.
+        engine: the one that flies it, as in `Run`.
         context: of the diagram around the loop.
         monitor: what happens after its steps.
 
@@ -126,6 +133,7 @@ class Flight:
             ending=self._ending,
         )
         self._start = time.perf_counter()
+        self.engine = DIAGRAM
 
     @property
     def loop_context(self) -> Context:
@@ -150,8 +158,12 @@ class Flight:
         return chosen
 
     def fly(self, engine: str, chosen: ChosenStep) -> Flying[None]:
-        """Flies to the end, the compiled engine what it can, Drake's Simulator the rest."""
-        compiled = self._compiled(chosen) if engine == COMPILED else None
+        """Flies to the end, the compiled engine what it can, Drake's Simulator the rest.
+
+        Where the diagram is simulated instead, the run's `engine` says why, and so does a
+        ScenarioWarning where `compiled` was asked for.
+        """
+        compiled = self._compiled(chosen, engine) if engine != DIAGRAM else None
         self._simulator.set_monitor(self.monitor)
         self._start = time.perf_counter()
         if not self._is_second:
@@ -159,6 +171,11 @@ class Flight:
         try:
             duration = self.scenario.simulation_duration
             is_begun = compiled is not None and (yield from compiled.fly(duration, self.monitor))
+            if compiled is not None and compiled.failure:
+                tell_not_compiled(compiled.failure, engine)
+                self.engine += f", {DIAGRAM}: {compiled.failure}"
+            elif not is_begun and compiled is not None:
+                self.engine = f"{DIAGRAM}: shorter than a sample of the controllers"
             if not (is_begun and self._is_over):
                 parameters = InitializeParams(suppress_initialization_events=is_begun)
                 self._simulator.Initialize(parameters)
@@ -169,18 +186,20 @@ class Flight:
         finally:
             self._simulator.clear_monitor()  # each would keep the other alive
 
-    def _compiled(self, chosen: ChosenStep) -> CompiledRun | None:
-        """The compiled engine; None: it cannot fly this, which a ScenarioWarning tells."""
+    def _compiled(self, chosen: ChosenStep, engine: str) -> CompiledRun | None:
+        """The compiled engine; None: it cannot fly this."""
         request = self._request
         given = {"viewers": request.viewers, "after_step": request.after_step}
         steering = [name for name, value in given.items() if value]
         step = chosen.config.max_step_size
         loop = self._loop.compiled.get(step)
         if loop is None:
-            loop = compiled_loop_of(self.scenario, self._logs, chosen.config, steering)
-            if loop is None:
+            found = compiled_loop_of(self.scenario, self._logs, chosen.config, steering)
+            if isinstance(found, str):
+                tell_not_compiled(f"{found};", engine)
+                self.engine = f"{DIAGRAM}: {found}"
                 return None
-            self._loop.compiled[step] = loop
+            loop = self._loop.compiled[step] = found
         else:
             loop.prepare(int(self.scenario.simulation_duration / self.scenario.control_period))
         compared = None
@@ -189,7 +208,13 @@ class Flight:
                 other = loop_of(request.make_loop, self.scenario, self._replacements)
                 compared = Simulator(other)
             ApplySimulatorConfig(chosen.config, compared)
-        return CompiledRun(loop, self._logs, self.context, self._ending, compared)
+        compiled = CompiledRun(loop, self._logs, self.context, self._ending, compared)
+        self.engine = f"{COMPILED}: {compiled.evaluator}"
+        if loop.reason_against_c:
+            self.engine += f" ({loop.reason_against_c})"
+            if engine == COMPILED:
+                tell_not_c(loop.reason_against_c)
+        return compiled
 
     @property
     def _is_over(self) -> bool:
@@ -207,6 +232,7 @@ class Flight:
             self.scenario,
             step=self._simulator.get_integrator().get_maximum_step_size(),
             wall_time=time.perf_counter() - self._start - self.monitor.waited,
+            engine=self.engine,
             stopped=stopped,
             replacements=own | self._replacements,
         )

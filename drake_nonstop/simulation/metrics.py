@@ -139,7 +139,7 @@ class Metric(NamedTuple):
     quantity: Quantity
     text: RunText | None = None
     column: TableColumn | None = None
-    is_wall_time: bool = False  # measured with a clock: it differs from run to run
+    is_wall_time: bool = False  # or what it depends on: it differs from run to run
     is_list: bool = False  # of numbers or of sentences
     path: str = ""  # in metrics.json, with dots
 
@@ -203,6 +203,12 @@ _ROWS: dict[str, Metric] = {
         lambda run: run.time[-1] / run.run.wall_time,
         Quantity("real-time factor", better=HIGHER),
         RunText("simulated", "({:.1f} x real time)", " "),
+        is_wall_time=True,
+    ),
+    "engine": Metric(
+        lambda run: run.run.engine,
+        Quantity("engine"),
+        RunText("engine", "{}"),
         is_wall_time=True,
     ),
     "load.position_error_mean_m": Metric(

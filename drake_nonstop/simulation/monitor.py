@@ -110,12 +110,17 @@ class Monitor:
                 return EventStatus.ReachedTermination(self._nonstop, "over")
         return EventStatus.DidNothing()
 
+    @property
+    def is_interrupted(self) -> bool:
+        """Whether a signal has asked for the end."""
+        return self._interruption.number > 0
+
     def ends(self, time_: float, state: Callable[[], RestorableState]) -> bool:
         """Takes note of a step that ends at a time in s, in a state; whether the run ends there."""
         self.time = time_
         if time_ >= self.saved.next_time and at_instant(time_):
             self.saved.save(state())
-        if self._interruption.number:
+        if self.is_interrupted:
             return True
         now = time.perf_counter()
         if self._progress is not None and now - self._last_report > _REPORT_PERIOD:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pydrake.systems.framework import Context, Diagram
 
 from drake_nonstop.optimization.diagnostics import Diagnostics
-from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.scenario.schema import DIAGRAM, Scenario
 from drake_nonstop.simulation.signal_table import SignalTable
 from drake_nonstop.validation import require
 
@@ -35,6 +35,8 @@ class Run(SignalTable):
     of the whole simulation but for pauses; NaN: unknown.
     Beyond 32 MB, some 100 s of flight, `signals` and `steps` are in temporary files, which are
     removed with the run: the arrays are mapped to memory, and cannot be written to.
+    `engine` is what flew it: "compiled: C", "compiled: virtual machine", that is CasADi's, or
+    "diagram", with the reason where it is not the scenario's.
     `is_steered` tells whether a user changed the loop while the run went on. `stopped` says why a
     run ended before its time, and is empty where it did not. `step` is the longest step of the
     integrator, s; `unresolved` has a sentence for each metric that this step does not resolve, and
@@ -47,6 +49,7 @@ class Run(SignalTable):
     steps: Mapping[str, NDArray]
     solve_times: NDArray
     wall_time: float
+    engine: str = DIAGRAM
     is_steered: bool = False
     stopped: str = ""
     step: float = 0.0
@@ -69,6 +72,7 @@ class Run(SignalTable):
         *,
         wall_time: float = math.nan,
         step: float | None = None,
+        engine: str = DIAGRAM,
         stopped: str = "",
         replacements: dict[str, Any] | None = None,
     ) -> "Run":
@@ -80,6 +84,7 @@ class Run(SignalTable):
             scenario: what the run is judged by: its system, limits and speed bound.
             wall_time: that of the simulation, s; NaN: unknown.
             step: the longest step of the integrator, s; None: the longest that was logged.
+            engine: what flew it, as in `Run`.
             stopped: why the run ended before its time, if it did.
             replacements: as in `Run`.
 
@@ -107,6 +112,7 @@ class Run(SignalTable):
             steps=steps,
             solve_times=solve_times_of(steps),
             wall_time=wall_time,
+            engine=engine,
             stopped=stopped,
             step=longest if step is None else step,
             replacements=replacements,

@@ -54,7 +54,8 @@ def simulate(
         make_loop: makes the loop's diagram of a scenario and of the replacements without a config;
             None: `make_nonstop` does. One of the user's own exports its signals by their names,
             as `connect_by_name` does; the loop may be inside of it.
-        engine: "diagram" or "compiled", in place of the scenario's; None: that.
+        engine: "diagram" or "compiled", in place of the scenario's; None: that. By "auto" the
+            compiled engine flies what it can, and the run's `engine` says what flew it.
         replacements: blocks in place of the scenario's, and `extra` ones, see `make_nonstop`.
             Those with a config are in the run's scenario.
 
@@ -96,18 +97,20 @@ def simulating(
     A loop that is `shared` may be that of another scenario; where something is wrong with the run,
     its own is built, and tells of it.
     """
-    engine = request.engine or request.scenario.engine
+    engine, reason = request.engine or request.scenario.engine, ""
     flight = Flight(request, interruption, shared)
     try:
         return (yield from _simulating(flight, request, engine))
     except NotCompilableError as error:
-        tell_not_compiled(f"{error};")
-        engine = DIAGRAM
+        tell_not_compiled(f"{error};", engine)
+        engine, reason = DIAGRAM, f": {error}"
     except (RunStopped, ScenarioError):
         if not flight.is_shared:
             raise
     with without_warnings():
-        return (yield from _simulating(Flight(request, interruption), request, engine))
+        own = Flight(request, interruption)
+        own.engine += reason
+        return (yield from _simulating(own, request, engine))
 
 
 def _simulating(flight: Flight, request: Request, engine: str) -> Flying[Run]:

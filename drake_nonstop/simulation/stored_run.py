@@ -46,6 +46,7 @@ _COLUMNS = ("signal", "column", *Entry._fields)  # of the entries
 # Of a `Run`, as they are, with their types.
 _FIELDS = {
     "wall_time": (int, float),
+    "engine": str,
     "is_steered": bool,
     "stopped": str,
     "step": (int, float),

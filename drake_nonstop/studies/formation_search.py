@@ -28,6 +28,7 @@ from drake_nonstop.optimization.formation_program import (
 from drake_nonstop.scenario.overrides import as_override, changed
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.run import RunStopped, StepCheck
+from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.studies.design_request import DesignRequest
 from drake_nonstop.studies.designed_formation import (
     INSTANTS,
@@ -46,7 +47,6 @@ from drake_nonstop.studies.designed_formation import (
     missed_limits,
     reserve_of,
 )
-from drake_nonstop.studies.run_all import fly
 from drake_nonstop.validation import ScenarioError, message_of
 
 _CANDIDATES = 150  # drawn as starts of a search, which takes the best
@@ -332,7 +332,7 @@ def _is_steady(scenario: Scenario, turn: float) -> bool:
         "load_trajectory.displacement=[0.0, 0.0, 0.0]",
     ]
     try:
-        run = fly(changed(scenario, changes), check_step=StepCheck.NOTHING)
+        run = simulate(changed(scenario, changes), check_step=StepCheck.NOTHING)
     except RunStopped:
         return False
     if run.stopped:

@@ -1,7 +1,6 @@
 """Many runs that are independent of each other: in processes, each to an ending of its own."""
 
 import gc
-import warnings
 from collections import deque
 from collections.abc import Callable, Container, Hashable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
@@ -11,8 +10,7 @@ from typing import Any, TypeVar
 
 from pydrake.systems.framework import Diagram
 
-from drake_nonstop.scenario.schema import AUTO, COMPILED, Scenario
-from drake_nonstop.simulation.compiled_run import NOT_COMPILED
+from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.many import fly_many
 from drake_nonstop.simulation.run import Run, RunInterrupted, RunStopped
 from drake_nonstop.simulation.simulate import simulate
@@ -24,7 +22,7 @@ from drake_nonstop.studies.processes import (
     one_by_one,
 )
 from drake_nonstop.systems.block import release
-from drake_nonstop.validation import ScenarioError, ScenarioWarning, message_of, one_line, require
+from drake_nonstop.validation import ScenarioError, message_of, one_line, require
 
 # How a run may end.
 COMPLETED = "completed"
@@ -171,19 +169,6 @@ class Attempt:
         return cls(ending=COMPLETED, run=run, told=said)
 
 
-def fly(scenario: Scenario, **arguments: Any) -> Run:
-    """Simulates, by the compiled loop where the scenario leaves the engine open.
-
-    Where that cannot be compiled its diagram is simulated without a word: the results are the same,
-    to rounding.
-    """
-    if getattr(scenario, "engine", None) != AUTO or arguments.get("engine") is not None:
-        return simulate(scenario, **arguments)
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", NOT_COMPILED, ScenarioWarning)
-        return simulate(scenario, **arguments | {"engine": COMPILED})
-
-
 def attempts(
     runs: Iterable[tuple[Any, dict[str, Any]]], *, is_recording: bool = False
 ) -> Iterator[tuple[int, Attempt]]:
@@ -198,19 +183,16 @@ def attempts(
     for number, (make, given) in enumerate(runs):
         try:
             scenario = make() if callable(make) else make
-            engine = COMPILED if scenario.engine == AUTO else None
-            arguments[number] = {"scenario": scenario, "engine": engine} | given
+            arguments[number] = {"scenario": scenario} | given
         except (Exception, SystemExit) as error:  # whatever the user's own blocks may raise
             yield number, Attempt.of(error)
     numbers = [*arguments]
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", NOT_COMPILED, ScenarioWarning)
-        for k, outcome, told in fly_many([*arguments.values()], is_recording=is_recording):
-            found = Attempt.of(outcome, told)
-            if found.run is not None:
-                diagrams[id(found.run.diagram)] = found.run.diagram
-            yield numbers[k], found
-            del found, outcome
+    for k, outcome, told in fly_many([*arguments.values()], is_recording=is_recording):
+        found = Attempt.of(outcome, told)
+        if found.run is not None:
+            diagrams[id(found.run.diagram)] = found.run.diagram
+        yield numbers[k], found
+        del found, outcome
     for diagram in diagrams.values():
         release(diagram)
     gc.collect()  # Python's collector would run too late
@@ -222,7 +204,7 @@ def attempt(scenario: Callable[[], Scenario], **arguments: Any) -> Attempt:
     Nothing but Ctrl-C is raised.
     """
     try:
-        return Attempt.of(fly(scenario(), **arguments))
+        return Attempt.of(simulate(scenario(), **arguments))
     except RunInterrupted:
         raise KeyboardInterrupt from None  # without the run, which cannot be sent to a process
     except (Exception, SystemExit) as error:  # whatever the user's own blocks may raise

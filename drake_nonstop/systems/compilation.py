@@ -1,11 +1,15 @@
 """Traced functions as C, compiled once and kept in the user's cache folder.
 
-An entry is named after the C text, the compiler and its options, and the processor where it is
-compiled for that. It is loaded only where it is this user's own, nobody else may write to it, and
-its checksum is right; else it is built again. Without a compiler, or without a folder to write to,
-CasADi's virtual machine evaluates instead, which is told in one line.
+An entry is named after the function or the C text, the compiler and its options, and the processor
+where it is compiled for that. It is loaded only where it is this user's own, nobody else may write
+to it, and its checksum is right; else it is built again. Without a compiler, or without a folder to
+write to, CasADi's virtual machine evaluates instead, which is told in one line.
+
+What is not in the cache is compiled at once, or beside the calling process, by one that ends with
+it, for those that ask later.
 """
 
+import atexit
 import contextlib
 import ctypes
 import fcntl
@@ -14,10 +18,13 @@ import hashlib
 import os
 import platform
 import shutil
+import signal
 import stat
 import subprocess
 import sys
 import tempfile
+import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple, TypeVar
@@ -28,6 +35,7 @@ from drake_nonstop.validation import warn_user
 
 COMPILER = "CC"  # the variable of the environment that names another compiler
 CACHE = "DRAKE_NONSTOP_CACHE"  # likewise, another folder
+BESIDE = "DRAKE_NONSTOP_COMPILES_BESIDE"  # likewise: 0: nothing is compiled beside a process
 _COMPILERS = "cc", "gcc", "clang"
 _SHARED = [  # on Linux a library calls its own functions, and none of that name elsewhere
     *("-fPIC", "-shared", "-ffp-contract=off"),
@@ -38,6 +46,14 @@ _OF_PROCESSOR = ["-O2", "-march=native", "-fno-math-errno", "-fno-builtin-pow", 
 _FEATURES = "vendor_id", "cpu family", "model", "stepping", "flags", "CPU part", "Features"
 _TIME_LIMIT = 600.0  # s, of a compilation
 _VERSION_TIME_LIMIT = 10.0  # s
+_NEW, _SAVED, _BESIDES = ".new-", "function.casadi", "besides.c"  # a folder, and files in it
+_NICE = 10  # of what compiles beside a process, which comes first
+_BUILD_BESIDE = """
+import sys
+scratch, library, compiler, *sys.path[:] = sys.argv[1:]
+from drake_nonstop.systems.compilation import build_beside
+build_beside(scratch, library, compiler)
+"""
 
 
 class CompilationError(RuntimeError):
@@ -55,7 +71,7 @@ class Compiled(NamedTuple):
 
 
 def compiled(
-    function: casadi.Function, *, besides: str = "", builds: bool = True
+    function: casadi.Function, *, besides: str = "", own_digest: str = ""
 ) -> Compiled | None:
     """A function as compiled C; None: it cannot be, and is to be evaluated as it is.
 
@@ -65,24 +81,53 @@ def compiled(
     Args:
         function: of SX expressions.
         besides: C text that follows that of the function, and may call it.
-        builds: whether it is compiled where the cache does not have it.
+        own_digest: its `digest`; "": it is not known.
     """
-    load = functools.partial(_of_library, function.name())
     try:
-        return _compiled(load, _c_text(function) + besides, _OPTIONS, builds)
+        entry = _entry_of(own_digest or digest(function, besides), _OPTIONS)
+        load = functools.partial(_of_library, function.name())
+        return _compiled(load, entry, lambda: _c_text(function) + besides)
     except CompilationError as error:
-        _tell(str(error), "compiled loop", "CasADi's virtual machine evaluates it")
+        tell_not_c(str(error))
     return None
+
+
+def compiled_or_begun(
+    function: casadi.Function, *, besides: str = "", own_digest: str
+) -> Compiled | None:
+    """As `compiled`, of the cache; what is not there, is compiled beside this process: None.
+
+    One function at a time is, each once, unless another process compiles it. The arguments are
+    those of `compiled`.
+
+    Raises:
+        CompilationError: nothing can be compiled.
+    """
+    entry = _entry_of(own_digest, _OPTIONS)
+    found = _cached(functools.partial(_of_library, function.name()), entry.library)
+    if found is None and os.environ.get(BESIDE) != "0":
+        _begin(function, besides, entry)
+    return found
+
+
+def digest(function: casadi.Function, besides: str = "") -> str:
+    """Text that differs for functions, and C text besides, that differ."""
+    text = f"{casadi.__version__}\0{function.serialize()}\0{besides}"
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def compiled_for_processor(make_text: Callable[[], str], *, builds: bool) -> ctypes.CDLL | None:
     """A C text of flights side by side as a library for this processor; None: it cannot be had.
 
-    `builds` as of `compiled`. A ScenarioWarning tells why it cannot be compiled, which may be a
-    CompilationError of `make_text`.
+    It `builds` where the cache does not have it. A ScenarioWarning tells why it cannot be compiled,
+    which may be a CompilationError of `make_text`.
     """
     try:
-        return _compiled(_loaded, make_text(), [*_OF_PROCESSOR, _processor()], builds)
+        text = make_text()
+        entry = _entry_of(text, [*_OF_PROCESSOR, _processor()])
+        return (
+            _compiled(_loaded, entry, lambda: text) if builds else _cached(_loaded, entry.library)
+        )
     except CompilationError as error:
         _tell(str(error), "flights side by side", "they are flown one by one")
     return None
@@ -92,7 +137,8 @@ def compiled_for_processor(make_text: Callable[[], str], *, builds: bool) -> cty
 def compiled_text(text: str) -> ctypes.CDLL | None:
     """C text of plans as a library; None: it cannot be compiled, which a ScenarioWarning tells."""
     try:
-        return _compiled(_loaded, text, [*_OF_PROCESSOR, _processor()], builds=True)
+        entry = _entry_of(text, [*_OF_PROCESSOR, _processor()])
+        return _compiled(_loaded, entry, lambda: text)
     except CompilationError as error:
         _tell(str(error), "plans", "Python makes them, ten times slower,")
     return None
@@ -117,6 +163,11 @@ def cache_folder() -> Path:
     except RuntimeError:
         raise CompilationError(f"there is no home directory; set {CACHE} to a folder") from None
     return Path(base) / "drake_nonstop"
+
+
+def tell_not_c(reason: str) -> None:
+    """Warns of what is not compiled, once for each reason."""
+    _tell(reason, "compiled loop", "CasADi's virtual machine evaluates it")
 
 
 @functools.cache
@@ -155,33 +206,112 @@ def _not_loaded(library: Path, error: Exception) -> CompilationError:
     return CompilationError(f"{library} cannot be loaded ({told[:200]})")
 
 
-def _compiled(
-    load: Callable[[Path], _Loaded], text: str, options: list[str], builds: bool
-) -> _Loaded | None:
-    """What is loaded of a C text's library, from the cache or compiled now; None: it has none."""
+class _Entry(NamedTuple):
+    """A place in the cache, and the call of the compiler that fills it."""
+
+    library: Path
+    call: list[str]
+
+
+def _entry_of(content: str, options: list[str]) -> _Entry:
+    """The entry of a C text, or of a function's digest.
+
+    Raises:
+        CompilationError: there is no compiler, or no folder.
+    """
     own_compiler = compiler()
     if own_compiler is None:
         asked = os.environ.get(COMPILER)
         wanted = f"{COMPILER} = {asked} is no program" if asked else "cc, gcc or clang"
         raise CompilationError(f"there is no C compiler ({wanted})")
-    parts = (text, own_compiler, _version(own_compiler), *options, platform.machine())
+    parts = (content, own_compiler, _version(own_compiler), *options, platform.machine())
     key = hashlib.sha256("\0".join(parts).encode()).hexdigest()
-    folder = cache_folder()
-    library = folder / f"{key}.so"
+    return _Entry(cache_folder() / f"{key}.so", [own_compiler, *options])
+
+
+def _compiled(
+    load: Callable[[Path], _Loaded], entry: _Entry, make_text: Callable[[], str]
+) -> _Loaded:
+    """What is loaded of the library of a C text, from the cache or compiled now."""
+    library = entry.library
     found = _cached(load, library)
-    if found is not None or not builds:
-        return found
-    try:
-        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-        with _locked(folder / f"{key}.lock"):
+    if found is None:
+        with _written(library.parent), _locked(library.with_suffix(".lock")):
             found = _cached(load, library)
             if found is None:
-                _build([own_compiler, *options], text, library)
+                with tempfile.TemporaryDirectory(prefix=_NEW, dir=library.parent) as scratch:
+                    _build(make_text(), entry, Path(scratch))
                 found = load(library)
+    return found
+
+
+@contextlib.contextmanager
+def _written(folder: Path) -> Iterator[None]:
+    """Makes a folder; raises CompilationError where it cannot be written."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        yield
     except OSError as error:
         reason = f"{folder} cannot be written ({error.strerror or error})"
         raise CompilationError(reason) from None
-    return found
+
+
+_begun: set[Path] = set()  # that this process has had compiled
+_builder: subprocess.Popen[bytes] | None = None  # the last process that does
+
+
+def _begin(function: casadi.Function, besides: str, entry: _Entry) -> None:
+    """Starts a process that compiles a function, unless one is at work or has been."""
+    global _builder
+    is_busy = _builder is not None and _builder.poll() is None
+    if is_busy or entry.library in _begun or not sys.executable:
+        return
+    _begun.add(entry.library)
+    with _written(entry.library.parent):
+        scratch = tempfile.mkdtemp(prefix=_NEW, dir=entry.library.parent)
+        atexit.register(_end, Path(scratch))
+        (Path(scratch) / _BESIDES).write_text(besides)
+    function.save(f"{scratch}/{_SAVED}")
+    given = [scratch, str(entry.library), entry.call[0], *sys.path]
+    _builder = subprocess.Popen(
+        [sys.executable, "-c", _BUILD_BESIDE, *given],
+        stdin=subprocess.PIPE,  # which ends with this process, however that ends
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        env={**os.environ, "TMPDIR": scratch},
+        start_new_session=True,
+    )
+
+
+def _end(scratch: Path) -> None:
+    """Ends the process that compiles, at the end of this one."""
+    if _builder is not None and _builder.poll() is None:
+        os.killpg(_builder.pid, signal.SIGKILL)
+        _builder.wait()
+        shutil.rmtree(scratch, ignore_errors=True)
+
+
+def build_beside(folder: str, library: str, own_compiler: str) -> None:
+    """Compiles the function that is saved in a folder, which is removed then."""
+    scratch, entry = Path(folder), _Entry(Path(library), [own_compiler, *_OPTIONS])
+    os.nice(_NICE)
+    signal.signal(signal.SIGTERM, lambda *_: None)  # for the compiler, which has no such handler
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    try:
+        function = casadi.Function.load(str(scratch / _SAVED))
+        with _locked(entry.library.with_suffix(".lock"), waits=False):
+            if not _is_sound(entry.library):
+                _build(_c_text(function) + (scratch / _BESIDES).read_text(), entry, scratch)
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
+
+
+def _end_with_parent() -> None:
+    """Ends the compiler once the process that has started this one has ended."""
+    os.read(0, 1)  # not by sys.stdin, which Python would wait for at its end
+    while True:
+        os.killpg(0, signal.SIGTERM)
+        time.sleep(0.02)
 
 
 def _cached(load: Callable[[Path], _Loaded], library: Path) -> _Loaded | None:
@@ -195,8 +325,11 @@ def _cached(load: Callable[[Path], _Loaded], library: Path) -> _Loaded | None:
 
 
 def _c_text(function: casadi.Function) -> str:
+    """A function's C text, in which what is the same in two places is computed once."""
+    argument = casadi.SX.sym("x", function.size1_in(0))
+    results = casadi.cse(function.call([argument]))
     generator = casadi.CodeGenerator("loop", {"with_header": False})
-    generator.add(function)
+    generator.add(casadi.Function(function.name(), [argument], results))
     text: str = generator.dump()
     return text
 
@@ -232,12 +365,16 @@ def _called(call: list[str], time_limit: float) -> subprocess.CompletedProcess[s
 
 
 @contextlib.contextmanager
-def _locked(path: Path) -> Iterator[None]:
-    """Others that build the same wait; file systems without locks let both build."""
+def _locked(path: Path, *, waits: bool = True) -> Iterator[None]:
+    """Others that build the same wait, or raise; file systems without locks let both build."""
     descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
     try:
-        with contextlib.suppress(OSError):
-            fcntl.flock(descriptor, fcntl.LOCK_EX)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if waits else fcntl.LOCK_NB))
+        except BlockingIOError:
+            raise
+        except OSError:
+            pass
         yield
     finally:
         os.close(descriptor)
@@ -260,27 +397,25 @@ def _is_sound(library: Path) -> bool:
         return False
 
 
-def _build(compiler_call: list[str], text: str, library: Path) -> None:
-    """Compiles C to a library, which is put in its place when it is complete."""
-    with tempfile.TemporaryDirectory(prefix=".new-", dir=library.parent) as scratch:
-        source, made = Path(scratch) / "text.c", Path(scratch) / "text.so"
-        source.write_text(text)
-        call = [*compiler_call, str(source), "-o", str(made), "-lm"]
-        try:
-            done = _called(call, _TIME_LIMIT)
-        except subprocess.TimeoutExpired:
-            raise CompilationError(f"{call[0]} took more than {_TIME_LIMIT:g} s") from None
-        if done.returncode != 0 or not made.is_file():
-            lines = done.stderr.strip().splitlines() or ["it says nothing"]
-            told = next((line for line in lines if "error" in line), lines[-1])
-            raise CompilationError(f"{call[0]} failed ({told[:200]})")
-        _loaded(made)  # or it would not be from the cache either
-        made.chmod(0o600)
-        checksum = Path(scratch) / "checksum"
-        checksum.write_text(hashlib.sha256(made.read_bytes()).hexdigest())
-        checksum.chmod(0o600)
-        for path in (library, _checksum(library)):
-            with contextlib.suppress(IsADirectoryError):
-                path.unlink(missing_ok=True)
-        os.replace(made, library)
-        os.replace(checksum, _checksum(library))
+def _build(text: str, entry: _Entry, scratch: Path) -> None:
+    """Compiles C in a folder of its own, and puts the library in its place when it is complete."""
+    library, call = entry
+    source, made, checksum = (scratch / name for name in ("text.c", "text.so", "checksum"))
+    source.write_text(text)
+    try:
+        done = _called([*call, str(source), "-o", str(made), "-lm"], _TIME_LIMIT)
+    except subprocess.TimeoutExpired:
+        raise CompilationError(f"{call[0]} took more than {_TIME_LIMIT:g} s") from None
+    if done.returncode != 0 or not made.is_file():
+        lines = done.stderr.strip().splitlines() or ["it says nothing"]
+        told = next((line for line in lines if "error" in line), lines[-1])
+        raise CompilationError(f"{call[0]} failed ({told[:200]})")
+    _loaded(made)  # or it would not be from the cache either
+    made.chmod(0o600)
+    checksum.write_text(hashlib.sha256(made.read_bytes()).hexdigest())
+    checksum.chmod(0o600)
+    for path in (library, _checksum(library)):
+        with contextlib.suppress(IsADirectoryError):
+            path.unlink(missing_ok=True)
+    os.replace(made, library)
+    os.replace(checksum, _checksum(library))

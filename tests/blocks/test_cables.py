@@ -10,7 +10,7 @@ from drake_nonstop.blocks.cables import Cables, IndividualCables, IndividualCabl
 from drake_nonstop.mechanics.cable import cable_forces_and_tensions
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.simulation.run import StepCheck
-from drake_nonstop.studies.run_all import fly
+from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.systems.tracing import NotFiniteError
 from drake_nonstop.validation import ScenarioError
 
@@ -99,7 +99,7 @@ def test_a_cable_that_goes_slack_and_taut_does_not_chatter():
     switches = []
     for step in (0.005, 0.002):
         scenario = load_scenario("quintic", [*settings, f"simulator_config.max_step_size={step}"])
-        run = fly(scenario, check_step=StepCheck.NOTHING)
+        run = simulate(scenario, check_step=StepCheck.NOTHING)
         slack = run.steps["tensions"][run.steps["time"] > 0.3, 3] <= 0
         assert 0.05 < slack.mean() < 0.95
         switches.append(np.count_nonzero(np.diff(slack)))

@@ -14,7 +14,6 @@ from drake_nonstop.blocks.carrier_dynamics import (
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.simulation.metrics import compute_metrics
 from drake_nonstop.simulation.simulate import simulate
-from drake_nonstop.studies.run_all import fly
 from drake_nonstop.systems.tracing import NotFiniteError
 
 counts = pytest.mark.parametrize("n", [3, 4, 6])
@@ -95,7 +94,7 @@ def test_with_the_cables_reaction_carriers_stay_on_their_references():
     settings = [*LOADED, "optimization_layer=ConstantParameters", "simulation_duration=0.5"]
     distances = []
     for mass in (1.0, 1.1):
-        run = fly(load_scenario("quintic", [*settings, f"simulated.load_mass={mass}"]))
+        run = simulate(load_scenario("quintic", [*settings, f"simulated.load_mass={mass}"]))
         places = [run.signal(name)[:, :12] for name in ("carrier_state", "carrier_reference")]
         distances.append(np.abs(places[0] - places[1]).max())
     # Weight and believed pull are fed forward; without that, weight and cable, 3.4 N, would move

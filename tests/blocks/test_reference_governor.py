@@ -28,7 +28,6 @@ from drake_nonstop.blocks.reference_governor import ReferenceGovernor
 from drake_nonstop.loop import assembly
 from drake_nonstop.mechanics.signals import CarrierStates
 from drake_nonstop.optimization.stretched_time import PathDelay
-from drake_nonstop.studies.run_all import fly
 from drake_nonstop.systems.wiring import output_sizes
 from drake_nonstop.validation import ScenarioError, ScenarioWarning
 
@@ -57,7 +56,7 @@ def flights():
     scenarios = [
         load_scenario("line_without_optimization", [*FAST_LINE, *o]) for o in ([], [GOVERNED])
     ]
-    return [fly(scenario, check_step=StepCheck.NOTHING) for scenario in scenarios]
+    return [simulate(scenario, check_step=StepCheck.NOTHING) for scenario in scenarios]
 
 
 def test_its_signals_are_those_of_the_delayed_motion():

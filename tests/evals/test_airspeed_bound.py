@@ -9,7 +9,7 @@ from drake_nonstop.mechanics.signals import Parameters
 from drake_nonstop.model.system import aircraft_in
 from drake_nonstop.simulation.run import StepCheck
 from drake_nonstop.simulation.run_quantities import RunQuantities, load_errors
-from drake_nonstop.studies.run_all import fly
+from drake_nonstop.simulation.simulate import simulate
 
 NAME = "aircraft_transfer_rising_wind"
 TURNING = "aircraft_co_rotating_rising_wind"
@@ -51,7 +51,7 @@ def test_a_load_that_turns_at_a_fixed_rate_misses_the_bound():
         "load_trajectory=!SteadyTurn {yaw_rate: 0.28}",
         *("simulation_duration=6", "wind.start_time=0", "wind.rise_time=0"),
     ]
-    run = fly(load_scenario(TURNING, fixed), check_step=StepCheck.NOTHING)
+    run = simulate(load_scenario(TURNING, fixed), check_step=StepCheck.NOTHING)
     bound = 1.5 * stall_speed(aircraft_in(run.scenario.system))
     assert RunQuantities(run).aircraft_state.airspeed.min() < 0.86 * bound
 
@@ -66,6 +66,6 @@ def test_without_the_layer_the_bound_is_missed():
         "wind.start_time=0",
         "wind.rise_time=0",
     ]
-    run = fly(load_scenario(NAME, at_end))
+    run = simulate(load_scenario(NAME, at_end))
     bound = SHARE * stall_speed(aircraft_in(run.scenario.system))
     assert RunQuantities(run).aircraft_state.airspeed.min() < 0.93 * bound

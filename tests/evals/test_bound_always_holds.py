@@ -7,11 +7,11 @@ from helpers import nightly_beyond
 from drake_nonstop import Scenario, compute_metrics, load_scenario
 from drake_nonstop.blocks.optimization_layer import NonstopOptimizerConfig
 from drake_nonstop.simulation.run import StepCheck
-from drake_nonstop.studies.run_all import fly
+from drake_nonstop.simulation.simulate import simulate
 
 
 def assert_no_carrier_is_ever_below_its_bound(scenario: Scenario) -> None:
-    metrics = compute_metrics(fly(scenario, check_step=StepCheck.NOTHING))
+    metrics = compute_metrics(simulate(scenario, check_step=StepCheck.NOTHING))
     assert metrics["carriers"]["time_below_bound_s"] == 0
     assert metrics["carriers"]["speed_min_m_s"] >= scenario.optimization_layer.speed_bound
     optimizer = metrics["optimizer"]
@@ -65,7 +65,7 @@ def one_sample_ahead(scenario: Scenario, **fields) -> Scenario:
 @pytest.mark.nightly("flights")
 def test_without_foresight_of_the_orbit_some_variations_break_the_bound():
     scenario = one_sample_ahead(variation(7), orbit_points=1)
-    carriers = compute_metrics(fly(scenario))["carriers"]
+    carriers = compute_metrics(simulate(scenario))["carriers"]
     assert carriers["time_below_bound_s"] > 0.1
 
 

@@ -13,7 +13,7 @@ from drake_nonstop.scenario.loading import load_scenario, scenario_names
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.simulation.metrics import compute_metrics
 from drake_nonstop.simulation.run import RunStopped
-from drake_nonstop.studies.run_all import fly
+from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.validation import ScenarioError
 
 loaded = cache(load_scenario)
@@ -94,7 +94,7 @@ def draw_and_run(name, optimized, drawn, duration):
     layer = [] if optimized else ["optimization_layer=ConstantParameters"]
     try:
         scenario = changed(loaded(name), [*layer, f"simulation_duration={duration}", *drawn])
-        run = fly(scenario)
+        run = simulate(scenario)
     except ScenarioError as error:
         counts["invalid"] += 1
         message = str(error)

@@ -14,7 +14,6 @@ from drake_nonstop.blocks.optimization_layer import ConstantParametersConfig
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.simulation.run import StepCheck
 from drake_nonstop.simulation.simulate import simulate
-from drake_nonstop.studies.run_all import fly
 
 CONSTANT = ["optimization_layer=!ConstantParameters {}"]
 
@@ -203,7 +202,7 @@ def test_a_turned_and_moved_run_gives_the_turned_and_moved_result(overrides, tol
             displacement=(turn @ trajectory.displacement).tolist(),
         ),
     )
-    one, other = (fly(each, check_step=StepCheck.NOTHING) for each in (scenario, turned))
+    one, other = (simulate(each, check_step=StepCheck.NOTHING) for each in (scenario, turned))
     load = one.signal("load_state")[:, 4:7] @ turn.T + shift
     np.testing.assert_allclose(other.signal("load_state")[:, 4:7], load, rtol=0, atol=tolerance)
     carriers = (run.signal("carrier_state")[:, :12].reshape(-1, 3) for run in (one, other))
@@ -218,7 +217,7 @@ def test_carriers_of_a_square_follow_each_other():
     scenario.load_trajectory = dataclasses.replace(
         scenario.load_trajectory, displacement=[0.0] * 3, roll_pitch_yaw=[0.0] * 3
     )
-    run = fly(scenario, check_step=StepCheck.NOTHING)
+    run = simulate(scenario, check_step=StepCheck.NOTHING)
     positions = run.signal("carrier_state")[:, :12].reshape(-1, 4, 3)
     quarter = Rotation.from_euler("z", np.pi / 2).as_matrix()
     later = positions[880:1200]  # 0.8 s, a quarter of a turn, after the earlier ones

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from drake_nonstop import compute_metrics, load_scenario
-from drake_nonstop.studies.run_all import fly
+from drake_nonstop.simulation.simulate import simulate
 
 
 @pytest.mark.parametrize("name", ["line", "quintic", "three_carriers"])
@@ -39,7 +39,7 @@ def test_the_bound_holds_between_the_steps_too():
     scenario = load_scenario(
         "line", ["simulator_config.max_step_size=0.001", "simulation_duration=9"]
     )
-    metrics = compute_metrics(fly(scenario))
+    metrics = compute_metrics(simulate(scenario))
     assert metrics["optimizer"]["solved"] > 0
     assert metrics["carriers"]["time_below_bound_s"] == 0
 

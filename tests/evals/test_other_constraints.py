@@ -6,7 +6,7 @@ from helpers import nightly_beyond
 
 from drake_nonstop import Run, Scenario, compute_metrics, load_scenario
 from drake_nonstop.simulation.run import StepCheck
-from drake_nonstop.studies.run_all import fly
+from drake_nonstop.simulation.simulate import simulate
 
 ONE_SAMPLE = [  # the layer that looks one sample ahead, with what reads its ξ and A
     "optimization_layer=NonstopOptimizer",
@@ -40,7 +40,7 @@ def quintic(duration: float, **fields: float) -> Scenario:
 
 
 def flown(scenario: Scenario) -> Run:
-    return fly(scenario, check_step=StepCheck.NOTHING)
+    return simulate(scenario, check_step=StepCheck.NOTHING)
 
 
 def metrics_of(scenario: Scenario) -> dict:

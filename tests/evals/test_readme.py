@@ -17,7 +17,7 @@ from benchmarks.claims import (
 
 from drake_nonstop import compute_metrics, load_scenario, scenario_names
 from drake_nonstop.simulation.run import StepCheck
-from drake_nonstop.studies.run_all import fly
+from drake_nonstop.simulation.simulate import simulate
 
 README = Path(__file__).parents[2] / "README.md"
 TEXT = documentation(README)
@@ -71,7 +71,7 @@ def assert_hold(claims, run, metrics):
 @pytest.mark.nightly("flights")
 def test_claims_on_a_changed_scenario():
     name, *overrides = shlex.split(CHEAP)
-    run = fly(load_scenario(name, overrides), check_step=StepCheck.NOTHING)
+    run = simulate(load_scenario(name, overrides), check_step=StepCheck.NOTHING)
     assert_hold(BY_ARGUMENTS[CHEAP], run, compute_metrics(run))
 
 

@@ -6,7 +6,7 @@ from helpers import nightly_beyond, regular
 
 from drake_nonstop import compute_metrics, load_scenario
 from drake_nonstop.simulation.run_quantities import load_errors
-from drake_nonstop.studies.run_all import fly
+from drake_nonstop.simulation.simulate import simulate
 
 RADIUS = 1.5  # m, of the circle of the attachments
 
@@ -16,7 +16,7 @@ def flown(n, fleet):
     if n == 4:
         return fleet.evaluated(load_scenario("real_scale_spread"))
     attachments = regular(n, RADIUS).tolist()
-    run = fly(load_scenario("real_scale_spread", [f"system.attachments={attachments}"]))
+    run = simulate(load_scenario("real_scale_spread", [f"system.attachments={attachments}"]))
     return run, compute_metrics(run)
 
 
@@ -44,7 +44,7 @@ def test_without_the_optimization_carriers_are_too_slow():
     scenario = load_scenario(
         "real_scale_spread", ["optimization_layer=ConstantParameters", "simulation_duration=12"]
     )
-    carriers = compute_metrics(fly(scenario))["carriers"]
+    carriers = compute_metrics(simulate(scenario))["carriers"]
     assert carriers["speed_bound_m_s"] == 8
     assert carriers["speed_min_m_s"] < 7.5
     assert carriers["time_below_bound_s"] > 1

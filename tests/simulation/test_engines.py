@@ -18,14 +18,16 @@ from drake_nonstop import (
     ScenarioWarning,
     StepAction,
     StepCheck,
+    compute_metrics,
     load_scenario,
     make_nonstop,
     simulate,
 )
+from drake_nonstop.loop import compiled_loop
 from drake_nonstop.simulation import recording
 from drake_nonstop.studies.run_all import attempt
 from drake_nonstop.systems.block import LeafBlock
-from drake_nonstop.systems.compilation import compiler
+from drake_nonstop.systems.compilation import compiler, tell_not_c
 
 NONSTOP = "optimization_layer=NonstopOptimizer"
 NOTHING = StepCheck.NOTHING
@@ -144,6 +146,51 @@ def test_what_cannot_be_compiled_is_said_and_the_diagram_flies(overrides, argume
     assert message.endswith("; the diagram is simulated instead")
     expected, _ = flown("quintic", overrides, "diagram", **arguments)
     assert_same(run, expected, tolerance=0)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "arguments", "said"),
+    [
+        (["control_period=0"], {}, "control_period = 0: it goes from sample to sample"),
+        ([], {"after_step": lambda *_: StepAction.CONTINUE}, "after_step need the steps of"),
+        (["simulation_duration=0.004"], {}, "shorter than a sample"),
+        (["engine=diagram"], {}, ""),
+    ],
+)
+def test_by_default_what_needs_the_diagram_is_told_by_the_run_alone(overrides, arguments, said):
+    run, told = flown("quintic", [*SHORT, *overrides], None, **arguments)
+    assert not any("engine" in message for message in told)
+    assert run.engine.startswith("diagram: " if said else "diagram")
+    assert said in run.engine
+    assert "\n" not in run.engine
+    assert compute_metrics(run)["engine"] == run.engine
+
+
+@pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
+@pytest.mark.slow
+def test_c_and_the_virtual_machine_fly_the_same_to_the_bit(tmp_path, monkeypatch):
+    overrides = [CONSTANT, "simulation_duration=1.1", "system.load_drag=0.05"]
+    compiled_loop._recent_functions.entries.clear()
+    with monkeypatch.context() as patched:
+        patched.setenv("DRAKE_NONSTOP_CACHE", str(tmp_path))
+        slow, _ = flown("quintic", overrides, None)
+    assert slow.engine == "compiled: virtual machine"
+    for functions in compiled_loop._recent_functions.entries.values():
+        functions.prepare(None, compiles=True)
+    fast, _ = flown("quintic", overrides, None)
+    assert fast.engine == "compiled: C"
+    assert_same(fast, slow, tolerance=0)
+
+
+@pytest.mark.slow
+def test_without_a_compiler_the_run_tells_it_and_only_who_asks_is_warned(monkeypatch):
+    monkeypatch.setenv("CC", "no-such-compiler")
+    compiled_loop._recent_functions.entries.clear()
+    tell_not_c.cache_clear()
+    for engine, count in ((None, 0), ("compiled", 1)):
+        run, told = flown("quintic", [CONSTANT, "simulation_duration=1.1"], engine)
+        assert run.engine.startswith("compiled: virtual machine (there is no C compiler (CC = ")
+        assert len([message for message in told if "no C compiler" in message]) == count
 
 
 def test_another_engine_is_refused():

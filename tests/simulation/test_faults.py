@@ -113,6 +113,7 @@ def test_a_solver_that_throws_stops_the_run_with_its_cause_and_keeps_what_there_
         return solve(solver, data, *arguments, **options)
 
     monkeypatch.setattr(solver, "solve", failing)
+    settings = [*settings, "engine=diagram"]  # the compiled loop has a search of its own
     assert main(["run", "quintic", "--out", str(tmp_path), *BRIEF, *settings]) == 1
     error = capsys.readouterr().err
     assert "RuntimeError: the solver is out of licences" in error

@@ -26,6 +26,7 @@ KEYS = {
         "reasons",
         "warnings",
         "simulated_s",
+        "engine",
         "is_steered",
         "simulator",
         "wall_s",
@@ -147,6 +148,7 @@ def test_the_table_has_a_row_for_each_metric():
     assert {metric.path for metric in METRICS if metric.is_wall_time} == {
         "wall_s",
         "real_time_factor",
+        "engine",
         *(f"optimizer.solve_time_ms.{name}" for name in ("p50", "p99", "max")),
     }
 
@@ -156,6 +158,7 @@ def test_the_table_of_a_run():
     assert metrics_table(compute_metrics(run)).splitlines() == [
         "outcome                 ok",
         "simulated               4 s in 0.50 s (8.0 x real time)",
+        "engine                  diagram",
         "load position error     mean 3 mm, max 3 mm",
         "load orientation error  mean 0 mrad, max 0 mrad",
         "carrier speed           1.000 to 1.000 m/s, bound 0.55 m/s, below it for 0 s",

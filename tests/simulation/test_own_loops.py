@@ -36,6 +36,7 @@ DURATION = 0.1  # s
 @pytest.fixture(scope="module", params=nightly_beyond(1, "flights", [0.01, 0.0]))
 def scenario(request):
     overrides = ["optimization_layer=ConstantParameters", f"control_period={request.param}"]
+    overrides += ["engine=diagram"]  # as a Simulator of ones own
     return load_scenario("line", [*overrides, f"simulation_duration={DURATION}"])
 
 

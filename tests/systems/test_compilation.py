@@ -1,18 +1,30 @@
-"""Functions as compiled C: the same values, and an entry of the cache is loaded if it is sound."""
+"""Functions as compiled C: the same values, and an entry of the cache is loaded if it is sound.
+
+What is compiled beside a process is there for the next call, and ends with the process.
+"""
 
 import hashlib
 import os
 import subprocess
 import sys
+import time
 import warnings
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import casadi
 import numpy as np
 import pytest
 
 from drake_nonstop.systems import compilation
-from drake_nonstop.systems.compilation import compiled, compiled_for_processor, compiler
+from drake_nonstop.systems.compilation import (
+    CompilationError,
+    compiled,
+    compiled_for_processor,
+    compiled_or_begun,
+    compiler,
+    digest,
+)
 from drake_nonstop.validation import ScenarioWarning
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
@@ -22,7 +34,7 @@ needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C co
 def folder(tmp_path, monkeypatch):
     """A cache folder of its own, and warnings that have not been told yet."""
     monkeypatch.setenv("DRAKE_NONSTOP_CACHE", str(tmp_path / "cache"))
-    compilation._tell.cache_clear()
+    compilation.tell_not_c.cache_clear()
     return tmp_path / "cache"
 
 
@@ -212,3 +224,81 @@ def test_a_compiler_without_vectors_is_told_and_flights_go_one_by_one(use_compil
     with pytest.warns(ScenarioWarning, match=said) as told:
         assert compiled_for_processor(lambda: "double x;", builds=True) is None
     assert len(told) == 1
+
+
+@pytest.fixture
+def beside(monkeypatch):
+    """A function that takes C, or begins to compile it beside, in a process that has not yet."""
+    monkeypatch.setenv(compilation.BESIDE, "1")
+    monkeypatch.setattr(compilation, "_begun", set())
+    monkeypatch.setattr(compilation, "_builder", None)
+    return lambda function: compiled_or_begun(function, own_digest=digest(function))
+
+
+def wait_for(asked, timeout=30.0):
+    """Waits until something is so."""
+    end = time.monotonic() + timeout
+    while not asked() and time.monotonic() < end:
+        time.sleep(0.02)
+    assert asked()
+
+
+@needs_compiler
+@pytest.mark.slow
+def test_what_is_compiled_beside_is_there_for_the_next_call(beside, folder):
+    assert beside(function()) is None
+    assert beside(function(3.0)) is None  # and is not begun: one at a time is compiled
+    assert compilation._builder.wait(30) == 0
+    made = beside(function()).function
+    assert made.class_name() == "External"
+    assert values(made).tobytes() == values(function()).tobytes()
+    assert {path.suffix for path in folder.iterdir()} == {".so", ".sha256", ".lock"}
+
+
+@needs_compiler
+@pytest.mark.slow
+@pytest.mark.parametrize("ending", ["sys.exit()", "os.kill(os.getpid(), 9)"])
+def test_a_process_that_ends_first_ends_its_compiler(use_compiler, folder, tmp_path, ending):
+    version = "[ $1 = --version ] && exit 0"
+    use_compiler(f"{version}\necho $$ > {tmp_path}/new; mv {tmp_path}/new {tmp_path}/id; sleep 60")
+    text = f"""
+import os, sys, time
+sys.path[:0] = {os.path.dirname(__file__)!r},
+import test_compilation as t
+assert t.compiled_or_begun(t.function(), own_digest=t.digest(t.function())) is None
+while not os.path.exists({str(tmp_path / "id")!r}):
+    time.sleep(0.02)
+{ending}
+"""
+    environment = {**os.environ, compilation.BESIDE: "1"}
+    subprocess.run([sys.executable, "-c", text], env=environment, stderr=subprocess.DEVNULL)
+    number = int((tmp_path / "id").read_text())
+
+    def is_running():
+        status = Path(f"/proc/{number}/stat")
+        return status.exists() and status.read_text().split()[2] != "Z"
+
+    if ending == "sys.exit()":
+        assert not [*folder.glob(".new-*")]
+    wait_for(lambda: not is_running() and not [*folder.glob(".new-*")])
+    assert not [*folder.glob("*.so")]
+
+
+@needs_compiler
+def test_nothing_is_compiled_beside_where_the_environment_says_so(beside, monkeypatch, folder):
+    monkeypatch.setenv(compilation.BESIDE, "0")
+    assert beside(function()) is None
+    assert compilation._builder is None
+    assert not folder.exists()
+
+
+def test_what_cannot_be_compiled_beside_has_a_reason(beside, monkeypatch, tmp_path):
+    monkeypatch.setenv("CC", "no-such-compiler")
+    with pytest.raises(CompilationError, match="there is no C compiler"):
+        beside(function())
+    (tmp_path / "file").write_text("mine")
+    monkeypatch.setenv("DRAKE_NONSTOP_CACHE", str(tmp_path / "file" / "cache"))
+    monkeypatch.delenv("CC", raising=False)
+    if compiler() is not None:
+        with pytest.raises(CompilationError, match="cannot be written"):
+            beside(function())
