@@ -8,7 +8,7 @@ from typing import Any
 
 from drake_nonstop.benchmarks.block_timers import OUTSIDE, BlockTimers, Frame
 from drake_nonstop.benchmarks.comparing import FreshRuns, Source, spread
-from drake_nonstop.scenario.schema import COMPILED
+from drake_nonstop.scenario.schema import COMPILED, DIAGRAM
 from drake_nonstop.simulation.metrics import versions
 from drake_nonstop.simulation.run import StepCheck
 from drake_nonstop.simulation.simulate import simulate
@@ -59,7 +59,7 @@ def benchmark_run(
     plain: list[tuple[float, float]] = []  # s: the run, the solving in it
     timed: list[tuple[float, BlockTimers]] = []
     for i in range(repeats):
-        run = simulate(scenario, check_step=StepCheck.NOTHING)
+        run = simulate(scenario, check_step=StepCheck.NOTHING, engine=DIAGRAM)
         plain.append((run.wall_time, float(run.solve_times.sum())))
         timers = BlockTimers()
         with timers.installed():

@@ -47,7 +47,8 @@ from drake_nonstop.systems.diagram_trace import (
     trace_content,
     updates_in_trace,
 )
-from drake_nonstop.systems.tracing import LARGEST, LruCache
+from drake_nonstop.systems.recent_traces import LruCache
+from drake_nonstop.systems.tracing import LARGEST
 from drake_nonstop.systems.wiring import require_context
 from drake_nonstop.validation import ScenarioError, require, require_known
 
@@ -140,7 +141,7 @@ def _is_held(block: System, wires: Wires) -> bool:
     return not is_fed and block.CreateDefaultContext().num_continuous_states() == 0
 
 
-_recent_functions, _recent_derivatives = LruCache(16), LruCache(16)  # by what they depend on
+_recent_functions, _recent_derivatives = LruCache(), LruCache()  # by what they depend on
 
 
 class CompiledLoop:

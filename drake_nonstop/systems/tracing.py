@@ -8,7 +8,6 @@ this size. CasADi is used here and nowhere else.
 import ctypes
 import functools
 import math
-import pickle
 import threading
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
@@ -18,6 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.autodiffutils import AutoDiffXd, ExtractValue
 from pydrake.symbolic import Formula, Variable, if_then_else
+
+from drake_nonstop.systems.recent_traces import recent_trace
 
 _ROWS = 60  # that a `RowsFunction` evaluates at once
 
@@ -170,7 +171,7 @@ class ElementwiseFunction:
         has_derivatives: bool = True,
     ):
         by_count = input_sizes[0] if has_derivatives else 0
-        made = _cached(
+        made = recent_trace(
             lambda: _elementwise(function, input_sizes, math.prod(shape), by_count),
             "elementwise",
             [*input_sizes, by_count],
@@ -332,7 +333,7 @@ class Trace:
 
     def __init__(self, function: Callable, input_sizes: Sequence[int], *, key: Any = None):
         self._function, self.input_sizes = function, list(input_sizes)
-        self._expressions: _Expressions = _cached(
+        self._expressions: _Expressions = recent_trace(
             lambda: _Expressions(function, self.input_sizes), "parts", self.input_sizes, key
         )
         self.output_sizes = self._expressions.output_sizes
@@ -419,44 +420,6 @@ def _expressions(
     return symbols, [casadi.densify(output) for output in flat]
 
 
-class LruCache:
-    """Values made for the keys that were used last, at most so many."""
-
-    def __init__(self, most: int):
-        self.entries: dict[Any, Any] = {}  # the most recently used is the last
-        self._most, self._lock = most, threading.RLock()
-
-    def get(self, key: Any, make: Callable[[], Any]) -> Any:
-        """Returns the entry of a key, made if there is none; a key that is None has no entry."""
-        if key is None:
-            return make()
-        with self._lock:
-            found = self.entries.pop(key, None)
-            if found is None:
-                found = make()
-            self.entries[key] = found
-            if len(self.entries) > self._most:
-                self.entries.pop(next(iter(self.entries)))
-            return found
-
-
-_traces = LruCache(32)
-
-
-def _cached(make: Callable[[], Any], *key: Any) -> Any:
-    """The value for an equal key, made if there is none; a last part None means no key."""
-    return _traces.get(None if key[-1] is None else tuple(map(_hashed, key)), make)
-
-
-def _hashed(key: Any) -> Any:
-    """A key as it is, or pickled where it cannot be hashed."""
-    try:
-        hash(key)
-    except TypeError:
-        return pickle.dumps(key)
-    return key
-
-
 def _traced(
     function: Callable, input_sizes: Sequence[int], jacobian_of: int | None, key: Any
 ) -> casadi.Function:
@@ -472,7 +435,7 @@ def _traced(
             expressions.append(casadi.densify(jacobian))
         return casadi.Function("mechanics", [casadi.vertcat(*symbols)], expressions)
 
-    return _cached(make, list(input_sizes), jacobian_of, key)
+    return recent_trace(make, list(input_sizes), jacobian_of, key)
 
 
 def object_array(symbol: casadi.SX) -> NDArray:

@@ -30,7 +30,8 @@ from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.simulation.step_size import stable_config
 from drake_nonstop.systems.block import LeafBlock
 from drake_nonstop.systems.compilation import compiler
-from drake_nonstop.systems.tracing import LruCache, NotFiniteError, to_symbols
+from drake_nonstop.systems.recent_traces import LruCache
+from drake_nonstop.systems.tracing import NotFiniteError, to_symbols
 
 NONSTOP = "optimization_layer=NonstopOptimizer"
 CONSTANT = "optimization_layer=ConstantParameters"
@@ -414,7 +415,7 @@ class Push(LeafSystem):
 
 
 def test_a_loop_of_many_samples_is_shorter_and_shows_the_same_to_the_bit(monkeypatch):
-    monkeypatch.setattr(compiled_loop, "_recent_functions", LruCache(1))
+    monkeypatch.setattr(compiled_loop, "_recent_functions", LruCache())
     scenario = load_scenario("quintic", [CONSTANT])
     shown, sizes = [], []
     for samples in (1_000, 100, 400):  # 1,500 are many

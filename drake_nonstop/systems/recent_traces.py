@@ -1,0 +1,84 @@
+"""Traces that a process keeps to use them again, bounded by their memory."""
+
+import pickle
+import threading
+from collections.abc import Callable, Iterable
+from typing import Any, ClassVar
+
+import casadi
+
+MOST_BYTES = 200e6  # of what all caches of a process hold
+_BYTES_OF_INSTRUCTION = 80  # of a function, with its expressions: measured, 60 to 75
+
+
+def bytes_of(value: Any) -> int:
+    """Estimated memory of the functions in a value: in its attributes, or in those of its parts."""
+    if isinstance(value, casadi.Function):
+        is_traced = value.is_a("SXFunction")
+        return _BYTES_OF_INSTRUCTION * value.n_instructions() if is_traced else 0
+    if isinstance(value, casadi.SX | str):
+        return 0
+    if isinstance(value, dict):
+        parts: Iterable[Any] = value.values()
+    elif isinstance(value, list | tuple):
+        parts = value
+    else:
+        parts = getattr(value, "__dict__", {}).values()
+    return sum(map(bytes_of, parts))
+
+
+class LruCache:
+    """Values made for the keys that were used last.
+
+    All caches of a process together hold no more than `MOST_BYTES`, and the last value: the largest
+    of them loses what was not used for longest. Values may grow: all are measured again once a
+    twentieth of that is new.
+    """
+
+    _all: ClassVar[list["LruCache"]] = []
+    _new: ClassVar[float] = 0.0  # bytes, since all were measured
+    _lock = threading.RLock()
+
+    def __init__(self) -> None:
+        self.entries: dict[Any, Any] = {}  # the most recently used is the last
+        self._all.append(self)
+
+    def get(self, key: Any, make: Callable[[], Any]) -> Any:
+        """Returns the entry of a key, made if there is none; a key that is None has no entry."""
+        if key is None:
+            return make()
+        with self._lock:
+            found = self.entries.pop(key, None)
+            if found is None:
+                found = make()
+                LruCache._new += bytes_of(found)
+                if LruCache._new > MOST_BYTES / 20:
+                    self._make_room()
+            self.entries[key] = found
+            return found
+
+    def _make_room(self) -> None:
+        """Removes entries until a twentieth of the room is free again."""
+        LruCache._new = 0.0
+        sizes = [[*map(bytes_of, cache.entries.values())] for cache in self._all]
+        while any(sizes) and sum(map(sum, sizes)) > 0.95 * MOST_BYTES:
+            largest = max(range(len(sizes)), key=lambda k: sum(sizes[k]))
+            entries = self._all[largest].entries
+            del entries[next(iter(entries))], sizes[largest][0]
+
+
+_traces = LruCache()
+
+
+def recent_trace(make: Callable[[], Any], *key: Any) -> Any:
+    """The value for an equal key, made if there is none; a last part None means no key."""
+    return _traces.get(None if key[-1] is None else tuple(map(_hashed, key)), make)
+
+
+def _hashed(key: Any) -> Any:
+    """A key as it is, or pickled where it cannot be hashed."""
+    try:
+        hash(key)
+    except TypeError:
+        return pickle.dumps(key)
+    return key
