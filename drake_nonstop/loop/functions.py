@@ -25,6 +25,7 @@ from drake_nonstop.systems.tracing import bound, object_array
 
 _WORTH_LOOKING = 100  # samples, less than are flown while the cache is looked up
 _WORTH_SHORTENING = 1_500  # samples, which save about what it takes
+_WORTH_TEXT = 20_000  # samples of lanes, less than are flown while their C text is made
 _WORTH_LANES = 1_000_000  # samples, which save about what the compilation takes
 _FLY_SAMPLES = files(__package__).joinpath("fly_samples.c").read_text()
 
@@ -126,7 +127,7 @@ class LoopFunction:
     def lanes_for(self, samples: int) -> LaneFunction | None:
         """Lanes for so many samples more, where they are there, or worth to be compiled by now."""
         self._lane_samples += samples
-        if self._lane_samples >= _WORTH_COMPILING:
+        if self._lane_samples >= _WORTH_TEXT:
             self.compile_lanes(self._lane_samples >= _WORTH_LANES)
         return self.lanes
 

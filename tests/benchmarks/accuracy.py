@@ -38,8 +38,9 @@ def benchmark_accuracy(
     """Runs a scenario with several overrides alternately, and compares each with a reference.
 
     Where neither names an engine the diagram is simulated. The reference is Drake's third-order
-    Runge-Kutta with steps of 0.5 ms on separate blocks. Errors are the largest over all samples: the distance of the load's positions, and the
-    carriers' speeds, each relative to that in the reference.
+    Runge-Kutta with steps of 0.5 ms on separate blocks. Errors are the largest over all samples:
+    the distance of the load's positions, and the carriers' speeds, each relative to that in the
+    reference.
 
     Args:
         scenario: what to run.
