@@ -22,8 +22,10 @@ def bytes_of(value: Any) -> int:
         parts: Iterable[Any] = value.values()
     elif isinstance(value, list | tuple):
         parts = value
-    else:
+    elif type(value).__module__.partition(".")[0] == __package__.partition(".")[0]:
         parts = getattr(value, "__dict__", {}).values()
+    else:  # such as a library, which refers to itself
+        return 0
     return sum(map(bytes_of, parts))
 
 
