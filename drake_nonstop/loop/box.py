@@ -142,11 +142,17 @@ def kept_parameters(
 ) -> dict[str, Any]:
     """Fields of the same name and type, which a swap hands on to a `new` config.
 
+    A text is one of some words, which other configs may not have: it is handed on where both
+    configs inherit the field.
     `fields` are those of the config of the class `old`; where it does not keep defaults, those that
     are at their defaults are left out.
     """
     types = typing.get_type_hints(new)
-    shared = [key for key, kind in typing.get_type_hints(old).items() if types.get(key) == kind]
+    shared = [
+        key
+        for key, kind in typing.get_type_hints(old).items()
+        if types.get(key) == kind and (kind is not str or _field(old, key) is _field(new, key))
+    ]
     # A config of the user's own may take a number only, where others also take a text.
     if _BOUND in types and not isinstance(fields.get(_BOUND), str):
         shared.append(_BOUND)
@@ -155,6 +161,10 @@ def kept_parameters(
         default = dataclasses.asdict(old())
         kept = {key: value for key, value in kept.items() if value != default[key]}
     return kept
+
+
+def _field(config: type, name: str) -> Any:
+    return {field.name: field for field in dataclasses.fields(config)}.get(name)
 
 
 def import_path(config: type) -> str:
