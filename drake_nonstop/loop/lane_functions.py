@@ -37,6 +37,7 @@ static double sign(double x) { return x < 0 ? -1 : x > 0 ? 1 : x; }
 _BY_LANE = """\
 static inline lanes {name}_by_lane({arguments}) {{
   lanes z;
+#pragma GCC unroll 8 /* so that sin and cos of an angle are made at once */
   for (int i = 0; i < W; i++) z[i] = {name}({entries});
   return z;
 }}
