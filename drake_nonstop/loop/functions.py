@@ -88,7 +88,7 @@ class LoopFunction:
         self._not_short: tuple[casadi.SX, list[casadi.SX]] | None = (stacked, results)
         self.function = casadi.Function("loop", [stacked], results)
         self.compiled: Compiled | None = None  # the same, as C
-        self._besides = _FLY_SAMPLES if is_whole else ""
+        self.besides = _FLY_SAMPLES if is_whole else ""
         self._digest = ""
         self.reason = ""  # why it is not compiled
         self.lanes: LaneFunction | None = None  # the same, of several flights, as C
@@ -106,8 +106,8 @@ class LoopFunction:
         """Takes C of the cache; else waits for it, or has it compiled beside for a later call."""
         if self.compiled is not None:
             return
-        self._digest = self._digest or digest(self.function, self._besides)
-        own = {"besides": self._besides, "own_digest": self._digest}
+        self._digest = self._digest or digest(self.function, self.besides)
+        own = {"besides": self.besides, "own_digest": self._digest}
         try:
             make = compiled if waits else compiled_or_begun
             self.compiled, self.reason = make(self.function, **own), ""

@@ -86,7 +86,7 @@ def compiled(
     try:
         entry = _entry_of(own_digest or digest(function, besides), _OPTIONS)
         load = functools.partial(_of_library, function.name())
-        return _compiled(load, entry, lambda: _c_text(function) + besides)
+        return _compiled(load, entry, lambda: c_text(function) + besides)
     except CompilationError as error:
         tell_not_c(str(error))
     return None
@@ -301,7 +301,7 @@ def build_beside(folder: str, library: str, own_compiler: str) -> None:
         function = casadi.Function.load(str(scratch / _SAVED))
         with _locked(entry.library.with_suffix(".lock"), waits=False):
             if not _is_sound(entry.library):
-                _build(_c_text(function) + (scratch / _BESIDES).read_text(), entry, scratch)
+                _build(c_text(function) + (scratch / _BESIDES).read_text(), entry, scratch)
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
 
@@ -324,7 +324,7 @@ def _cached(load: Callable[[Path], _Loaded], library: Path) -> _Loaded | None:
         return None
 
 
-def _c_text(function: casadi.Function) -> str:
+def c_text(function: casadi.Function) -> str:
     """A function's C text, in which what is the same in two places is computed once."""
     argument = casadi.SX.sym("x", function.size1_in(0))
     results = casadi.cse(function.call([argument]))
