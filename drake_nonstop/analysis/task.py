@@ -14,6 +14,7 @@ from pydrake.systems.framework import Context, Diagram, System
 
 from drake_nonstop.analysis.load_stability import LoadDeviations
 from drake_nonstop.diagrams.nonstop import make_nonstop
+from drake_nonstop.loop.assembly import models_of
 from drake_nonstop.loop.loop_response import LoopResponse, loop_response, reference_ahead
 from drake_nonstop.mechanics.reference_preview import ReferencePreview, stretched_reference
 from drake_nonstop.mechanics.rigid_load import STILL_AIR
@@ -21,7 +22,7 @@ from drake_nonstop.mechanics.signals import PLANNED_SIZE, LoadReference, Planned
 from drake_nonstop.mechanics.wind import MeanWind
 from drake_nonstop.mechanics.wrench import feedforward_wrench
 from drake_nonstop.model.descriptions import RESPONSE, WIND, TurnRate, Wind, described
-from drake_nonstop.model.system import Model, given_fields, overridden
+from drake_nonstop.model.system import Model, given_fields
 from drake_nonstop.optimization.horizon_config import HorizonConfig, timed
 from drake_nonstop.optimization.plan import Plan
 from drake_nonstop.optimization.problem_config import LimitsConfig, with_fields_of
@@ -265,15 +266,8 @@ def task_at(
 def _task(
     scenario: Scenario, reference: Callable[[float], NDArray], blocks: Mapping[str, System]
 ) -> Task:
-    model = flown = Model(scenario.system, scenario.pattern, scenario.control_period)
-    if given := given_fields(scenario.simulated):
-        flown = Model(
-            overridden(scenario.system, scenario.simulated),
-            scenario.pattern,
-            scenario.control_period,
-            field="simulated",
-            overridden=given,
-        )
+    model, simulated = models_of(scenario)
+    flown = simulated if given_fields(scenario.simulated) else model
     layer = scenario.optimization_layer
     limits = with_fields_of(LimitsConfig, layer)  # of one without bounds, the default ones
     horizon = with_fields_of(HorizonConfig, layer)

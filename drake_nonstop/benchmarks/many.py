@@ -1,24 +1,135 @@
 """How much faster many flights are side by side than one by one."""
 
 import copy
+import importlib.util
+import os
 import statistics
+import tempfile
 import time
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from pydrake.systems.framework import DiagramBuilder
 
+from drake_nonstop.benchmarks.running import PACKAGES
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.loop.functions import Evaluation
-from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.scenario.overrides import changed
+from drake_nonstop.scenario.schema import COMPILED, DIAGRAM, Scenario
 from drake_nonstop.simulation.compiled_run import recorded_loop
+from drake_nonstop.simulation.flight import without_warnings
 from drake_nonstop.simulation.make_gym_env import make_gym_env, make_gym_vec_env
+from drake_nonstop.simulation.many import simulate_many
+from drake_nonstop.simulation.metrics import compute_metrics, versions
 from drake_nonstop.simulation.preparation import with_chosen_step
 from drake_nonstop.simulation.recording import LogSignals
+from drake_nonstop.simulation.run import StepCheck
+from drake_nonstop.simulation.simulate import simulate
+from drake_nonstop.studies.sweep import sweep
+from drake_nonstop.studies.sweep_spec import SweepSpec
 from drake_nonstop.systems.compilation import Compiled, c_text, compiled_for_processor
 from drake_nonstop.validation import require
 
 _FLIGHTS, _SAMPLES, _CALLS = 8, 40, 25  # how many of which are timed at once
+_SUCCESS: dict[str, Any] = {  # as examples/success_study.yaml has it
+    "overrides": ["load_disturbance=!DisturbanceForce {}"],
+    "draws": {
+        "simulated.load_mass": {"uniform": [0.7, 1.3]},
+        "load_disturbance.gust_force": {"uniform": [0.0, 0.3]},
+        "load_disturbance.seed": {"seed": True},
+    },
+}
+_CONSTANT = "optimization_layer=ConstantParameters"
+_PREPARED = 16  # runs whose preparation is timed
+
+
+def benchmark_many(
+    scenario: Scenario,
+    *,
+    runs: int = 100,
+    repeats: int = 5,
+    progress: Callable[[str, float], None] = lambda what, share: None,
+) -> dict[str, Any]:
+    """Times runs of the success study's kind, with the scenario's layer and with constant ξ and A.
+
+    Args:
+        scenario: what is flown, with other masses and gusts in each run.
+        runs: of a sweep, by a process per core.
+        repeats: of all else, of which medians are taken.
+        progress: called with what is being done and the share of it that is done.
+
+    Returns:
+        What `drake-nonstop bench many` writes as JSON. `preparation` is the time of a run of one
+        sample by `simulate_many` over that by `simulate` of the diagram; `run` that of a run of the
+        sweep, with its metrics and the processes' start, over that of one by `simulate` of the
+        diagram with its metrics.
+
+    Raises:
+        ScenarioError: the scenario cannot be flown so.
+    """
+    layers: dict[str, Any] = {}
+    for k, (name, overrides) in enumerate({"default": [], "constant": [_CONSTANT]}.items()):
+        layers[name] = _of_layer(changed(scenario, overrides), runs, repeats)
+        progress("flying", (k + 1) / 2)
+    found = {
+        "scenario": scenario.name,
+        "runs": runs,
+        "processes": os.cpu_count(),
+        "versions": versions(*PACKAGES),
+        "layers": layers,
+    }
+    if importlib.util.find_spec("gymnasium") is not None:
+        constant = changed(scenario, [_CONSTANT])
+        found["environment"] = environment_ratio(constant, repeats=repeats)
+    return found
+
+
+def _of_layer(scenario: Scenario, runs: int, repeats: int) -> dict[str, Any]:
+    spec = SweepSpec(runs=max(runs, _PREPARED), **_SUCCESS)
+    short = [f"simulation_duration={scenario.control_period}"]
+    planned = [spec.run(k).overrides for k in range(_PREPARED)]
+    own = [changed(scenario, [str(text) for text in texts]) for texts in planned]
+    brief = [changed(each, short) for each in own]
+    with without_warnings(), tempfile.TemporaryDirectory() as folder:
+        unchecked: dict[str, Any] = {"check_step": StepCheck.NOTHING, "engine": COMPILED}
+        apart = _median(repeats, lambda k: simulate(brief[k], **unchecked | {"engine": DIAGRAM}))
+        together = _median(repeats, lambda k: simulate_many(brief, **unchecked)) / _PREPARED
+        one = _median(repeats, lambda k: compute_metrics(simulate(own[k], engine=DIAGRAM)))
+        start = time.perf_counter()
+        sweep(scenario, SweepSpec(runs=runs, **_SUCCESS), folder)
+        each = (time.perf_counter() - start) / runs
+    return {
+        "preparation_s": [together, apart],
+        "run_s": [each, one],
+        "ratios": {"preparation": together / apart, "run": each / one},
+    }
+
+
+def _median(repeats: int, call: Callable[[int], Any]) -> float:
+    """The median time of calls, s, after a first one that is not timed."""
+    seconds = []
+    for k in range(-1, repeats):
+        start = time.perf_counter()
+        call(max(k, 0) % _PREPARED)
+        seconds.append(time.perf_counter() - start)
+    return statistics.median(seconds[1:])
+
+
+def table(results: dict[str, Any]) -> str:
+    """The results as text."""
+    rows = []
+    for name, found in results["layers"].items():
+        for what, ratio in found["ratios"].items():
+            many, one = found[f"{what}_s"]
+            rows.append(
+                f"{name:>9} layer, {what:<11}  {1e3 * many:8.1f} ms of {1e3 * one:8.1f} ms by the "
+                f"diagram, 1/{1 / ratio:.0f}"
+            )
+    if "environment" in results:
+        found = results["environment"]
+        rows.append(f"{found['environments']} environments: {found['ratio']:.0f} times one's steps")
+    return "\n".join(rows)
 
 
 def environment_ratio(

@@ -2,6 +2,8 @@
 
 import contextlib
 import copy
+import functools
+import pickle
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import is_dataclass, replace
 from typing import Any, NamedTuple, Protocol, TypeVar
@@ -161,8 +163,23 @@ def connected(boxes: Boxes, parts: Parts, inputs: Collection[str]) -> Diagram:
 
 def models_of(scenario: LoopConfig) -> tuple[Model, Model]:
     """Models of what the controllers believe, and of what is simulated."""
-    believed = Model(scenario.system, scenario.pattern, scenario.control_period)
-    plant = overridden(scenario.system, scenario.simulated)
+    own = scenario.system, scenario.simulated, scenario.pattern, scenario.control_period
+    try:
+        return _models_of(pickle.dumps(own))
+    except (pickle.PicklingError, AttributeError, TypeError):  # a pattern of the user's own
+        return _models(*own)
+
+
+@functools.lru_cache(maxsize=64)
+def _models_of(content: bytes) -> tuple[Model, Model]:
+    return _models(*pickle.loads(content))
+
+
+def _models(
+    system: SystemParameters, simulated: Any, pattern: PatternConfig, control_period: float
+) -> tuple[Model, Model]:
+    believed = Model(system, pattern, control_period)
+    plant = overridden(system, simulated)
     require(
         len(plant.attachments) == believed.n,
         "simulated.attachments",
@@ -171,10 +188,10 @@ def models_of(scenario: LoopConfig) -> tuple[Model, Model]:
     )
     simulated = Model(
         plant,
-        scenario.pattern,
-        scenario.control_period,
+        pattern,
+        control_period,
         field="simulated",
-        overridden=given_fields(scenario.simulated),
+        overridden=given_fields(simulated),
     )
     return believed, simulated
 

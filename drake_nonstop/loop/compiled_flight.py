@@ -100,7 +100,7 @@ class CompiledFlight(LoopFlight):
         self._no_answers = np.zeros(layout.answers_size)
         self._systems = [*layout.numbers]
         self._outside = ExogenousInputs(
-            [] if whole is None else whole.readings, self._sources, period
+            [] if whole is None else whole.readings, self._sources, period, layout.shared_rows
         )
         self._stepped: dict[System, SteppedBlock] = {}
         self._watched = [_watched(layout, block, context) for block in layout.of_users]

@@ -11,10 +11,12 @@ from pydrake.systems.framework import Context, PortDataType
 
 from drake_nonstop.loop.block_events import sample_times
 from drake_nonstop.loop.functions import Reading
-from drake_nonstop.systems.block import has_own
+from drake_nonstop.systems.block import has_own, is_of_package
 from drake_nonstop.systems.diagram_trace import QUANTITIES, ROWS, TAKE_CONFIG
 
 _MOST_SAMPLES = 128  # for which what stands outside is evaluated at once
+_MOST_AHEAD = 512  # likewise, of a long flight; no more than it has flown
+_MOST_SHARED = 64  # rows of sources that all flights of a loop share
 _MOST_KEPT = 100  # times so many samples, for flights that share them
 
 
@@ -25,9 +27,11 @@ class Source:
     """
 
     def __init__(self, block: Any, context: Context):
-        self._block, self._context = block, context
+        self.block, self._context = block, context
         self._time = math.nan
         self._known: dict[int | str, Any] = {}  # at that time
+        groups = context.num_numeric_parameter_groups() + context.num_abstract_parameters()
+        self.is_fixed = groups == 0 and is_of_package(block)  # its values follow from the time
 
     def is_like(self, other: "Source") -> bool:
         """Whether it is certain that another one of the block has the same values."""
@@ -47,7 +51,7 @@ class Source:
             if self._has_rows(output):
                 self._known[output] = self._rows([output], np.array([at]))[0][0]
             else:
-                self._known[output] = self._block.get_output_port(output).Eval(self._context)
+                self._known[output] = self.block.get_output_port(output).Eval(self._context)
         return self._known[output]
 
     def values(self, outputs: Sequence[int | str], times: NDArray) -> list[NDArray]:
@@ -64,8 +68,8 @@ class Source:
         """Whether the block gives rows of an output, and not its ports alone."""
         if isinstance(output, str):
             return True
-        port = self._block.get_output_port(output)
-        return has_own(self._block, ROWS) and port.get_data_type() == PortDataType.kVectorValued
+        port = self.block.get_output_port(output)
+        return has_own(self.block, ROWS) and port.get_data_type() == PortDataType.kVectorValued
 
     def _rows(self, outputs: Sequence[int | str], times: NDArray) -> list[NDArray]:
         """Values of quantities, or of ports.
@@ -74,23 +78,35 @@ class Source:
             ValueError: the block gives other rows than its ports have.
         """
         if isinstance(outputs[0], str):
-            return getattr(self._block, QUANTITIES)(outputs, times)
-        ports = [self._block.get_output_port(output) for output in outputs]
+            return getattr(self.block, QUANTITIES)(outputs, times)
+        ports = [self.block.get_output_port(output) for output in outputs]
         names = [port.get_name() for port in ports]
-        given = (self._context,) if hasattr(self._block, TAKE_CONFIG) else ()
-        rows = getattr(self._block, ROWS)(names, times, *given)
+        given = (self._context,) if hasattr(self.block, TAKE_CONFIG) else ()
+        rows = getattr(self.block, ROWS)(names, times, *given)
         for port, own in zip(ports, rows, strict=True):
             if own.shape != (len(times), port.size()):
-                name = f"{self._block.get_name()}.{ROWS}"
+                name = f"{self.block.get_name()}.{ROWS}"
                 raise ValueError(f"{name}: rows {own.shape} of {port.get_name()} ({port.size()})")
         return rows
 
 
 class ExogenousInputs:
-    """Inputs from outside of the function of a whole sample, for many samples at once."""
+    """Inputs from outside of the function of a whole sample, for many samples at once.
 
-    def __init__(self, readings: Sequence[Reading], sources: Mapping[int, Source], period: float):
+    Flights of a loop with the same `shared` rows evaluate once what depends on the time alone.
+    """
+
+    def __init__(
+        self,
+        readings: Sequence[Reading],
+        sources: Mapping[int, Source],
+        period: float,
+        shared: dict[Any, list[NDArray]],
+    ):
         self._readings, self._sources, self._period = readings, sources, period
+        self._shared = shared
+        read = {reading.system for reading in readings}
+        self._is_ours = all(is_of_package(sources[number].block) for number in read)
         self._first = self._end = 0  # samples, of the rows
         self._times = np.zeros(0)
         self._rows = np.zeros((0, 0))
@@ -104,6 +120,8 @@ class ExogenousInputs:
         """The times (k,), s, and the rows (k, size) of samples from the first on."""
         if not self._first <= first < self._end:
             self._first, count = first, min(most, _MOST_SAMPLES)
+            if self._is_ours:  # one of a user's may end with the flight
+                count = min(max(most, first), _MOST_AHEAD)
             if self._kept is not None:
                 self._first, count = first - first % _MOST_SAMPLES, _MOST_SAMPLES
             self._times, self._rows = (self._kept or self._made)(self._first, count)
@@ -125,7 +143,13 @@ class ExogenousInputs:
             times, places = np.unique(np.array(at), return_inverse=True)
             places = places.reshape(len(own), -1)
             outputs = [*dict.fromkeys(self._readings[k].output for k in own)]
-            rows = dict(zip(outputs, self._sources[number].values(outputs, times), strict=True))
+            key = number, first, count
+            found = self._shared.get(key)
+            if found is None:
+                found = self._sources[number].values(outputs, times)
+            if self._sources[number].is_fixed and len(self._shared) < _MOST_SHARED:
+                self._shared[key] = found
+            rows = dict(zip(outputs, found, strict=True))
             for k, place in zip(own, places, strict=True):
                 columns[k] = rows[self._readings[k].output][place]
         return now, np.hstack([np.zeros((count, 0)), *columns])

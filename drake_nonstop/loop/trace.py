@@ -54,6 +54,7 @@ class LoopLayout:
     def __init__(self, diagram: Diagram):
         root = diagram.CreateDefaultContext()
         self.diagram, self.wires = diagram, Wires(diagram)
+        self.shared_rows: dict[Any, list[NDArray]] = {}  # see `ExogenousInputs`
         self.blocks = diagram.GetSystems()
         self.outside = {block for block in self.blocks if not is_traceable(block)}
         self.held = [b for b in self.blocks if b in self.outside and b.num_input_ports() > 0]
