@@ -201,16 +201,19 @@ def write_pictures(
     """Writes diagram.svg, replay.html and figures/, each of which appears once it is complete.
 
     Earlier pictures that are not asked for are removed at the end. With `may_fork`, for a process
-    without threads that may hold a lock, a fork draws the figures meanwhile.
+    without threads that may hold a lock, a fork draws most of the figures meanwhile.
     """
     folder = as_path(folder)
     todo = [_DIAGRAM, _REPLAY] if replay else [_DIAGRAM]
     drawn = [f"figures/{name}.png" for name in figure_names(run)] if figures else []
     if drawn and may_fork and sys.platform == "linux" and len(os.sched_getaffinity(0)) > 1:
-        with shared([folder]), forked(partial(_write_each, run, folder, drawn)) as fork:
-            _write_each(run, folder, todo, progress)
+        import matplotlib.figure  # noqa: F401 - once, for both processes
+
+        most = drawn[len(drawn) // 4 :]
+        with shared([folder]), forked(partial(_write_each, run, folder, most)) as fork:
+            _write_each(run, folder, [*todo, *drawn[: len(drawn) // 4]], progress)
             fork.join()
-        left = drawn if fork.exitcode else []  # this process tells why
+        left = most if fork.exitcode else []  # this process tells why
     else:
         left = [*todo, *drawn]
     _write_each(run, folder, left, progress)

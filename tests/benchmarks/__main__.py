@@ -9,7 +9,7 @@ from pathlib import Path
 sys.path[:0] = [str(Path(__file__).parents[2]), str(Path(__file__).parents[1])]
 
 import drake_nonstop.studies.one_blas_thread  # noqa: E402, F401
-from benchmarks import accuracy, claims, optimizer, scaling, viewer, whole_tasks  # noqa: E402
+from benchmarks import accuracy, claims, optimizer, scaling, shell, viewer, whole_tasks  # noqa: E402
 from benchmarks.browser import find_browser  # noqa: E402
 from drake_nonstop.cli.arguments import (  # noqa: E402
     Commands,
@@ -84,6 +84,26 @@ def _add_viewer(commands: Commands) -> None:
 def _viewer(options: argparse.Namespace) -> int:
     measure = partial(viewer.benchmark_viewer, read_scenario(options))
     return run_benchmark(options, "viewer", measure, viewer.table)
+
+
+def _add_shell(commands: Commands) -> None:
+    parser = commands.add_parser("shell", help="how long `drake-nonstop run` takes, with pictures")
+    parser.set_defaults(action=_shell)
+    add_scenario(parser, "out/bench", default="quintic")
+    add_repeats(parser, 5)
+    parser.add_argument("--against-revision", metavar="REV", help="run that one, too")
+
+
+def _shell(options: argparse.Namespace) -> int:
+    require_repeats(options)
+    read_scenario(options)
+    measure = partial(
+        shell.benchmark_shell,
+        [options.scenario, *(f"--set={change}" for change in options.set)],
+        options.against_revision,
+        repeats=options.repeats,
+    )
+    return run_benchmark(options, "shell", measure, shell.table)
 
 
 def _add_optimizer(commands: Commands) -> None:
@@ -205,11 +225,17 @@ def _report(options: argparse.Namespace) -> int:
     return FAILED if failed else 0
 
 
+_COMMANDS = (
+    *(_add_optimizer, _add_viewer, _add_accuracy, _add_scale, _add_shell, _add_pictures),
+    _add_report,
+)
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Runs the command; returns the exit code."""
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks", description=__doc__)
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    for add in (_add_optimizer, _add_viewer, _add_accuracy, _add_scale, _add_pictures, _add_report):
+    for add in _COMMANDS:
         add(commands)
     options = parser.parse_args(arguments)
     try:
