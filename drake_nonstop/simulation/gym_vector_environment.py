@@ -43,6 +43,7 @@ from drake_nonstop.simulation.gym_environment import (
     observation_size,
     samples_of,
 )
+from drake_nonstop.systems.block import is_of_package
 from drake_nonstop.systems.tracing import NotFiniteError
 from drake_nonstop.validation import StrictFields, require, require_whole
 
@@ -164,18 +165,29 @@ class _Start:
         """Sets a flight of the loop to the start of an episode."""
         flight.go_to(0, self._state)
 
-    def end(self, flown: Advance) -> tuple[NDArray, bool]:
-        """The observation (size,) after a flight, and whether a block has ended the run there."""
-        size = len(self.observation)
+    def ends(self, flown: Sequence[Advance]) -> tuple[NDArray, NDArray]:
+        """Observations (k, size) after flights, and whether a block has ended the run there (k,)."""
+        has_ended = np.zeros(len(flown), bool)
         if not self._ending:
-            return flown.signals[-1, :size], False
-        rows = flown.step_signals
+            return np.array([each.signals[-1] for each in flown]), has_ended
+        rows = [each.step_signals for each in flown]
+        last = np.array([own[-1] for own in rows])
+        for i, own in enumerate(rows if self._is_over(np.concatenate(rows)) else []):
+            if self._is_over(own):
+                has_ended[i] = True
+                last[i] = next(own[k] for k in range(len(own)) if self._is_over(own[k : k + 1]))
+        return last[:, : len(self.observation)], has_ended
+
+    def _is_over(self, rows: NDArray) -> bool:
+        """Whether a block ends a run in one of some rows (k, size) of signals."""
         shown = by_name(self._loop.step_signals, rows)
-        for k in range(len(rows)):
-            for block, context in self._ending:
-                if block.ends_run(context, shown[block.ending_signal][k]):
-                    return rows[k, :size], True
-        return rows[-1, :size], False
+        for block, context in self._ending:
+            values = shown[block.ending_signal]
+            # The package's blocks take rows, of which they look at each.
+            for each in [values] if is_of_package(block) else values:
+                if block.ends_run(context, each):
+                    return True
+        return False
 
 
 class NonstopVecEnv(VectorEnv[NDArray, NDArray, NDArray]):
@@ -262,14 +274,18 @@ class NonstopVecEnv(VectorEnv[NDArray, NDArray, NDArray]):
         flown = advance_together(self._flights, [start.samples for start in self._starts])
         has_diverged = np.array([each.error is not None for each in flown])
         has_ended = has_diverged.copy()
+        lanes: dict[_Start, list[int]] = {}  # of those that go on, by their starts
         messages = {}
         for i, (start, each) in enumerate(zip(self._starts, flown, strict=True)):
             if each.error is None:
-                self._observations[i], has_ended[i] = start.end(each)
+                lanes.setdefault(start, []).append(i)
             elif isinstance(each.error, NotFiniteError):
                 messages[i] = {"message": str(each.error)}
             else:
                 raise each.error
+        for start, own in lanes.items():
+            ends = start.ends([flown[i] for i in own])
+            self._observations[own], has_ended[own] = ends
         rewards = np.where(has_diverged, DIVERGED, self._rewards(values, has_diverged))
         times = np.array([flight.time for flight in self._flights])
         is_truncated = ~has_ended & (times >= self._durations - 1e-9)

@@ -84,19 +84,29 @@ def test_a_divergence_ends_its_own_episode_alone():
     assert not env.step([HOLD, HOLD, HOLD])[2].any()
 
 
-@pytest.mark.parametrize(
-    "make", [make_gym_env, pytest.param(make_gym_vec_env, marks=pytest.mark.nightly("engines"))]
-)
-def test_a_stall_ends_an_episode(make):
-    scenario = load_scenario("aircraft_transfer")
-    n = {} if make is make_gym_env else {"n": 2}
-    env = make(scenario, time_step=0.2, **n)
+def test_a_stall_ends_an_episode():
+    env = make_gym_env(load_scenario("aircraft_transfer"), time_step=0.2)
     env.reset()
-    slowest = env.action_space.low
-    ends = [env.step(slowest)[2:4] for _ in range(7)]
-    assert not np.any(ends[:6])
-    assert np.all(ends[6][0])
-    assert not np.any(ends[6][1])
+    ends = [env.step(env.action_space.low)[2:4] for _ in range(7)]
+    assert ends == [(False, False)] * 6 + [(True, False)]
+
+
+@pytest.mark.nightly("engines")
+def test_a_stall_ends_its_own_episode_alone():
+    scenario = load_scenario("aircraft_transfer")
+    env, single = (
+        make_gym_vec_env(scenario, 2, time_step=0.2),
+        make_gym_env(scenario, time_step=0.2),
+    )
+    single.reset()
+    env.reset()
+    low, high = single.action_space.low, single.action_space.high
+    for _ in range(7):
+        shown, expected = env.step([low, (low + high) / 2]), single.step(low)
+    assert shown[2].tolist() == [True, False]
+    assert not shown[3].any()
+    assert shown[1][0] == pytest.approx(expected[1], abs=1e-9)
+    np.testing.assert_allclose(shown[4]["final_obs"][0], expected[0], rtol=0, atol=1e-9)
 
 
 def test_it_is_a_vector_environment(three):
