@@ -32,7 +32,7 @@ from drake_nonstop.systems.compilation import Compiled, c_text, compiled_for_pro
 from drake_nonstop.validation import require
 
 _FLIGHTS, _SAMPLES, _CALLS = 8, 40, 25  # how many of which are timed at once
-_SUCCESS = {  # as examples/success_study.yaml has it
+_SUCCESS: dict[str, Any] = {  # as examples/success_study.yaml has it
     "overrides": ["load_disturbance=!DisturbanceForce {}"],
     "draws": {
         "simulated.load_mass": {"uniform": [0.7, 1.3]},
