@@ -26,8 +26,9 @@ from drake_nonstop import (
 from drake_nonstop.loop import compiled_loop
 from drake_nonstop.simulation import recording
 from drake_nonstop.studies.run_all import attempt
+from drake_nonstop.systems import compilation
 from drake_nonstop.systems.block import LeafBlock
-from drake_nonstop.systems.compilation import compiler, tell_not_c
+from drake_nonstop.systems.compilation import compiler
 
 NONSTOP = "optimization_layer=NonstopOptimizer"
 NOTHING = StepCheck.NOTHING
@@ -186,7 +187,7 @@ def test_c_and_the_virtual_machine_fly_the_same_to_the_bit(tmp_path, monkeypatch
 def test_without_a_compiler_the_run_tells_it_and_only_who_asks_is_warned(monkeypatch):
     monkeypatch.setenv("CC", "no-such-compiler")
     compiled_loop._recent_functions.entries.clear()
-    tell_not_c.cache_clear()
+    compilation._tell.cache_clear()
     for engine, count in ((None, 0), ("compiled", 1)):
         run, told = flown("quintic", [CONSTANT, "simulation_duration=1.1"], engine)
         assert run.engine.startswith("compiled: virtual machine (there is no C compiler (CC = ")

@@ -34,7 +34,7 @@ needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C co
 def folder(tmp_path, monkeypatch):
     """A cache folder of its own, and warnings that have not been told yet."""
     monkeypatch.setenv("DRAKE_NONSTOP_CACHE", str(tmp_path / "cache"))
-    compilation.tell_not_c.cache_clear()
+    compilation._tell.cache_clear()
     return tmp_path / "cache"
 
 
