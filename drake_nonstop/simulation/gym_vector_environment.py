@@ -166,7 +166,7 @@ class _Start:
         flight.go_to(0, self._state)
 
     def ends(self, flown: Sequence[Advance]) -> tuple[NDArray, NDArray]:
-        """Observations (k, size) after flights, and whether a block has ended the run there (k,)."""
+        """Observations (k, size) after flights, and whether a block has ended the runs (k,)."""
         has_ended = np.zeros(len(flown), bool)
         if not self._ending:
             return np.array([each.signals[-1] for each in flown]), has_ended
