@@ -32,8 +32,8 @@ def bytes_of(value: Any) -> int:
 class LruCache:
     """Values made for the keys that were used last.
 
-    All caches of a process together hold no more than `MOST_BYTES`, and the last value: the largest
-    of them loses what was not used for longest. Values may grow: all are measured again once a
+    All caches of a process together hold no more than `MOST_BYTES`, or a value each: the largest of
+    them loses what was not used for longest. Values may grow: all are measured again once a
     twentieth of that is new.
     """
 
@@ -51,22 +51,23 @@ class LruCache:
             return make()
         with self._lock:
             found = self.entries.pop(key, None)
-            if found is None:
-                found = make()
+            is_new = found is None
+            found = self.entries[key] = make() if is_new else found
+            if is_new:
                 LruCache._new += bytes_of(found)
                 if LruCache._new > MOST_BYTES / 20:
                     self._make_room()
-            self.entries[key] = found
             return found
 
     def _make_room(self) -> None:
         """Removes entries until a twentieth of the room is free again."""
         LruCache._new = 0.0
-        sizes = [[*map(bytes_of, cache.entries.values())] for cache in self._all]
-        while any(sizes) and sum(map(sum, sizes)) > 0.95 * MOST_BYTES:
-            largest = max(range(len(sizes)), key=lambda k: sum(sizes[k]))
-            entries = self._all[largest].entries
-            del entries[next(iter(entries))], sizes[largest][0]
+        kept = [(cache.entries, [*map(bytes_of, cache.entries.values())]) for cache in self._all]
+        while sum(sum(sizes) for _, sizes in kept) > 0.95 * MOST_BYTES:
+            entries, sizes = max(kept, key=lambda pair: (len(pair[1]) > 1, sum(pair[1])))
+            if len(sizes) == 1:
+                break
+            del entries[next(iter(entries))], sizes[0]
 
 
 _traces = LruCache()
