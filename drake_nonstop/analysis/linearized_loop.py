@@ -11,6 +11,7 @@ from pydrake.systems.framework import Context, Diagram
 
 from drake_nonstop.loop.equilibrium import LOOP_SIGNALS
 from drake_nonstop.loop.plant_states import PlantStates
+from drake_nonstop.loop.traced_start import TracedStart
 from drake_nonstop.mechanics.signal_layouts import SAMPLE_TIME
 from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, SIGNAL_PERIOD, CarrierStates, LoadState
 from drake_nonstop.systems.port_state import copied_context
@@ -133,6 +134,49 @@ class LinearizedLoop:
         for direction in np.eye(LOAD_STATE_SIZE):
             samples.SetDiscreteState(0, held + _STEPS[0] * direction)
             columns.append((self._rate_now() - middle) / _STEPS[0])
+        return np.column_stack(columns) @ shown
+
+
+class LinearizedTrace(LinearizedLoop):
+    """The same by a loop's traced functions, whose carriers are points.
+
+    Args:
+        traced: the loop's start.
+        control_period: as of `LinearizedLoop`.
+    """
+
+    is_continuous = True
+
+    def __init__(self, traced: TracedStart, control_period: float):
+        self._traced, self._period = traced, control_period or SIGNAL_PERIOD
+        self._has_hold = control_period > 0
+        self._state = state = traced.initialized(traced.state)
+        load, carriers = LoadState.view(state[traced.load]), state[traced.carriers]
+        positions, velocities = CarrierStates.view(carriers)
+        turning = np.cross(load.angular_velocity, positions - load.position)
+        velocities[:] = load.velocity + turning
+        self._start = state[traced.continuous]
+        self._dynamics = _slopes(self._rate, self._start)
+
+    def _rate(self, state: NDArray) -> NDArray:
+        now = self._state.copy()
+        now[self._traced.continuous] = state
+        return self._rate_of(now)
+
+    def _rate_of(self, state: NDArray, at: float = 0.0) -> NDArray:
+        return self._traced.rest(state, at)[1][self._traced.continuous]
+
+    def _feedback(self) -> NDArray:
+        size, traced = len(self._start), self._traced
+        if traced.held is None or not self._has_hold:
+            return np.zeros((size, size))
+        middle = self._rate_of(self._state, self._period / 2)
+        columns = []
+        for k in range(LOAD_STATE_SIZE):
+            moved = self._state.copy()
+            moved[traced.held + k] += _STEPS[0]
+            columns.append((self._rate_of(moved, self._period / 2) - middle) / _STEPS[0])
+        shown = np.eye(len(self._state))[traced.load][:, traced.continuous]
         return np.column_stack(columns) @ shown
 
 

@@ -107,6 +107,7 @@ class CompiledFlight(LoopFlight):
         self._fixed: dict[tuple[System, int], Any] = {}
         self._abstract: list[tuple[Any, tuple[System, int]]] = []  # inputs that are no vectors
         self._asked: dict[Any, Context] = {}
+        self._begun: dict[Any, tuple[Any, NDArray]] = {}  # what was given to them, and their states
         for block in (*layout.held, *layout.self_updating):
             block_context = own_context(layout, block, context)
             for k in range(block.num_input_ports()):
@@ -139,27 +140,48 @@ class CompiledFlight(LoopFlight):
             NotFiniteError: a value is not finite, or is too large.
             NotCompilableError: as of `advance`.
         """
+        self._initialize()
+        signals, step_signals = self._call(self._shown)
+        return signals, step_signals
+
+    def initialized(self, state: NDArray) -> NDArray:
+        """The state after the initialization's updates from another one; as of `start`.
+
+        Blocks that make updates themselves, with inputs as the last time, are not asked again.
+        """
+        self.go_to(0, state)
+        self._initialize()
+        return self.state
+
+    def values_of(self, function: Evaluation, state: NDArray, at: float) -> list[NDArray]:
+        """Results of a function of an instant, at a time in s, of another state."""
+        read = [self._value(reading, at, at) for reading in function.readings]
+        return self._evaluated(function, state, self._parameters, np.array([at]), *read)
+
+    def _initialize(self) -> None:
         # Those whose first update what samples at the start reads begin before it.
         shown = [leaf for leaf in self._asked if getattr(leaf, "shows_first_update", False)]
         for leaf in shown:
-            self._give(self._call(self._at_start)[1])
-            self._begin(leaf)
+            read = self._call(self._at_start)[1]
+            self._give(read)
+            self._begin(leaf, read)
         self._state, read, *_ = self._call(self._at_start)
         self._give(read)
         for block in (*self._stepped.values(), *self._watched):
             block.start()
         for leaf in self._asked:
             if leaf not in shown:
-                self._begin(leaf)
-        signals, step_signals = self._call(self._shown)
-        return signals, step_signals
+                self._begin(leaf, read)
 
-    def _begin(self, leaf: System) -> None:
+    def _begin(self, leaf: System, read: NDArray) -> None:
         """Lets a leaf make its own updates of the initialization, with the inputs it was given."""
-        context = self._asked[leaf]
-        self._set(leaf, context, self._state)
-        Simulator(leaf, context).Initialize()
-        self._state[self._layout.places[leaf]] = discrete_state_of(context.get_discrete_state())
+        given = read.tobytes(), self._place_of(leaf, self._state).tobytes()
+        if leaf not in self._begun or self._begun[leaf][0] != given:
+            context = self._asked[leaf]
+            self._set(leaf, context, self._state)
+            Simulator(leaf, context).Initialize()
+            self._begun[leaf] = given, discrete_state_of(context.get_discrete_state())
+        self._state[self._layout.places[leaf]] = self._begun[leaf][1]
 
     def fly(self, samples: int) -> NDArray:
         """Starts, and goes on to a sample; the `signals` (1 + instants, size).

@@ -166,6 +166,7 @@ class CompiledLoop:
         signals, step_signals: the names of the signals with their sizes, in order.
         step_ends: (steps,), s, where the integrator's steps end after a sample.
         shown_per_sample: the number of the signals' instants in a sample.
+        layout: the order of its states and parameters.
 
     Raises:
         ScenarioError: the loop cannot be traced, see `reason_against`, or the signals' period is no
@@ -195,7 +196,7 @@ class CompiledLoop:
         require(is_whole, "signal_period", signal_period, remedy)
         self._schedule = _schedule(control_period, self.shown_per_sample, config.max_step_size)
         self.step_ends = np.array([step.end for step in self._schedule])
-        self._layout = LoopLayout(diagram)
+        self.layout = LoopLayout(diagram)
         ports = [diagram.get_output_port(k) for k in range(diagram.num_output_ports())]
         vectors = [p for p in ports if p.get_data_type() == PortDataType.kVectorValued]
         sizes = {port.get_name(): port.size() for port in vectors}
@@ -220,14 +221,14 @@ class CompiledLoop:
     @cached_property
     def _content(self) -> Any:
         """Key of the traces of an instant, which can be hashed; None: it is not known."""
-        layout = self._layout
+        layout = self.layout
         content = trace_content(self.diagram, layout.wires, layout.is_outside)
         states = tuple(map(tuple, layout.state_sizes.values()))
         return None if content is None else (content, states, *layout.parameter_sizes)
 
     def _key(self) -> Any:
         """Key of the traces of a sample."""
-        layout, content = self._layout, self._content
+        layout, content = self.layout, self._content
         if content is None:
             return None
         ports = []
@@ -238,13 +239,13 @@ class CompiledLoop:
         return content, tuple(ports), len(self.signals), tuple(self._schedule)
 
     def _traced(self) -> LoopFunctions:
-        trace = LoopTrace(self._layout)
+        trace = LoopTrace(self.layout)
         shown = trace.shown(self.signals, self.step_signals)
-        symbols = Symbols(self._layout.numbers)
+        symbols = Symbols(self.layout.numbers)
         at_once = Traced(shown(trace.arguments[0], 0.0, symbols), trace.arguments, symbols)
         steps = trace.steps(self._schedule, shown)
         at_sample = whole = None
-        if self._layout.held:
+        if self.layout.held:
             at_sample = LoopFunction(trace.updates())
         else:
             whole = trace.whole(self._schedule, shown)
@@ -256,6 +257,17 @@ class CompiledLoop:
             whole=whole,
         )
 
+    @property
+    def rest_function(self) -> LoopFunction:
+        """The signal `carrier_reference` and the rates of the state."""
+        functions = self._functions
+        if functions.rest is None:
+            trace, symbols = LoopTrace(self.layout), Symbols(self.layout.numbers)
+            now = trace.arguments[0], 0.0, symbols
+            results = [*trace.shown(["carrier_reference"])(*now), *trace.rates(*now)]
+            functions.rest = LoopFunction(Traced(results, trace.arguments, symbols))
+        return functions.rest
+
     def fly(self, context: Context, largest: float = LARGEST) -> CompiledFlight:
         """A flight from a context of the diagram, at t = 0, which stays as it is.
 
@@ -266,7 +278,7 @@ class CompiledLoop:
         """
         self._require_start(context)
         return CompiledFlight(
-            self._layout,
+            self.layout,
             self._functions,
             compiles=self._compiles,
             period=self.control_period,
@@ -292,12 +304,12 @@ class CompiledLoop:
     def state_of(self, context: Context) -> NDArray:
         """The states (k,) of all blocks in a context of the diagram, as of `CompiledFlight`."""
         require_context("context", self.diagram, context)
-        return self._layout.state_of(context)
+        return self.layout.state_of(context)
 
     @property
     def state_names(self) -> list[str]:
         """Of each state the path of its system in the diagram, and its number in that."""
-        return self._layout.state_names
+        return self.layout.state_names
 
     @property
     def parameter_names(self) -> list[str]:
@@ -306,7 +318,7 @@ class CompiledLoop:
         Where a block's trace takes other numbers, as that of a layer that searches does, they have
         numbers alone.
         """
-        return self._layout.parameter_names
+        return self.layout.parameter_names
 
     def fly_with_derivatives(self, context: Context) -> DerivativeFlight:
         """Returns the rates with the exact derivatives of the states.
@@ -318,24 +330,24 @@ class CompiledLoop:
         self._require_start(context)
         functions = self._derivatives
         return DerivativeFlight(
-            self._layout, functions, self.control_period, self._schedule, context
+            self.layout, functions, self.control_period, self._schedule, context
         )
 
     @cached_property
     def _derivatives(self) -> DerivativeFunctions:
-        made = functools.partial(derivative_functions, self._layout)
+        made = functools.partial(derivative_functions, self.layout)
         functions: DerivativeFunctions = _recent_derivatives.get(self._content, made)
         return functions
 
     @property
     def blocks_without_derivatives(self) -> list[str]:
         """The names of those that search, or are stepped by Simulators of their own."""
-        return [*self._layout.updating]
+        return [*self.layout.updating]
 
     @property
     def blocks_beside(self) -> list[str]:
         """The names of the blocks that are stepped by Simulators of their own."""
-        return [block.get_name() for block in self._layout.held]
+        return [block.get_name() for block in self.layout.held]
 
     @property
     def is_compiled(self) -> bool:

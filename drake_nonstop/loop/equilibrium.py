@@ -3,6 +3,7 @@
 import contextlib
 import math
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,7 +47,7 @@ _NEAR = np.repeat([_REACH, 0.0], [7, 6])  # of a load that may be at its equilib
 _DROPS = (0.0, 0.001, 0.003, 0.01, 0.03, 0.1)  # m, below the reference, to start looking from
 
 
-def set_equilibrium(nonstop: Diagram, context: Context) -> None:
+def set_equilibrium(nonstop: Diagram, context: Context, traced: Any = None) -> None:
     """Sets load and carriers in `context` to the equilibrium of the loop as configured.
 
     The carriers start on their references, with their velocities; the load starts where
@@ -61,7 +62,7 @@ def set_equilibrium(nonstop: Diagram, context: Context) -> None:
     found by the names of their output ports, whatever the blocks are called, however deep in
     `nonstop` they are, and whether it exports the ports or not; where several blocks have a port of
     that name, the one that it exports counts. A load that is at its equilibrium already stays where
-    it is.
+    it is. A `TracedStart` of the context finds it sooner, if `traced` is one.
 
     Raises:
         ScenarioError: the cables cannot hold the load, a block does not show the state that is
@@ -71,6 +72,8 @@ def set_equilibrium(nonstop: Diagram, context: Context) -> None:
     require_own_context("set_equilibrium", nonstop, context)
     require_signals(nonstop, LOOP_SIGNALS, "set_equilibrium", is_exporting=False)
     nonstop, context = innermost(nonstop, context, LOOP_SIGNALS)
+    if traced is not None and _settle_traced(nonstop, context, traced):
+        return
     trial = copied_context(nonstop, context)
     with block_named(nonstop, trial):
         _settle(nonstop, trial)
@@ -134,27 +137,66 @@ def _settle(nonstop: Diagram, trial: Context) -> None:
         plant.trim(trial, **settled)
         return plant.load_acceleration(trial) - desired_rate
 
-    def settle(offset: NDArray) -> NDArray:
-        """The same at a rotation and shift from the reference."""
-        return settle_at(_moved(reference[:LOAD_STATE_SIZE], offset))
-
-    given = plant.states(trial).get("load_state")
-    if given is not None and np.all(np.abs(given - reference[:LOAD_STATE_SIZE]) <= _NEAR):
-        residual = settle_at(given)
-        if np.max(np.abs(residual)) < _REST / 1e3:
-            return
-    for drop in _DROPS:
-        residual, is_far = _newton(settle, np.array([0, 0, 0, 0, 0, -drop]))
-        if np.max(np.abs(residual)) < _REST:
-            return
-        if is_far:  # from the other starts, too
-            break
+    residual = _searched(settle_at, plant.states(trial).get("load_state"), reference)
+    if np.max(np.abs(residual)) < _REST:
+        return
     cause = _cause_of_motion(plant, trial, plant.load_acceleration(trial))
     cause += plant.acceleration_source(trial)
     raise ScenarioError(
         f"start = an acceleration of {np.max(np.abs(residual)):.2g} m/s^2 beside that of the "
         f"reference: the cables do not hold the load near its reference; {cause}"
     )
+
+
+def _settle_traced(nonstop: Diagram, context: Context, traced: Any) -> bool:
+    """The same by the traced functions, in the context; False: the diagram has to tell the rest."""
+    plant = PlantStates(nonstop)
+    reference = plant.required(context, "reference")
+    desired = LoadReference.view(reference)
+    desired_rate = np.concatenate([desired.angular_acceleration, desired.acceleration])
+    start = traced.state.copy()
+    given = start[traced.load].copy()
+    settled: list[NDArray] = []
+
+    def settle_at(load_state: NDArray) -> NDArray:
+        start[traced.load] = load_state
+        state = traced.initialized(start)
+        start[traced.carriers] = state[traced.carriers] = traced.rest(state)[0]
+        settled[:] = [load_state, state[traced.carriers]]
+        rate = LoadState.view(traced.rest(state)[1][traced.load])
+        return np.concatenate([rate.angular_velocity, rate.velocity]) - desired_rate
+
+    try:
+        residual = _searched(settle_at, given, reference)
+    except Exception:  # whatever a block may raise, which its diagram does again
+        return False
+    if not np.max(np.abs(residual)) < _REST:
+        return False
+    plant.set_states(context, load_state=settled[0], carrier_state=settled[1])
+    return True
+
+
+def _searched(
+    settle_at: Callable[[NDArray], NDArray], given: NDArray | None, reference: NDArray
+) -> NDArray:
+    """The acceleration (6,) that is left where the search for an equilibrium ends.
+
+    `settle_at` returns it for a load state (13,); `given` is that of now, None: it has none.
+    """
+
+    def settle(offset: NDArray) -> NDArray:
+        """The same at a rotation and shift from the reference."""
+        return settle_at(_moved(reference[:LOAD_STATE_SIZE], offset))
+
+    if given is not None and np.all(np.abs(given - reference[:LOAD_STATE_SIZE]) <= _NEAR):
+        residual = settle_at(given)
+        if np.max(np.abs(residual)) < _REST / 1e3:
+            return residual
+    for drop in _DROPS:
+        residual, is_far = _newton(settle, np.array([0, 0, 0, 0, 0, -drop]))
+        if np.max(np.abs(residual)) < _REST or is_far:  # far from the other starts, too
+            break
+    return residual
 
 
 def _cause_of_motion(plant: PlantStates, context: Context, acceleration: NDArray) -> str:

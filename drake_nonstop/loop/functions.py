@@ -142,6 +142,7 @@ class LoopFunctions:
     at_sample: LoopFunction | None  # where blocks are stepped between it and `after_sample`
     whole: LoopFunction | None  # where none are: both in one
     samples: int = 0  # that loops have asked for
+    rest: LoopFunction | None = None  # see `CompiledLoop.rest_function`; None: not asked for
 
     @property
     def of_samples(self) -> list[LoopFunction]:

@@ -250,6 +250,11 @@ class PlantStates:
         return others
 
 
+def has_own_states(block: Any, signal: str) -> bool:
+    """Whether a block that shows its state in a signal sets no further ones with it."""
+    return not (hasattr(block, _TRIMS[signal]) or hasattr(block, _TRIM_TO))
+
+
 def _port_with_state(nonstop: Diagram, signal: str) -> OutputPort:
     """The port that shows the state: of the block in a diagram that has one of the methods."""
     outermost = port = ports_of(nonstop, signal)[0]

@@ -8,13 +8,20 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from pydrake.systems.analysis import ApplySimulatorConfig, InitializeParams, Simulator
+from pydrake.systems.analysis import (
+    ApplySimulatorConfig,
+    InitializeParams,
+    Simulator,
+    SimulatorConfig,
+)
 from pydrake.systems.framework import Context, Diagram, System
 
 from drake_nonstop.diagrams.nonstop import make_nonstop, replaced
 from drake_nonstop.loop.block_events import NotCompilableError
+from drake_nonstop.loop.compiled_loop import CompiledLoop
 from drake_nonstop.loop.equilibrium import set_equilibrium
 from drake_nonstop.loop.plant_states import PlantStates
+from drake_nonstop.loop.traced_start import TracedStart
 from drake_nonstop.scenario.proportions import warn_of_angles
 from drake_nonstop.scenario.schema import COMPILED, DIAGRAM, Scenario, check
 from drake_nonstop.simulation.built_loop import BuiltLoop, SharedLoops, Viewer
@@ -140,10 +147,10 @@ class Flight:
         """The loop's own."""
         return self.nonstop.GetMyMutableContextFromRoot(self.context)
 
-    def prepare(self) -> ChosenStep:
+    def prepare(self, engine: str) -> ChosenStep:
         """Sets the equilibrium and the step, and warns of what a user may not expect."""
         request, scenario, nonstop = self._request, self.scenario, self.nonstop
-        set_equilibrium(nonstop, self.loop_context)
+        set_equilibrium(nonstop, self.loop_context, self._traced_start(engine))
         if not self.is_shared:
             PlantStates(nonstop).declare_defaults(self.loop_context)
         warn_of_other_bound(nonstop, self.loop_context, self._stated_bound)
@@ -151,7 +158,8 @@ class Flight:
             warn_of_angles(scenario)
             warn_of_margins(scenario, nonstop, self.loop_context)
             warn_of_growth(scenario, nonstop, self.loop_context, self._described)
-        chosen = with_chosen_step(scenario, nonstop, self.loop_context)
+        traced = self._traced_start(engine)
+        chosen = with_chosen_step(scenario, nonstop, self.loop_context, traced)
         if request.after_step is None:  # which may end a run of any duration
             require_room(nonstop, dataclasses.replace(scenario, simulator_config=chosen.config))
         ApplySimulatorConfig(chosen.config, self._simulator)
@@ -186,22 +194,36 @@ class Flight:
         finally:
             self._simulator.clear_monitor()  # each would keep the other alive
 
+    def _traced_start(self, engine: str) -> TracedStart | None:
+        """The start by the loop that is compiled with the steps that are asked for."""
+        loop = DIAGRAM if engine == DIAGRAM else self._compiled_loop(self.scenario.simulator_config)
+        if isinstance(loop, str) or not TracedStart.is_plain(loop):
+            return None
+        return TracedStart(loop, self.loop_context)
+
+    def _compiled_loop(
+        self, config: SimulatorConfig, steering: Sequence[str] = ()
+    ) -> CompiledLoop | str:
+        """The loop that is compiled with these steps, or why it cannot be."""
+        found = self._loop.compiled.get(config.max_step_size)
+        if found is None or steering:
+            made = compiled_loop_of(self.scenario, self._logs, config, steering)
+            if isinstance(made, str):
+                return made
+            found = self._loop.compiled[config.max_step_size] = made
+        return found
+
     def _compiled(self, chosen: ChosenStep, engine: str) -> CompiledRun | None:
         """The compiled engine; None: it cannot fly this."""
         request = self._request
         given = {"viewers": request.viewers, "after_step": request.after_step}
         steering = [name for name, value in given.items() if value]
-        step = chosen.config.max_step_size
-        loop = self._loop.compiled.get(step)
-        if loop is None:
-            found = compiled_loop_of(self.scenario, self._logs, chosen.config, steering)
-            if isinstance(found, str):
-                tell_not_compiled(f"{found};", engine)
-                self.engine = f"{DIAGRAM}: {found}"
-                return None
-            loop = self._loop.compiled[step] = found
-        else:
-            loop.prepare(int(self.scenario.simulation_duration / self.scenario.control_period))
+        loop = self._compiled_loop(chosen.config, steering)
+        if isinstance(loop, str):
+            tell_not_compiled(f"{loop};", engine)
+            self.engine = f"{DIAGRAM}: {loop}"
+            return None
+        loop.prepare(int(self.scenario.simulation_duration / self.scenario.control_period))
         compared = None
         if not all(map(is_of_package, self.nonstop.GetSystems())):
             with without_warnings():

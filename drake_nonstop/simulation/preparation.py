@@ -14,6 +14,7 @@ from drake_nonstop.analysis.formation import growth_complaint
 from drake_nonstop.analysis.task import is_known, task_at
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.loop.equilibrium import block_named
+from drake_nonstop.loop.traced_start import TracedStart
 from drake_nonstop.scenario.proportions import out_of_proportion
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.recording import RUN_SIGNALS
@@ -60,7 +61,9 @@ def check_simulation(scenario: Scenario) -> None:
     require_ranges("scene", scenario.scene)
 
 
-def with_chosen_step(scenario: Scenario, nonstop: Diagram, context: Context) -> ChosenStep:
+def with_chosen_step(
+    scenario: Scenario, nonstop: Diagram, context: Context, traced: TracedStart | None = None
+) -> ChosenStep:
     """The scenario's `simulator_config`, or one with a shorter step, which a warning tells."""
     try:
         with block_named(nonstop, context):
@@ -71,6 +74,7 @@ def with_chosen_step(scenario: Scenario, nonstop: Diagram, context: Context) -> 
                 control_period=scenario.control_period,
                 duration=scenario.simulation_duration,
                 length=scenario.system.cable_length,
+                traced=traced,
             )
     except ScenarioError as error:
         raise ScenarioError("; ".join([str(error), *out_of_proportion(scenario)])) from None

@@ -116,7 +116,7 @@ def simulating(
 def _simulating(flight: Flight, request: Request, engine: str) -> Flying[Run]:
     """Prepares, flies, makes the run, and judges its step."""
     with flight.kept():
-        chosen = flight.prepare()
+        chosen = flight.prepare(engine)
         yield from flight.fly(engine, chosen)
     if flight.early_end is not None:
         return flight.run(flight.early_end)  # as it is: another step may end it elsewhere

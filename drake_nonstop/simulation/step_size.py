@@ -16,8 +16,9 @@ from pydrake.systems.analysis import (
 )
 from pydrake.systems.framework import Context, Diagram
 
-from drake_nonstop.analysis.linearized_loop import LinearizedLoop
+from drake_nonstop.analysis.linearized_loop import LinearizedLoop, LinearizedTrace
 from drake_nonstop.loop.equilibrium import on_reference
+from drake_nonstop.loop.traced_start import TracedStart
 from drake_nonstop.mechanics.signals import SIGNAL_PERIOD, CarrierStates, LoadReference, LoadState
 from drake_nonstop.simulation.moved_metrics import SHARE, SPEED_GRAIN, TENSION_GRAIN
 from drake_nonstop.systems.port_state import copied_context, set_state_values, state_values
@@ -58,6 +59,7 @@ def chosen_step(
     control_period: float,
     duration: float,
     length: float,
+    traced: TracedStart | None = None,
 ) -> ChosenStep:
     """A step that the scheme is stable at and that resolves the commanded motion.
 
@@ -70,13 +72,17 @@ def chosen_step(
         control_period: the controllers' sample time in s.
         duration: of the run, in s.
         length: of the cables, in m.
+        traced: of the context, by which the loop is linearized sooner; None: by its diagram.
 
     Raises:
         ScenarioError: the fastest mode asks for steps that would take for ever.
     """
     if not has_chosen_steps(config):
         return ChosenStep(config)
-    loop = LinearizedLoop(nonstop, context, control_period)
+    if traced is None:
+        loop = LinearizedLoop(nonstop, context, control_period)
+    else:
+        loop = LinearizedTrace(traced, control_period)
     stable = _stable(config, loop)
     chosen = _resolving(stable, nonstop, context, control_period, duration, length)
     reasons = []
