@@ -151,23 +151,23 @@ def _settle(nonstop: Diagram, trial: Context) -> None:
 def _settle_traced(nonstop: Diagram, context: Context, traced: Any) -> bool:
     """The same by the traced functions, in the context; False: the diagram has to tell the rest."""
     plant = PlantStates(nonstop)
-    reference = plant.required(context, "reference")
-    desired = LoadReference.view(reference)
-    desired_rate = np.concatenate([desired.angular_acceleration, desired.acceleration])
     start = traced.state.copy()
     given = start[traced.load].copy()
     settled: list[NDArray] = []
 
-    def settle_at(load_state: NDArray) -> NDArray:
+    def acceleration(load_state: NDArray) -> NDArray:
         start[traced.load] = load_state
         state = traced.initialized(start)
         start[traced.carriers] = state[traced.carriers] = traced.rest(state)[0]
         settled[:] = [load_state, state[traced.carriers]]
         rate = LoadState.view(traced.rest(state)[1][traced.load])
-        return np.concatenate([rate.angular_velocity, rate.velocity]) - desired_rate
+        return np.concatenate([rate.angular_velocity, rate.velocity])
 
     try:
-        residual = _searched(settle_at, given, reference)
+        reference = plant.required(context, "reference")
+        desired = LoadReference.view(reference)
+        wanted = np.concatenate([desired.angular_acceleration, desired.acceleration])
+        residual = _searched(lambda state: acceleration(state) - wanted, given, reference)
     except Exception:  # whatever a block may raise, which its diagram does again
         return False
     if not np.max(np.abs(residual)) < _REST:

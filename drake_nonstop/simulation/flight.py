@@ -199,7 +199,10 @@ class Flight:
         loop = DIAGRAM if engine == DIAGRAM else self._compiled_loop(self.scenario.simulator_config)
         if isinstance(loop, str) or not TracedStart.is_plain(loop):
             return None
-        return TracedStart(loop, self.loop_context)
+        try:
+            return TracedStart(loop, self.loop_context)
+        except NotFiniteError:  # which the diagram tells of
+            return None
 
     def _compiled_loop(
         self, config: SimulatorConfig, steering: Sequence[str] = ()
