@@ -36,7 +36,8 @@ class Source:
     def is_like(self, other: "Source") -> bool:
         """Whether it is certain that another one of the block has the same values."""
         own, others = self._context, other._context
-        return own.num_abstract_parameters() == 0 and all(
+        is_told = is_of_package(self.block) and own.num_abstract_parameters() == 0
+        return is_told and all(
             np.array_equal(*(c.get_numeric_parameter(k).value() for c in (own, others)))
             for k in range(own.num_numeric_parameter_groups())
         )

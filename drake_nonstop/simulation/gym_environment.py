@@ -32,7 +32,8 @@ PARAMETERS, WRENCH = "parameters", "wrench"  # what may be the action
 _ACTIONS, _OBSERVATIONS = "actions", "observations"
 OBSERVED = ("load_state", "reference", "carrier_state")
 DIVERGED = -1000.0  # the reward
-_ROUNDING = 1e-6  # of a bound
+_ROUNDING = 1e-6  # of a bound, or a period
+_TINY = np.finfo(float).tiny
 
 Reward = Callable[[NDArray, NDArray], float]  # of observation and action
 
@@ -96,12 +97,12 @@ class NonstopEnv(DrakeGymEnv):
                 reset, or the reward is no number.
         """
         require(self._is_reset, "step", "before reset", "call reset() first")
-        values = as_action(action, self.action_space)
+        values = as_actions(action, self.action_space)
         before = self._observation()
         # To the bit at a sample of the controllers: else some of their updates would come before
         # the observation, and others after it.
         period, self._steps = self._scenario.control_period, self._steps + 1
-        end, every = self._steps * self._given_step, samples_of(self._given_step, period)
+        every, end = samples_of(self._given_step, period), self._steps * self._given_step
         end = sample_times(self._steps * every, period) if every else end
         self.time_step = end - self.simulator.get_context().get_time()
         try:
@@ -118,19 +119,17 @@ class NonstopEnv(DrakeGymEnv):
 
         And the space of its actions.
         """
-        model = Model(scenario.system, scenario.pattern, scenario.control_period)
         self._scenario = scenario
-        self._resting, actions = actions_of(scenario, model, self._action)
-        diagram, self._loop = _diagram(scenario, self._action, model.n)
+        self._resting, actions = actions_of(scenario, self._action)
+        diagram, self._loop = _diagram(scenario, self._action)
         simulator = Simulator(diagram)
         ApplySimulatorConfig(scenario.simulator_config, simulator)
-        ending = [block for block in self._loop.GetSystems() if hasattr(block, "ends_run")]
+        ending = ending_blocks(self._loop)
 
         def end_of_run(root: Context) -> EventStatus:
-            for block in ending:
-                own = block.GetMyContextFromRoot(root)
-                if block.ends_run(own, block.GetOutputPort(block.ending_signal).Eval(own)):
-                    return EventStatus.ReachedTermination(block, "over")
+            own = ((block, block.GetMyContextFromRoot(root)) for block in ending)
+            if any(b.ends_run(c, b.GetOutputPort(b.ending_signal).Eval(c)) for b, c in own):
+                return EventStatus.ReachedTermination(self._loop, "over")
             return EventStatus.DidNothing()
 
         if ending:
@@ -162,10 +161,9 @@ def default_reward(observations: NDArray, length: Any, bound: Any) -> NDArray:
     load, reference, carriers = np.split(observations, ends, axis=-1)
     error = LoadState.view(load).position - LoadReference.view(reference).position
     speeds = np.linalg.norm(CarrierStates.view(carriers).velocities, axis=-1)
-    has_bound = np.greater(bound, 0)
-    lacking = np.maximum(0.0, 1 - speeds.min(axis=-1) / np.where(has_bound, bound, 1.0))
-    shown: NDArray = -np.linalg.norm(error, axis=-1) / length - has_bound * lacking
-    return shown
+    lacking = np.maximum(0.0, bound - speeds.min(axis=-1)) / np.maximum(bound, _TINY)
+    rewards: NDArray = -np.linalg.norm(error, axis=-1) / length - lacking
+    return rewards
 
 
 def checked_reward(reward: Any) -> float:
@@ -181,32 +179,29 @@ def samples_of(time_step: float, period: float) -> int:
     return count if abs(count * period - time_step) < _ROUNDING * period else 0
 
 
-def as_action(action: Any, space: gymnasium.spaces.Box, field: str = "action") -> NDArray:
-    """The action as floats; raises ScenarioError where it is not in the space."""
-    values = as_floats(action)
-    is_within = values.shape == space.shape and are_within(values, space)
+def as_actions(actions: Any, space: gymnasium.spaces.Box, *lead: int) -> NDArray:
+    """Actions (*lead, k) as floats; raises ScenarioError where they are not in the space (k,)."""
+    try:
+        values = np.asarray(actions, dtype=float)
+    except (TypeError, ValueError):
+        values = np.array(np.nan)
+    # A policy of single precision may be beyond a bound by rounding.
+    is_within = values.shape == (*lead, *space.shape) and np.all(
+        (values >= space.low - _ROUNDING * np.abs(space.low))
+        & (values <= space.high + _ROUNDING * np.abs(space.high))
+    )
+    rows = f", in {lead[0]} rows" if lead else ""
     low, high = space.low.tolist(), space.high.tolist()
-    require(is_within, field, action, f"give numbers from {low} to {high}")
+    require(is_within, "action", actions, f"give numbers from {low} to {high}{rows}")
     return np.clip(values, space.low, space.high)
 
 
-def are_within(actions: NDArray, space: gymnasium.spaces.Box) -> NDArray:
-    """Whether actions (..., k) are in a space, or beyond by a rounding to single precision."""
-    low, high = space.low, space.high
-    low, high = low - _ROUNDING * np.abs(low), high + _ROUNDING * np.abs(high)
-    found: NDArray = np.all((actions >= low) & (actions <= high), axis=-1)
-    return found
+def ending_blocks(loop: Diagram) -> list[Any]:
+    """The blocks that may end a run."""
+    return [block for block in loop.GetSystems() if hasattr(block, "ends_run")]
 
 
-def as_floats(values: Any) -> NDArray:
-    """An array of floats; a NaN where they cannot be one."""
-    try:
-        return np.asarray(values, dtype=float)
-    except (TypeError, ValueError):
-        return np.array([np.nan])
-
-
-def _diagram(scenario: Scenario, action: str, n: int) -> tuple[Diagram, Diagram]:
+def _diagram(scenario: Scenario, action: str) -> tuple[Diagram, Diagram]:
     """A diagram with the ports of the environment, and the loop inside of it."""
     if action == PARAMETERS:
         loop = make_nonstop(scenario, optimization_layer=None, inputs=[PARAMETERS])
@@ -219,16 +214,15 @@ def _diagram(scenario: Scenario, action: str, n: int) -> tuple[Diagram, Diagram]
     if action == WRENCH:  # which is held from step to step
         rate = builder.AddSystem(ConstantVectorSource(np.zeros(WRENCH_SIZE)))
         builder.Connect(rate.get_output_port(), loop.GetInputPort("wrench_rate"))
-    observed = builder.AddSystem(Multiplexer([LOAD_STATE_SIZE, LOAD_REFERENCE_SIZE, 6 * n]))
+    sizes = [loop.GetOutputPort(name).size() for name in OBSERVED]
+    observed = builder.AddSystem(Multiplexer(sizes))
     for i, name in enumerate(OBSERVED):
         builder.Connect(loop.GetOutputPort(name), observed.get_input_port(i))
     builder.ExportOutput(observed.get_output_port(), _OBSERVATIONS)
     return builder.Build(), loop
 
 
-def actions_of(
-    scenario: Scenario, model: Model, action: str
-) -> tuple[NDArray, gymnasium.spaces.Box]:
+def actions_of(scenario: Scenario, action: str) -> tuple[NDArray, gymnasium.spaces.Box]:
     """The scenario's own action, and the space of all.
 
     That is the layer's initial ξ and A within its bounds, or the wrench that carries the weight
@@ -247,6 +241,7 @@ def actions_of(
         ]
         least, most = np.array(bounds).T
     else:
+        model = Model(scenario.system, scenario.pattern, scenario.control_period)
         force = float(np.squeeze(model.load.mass * model.load.gravity))
         resting = np.array([0.0, 0.0, 0.0, 0.0, 0.0, force])
         reach = float(np.max(np.linalg.norm(model.attachments, axis=1)))

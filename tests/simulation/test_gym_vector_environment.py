@@ -198,20 +198,11 @@ def test_what_cannot_be_used_is_refused(n, arguments, said):
 def test_what_cannot_be_flown_is_refused_in_a_sentence(three):
     before, _ = three.reset()
     low = three.action_space.low
-    for actions, said in (
-        (low[0], r"actions = an array \(2,\): give an array \(3, 2\), with a row for each"),
-        (None, r"actions = an array"),
-        (low - [[0.0], [0.0], [1.0]], r"actions\[2\] = .*give numbers from"),
-        (low * [[1.0], [np.nan], [1.0]], r"actions\[1\] = .*give numbers from"),
-    ):
-        with pytest.raises(ScenarioError, match=said):
+    for actions in (low[0], None, low - [[0.0], [0.0], [1.0]], low * [[1.0], [np.nan], [1.0]]):
+        with pytest.raises(ScenarioError, match=r"action = .*give numbers from .*, in 3 rows"):
             three.step(actions)
-    for seed, said in (
-        ([1, 2], "seed = 2 seeds: give 3"),
-        (-1, "seed = -1: give a whole number"),
-        ([0, 1.5, 2], r"seed\[1\] = 1.5"),
-    ):
-        with pytest.raises(ScenarioError, match=said):
+    for seed in ([1, 2], -1, [0, 1.5, 2], 0.5, "first"):
+        with pytest.raises(ScenarioError, match=r"seed = .*: give a whole number from 0 to"):
             three.reset(seed=seed)
     with pytest.raises(ScenarioError, match="options"):
         three.reset(options={"a": 1})
