@@ -23,7 +23,8 @@ from drake_nonstop.mechanics.nonstop import polynomial_values, speed_squares
 from drake_nonstop.mechanics.planned_orbit import OrbitTerms, PlannedOrbit
 from drake_nonstop.mechanics.rotation import rotation_matrix
 from drake_nonstop.optimization.horizon_config import HorizonConfig
-from drake_nonstop.optimization.horizon_problem import HorizonData, HorizonProblem
+from drake_nonstop.optimization.horizon_motion import HorizonData
+from drake_nonstop.optimization.horizon_problem import HorizonProblem
 from drake_nonstop.optimization.horizon_solver import HorizonSolver, receding_coefficients
 from drake_nonstop.optimization.limits import Of, asked
 from drake_nonstop.optimization.plan import Plan

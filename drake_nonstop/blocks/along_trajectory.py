@@ -19,8 +19,8 @@ from drake_nonstop.mechanics.signals import (
     ReferenceHigherRates,
 )
 from drake_nonstop.systems.block import LeafBlock
+from drake_nonstop.systems.elementwise import RowsFunction
 from drake_nonstop.systems.traced_block import TracedBlock
-from drake_nonstop.systems.tracing import RowsFunction
 
 _BOX = "load_trajectory"
 _RATES = 4  # derivatives of the coordinates

@@ -26,7 +26,8 @@ from drake_nonstop.mechanics.signals import PLANNED_SIZE, PlannedParameters
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.diagnostics import Outcome
 from drake_nonstop.optimization.horizon_config import HorizonConfig, check_horizon, timed
-from drake_nonstop.optimization.horizon_problem import HorizonData, HorizonProblem
+from drake_nonstop.optimization.horizon_motion import HorizonData
+from drake_nonstop.optimization.horizon_problem import HorizonProblem
 from drake_nonstop.optimization.horizon_solver import (
     LEAST_START_SCALE,
     PLAN_TOLERANCE,

@@ -11,9 +11,11 @@ import daqp
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.optimization.horizon_problem import HorizonData, MarginFunction
+from drake_nonstop.optimization.horizon_motion import HorizonData
+from drake_nonstop.optimization.horizon_problem import MarginFunction
 from drake_nonstop.systems.compilation import compiled_text
-from drake_nonstop.systems.tracing import NotFiniteError, evaluate_address
+from drake_nonstop.systems.elementwise import evaluate_address
+from drake_nonstop.systems.tracing import NotFiniteError
 
 if TYPE_CHECKING:
     from drake_nonstop.optimization.horizon_solver import HorizonSolver

@@ -15,7 +15,6 @@ are constraints, with slack of their own, at some of the predicted phases and, i
 all phases of the orbit of the ξ and A there, taken as constant: these limits are not monotone in ξ.
 """
 
-import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -30,11 +29,10 @@ from drake_nonstop.mechanics.planned_orbit import (
     planned_speeds,
     term_columns,
 )
-from drake_nonstop.mechanics.rigid_load import STILL_AIR
-from drake_nonstop.mechanics.signals import WIND_SIZE
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.diagnostics import BOUND
-from drake_nonstop.optimization.horizon_config import HorizonConfig, timed
+from drake_nonstop.optimization.horizon_config import HorizonConfig
+from drake_nonstop.optimization.horizon_motion import HorizonData, HorizonMotions
 from drake_nonstop.optimization.limits import Of
 from drake_nonstop.optimization.linearization import (
     ConstraintBlock,
@@ -42,84 +40,16 @@ from drake_nonstop.optimization.linearization import (
     Linearization,
     with_dips,
 )
-from drake_nonstop.optimization.orbit_constraints import OrbitConstraints
 from drake_nonstop.optimization.plan import DEGREE, Plan, spline_rows
-from drake_nonstop.optimization.problem_config import LimitsConfig, tightened_bound
-from drake_nonstop.optimization.terminal_set import TerminalTables
+from drake_nonstop.optimization.problem_config import LimitsConfig
 from drake_nonstop.optimization.update_data import ModelParameters
-from drake_nonstop.systems.tracing import ElementwiseFunction
+from drake_nonstop.systems.elementwise import ElementwiseFunction
 
 _OTHERS_SHARE = 0.3  # of the weight of the speed bound's slack: that of the other limits
 
-# Aircraft have their limits at one in so many instants, at least so many between two knots: what
-# they need has fewer dips in a turn than speeds that pass low values.
-_FLIGHT_EVERY, _LEAST_FLIGHTS = 4, 5
-
-_INTERVALS_AHEAD = 8  # for which what a plan needs to know is found at once
-_SAME_KNOT = 1e-9  # intervals
 
 _RATES = [2, 4, 5]  # of a `PlannedOrbit`: zero on orbits of constant ξ and A
 _NOT_OF_ORBITS = [0, *_RATES]  # by which the needs on these have no derivatives
-
-Reference = Callable[[float], NDArray]  # the load's reference (22,) at a time in s
-
-
-class KnownReferences(NamedTuple):
-    """References at the instants of a plan, and of plans that start some intervals later."""
-
-    start_time: float  # s
-    ahead: int  # intervals, by which a plan may start later
-    rows: NDArray  # (k, 22)
-
-
-class HorizonMotion(NamedTuple):
-    """What plans need to know of a motion, from a time on, for one horizon and some intervals."""
-
-    start_time: float  # s
-    ahead: int  # intervals, by which a plan may start later
-    references: KnownReferences
-    flat_terms: NDArray  # (k, 9n + 3), the `OrbitTerms` at the instants
-    flat_flight: NDArray  # (f, 15n + 9), as of `HorizonData`
-    least: NDArray  # (k, n), m/s, that speeds have to reach where nothing jumps
-    jumps: NDArray  # (k, n), m/s, that a jump at an instant adds, see `jump_margins`
-    target_speeds: NDArray  # (k, n), m/s, with all that have not settled yet
-    terminal: TerminalTables  # at the terminal instants
-
-
-class HorizonData(NamedTuple):
-    """Data that vary from plan to plan."""
-
-    start_time: float  # s
-    start_angle: float  # θ, rad
-    flat_terms: NDArray  # (k, 9n + 3), the `OrbitTerms` at the instants
-    terminal: TerminalTables  # at the terminal instants
-    speed_bound: float  # m/s, tightened
-    target_speeds: (
-        NDArray  # (k, n), m/s, what speeds have to reach at the instants: no less than that
-    )
-    # (f, 15n + 9), the `FlightTerms` at those with limits of flight; (f, 0) where there are none
-    flat_flight: NDArray
-    wind: NDArray  # (3,) or (k, 3), m/s, that aircraft fly in
-    motion: HorizonMotion  # of which these are a part
-
-    @property
-    def terms(self) -> OrbitTerms:
-        """Data at the instants."""
-        return OrbitTerms.view(self.flat_terms)
-
-    @property
-    def speed_unit(self) -> float:
-        """That of the margins of speeds, m/s; without a bound any speed is enough."""
-        return self.speed_bound or 1.0
-
-    @property
-    def excess(self) -> NDArray:
-        """By how much (k, n) margins of speeds have to be above those of the bound."""
-        return (self.target_speeds**2 - self.speed_bound**2) / self.speed_unit**2
-
-    def speed_of(self, margin: float) -> float:
-        """The speed in m/s of a margin."""
-        return math.sqrt(max(margin * self.speed_unit**2 + self.speed_bound**2, 0.0))
 
 
 class MarginFunction(NamedTuple):
@@ -152,7 +82,7 @@ class MarginFunction(NamedTuple):
         return self.orbits(orbit), terms, self.constants, scale
 
 
-class HorizonProblem(OrbitConstraints):
+class HorizonProblem(HorizonMotions):
     """The problem of all plans of one model and config.
 
     Args:
@@ -172,11 +102,9 @@ class HorizonProblem(OrbitConstraints):
         *,
         beliefs: ModelParameters | None = None,
     ):
-        config = timed(config, limits.frequency, model.control_period)
         super().__init__(model, limits, config, name, beliefs=beliefs)
-        self.intervals = round(config.horizon / config.knot_spacing)
+        config = self.config
         self.count = self.intervals + DEGREE  # of the coefficients of ξ, and of A
-        self._place_instants()
         self._place_constraints()
         rows = spline_rows(self.instants, self.intervals, config.knot_spacing)
         xi, A = self.nominal
@@ -190,32 +118,6 @@ class HorizonProblem(OrbitConstraints):
             amplitude_second_rate=A * rows.second_rate,
         )
         self.hessian = self._hessian()
-
-    def _place_instants(self) -> None:
-        """Tells the instants at which carriers are limited, and which of them have more limits."""
-        config, intervals = self.config, self.intervals
-        count = intervals * config.instants
-        # Where coefficients are fixed, so is the value at the start: no instant is there.
-        self._first_instant = 1 if config.fixed_coefficients else 0
-        end = intervals * config.knot_spacing
-        self.instants = end / count * np.arange(self._first_instant, count + 1)
-        self._settling_instants = self.settling_instants(end / count)
-        last = len(self.instants) - 1
-        back = np.arange(config.terminal_instants * config.terminal_knots)[::-1]
-        # Some of the instants, the same ones in each interval.
-        self.terminal_at = last - back * config.instants // config.terminal_instants
-        # The last instant of each interval is one of those at which flight is limited.
-        flown = max(
-            math.ceil(config.instants / _FLIGHT_EVERY), min(_LEAST_FLIGHTS, config.instants)
-        )
-        back = np.arange(flown * intervals)[::-1]
-        self._flight_at = last - back * config.instants // flown
-        if self._first_instant == 0:
-            self._flight_at = np.append(0, self._flight_at)
-        self._flights_per_knot = flown
-        # What aircraft need on whole orbits is limited at the ends of the intervals.
-        ends = np.arange(1, config.terminal_knots + 1) * config.terminal_instants - 1
-        self._orbits_of = np.searchsorted(self._flight_at, self.terminal_at[ends])
 
     @property
     def largest_differences(self) -> NDArray:
@@ -238,141 +140,6 @@ class HorizonProblem(OrbitConstraints):
     def nominal_coefficients(self) -> NDArray:
         """Coefficients (2, N) of the nominal ξ and A."""
         return np.ones((2, self.count))
-
-    def data(
-        self,
-        start_time: float,
-        start_angle: float,
-        reference: Reference,
-        speed_bound: float,
-        last: HorizonData | None = None,
-        wind: NDArray = STILL_AIR,
-    ) -> HorizonData:
-        """The data of a plan from a time in s and phase in rad on, for ε in m/s.
-
-        Where `last` is of the same reference, bound and wind, what is known of the motion is taken
-        from it; where that ends, the motion is found for some plans at once. The wind (3,) in
-        m/s, in W, is that of the whole horizon, or those (k, 3) at its instants, without `last`; it
-        counts for aircraft.
-        """
-        bound = tightened_bound(self.limits, speed_bound)
-        wind = STILL_AIR if self.model.aircraft is None else wind
-        config, motion, later, known = self.config, None, None, None
-        if last is not None:
-            if last.speed_bound == bound and np.array_equal(last.wind, wind):
-                if last.start_time == start_time:
-                    return last._replace(start_angle=start_angle)
-                motion = last.motion
-                later = self._intervals_later(motion.start_time, motion.ahead, start_time)
-            known = last.motion.references
-        if motion is None or later is None:
-            ahead, later = (0 if motion is None else _INTERVALS_AHEAD), 0
-            references = self._references(start_time, reference, known, ahead)
-            motion = self._motion(start_time, references, speed_bound, wind, ahead)
-        count, flights = len(self.instants), len(self._flight_at)
-        at, flight_at = later * config.instants, later * self._flights_per_knot
-        target_speeds = motion.target_speeds[at : at + count]
-        if later and speed_bound > 0:  # no jump before the start of a plan counts
-            target_speeds = target_speeds.copy()
-            settled = slice(at, at + self._settling_instants)
-            jumps = motion.jumps[settled].copy()
-            jumps[0] = 0
-            target_speeds[: len(jumps)] = motion.least[settled] + np.maximum.accumulate(jumps)
-        return HorizonData(
-            start_time,
-            start_angle,
-            motion.flat_terms[at : at + count],
-            motion.terminal.part(later * config.terminal_instants, len(self.terminal_at)),
-            bound,
-            target_speeds,
-            motion.flat_flight[flight_at : flight_at + flights],
-            wind,
-            motion,
-        )
-
-    def _intervals_later(self, first: float, most: int, start_time: float) -> int | None:
-        """How many intervals a time (s) is after a first one; None: no whole one, or too many."""
-        intervals = (start_time - first) / self.config.knot_spacing
-        later = round(intervals)
-        is_known = abs(intervals - later) < _SAME_KNOT and 0 <= later <= most
-        return later if is_known else None
-
-    def _references(
-        self, start_time: float, reference: Reference, known: KnownReferences | None, ahead: int
-    ) -> KnownReferences:
-        """References from a time on, for plans that start so many intervals later, or fewer.
-
-        Those that are known, of the same motion, are taken where they reach as far.
-        """
-        config = self.config
-        if known is not None:
-            later = self._intervals_later(known.start_time, known.ahead - ahead, start_time)
-            if later is not None:
-                return KnownReferences(
-                    start_time, known.ahead - later, known.rows[later * config.instants :]
-                )
-            ahead = max(ahead, _INTERVALS_AHEAD)
-        left = getattr(reference, "end_time", math.inf) - (start_time + config.horizon)
-        ahead = int(min(max(left / config.knot_spacing, 0.0), ahead))
-        times = self.times(start_time, len(self.instants) + ahead * config.instants)
-        return KnownReferences(start_time, ahead, references_at(reference, times))
-
-    def _motion(
-        self,
-        start_time: float,
-        known: KnownReferences,
-        speed_bound: float,
-        wind: NDArray,
-        ahead: int,
-    ) -> HorizonMotion:
-        """The terms of a motion, also for plans that start so many intervals later, or fewer."""
-        config, bound = self.config, tightened_bound(self.limits, speed_bound)
-        ahead = min(ahead, known.ahead) if wind.ndim == 1 else 0
-
-        def extended(numbers: NDArray, each: int) -> NDArray:
-            """Numbers of instants, of which there are so many in an interval, goes on with them."""
-            later = config.instants * np.arange(1, ahead + 1)[:, None]
-            return np.append(numbers, later + numbers[-each:])
-
-        count = len(self.instants) + ahead * config.instants
-        flight_at = extended(self._flight_at, self._flights_per_knot)
-        terminal_at = extended(self.terminal_at, config.terminal_instants)
-        references = known.rows[:count]
-        winds = np.broadcast_to(wind, (count, WIND_SIZE))
-        flat = self.all_terms(references, winds)
-        terms = OrbitTerms.view(flat)
-        least, jumps = np.zeros((2, count, self.model.n))
-        target_speeds = least
-        if speed_bound > 0:
-            # Where carriers pass low speeds they are off by a share of their orbits' speeds.
-            sizes = float(np.prod(self.nominal)) * np.linalg.norm(self.axes[0], axis=1)
-            orbits = sizes * self._reach(terms)
-            least = np.maximum(bound, speed_bound + config.orbit_tightening * orbits)
-            jumps = self.jump_margins(terms)
-            target_speeds = least + self.settled(jumps, self._settling_instants)
-        return HorizonMotion(
-            start_time=start_time,
-            ahead=ahead,
-            references=known,
-            flat_terms=flat,
-            flat_flight=self.flight_terms(references[flight_at], winds[flight_at]),
-            least=least,
-            jumps=jumps,
-            target_speeds=target_speeds,
-            terminal=self.terminal_tables(flat[terminal_at], target_speeds[terminal_at]),
-        )
-
-    def times(self, start_time: float, count: int | None = None) -> NDArray:
-        """The times of so many instants, those of two plans that start at knots to the bit.
-
-        None: those of a plan.
-        """
-        spacing = self.config.knot_spacing / self.config.instants
-        knot = round(start_time / self.config.knot_spacing)
-        numbers = self._first_instant + np.arange(len(self.instants) if count is None else count)
-        if abs(start_time - knot * self.config.knot_spacing) > 1e-9 * max(1.0, start_time):
-            return start_time + numbers * spacing
-        return (knot * self.config.instants + numbers) * spacing
 
     def amplitude_margins(
         self, data: HorizonData, every: int
@@ -630,9 +397,3 @@ class HorizonProblem(OrbitConstraints):
         """A function of one carrier or pair at an instant, for all of them."""
         key = function.__name__, self.model.aircraft, self.limits, self.rest_length, self.compliance
         return ElementwiseFunction(function, sizes, shape, key=key)
-
-
-def references_at(reference: Reference, times: NDArray) -> NDArray:
-    """The references (k, 22) at times (k,) in s."""
-    at = getattr(reference, "at", None)  # of a `ReferencePreview`
-    return np.array([reference(time) for time in times]) if at is None else at(times)

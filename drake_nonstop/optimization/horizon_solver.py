@@ -14,12 +14,8 @@ from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.compiled_plan import CompiledPlan, compiled_solver
 from drake_nonstop.optimization.constraints import FEASIBILITY_TOLERANCE
 from drake_nonstop.optimization.horizon_config import HorizonConfig, timed
-from drake_nonstop.optimization.horizon_problem import (
-    HorizonData,
-    HorizonProblem,
-    Linearization,
-    Reference,
-)
+from drake_nonstop.optimization.horizon_motion import HorizonData, Reference
+from drake_nonstop.optimization.horizon_problem import HorizonProblem, Linearization
 from drake_nonstop.optimization.plan import DEGREE, Plan
 from drake_nonstop.optimization.problem_config import LimitsConfig
 from drake_nonstop.optimization.search_problem import (

@@ -35,7 +35,7 @@ from drake_nonstop.optimization.terminal_set import (
     product_limits,
 )
 from drake_nonstop.optimization.update_data import ModelParameters, model_parameters_of
-from drake_nonstop.systems.tracing import ElementwiseFunction, RowsFunction
+from drake_nonstop.systems.elementwise import ElementwiseFunction, RowsFunction
 
 
 class OrbitConstraints:

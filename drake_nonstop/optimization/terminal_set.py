@@ -13,7 +13,8 @@ from drake_nonstop.mechanics.nonstop import (
     speed_squares,
 )
 from drake_nonstop.mechanics.planned_orbit import OrbitTerms, orbit_directions, term_columns
-from drake_nonstop.systems.tracing import ElementwiseFunction, where
+from drake_nonstop.systems.elementwise import ElementwiseFunction
+from drake_nonstop.systems.tracing import where
 
 
 class TerminalSet(NamedTuple):

@@ -20,7 +20,8 @@ from drake_nonstop.model.pattern import (
 from drake_nonstop.model.system import Model, SystemParameters
 from drake_nonstop.optimization.diagnostics import BOUND
 from drake_nonstop.optimization.horizon_config import HorizonConfig
-from drake_nonstop.optimization.horizon_problem import HorizonProblem, references_at
+from drake_nonstop.optimization.horizon_motion import references_at
+from drake_nonstop.optimization.horizon_problem import HorizonProblem
 from drake_nonstop.optimization.horizon_solver import HorizonSolver
 from drake_nonstop.optimization.limits import Of, limits_of
 from drake_nonstop.optimization.problem_config import LimitsConfig

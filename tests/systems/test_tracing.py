@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from pydrake.autodiffutils import ExtractGradient, InitializeAutoDiff
 
-from drake_nonstop.systems.tracing import ElementwiseFunction, NotFiniteError, TracedFunction
+from drake_nonstop.systems.elementwise import ElementwiseFunction, RowsFunction
+from drake_nonstop.systems.tracing import NotFiniteError, TracedFunction
 
 
 def equations(a, b):
@@ -185,3 +186,28 @@ def test_an_elementwise_function_has_the_values_and_derivatives_of_each_entry(rn
         *expected, jacobian = traced(a[:, i, 0], b[:, 0, j])
         np.testing.assert_allclose(values[:, i, j], np.concatenate(expected), rtol=1e-14)
         np.testing.assert_allclose(slopes[:, :, i, j], jacobian, rtol=1e-14, atol=1e-14)
+
+
+@pytest.mark.parametrize("count", [0, 1, 60, 61, 130])
+def test_rows_are_those_of_calls(count):
+    rows = np.random.default_rng(count).uniform(0.5, 2.0, (count, 5))
+    function = RowsFunction(
+        lambda a, b: np.concatenate([np.ravel(part) for part in equations(a, b)]),
+        [3, 2],
+        name=lambda: "some_block",
+    )
+    found = function(rows)
+    assert found.shape == (count, 11)
+    for row, values in zip(rows, found, strict=True):
+        np.testing.assert_allclose(values, np.concatenate(compiled()(row[:3], row[3:])), rtol=1e-14)
+
+
+def test_rows_that_are_not_finite_are_told():
+    quotient = RowsFunction(lambda a, b: a / b, [1, 1], name=lambda: "some_block")
+    rows = np.ones((3, 2))
+    rows[1, 1] = 0
+    with pytest.raises(NotFiniteError, match="some_block made a value"):
+        quotient(rows)
+    rows[1] = np.nan
+    with pytest.raises(NotFiniteError, match="some_block was given a value"):
+        quotient(rows)
