@@ -22,6 +22,7 @@ from drake_nonstop.loop.compiled_flight import CompiledFlight
 from drake_nonstop.loop.compiled_loop import CompiledLoop
 from drake_nonstop.loop.equilibrium import set_equilibrium
 from drake_nonstop.loop.lanes import Advance, advance_together
+from drake_nonstop.loop.traced_start import TracedStart
 from drake_nonstop.mechanics.signal_layouts import by_name
 from drake_nonstop.mechanics.signals import WRENCH_SIZE
 from drake_nonstop.model.block import Block
@@ -104,7 +105,8 @@ class _Start:
         """Finds the start of the scenario, whose numbers are in a context of the loop."""
         nonstop = self._loop.diagram
         self.scenario, self._context = scenario, context
-        set_equilibrium(nonstop, context)
+        traced = TracedStart(self._loop, context) if TracedStart.is_plain(self._loop) else None
+        set_equilibrium(nonstop, context, traced)
         ending = single.ending_blocks(nonstop)
         self._ending = [(each, nonstop.GetSubsystemContext(each, context)) for each in ending]
         self._flight = self._loop.fly(context)
