@@ -7,7 +7,7 @@ that the loop has no inputs. `make_gym_vec_env` makes the environment.
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -168,8 +168,6 @@ class _Start:
 class NonstopVecEnv(VectorEnv[NDArray, NDArray, NDArray]):
     """Episodes of a scenario side by side; see `drake_nonstop.make_gym_vec_env`."""
 
-    metadata: ClassVar[dict[str, Any]] = {"autoreset_mode": AutoresetMode.SAME_STEP}
-
     def __init__(
         self,
         scenario: Scenario,
@@ -177,7 +175,11 @@ class NonstopVecEnv(VectorEnv[NDArray, NDArray, NDArray]):
         action: str,
         time_step: float,
         reward: single.Reward | None,
+        mode: AutoresetMode,
     ):
+        self.metadata = {"autoreset_mode": mode}
+        self._waits = mode is AutoresetMode.NEXT_STEP
+        self._is_over = np.zeros(n, bool)  # and begins anew in the next step
         self.num_envs, self._given, self._reward = n, scenario, reward
         self._kind = action, time_step
         sampled, drawn = sample(scenario)
@@ -220,7 +222,7 @@ class NonstopVecEnv(VectorEnv[NDArray, NDArray, NDArray]):
             if own is not None:
                 self._generators[i] = RandomGenerator(own)
             self._begin(i)
-        self._is_reset = True
+        self._is_reset, self._is_over = True, np.zeros(n, bool)
         return self._observations.copy(), {}
 
     def _begin(self, i: int) -> None:
@@ -239,7 +241,8 @@ class NonstopVecEnv(VectorEnv[NDArray, NDArray, NDArray]):
         """Flies each episode on under its action, a row of `actions` (n, k), as a single one does.
 
         One that is over begins anew at once: its row of the observations (n, size) is the first one
-        then, and the infos have `final_obs` and `final_info`.
+        then, and the infos have `final_obs` and `final_info`. With `NEXT_STEP` it does so in the
+        next step, whose action and reward do not count for it.
 
         Raises:
             ScenarioError: an action is not in the action space, the environment has not been
@@ -248,39 +251,48 @@ class NonstopVecEnv(VectorEnv[NDArray, NDArray, NDArray]):
         require(self._is_reset, "step", "before reset", "call reset() first")
         values = single.as_actions(actions, self.single_action_space, self.num_envs)
         self._is_reset = False  # until all are flown
-        for flight, start, action in zip(self._flights, self._starts, values, strict=True):
-            flight.set_parameters(start.action, action)
-        flown = advance_together(self._flights, [start.samples for start in self._starts])
         observations, infos = self._observations, dict[str, Any]()
-        has_diverged, messages = np.zeros(self.num_envs, bool), dict[int, dict[str, str]]()
-        lanes: dict[_Start, list[int]] = {}  # of those that go on, by their starts
-        for i, (start, each) in enumerate(zip(self._starts, flown, strict=True)):
+        going = np.flatnonzero(~self._is_over).tolist()
+        starts = [self._starts[i] for i in going]
+        for i, start in zip(going, starts, strict=True):
+            self._flights[i].set_parameters(start.action, values[i])
+        flights = [self._flights[i] for i in going]
+        flown = dict(
+            zip(going, advance_together(flights, [s.samples for s in starts]), strict=True)
+        )
+        has_ended, messages = np.zeros(self.num_envs, bool), dict[int, dict[str, str]]()
+        lanes: dict[_Start, list[int]] = {}  # of those that have not diverged, by their starts
+        for i, each in flown.items():
             if each.error is None:
-                lanes.setdefault(start, []).append(i)
+                lanes.setdefault(self._starts[i], []).append(i)
             elif isinstance(each.error, NotFiniteError):
-                has_diverged[i], messages[i] = True, {"message": str(each.error)}
+                has_ended[i], messages[i] = True, {"message": str(each.error)}
             else:
                 raise each.error
-        has_ended = has_diverged.copy()
         for start, own in lanes.items():
             observations[own], has_ended[own] = start.ends([flown[i] for i in own])
-        rewards = self._rewards(values, has_diverged)
+        rewards = np.where(self._is_over, 0.0, single.DIVERGED)
+        at = sorted(set(going) - set(messages))
+        if at:
+            rewards[at] = self._rewards(at, values)
         times = np.array([flight.time for flight in self._flights])
-        is_truncated = ~has_ended & (times >= self._numbers[2] - 1e-9)
-        for i in np.flatnonzero(has_ended | is_truncated).tolist():
-            final = {"final_obs": observations[i].copy(), "final_info": messages.get(i, {})}
-            infos = self._add_info(infos, final, i)
+        is_truncated = ~has_ended & ~self._is_over & (times >= self._numbers[2] - 1e-9)
+        for i in np.flatnonzero(self._is_over).tolist():
             self._begin(i)
+        ends = has_ended | is_truncated
+        self._is_over = ends & self._waits
+        for i in np.flatnonzero(ends).tolist():
+            info: dict[str, Any] = messages.get(i, {})
+            if not self._waits:
+                info = {"final_obs": observations[i].copy(), "final_info": info}
+                self._begin(i)
+            infos = self._add_info(infos, info, i)
         self._is_reset = True
         return observations.copy(), rewards, has_ended, is_truncated, infos
 
-    def _rewards(self, actions: NDArray, has_diverged: NDArray) -> NDArray:
-        rewards = np.full(self.num_envs, single.DIVERGED)
-        flying = np.flatnonzero(~has_diverged)
-        shown = self._observations[flying]
+    def _rewards(self, at: list[int], actions: NDArray) -> Any:
+        """Rewards of some environments, after their actions among all (n, k)."""
         if self._reward is None:
-            rewards[flying] = single.default_reward(shown, *self._numbers[:2, flying])
-        else:
-            pairs = zip(shown, actions[flying], strict=True)
-            rewards[flying] = [single.checked_reward(self._reward(*pair)) for pair in pairs]
-        return rewards
+            return single.default_reward(self._observations[at], *self._numbers[:2, at])
+        pairs = zip(self._observations[at], actions[at], strict=True)
+        return [single.checked_reward(self._reward(*pair)) for pair in pairs]

@@ -12,6 +12,8 @@ from drake_nonstop.validation import (
 )
 
 if TYPE_CHECKING:
+    from gymnasium.vector import AutoresetMode
+
     from drake_nonstop.simulation.gym_environment import NonstopEnv, Reward
     from drake_nonstop.simulation.gym_vector_environment import NonstopVecEnv
 
@@ -58,13 +60,13 @@ def make_gym_vec_env(
     action: str = "parameters",
     time_step: float = 0.1,
     reward: "Reward | None" = None,
+    autoreset_mode: "AutoresetMode | str" = "SameStep",
 ) -> "NonstopVecEnv":
     """As many environments as of `make_gym_env` side by side, by Gymnasium's vector API.
 
     Their episodes are flights of one compiled loop, and equal those of single environments to
-    rounding. An episode that is over begins anew in the same step (`AutoresetMode.SAME_STEP`), with
-    `final_obs` and `final_info` in the infos. `reset` takes a seed, those of further environments
-    exceed it by 1, or one for each.
+    rounding. `reset` takes a seed, which those of further environments exceed by 1, or one for
+    each.
 
     Args:
         scenario: what is flown, by a loop that can be compiled, see `CompiledLoop`.
@@ -72,15 +74,19 @@ def make_gym_vec_env(
         action: as of `make_gym_env`.
         time_step: s, of an action, a multiple of the scenario's `control_period`.
         reward: as of `make_gym_env`, of one environment.
+        autoreset_mode: "SameStep": an episode that is over begins anew in the same step, with
+            `final_obs` and `final_info` in the infos; "NextStep": in the next one.
 
     Raises:
         ScenarioError: as of `make_gym_env`, or the loop cannot be compiled.
     """
     _check("make_gym_vec_env", scenario, action, time_step, reward)
     require_whole("n", n, 1, _MOST)
-    from drake_nonstop.simulation.gym_vector_environment import NonstopVecEnv
+    from drake_nonstop.simulation.gym_vector_environment import AutoresetMode, NonstopVecEnv
 
-    return NonstopVecEnv(scenario, n, action, time_step, reward)
+    mode = getattr(autoreset_mode, "value", autoreset_mode)
+    require_known(mode, ["SameStep", "NextStep"], "autoreset_mode", mode)
+    return NonstopVecEnv(scenario, n, action, time_step, reward, AutoresetMode(mode))
 
 
 def _check(name: str, scenario: Scenario, action: str, time_step: float, reward: Any) -> None:

@@ -162,6 +162,28 @@ def test_episodes_draw_their_numbers_by_their_seeds(scenario, drawn, is_built, m
     np.testing.assert_allclose(both[1], expected, rtol=0, atol=1e-9)
 
 
+def test_an_episode_may_begin_anew_in_the_next_step():
+    from gymnasium.wrappers.vector import NormalizeObservation
+
+    scenario = load_scenario("quintic", BRIEF)
+    env = make_gym_vec_env(scenario, 3, autoreset_mode="NextStep")
+    first, _ = env.reset()
+    NormalizeObservation(env)  # which asks for it
+    low, ends = env.action_space.low, []
+    for _ in range(5):
+        observations, rewards, terminated, truncated, infos = env.step(low)
+        assert infos == {}
+        assert not terminated.any()
+        ends.append(truncated.tolist())
+        if len(ends) == 4:
+            np.testing.assert_array_equal(observations, first)
+            np.testing.assert_array_equal(rewards, 0.0)
+        else:
+            assert np.any(observations != first)
+            assert (rewards < 0).all()
+    assert ends == [[False] * 3] * 2 + [[True] * 3] + [[False] * 3] * 2
+
+
 def test_each_episode_has_its_own_duration():
     varied = load_scenario("quintic", ["simulation_duration=!Uniform {min: 0.1, max: 0.5}"])
     env = make_gym_vec_env(varied, 4)
@@ -185,6 +207,7 @@ def test_a_reward_of_ones_own_is_asked_for_each():
     [
         (0, {}, "n = 0: give a whole number"),
         (2, {"action": "thrust"}, "action = thrust"),
+        (2, {"autoreset_mode": "Disabled"}, "autoreset_mode = Disabled"),
         (2, {"time_step": 0.015}, "time_step = 0.015: give a multiple of control_period = 0.01 s"),
     ],
 )
