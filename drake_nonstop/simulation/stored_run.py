@@ -216,8 +216,8 @@ def _taken_time(path: Path, arrays: dict[str, NDArray]) -> NDArray:
 def _taken_facts(path: Path, steps: dict[str, NDArray]) -> dict[str, Any]:
     """Text of `_RUN`, which is taken out of the steps."""
     try:
-        facts = json.loads(str(steps.pop(_RUN)))
-    except (KeyError, ValueError):
+        facts: Any = {"engine": "unknown", **json.loads(str(steps.pop(_RUN)))}  # not stored before
+    except (KeyError, TypeError, ValueError):
         facts = None
     is_whole = isinstance(facts, dict) and all(
         name in facts and isinstance(facts[name], kind) for name, kind in _FACTS.items()

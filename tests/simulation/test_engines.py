@@ -9,8 +9,6 @@ import pytest
 from helpers import nightly_beyond
 
 from drake_nonstop import (
-    CompiledFlight,
-    CompiledLoop,
     LoadPlant,
     RunInterrupted,
     RunStopped,
@@ -20,7 +18,6 @@ from drake_nonstop import (
     StepCheck,
     compute_metrics,
     load_scenario,
-    make_nonstop,
     simulate,
 )
 from drake_nonstop.loop import compiled_loop
@@ -309,33 +306,6 @@ def test_a_commanded_bound_counts_and_is_checked_as_in_the_diagram(layer, later)
         runs.append(run)
     assert_same(runs[1], runs[0])
     assert runs[0].signal("speed_bound")[-1] in (later, 0.4)
-
-
-class AskedError(RuntimeError):
-    """A layer's own update."""
-
-
-@pytest.mark.nightly("engines")
-@pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
-def test_the_search_in_c_asks_no_layer_and_finds_the_same(monkeypatch):
-    duration = 3.0
-    overrides = [NONSTOP, f"simulation_duration={duration}", "optimization_layer.speed_bound=0.72"]
-    scenario = load_scenario("quintic", overrides)
-    expected = simulate(scenario, engine="diagram", check_step=NOTHING)
-    assert expected.signal("diagnostics")[-1, 3] > 10  # solved
-    loop = CompiledLoop(make_nonstop(scenario), scenario.simulator_config, 0.01)
-
-    def asked(*arguments):
-        raise AskedError
-
-    monkeypatch.setattr(CompiledFlight, "_asked_for", asked)
-    _, signals = loop.run(loop.diagram.CreateDefaultContext(), duration)
-    for name in ("parameters", "diagnostics", "load_state", "carrier_state"):
-        values = expected.signal(name)
-        np.testing.assert_allclose(signals[name], values, atol=1e-9 * (1 + np.abs(values).max()))
-    slow = CompiledLoop(loop.diagram, scenario.simulator_config, 0.01, compiles=False)
-    with pytest.raises(AskedError):
-        slow.run(loop.diagram.CreateDefaultContext(), duration)
 
 
 class EndingLoad(LoadPlant):
