@@ -3,14 +3,15 @@
 import dataclasses
 import math
 import typing
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.systems.framework import Context, Diagram
+from pydrake.systems.framework import Context, Diagram, System
 
 from drake_nonstop.analysis.carriers_along import resting_carriers
 from drake_nonstop.analysis.flight_envelope import (
@@ -193,15 +194,21 @@ def margins_dictionary(found: AircraftMargins) -> dict[str, Any]:
     }
 
 
-def aircraft_margins_for(scenario: Scenario, nonstop: Diagram, context: Context) -> AircraftMargins:
+def aircraft_margins_for(
+    scenario: Scenario,
+    nonstop: Diagram,
+    context: Context,
+    instead: Mapping[str, System] = MappingProxyType({}),
+) -> AircraftMargins:
     """Returns the `aircraft_margins` of a loop that has been built.
 
     Args:
         scenario: what the loop was made from, with its numbers drawn.
         nonstop: the loop, which exports `reference` and `parameters`.
         context: of the loop, at its start.
+        instead: as of `task_at`.
     """
-    task = task_at(scenario, nonstop, context)
+    task = task_at(scenario, nonstop, context, instead)
     return margins_at_rest(
         task.flown,
         task.reference(0.0),

@@ -27,7 +27,7 @@ _TURN_OF_FASTEST = 2.0  # rad, that the fastest mode turns in a step, which a se
 _LEAST_STEPS, _MOST_STEPS = 48, 4096  # of a turn
 _STRETCH = 1e-3  # of their length, at an equal share of the weight: cables taken not to stretch
 
-_SMALL, _TERMS = 0.5, 13  # a norm, and the terms of a series that is exact for it to rounding
+_SMALL = 0.5  # a norm, up to which a series of twelve powers is exact to rounding
 
 _ERRORS = TRACKING_ERROR_SIZE  # of rotation, position, angular velocity and velocity
 _ALL = np.ones(_ERRORS)
@@ -198,9 +198,12 @@ def _exponentials(matrices: NDArray) -> NDArray:
     norm = float(np.max(np.abs(matrices).sum(axis=2)))
     squarings = max(0, math.ceil(math.log2(norm / _SMALL))) if 0 < norm < math.inf else 0
     part = matrices / 2**squarings
-    found = np.eye(matrices.shape[1]) + part / _TERMS
-    for k in range(_TERMS - 1, 0, -1):  # Horner's scheme
-        found = np.eye(matrices.shape[1]) + part @ found / k
+    second = part @ part
+    powers, fourth = [np.eye(len(part[0])), part, second, second @ part], second @ second
+    found = fourth / math.factorial(12)
+    for start in (8, 4, 0):
+        found = found if start == 8 else fourth @ found
+        found = found + sum(p / math.factorial(start + k) for k, p in enumerate(powers))
     for _ in range(squarings):
         found = found @ found
     return found

@@ -20,7 +20,7 @@ from drake_nonstop.validation import ScenarioError, called
 Viewer = Callable[[DiagramBuilder, Diagram, Scenario], LeafSystem]
 
 _MOST = 4  # loops that are kept at a time
-_STRUCTURE = ("control_period", "pattern", "simulator_config")  # fields that loops are built for
+_STRUCTURE = ("control_period", "pattern")  # fields that loops are built for
 # Boxes whose blocks tell analyses at the start of a run what they do.
 _DESCRIBED = (
     "load_feedback",
@@ -41,7 +41,7 @@ class BuiltLoop:
         diagram: that around it.
         logs: take its signals.
         visualizers: what the viewers have added.
-        compiled: loops that were compiled of it, by the integrator's steps, s.
+        compiled: loops that were compiled of it, by what they take of the integrator's config.
 
     Raises:
         ScenarioError: it cannot be built.
@@ -68,7 +68,7 @@ class BuiltLoop:
             called("viewers", remedy, viewer, builder, self.nonstop, scenario) for viewer in viewers
         ]
         self.diagram = builder.Build()
-        self.compiled: dict[float, CompiledLoop] = {}
+        self.compiled: dict[Any, CompiledLoop] = {}
         self._scenario, self._start = scenario, self.diagram.CreateDefaultContext()
         self.can_be_shared = (
             make_loop is make_nonstop

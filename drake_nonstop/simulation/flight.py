@@ -107,9 +107,13 @@ class Flight:
     ):
         self._request, self._interruption = request, interruption
         self._is_second = interruption.collect is not None  # of a run that is there already
-        self._stated_bound = request.scenario.sampled().speed_bound
-        scenario, self._replacements = replaced(request.scenario, request.replacements)
-        self.scenario = scenario = scenario.sampled()
+        self._replacements: dict[str, Any] = {}
+        scenario = request.scenario.sampled()
+        self._stated_bound = scenario.speed_bound
+        if request.replacements:
+            scenario, self._replacements = replaced(request.scenario, request.replacements)
+            scenario = scenario.sampled()
+        self.scenario = scenario
         check_simulation(scenario)
         made = request.make_loop, scenario, self._replacements
         found = None if shared is None or request.viewers else shared.find(*made)
@@ -156,7 +160,7 @@ class Flight:
         warn_of_other_bound(nonstop, self.loop_context, self._stated_bound)
         if not self._is_second:  # it has been said
             warn_of_angles(scenario)
-            warn_of_margins(scenario, nonstop, self.loop_context)
+            warn_of_margins(scenario, nonstop, self.loop_context, self._described)
             warn_of_growth(scenario, nonstop, self.loop_context, self._described)
         traced = self._traced_start(engine)
         chosen = with_chosen_step(scenario, nonstop, self.loop_context, traced)
@@ -208,12 +212,13 @@ class Flight:
         self, config: SimulatorConfig, steering: Sequence[str] = ()
     ) -> CompiledLoop | str:
         """The loop that is compiled with these steps, or why it cannot be."""
-        found = self._loop.compiled.get(config.max_step_size)
+        key = config.integration_scheme, config.use_error_control, config.max_step_size
+        found = self._loop.compiled.get(key)
         if found is None or steering:
             made = compiled_loop_of(self.scenario, self._logs, config, steering)
             if isinstance(made, str):
                 return made
-            found = self._loop.compiled[config.max_step_size] = made
+            found = self._loop.compiled[key] = made
         return found
 
     def _compiled(self, chosen: ChosenStep, engine: str) -> CompiledRun | None:

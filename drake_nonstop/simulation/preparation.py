@@ -87,13 +87,18 @@ def with_chosen_step(
     return chosen
 
 
-def warn_of_margins(scenario: Scenario, nonstop: Diagram, context: Context) -> None:
-    """Warns where aircraft cannot fly the orbit above the resting load within their limits."""
+def warn_of_margins(
+    scenario: Scenario, nonstop: Diagram, context: Context, described: Mapping[str, System]
+) -> None:
+    """Warns where aircraft cannot fly the orbit above the resting load within their limits.
+
+    The blocks `described` are as of `warn_of_growth`.
+    """
     if not nonstop.HasOutputPort("aircraft_state"):
         return
     with contextlib.suppress(ScenarioError):  # there is no such orbit
         loop, context = innermost(nonstop, context, RUN_SIGNALS)
-        found = aircraft_margins_for(scenario, loop, context)
+        found = aircraft_margins_for(scenario, loop, context, described)
         if not found.is_flyable:
             message = f"{found.verdict}; drake-nonstop check shows all margins"
             warn_user(message)

@@ -65,19 +65,23 @@ def simulate(
             there.
         RunInterrupted: Ctrl-C; carries the run up to there.
     """
+    request = Request(
+        scenario=scenario,
+        progress=progress,
+        viewers=viewers,
+        after_step=after_step,
+        check_step=check_step,
+        make_loop=make_nonstop if make_loop is None else make_loop,
+        engine=engine,
+        replacements=replacements,
+    )
+    return _simulated(request)
+
+
+def _simulated(request: Request, shared: SharedLoops | None = None) -> Run:
     with current_interruption() as interruption, interruption.patient(1):
         try:
-            request = Request(
-                scenario=scenario,
-                progress=progress,
-                viewers=viewers,
-                after_step=after_step,
-                check_step=check_step,
-                make_loop=make_nonstop if make_loop is None else make_loop,
-                engine=engine,
-                replacements=replacements,
-            )
-            run = flown_alone(simulating(request, interruption))
+            run = flown_alone(simulating(request, interruption, shared))
         except RunStopped:
             raise
         except Exception:
@@ -100,7 +104,7 @@ def simulating(
     engine, reason = request.engine or request.scenario.engine, ""
     flight = Flight(request, interruption, shared)
     try:
-        return (yield from _simulating(flight, request, engine))
+        return (yield from _simulating(flight, request, engine, shared))
     except NotCompilableError as error:
         tell_not_compiled(f"{error};", engine)
         engine, reason = DIAGRAM, f": {error}"
@@ -113,17 +117,26 @@ def simulating(
         return (yield from _simulating(own, request, engine))
 
 
-def _simulating(flight: Flight, request: Request, engine: str) -> Flying[Run]:
+def _simulating(
+    flight: Flight, request: Request, engine: str, shared: SharedLoops | None = None
+) -> Flying[Run]:
     """Prepares, flies, makes the run, and judges its step."""
     with flight.kept():
         chosen = flight.prepare(engine)
         yield from flight.fly(engine, chosen)
     if flight.early_end is not None:
         return flight.run(flight.early_end)  # as it is: another step may end it elsewhere
-    return _judged(flight.run(), flight, chosen, request, engine)
+    return _judged(flight.run(), flight, chosen, request, engine, shared)
 
 
-def _judged(run: Run, flight: Flight, chosen: ChosenStep, request: Request, engine: str) -> Run:
+def _judged(
+    run: Run,
+    flight: Flight,
+    chosen: ChosenStep,
+    request: Request,
+    engine: str,
+    shared: SharedLoops | None,
+) -> Run:
     """The run, flown again with half its step where that may make a difference."""
     if request.check_step is StepCheck.NOTHING:
         return run
@@ -137,7 +150,7 @@ def _judged(run: Run, flight: Flight, chosen: ChosenStep, request: Request, engi
         return run
     if request.check_step is StepCheck.PARTS or request.after_step is not None:
         return dataclasses.replace(run, unresolved=(doubt,))
-    return _verified(run, request.progress, doubt, engine)
+    return _verified(run, request.progress, doubt, engine, shared)
 
 
 def verify_step(run: Run, *, progress: Callable[[float], None] | None = None) -> Run:
@@ -164,6 +177,7 @@ def _verified(
     progress: Callable[[float], None] | None,
     doubt: str = "",
     engine: str | None = None,
+    shared: SharedLoops | None = None,
 ) -> Run:
     """Verifies the step; an interrupted run keeps the doubt for which it is flown again."""
     config = finer(with_step(run.scenario.simulator_config, run.step), 2)
@@ -175,13 +189,16 @@ def _verified(
     try:
         with without_warnings(), current_interruption() as interruption:
             interruption.collect = lambda: doubted
-            half = simulate(
-                scenario,
+            replacements = {**(run.replacements or {})}
+            request = Request(
+                scenario=scenario,
                 progress=progress,
                 check_step=StepCheck.NOTHING,
+                make_loop=replacements.pop("make_loop", make_nonstop),
                 engine=None if engine == AUTO else engine,
-                **(run.replacements or {}),
+                replacements=replacements,
             )
+            half = _simulated(request, shared)
     except RunInterrupted:
         raise RunInterrupted(doubted) from None
     except (RunStopped, ScenarioError) as error:
