@@ -28,7 +28,12 @@ from drake_nonstop.simulation.run import StepCheck
 from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.studies.sweep import sweep
 from drake_nonstop.studies.sweep_spec import SweepSpec
-from drake_nonstop.systems.compilation import Compiled, c_text, compiled_for_processor
+from drake_nonstop.systems.compilation import (
+    Compiled,
+    c_text,
+    compiled_for_processor,
+    compiler,
+)
 from drake_nonstop.validation import require
 
 _FLIGHTS, _SAMPLES, _CALLS = 8, 40, 25  # how many of which are timed at once
@@ -79,8 +84,10 @@ def benchmark_many(
         "versions": versions(*PACKAGES),
         "layers": layers,
     }
+    constant = changed(scenario, [_CONSTANT])
+    if compiler() is not None:
+        found["lanes"] = lanes_ratio(constant, repeats=repeats)
     if importlib.util.find_spec("gymnasium") is not None:
-        constant = changed(scenario, [_CONSTANT])
         found["environment"] = environment_ratio(constant, repeats=repeats)
     return found
 
@@ -126,6 +133,12 @@ def table(results: dict[str, Any]) -> str:
                 f"{name:>9} layer, {what:<11}  {1e3 * many:8.1f} ms of {1e3 * one:8.1f} ms by the "
                 f"diagram, 1/{1 / ratio:.0f}"
             )
+    if "lanes" in results:
+        one, many = results["lanes"]["us_per_sample"].values()
+        ratio = results["lanes"]["ratio"]
+        rows.append(
+            f"lanes: {many:.2f} µs a sample, of {one:.2f} by C one by one, {ratio:.1f} times"
+        )
     if "environment" in results:
         found = results["environment"]
         rows.append(f"{found['environments']} environments: {found['ratio']:.0f} times one's steps")
