@@ -287,15 +287,15 @@ class CompiledLoop:
             largest=largest,
         )
 
-    def prepare_lanes(self, samples: int | None = None) -> None:
-        """Lets its flights go on side by side in `lanes.advance_together`, where it is compiled.
+    def prepare_lanes(self) -> None:
+        """Takes the C by which `lanes.advance_together` flies its flights, where it is compiled.
 
-        C for that is taken from the cache. It is compiled, which takes some seconds, where this
-        process is to fly so many `samples` that it is worth it; None: in any case.
+        It is that of the cache, or is compiled now, which takes some seconds. Else flights of many
+        samples have it compiled beside this process.
         """
         whole = self._functions.whole if self._compiles else None
         if whole is not None:
-            whole.compile_lanes(builds=True) if samples is None else whole.lanes_for(samples)
+            whole.compile_lanes(builds=True)
 
     def _require_start(self, context: Context) -> None:
         require_context("context", self.diagram, context)

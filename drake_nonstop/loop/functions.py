@@ -26,7 +26,7 @@ from drake_nonstop.systems.tracing import bound, object_array
 _WORTH_LOOKING = 100  # samples, less than are flown while the cache is looked up
 _WORTH_SHORTENING = 1_500  # samples, which save about what it takes
 _WORTH_TEXT = 20_000  # samples of lanes, less than are flown while their C text is made
-_WORTH_LANES = 1_000_000  # samples, which save about what the compilation takes
+_WORTH_LANES = 100_000  # samples, a tenth of those that save what the compilation takes
 _FLY_SAMPLES = files(__package__).joinpath("fly_samples.c").read_text()
 
 
@@ -92,8 +92,8 @@ class LoopFunction:
         self._digest = ""
         self.reason = ""  # why it is not compiled
         self.lanes: LaneFunction | None = None  # the same, of several flights, as C
-        self._tried_lanes: set[bool] = set()  # to take it from the cache (False), or to build it
-        self._lane_samples = 0  # that have been asked for
+        self._has_no_lanes = False  # they cannot be compiled
+        self._lane_samples, self._next_look = 0, _WORTH_TEXT  # that have been asked for
 
     def shorten(self) -> None:
         """Computes what is the same in two places once; the numbers stay, to the bit."""
@@ -114,21 +114,22 @@ class LoopFunction:
         except CompilationError as error:
             self.reason = str(error)
 
-    def compile_lanes(self, builds: bool) -> None:
-        """Does so with the C of several flights side by side, of a whole sample."""
-        if self.lanes is None and builds not in self._tried_lanes:
-            self._tried_lanes |= {builds, False}
+    def compile_lanes(self, *, builds: bool, begins: bool = False) -> None:
+        """Takes C of several flights side by side, as of `compiled_for_processor`."""
+        if self.lanes is None and not self._has_no_lanes:
             self.shorten()
             make = functools.partial(lanes_code, self.function, self.argument_sizes)
-            library = compiled_for_processor(make, builds=builds)
+            library = compiled_for_processor(make, builds=builds, begins=begins)
             if library is not None:
                 self.lanes = LaneFunction(library, self.function)
+            self._has_no_lanes = builds and library is None
 
     def lanes_for(self, samples: int) -> LaneFunction | None:
-        """Lanes for so many samples more, where they are there, or worth to be compiled by now."""
+        """Lanes for so many samples more; of many they are looked up, of more compiled beside."""
         self._lane_samples += samples
-        if self._lane_samples >= _WORTH_TEXT:
-            self.compile_lanes(self._lane_samples >= _WORTH_LANES)
+        if self.lanes is None and self._lane_samples >= self._next_look:
+            self._next_look = 2 * self._lane_samples
+            self.compile_lanes(builds=False, begins=self._lane_samples >= _WORTH_LANES)
         return self.lanes
 
 

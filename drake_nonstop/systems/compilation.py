@@ -46,13 +46,14 @@ _OF_PROCESSOR = ["-O2", "-march=native", "-fno-math-errno", "-fno-builtin-pow", 
 _FEATURES = "vendor_id", "cpu family", "model", "stepping", "flags", "CPU part", "Features"
 _TIME_LIMIT = 600.0  # s, of a compilation
 _VERSION_TIME_LIMIT = 10.0  # s
-_NEW, _SAVED, _BESIDES = ".new-", "function.casadi", "besides.c"  # a folder, and files in it
+_NEW = ".new-"  # a folder, and files in it
+_SAVED, _BESIDES, _CALL = "function.casadi", "besides.c", "call"
 _NICE = 10  # of what compiles beside a process, which comes first
 _BUILD_BESIDE = """
 import sys
-scratch, library, compiler, *sys.path[:] = sys.argv[1:]
+scratch, library, *sys.path[:] = sys.argv[1:]
 from drake_nonstop.systems.compilation import build_beside
-build_beside(scratch, library, compiler)
+build_beside(scratch, library)
 """
 
 
@@ -116,18 +117,24 @@ def digest(function: casadi.Function, besides: str = "") -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def compiled_for_processor(make_text: Callable[[], str], *, builds: bool) -> ctypes.CDLL | None:
+def compiled_for_processor(
+    make_text: Callable[[], str], *, builds: bool, begins: bool = False
+) -> ctypes.CDLL | None:
     """A C text of flights side by side as a library for this processor; None: it cannot be had.
 
-    It `builds` where the cache does not have it. A ScenarioWarning tells why it cannot be compiled,
-    which may be a CompilationError of `make_text`.
+    It `builds` where the cache does not have it, or `begins` to beside this process, for later
+    calls. A ScenarioWarning tells why it cannot be compiled, which may be a CompilationError of
+    `make_text`.
     """
     try:
         text = make_text()
         entry = _entry_of(text, [*_OF_PROCESSOR, _processor()])
-        return (
-            _compiled(_loaded, entry, lambda: text) if builds else _cached(_loaded, entry.library)
-        )
+        if builds:
+            return _compiled(_loaded, entry, lambda: text)
+        found = _cached(_loaded, entry.library)
+        if found is None and begins and os.environ.get(BESIDE) != "0":
+            _begin(None, text, entry)
+        return found
     except CompilationError as error:
         _tell(str(error), "flights side by side", "they are flown one by one")
     return None
@@ -260,8 +267,8 @@ _begun: set[Path] = set()  # that this process has had compiled
 _builder: subprocess.Popen[bytes] | None = None  # the last process that does
 
 
-def _begin(function: casadi.Function, besides: str, entry: _Entry) -> None:
-    """Starts a process that compiles a function, unless one is at work or has been."""
+def _begin(function: casadi.Function | None, besides: str, entry: _Entry) -> None:
+    """Starts a process that compiles a function, or text, unless one is at work or has been."""
     global _builder
     is_busy = _builder is not None and _builder.poll() is None
     if is_busy or entry.library in _begun or not sys.executable:
@@ -271,8 +278,10 @@ def _begin(function: casadi.Function, besides: str, entry: _Entry) -> None:
         scratch = tempfile.mkdtemp(prefix=_NEW, dir=entry.library.parent)
         atexit.register(_end, Path(scratch))
         (Path(scratch) / _BESIDES).write_text(besides)
-    function.save(f"{scratch}/{_SAVED}")
-    given = [scratch, str(entry.library), entry.call[0], *sys.path]
+        (Path(scratch) / _CALL).write_text("\n".join(entry.call))
+    if function is not None:
+        function.save(f"{scratch}/{_SAVED}")
+    given = [scratch, str(entry.library), *sys.path]
     _builder = subprocess.Popen(
         [sys.executable, "-c", _BUILD_BESIDE, *given],
         stdin=subprocess.PIPE,  # which ends with this process, however that ends
@@ -291,17 +300,20 @@ def _end(scratch: Path) -> None:
         shutil.rmtree(scratch, ignore_errors=True)
 
 
-def build_beside(folder: str, library: str, own_compiler: str) -> None:
-    """Compiles the function that is saved in a folder, which is removed then."""
-    scratch, entry = Path(folder), _Entry(Path(library), [own_compiler, *_OPTIONS])
+def build_beside(folder: str, library: str) -> None:
+    """Compiles what is saved in a folder, which is removed then."""
+    scratch = Path(folder)
+    entry = _Entry(Path(library), (scratch / _CALL).read_text().splitlines())
     os.nice(_NICE)
     signal.signal(signal.SIGTERM, lambda *_: None)  # for the compiler, which has no such handler
     threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
-        function = casadi.Function.load(str(scratch / _SAVED))
         with _locked(entry.library.with_suffix(".lock"), waits=False):
             if not _is_sound(entry.library):
-                _build(c_text(function) + (scratch / _BESIDES).read_text(), entry, scratch)
+                saved, text = scratch / _SAVED, (scratch / _BESIDES).read_text()
+                if saved.is_file():
+                    text = c_text(casadi.Function.load(str(saved))) + text
+                _build(text, entry, scratch)
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
 

@@ -303,3 +303,15 @@ def test_what_cannot_be_compiled_beside_has_a_reason(beside, monkeypatch, tmp_pa
     if compiler() is not None:
         with pytest.raises(CompilationError, match="cannot be written"):
             beside(function())
+
+
+@needs_compiler
+def test_text_for_this_processor_is_compiled_beside_for_later_calls(monkeypatch, folder):
+    def text():
+        return "double thrice(double x) { return 3 * x; }"
+
+    monkeypatch.setenv(compilation.BESIDE, "1")
+    assert compiled_for_processor(text, builds=False, begins=True) is None
+    assert compilation._builder.wait(60) == 0
+    assert compiled_for_processor(text, builds=False).thrice is not None
+    assert not [*folder.glob(".new-*")]
