@@ -1,12 +1,11 @@
 """Box "Load Dynamics" of the figure."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.common.value import AbstractValue
-from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import BodyIndex, SpatialInertia, UnitInertia
 from pydrake.symbolic import Expression
 from pydrake.systems.framework import Context, DiagramBuilder
 
@@ -26,7 +25,6 @@ from drake_nonstop.model.block import LOAD, Block, BlockParameters, rigid_load
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import DiagramBlock, InnerBlock
 from drake_nonstop.systems.parameters import declare_parameters, parameters_in
-from drake_nonstop.systems.point_forces import applied_force, no_forces
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
 from drake_nonstop.validation import StrictFields
 
@@ -100,6 +98,9 @@ class MultibodyLoadPlant(DiagramBlock):
     reads, makes = LoadPlant.reads, LoadPlant.makes
 
     def __init__(self, model: Model, config: MultibodyLoadPlantConfig | None = None):
+        from pydrake.multibody.plant import MultibodyPlant  # here: few runs need them
+        from pydrake.multibody.tree import SpatialInertia, UnitInertia
+
         super().__init__()
         builder = DiagramBuilder()
         plant = builder.AddNamedSystem("plant", MultibodyPlant(time_step=0.0))
@@ -130,8 +131,11 @@ class MultibodyLoadPlant(DiagramBlock):
 class _LoadForces(InnerBlock):
     """All forces on the load except gravity, with their points of application."""
 
-    def __init__(self, model: Model, body: BodyIndex):
+    def __init__(self, model: Model, body: Any):
+        from drake_nonstop.systems.point_forces import applied_force, no_forces
+
         super().__init__()
+        self._applied_force = applied_force
         self.parameters = BlockParameters(model, ("load_drag", "load_angular_drag"))
         declare_parameters(self, self.parameters)
         self._cable_forces = self.DeclareVectorInputPort("cable_forces", 3 * model.n)
@@ -161,7 +165,7 @@ class _LoadForces(InnerBlock):
             raise NotFiniteError(self.box(), was_given=True)
         parts = [*((np.zeros(3), cable) for cable in cables), (torque, force)]
         applied = [
-            applied_force(self.scalar, self._body, point, *part)
+            self._applied_force(self.scalar, self._body, point, *part)
             for point, part in zip(self._points, parts, strict=True)
         ]
         output.set_value(applied)

@@ -25,7 +25,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import Context, Diagram, OutputPort
 from pydrake.systems.primitives import AffineSystem, Integrator
 
@@ -294,7 +293,7 @@ def _declare_defaults(system: Any, context: Context) -> None:
         system.set_default_integral_value(context.get_continuous_state_vector().CopyToVector())
     elif isinstance(system, AffineSystem):
         system.configure_default_state(state_values(context))
-    elif isinstance(system, MultibodyPlant):
+    elif hasattr(system, "SetDefaultPositions"):  # a MultibodyPlant, which few runs import
         system.SetDefaultPositions(system.GetPositions(context))
     elif not type(system).__module__.startswith("pydrake"):
         declare_default_state(system, context)

@@ -14,7 +14,6 @@ from pydrake.common.yaml import yaml_dump, yaml_load_typed
 from pydrake.systems.analysis import SimulatorConfig
 
 from drake_nonstop.loop.box import import_path
-from drake_nonstop.model.load_file import read_load
 from drake_nonstop.model.system import SystemParameters, require_few
 from drake_nonstop.scenario import distributions
 from drake_nonstop.scenario.own_blocks import import_config
@@ -100,6 +99,8 @@ def from_tree(
     for owner in ("system", "simulated"):
         system = getattr(scenario, owner)
         if system.load_file:
+            from drake_nonstop.model.load_file import read_load  # with much of Drake
+
             read = read_load(system.load_file, system.attachment_frames or [])
             read |= {"load_file": "", "attachment_frames": []}
             setattr(scenario, owner, dataclasses.replace(system, **read))
