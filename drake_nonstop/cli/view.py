@@ -15,7 +15,6 @@ from typing import Any
 
 from drake_nonstop.cli.arguments import Commands
 from drake_nonstop.validation import ScenarioError, require
-from drake_nonstop.visualization.reverse_proxy import are_own
 
 
 def add_to(commands: Commands) -> None:
@@ -44,6 +43,8 @@ class _OwnHandler(SimpleHTTPRequestHandler):
 
     def send_head(self) -> Any:
         """The file that is asked for, as the base has it; None: the request is refused."""
+        from drake_nonstop.visualization.reverse_proxy import are_own  # with asyncio
+
         hosts, origins = (self.headers.get_all(name, []) for name in ("Host", "Origin"))
         if not are_own(hosts, origins):
             self.send_error(HTTPStatus.FORBIDDEN, "Open this page at the address that was printed")
