@@ -130,9 +130,8 @@ class DisturbanceForce(LeafBlock):
         push: _Push = context.get_abstract_parameter(self._push).get_value()
         forces = coloured_noise(times[:, None, None], push.waves, push.gust)
         wrenches = push.wrench + np.column_stack([np.zeros((len(times), 3)), forces])
-        has_begun = times >= push.start_time
-        if times.dtype != float:
-            has_begun = np.array([number(time) >= push.start_time for time in times])
+        instants = times if times.dtype == float else np.array([number(time) for time in times])
+        has_begun = instants >= push.start_time
         wrenches = np.where(has_begun[:, None], wrenches, 0.0)
         return [wrenches for _ in ports]
 
