@@ -32,11 +32,15 @@ sys.argv = ["drake-nonstop", "--version"]
 main()
 """
 WORKER = """
+from functools import partial
 from threads import threads
-from drake_nonstop.studies.processes import call_in_processes
+from drake_nonstop.studies.processes import call_in_processes, one_by_one
 
 if __name__ == "__main__":
-    call_in_processes(threads, [0], lambda key: (), lambda key, answer: print(answer.result))
+    def tell(key, answer):
+        print(answer.result)
+
+    call_in_processes(partial(one_by_one, threads), [[0]], lambda key: (), tell)
     print(threads())
 """
 
