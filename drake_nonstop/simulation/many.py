@@ -125,7 +125,10 @@ def fly_many(
     shared = SharedLoops()
     with current_interruption() as interruption, interruption.patient(1):
         while not interruption.number:
-            while len(flyers) < most and (number := next(waiting, None)) is not None:
+            while len(flyers) < most and not interruption.number:
+                number = next(waiting, None)
+                if number is None:
+                    break
                 flyer = _flyer(number, arguments[number], shared, is_recording)
                 flyer.go_on(None, interruption)
                 flyers.append(flyer)
@@ -142,7 +145,7 @@ def fly_many(
             for flyer in ended:
                 if flyer.outcome is None:
                     flyers.append(flyer)
-                elif not interruption.number:
+                elif not flyer.interruption.number:
                     yield flyer.number, flyer.outcome, flyer.told
     raise KeyboardInterrupt
 

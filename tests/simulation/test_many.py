@@ -136,15 +136,15 @@ def test_what_is_wrong_or_diverges_has_a_row_of_its_own_and_harms_no_other():
 
 
 def test_an_interrupt_keeps_the_runs_that_have_ended():
-    scenarios = [load_scenario("quintic", SHORT), load_scenario("quintic", [CONSTANT])]
+    scenarios = [load_scenario("quintic", own) for own in (SHORT, SHORT, [CONSTANT])]
 
     def interrupt(share):
         os.kill(os.getpid(), signal.SIGINT)
 
-    with pytest.raises(RunsInterrupted, match="1 of 2 runs have ended") as raised:
+    with pytest.raises(RunsInterrupted, match="2 of 3 runs have ended") as raised:
         simulate_many(scenarios, progress=interrupt, **NOTHING)
-    run, missing = raised.value.runs
-    assert isinstance(run, Run)
+    *runs, missing = raised.value.runs
+    assert all(isinstance(run, Run) for run in runs)  # that of the second ended beside the first's
     assert missing is None
 
 
