@@ -46,6 +46,7 @@ _OF_PROCESSOR = ["-O2", "-march=native", "-fno-math-errno", "-fno-builtin-pow", 
 _FEATURES = "vendor_id", "cpu family", "model", "stepping", "flags", "CPU part", "Features"
 _TIME_LIMIT = 600.0  # s, of a compilation
 _VERSION_TIME_LIMIT = 10.0  # s
+_LEFT_TIME = 2 * _TIME_LIMIT  # s, after which nothing is at work in a folder
 _NEW = ".new-"  # a folder, and files in it
 _SAVED, _BESIDES, _CALL = "function.casadi", "besides.c", "call"
 _NICE = 10  # of what compiles beside a process, which comes first
@@ -254,9 +255,17 @@ def _compiled(
 
 @contextlib.contextmanager
 def _written(folder: Path) -> Iterator[None]:
-    """Makes a folder; raises CompilationError where it cannot be written."""
+    """Makes a folder, and removes from it what processes that were killed have left.
+
+    Raises:
+        CompilationError: it cannot be written.
+    """
     try:
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        for scratch in folder.glob(f"{_NEW}*"):
+            with contextlib.suppress(FileNotFoundError):  # another process removes it
+                if time.time() - scratch.lstat().st_mtime > _LEFT_TIME:
+                    shutil.rmtree(scratch, ignore_errors=True)
         yield
     except OSError as error:
         reason = f"{folder} cannot be written ({error.strerror or error})"

@@ -164,6 +164,15 @@ def test_two_at_once_build_it_once_and_both_load_it(folder):
     assert not [*folder.glob(".new-*")]
 
 
+@needs_compiler
+def test_what_killed_processes_have_left_is_removed_once_it_is_old(folder):
+    for name in (".new-old", ".new-now"):
+        (folder / name).mkdir(parents=True)
+    os.utime(folder / ".new-old", (0, 0))
+    assert compiled(function()) is not None
+    assert [path.name for path in folder.glob(".new-*")] == [".new-now"]
+
+
 def test_without_a_compiler_one_line_tells_it_once(monkeypatch):
     monkeypatch.setenv("CC", "no-such-compiler")
     with pytest.warns(ScenarioWarning, match="there is no C compiler") as told:
