@@ -7,7 +7,7 @@ that the loop has no inputs. `make_gym_vec_env` makes the environment.
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, cast
 
 import gymnasium
 import numpy as np
@@ -210,7 +210,9 @@ class NonstopVecEnv(VectorEnv[NDArray, NDArray, NDArray]):
                 cannot be built.
         """
         require(not options, "options", options, "leave them out, there are none")
-        n, given = self.num_envs, np.asarray(seed, dtype=object).tolist()  # plain numbers
+        n, given = self.num_envs, cast(Any, seed)
+        if isinstance(given, np.ndarray | np.integer):
+            given = given.tolist()  # plain numbers
         seeds: Any = [*range(given, given + n)] if type(given) is int else given or n * [None]
         is_right = isinstance(seeds, Sequence) and len(seeds) == n
         remedy = f"give a whole number from 0 to {_LARGEST_SEED}, or {n} of them, or None"

@@ -155,7 +155,7 @@ def test_episodes_draw_their_numbers_by_their_seeds(scenario, drawn, is_built, m
     env.reset(seed=[4, 7])
     both, *_ = env.step(action)
     assert np.max(np.abs(both[0] - both[1])) > 1e-9
-    env.reset(seed=7)
+    env.reset(seed=np.int64(7))
     np.testing.assert_array_equal(env.step(action)[0][0], both[1])
     single.reset(seed=7)
     expected = single.step(action[0])[0]
