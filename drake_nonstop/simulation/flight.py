@@ -79,6 +79,8 @@ class Request:
         check(self.scenario)
         remedy = f"give {DIAGRAM} or {COMPILED}, or None"
         require(self.engine in (None, DIAGRAM, COMPILED), "engine", self.engine, remedy)
+        is_one = isinstance(self.check_step, StepCheck)
+        require(is_one, "check_step", self.check_step, "give one, such as StepCheck.PARTS")
         remedy = "give a function that takes a scenario and returns a Diagram, such as make_nonstop"
         require(callable(self.make_loop), "make_loop", self.make_loop, remedy)
         remedy = "give a list of functions, such as [show_in(meshcat)]"

@@ -196,6 +196,8 @@ def test_another_engine_is_refused():
         simulate(load_scenario("quintic", ["engine=fast"]))
     with pytest.raises(ScenarioError, match=r"engine = fast: give diagram or compiled, or None"):
         simulate(load_scenario("quintic"), engine="fast")
+    with pytest.raises(ScenarioError, match=r"check_step = 3: give one, such"):
+        simulate(load_scenario("quintic"), check_step=3)
 
 
 @pytest.mark.parametrize("period", nightly_beyond(1, "engines", [0.03, 0.06, 0.015, 0.012]))
