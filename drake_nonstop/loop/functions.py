@@ -18,7 +18,6 @@ from drake_nonstop.systems.compilation import (
     Compiled,
     compiled,
     compiled_for_processor,
-    compiled_or_begun,
     digest,
 )
 from drake_nonstop.systems.tracing import bound, object_array
@@ -109,8 +108,7 @@ class LoopFunction:
         self._digest = self._digest or digest(self.function, self.besides)
         own = {"besides": self.besides, "own_digest": self._digest}
         try:
-            make = compiled if waits else compiled_or_begun
-            self.compiled, self.reason = make(self.function, **own), ""
+            self.compiled, self.reason = compiled(self.function, **own, waits=waits), ""
         except CompilationError as error:
             self.reason = str(error)
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from drake_nonstop.optimization.horizon_motion import HorizonData
 from drake_nonstop.optimization.horizon_problem import MarginFunction
-from drake_nonstop.systems.compilation import compiled_text
+from drake_nonstop.systems.compilation import compiled_for_processor
 from drake_nonstop.systems.elementwise import evaluate_address
 from drake_nonstop.systems.tracing import NotFiniteError
 
@@ -85,7 +85,8 @@ class _Data(_Structure):
 @functools.cache
 def compiled_solver() -> Callable[..., int] | None:
     """`solve_plan` of solve_plan.c; None: it cannot be compiled, which a ScenarioWarning tells."""
-    library = compiled_text(_TEXT)
+    told = "plans", "Python makes them, ten times slower,"
+    library = compiled_for_processor(lambda: _TEXT, builds=True, told=told)
     if library is None or not evaluate_address() or not _quadprog():
         return None
     solve = library.solve_plan

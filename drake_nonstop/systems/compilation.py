@@ -73,43 +73,37 @@ class Compiled(NamedTuple):
 
 
 def compiled(
-    function: casadi.Function, *, besides: str = "", own_digest: str = ""
+    function: casadi.Function, *, besides: str = "", own_digest: str = "", waits: bool = True
 ) -> Compiled | None:
-    """A function as compiled C; None: it cannot be, and is to be evaluated as it is.
+    """A function as compiled C; None: it cannot be, or is not yet, and is to be evaluated as it is.
 
-    Both give the same numbers, to the bit. A ScenarioWarning tells why it cannot, once for each
-    reason.
+    Both give the same numbers, to the bit. What is not in the cache, is waited for, or compiled
+    beside this process for later calls: one function at a time is, each once, unless another
+    process compiles it.
 
     Args:
         function: of SX expressions.
         besides: C text that follows that of the function, and may call it.
         own_digest: its `digest`; "": it is not known.
-    """
-    try:
-        entry = _entry_of(own_digest or digest(function, besides), _OPTIONS)
-        load = functools.partial(_of_library, function.name())
-        return _compiled(load, entry, lambda: c_text(function) + besides)
-    except CompilationError as error:
-        tell_not_c(str(error))
-    return None
-
-
-def compiled_or_begun(
-    function: casadi.Function, *, besides: str = "", own_digest: str
-) -> Compiled | None:
-    """As `compiled`, of the cache; what is not there, is compiled beside this process: None.
-
-    One function at a time is, each once, unless another process compiles it. The arguments are
-    those of `compiled`.
+        waits: if so, a ScenarioWarning tells why it cannot be compiled, once for each reason.
 
     Raises:
-        CompilationError: nothing can be compiled.
+        CompilationError: nothing can be compiled, and it does not wait.
     """
-    entry = _entry_of(own_digest, _OPTIONS)
-    found = _cached(functools.partial(_of_library, function.name()), entry.library)
-    if found is None and os.environ.get(BESIDE) != "0":
-        _begin(function, besides, entry)
-    return found
+    load = functools.partial(_of_library, function.name())
+    try:
+        entry = _entry_of(own_digest or digest(function, besides), _OPTIONS)
+        if waits:
+            return _compiled(load, entry, lambda: c_text(function) + besides)
+        found = _cached(load, entry.library)
+        if found is None:
+            _begin(function, besides, entry)
+        return found
+    except CompilationError as error:
+        if not waits:
+            raise
+        tell_not_c(str(error))
+    return None
 
 
 def digest(function: casadi.Function, besides: str = "") -> str:
@@ -119,13 +113,17 @@ def digest(function: casadi.Function, besides: str = "") -> str:
 
 
 def compiled_for_processor(
-    make_text: Callable[[], str], *, builds: bool, begins: bool = False
+    make_text: Callable[[], str],
+    *,
+    builds: bool,
+    begins: bool = False,
+    told: tuple[str, str] = ("flights side by side", "they are flown one by one"),
 ) -> ctypes.CDLL | None:
-    """A C text of flights side by side as a library for this processor; None: it cannot be had.
+    """A C text as a library for this processor; None: it cannot be had.
 
     It `builds` where the cache does not have it, or `begins` to beside this process, for later
     calls. A ScenarioWarning tells why it cannot be compiled, which may be a CompilationError of
-    `make_text`.
+    `make_text`: what it is, and what is done instead, are `told` in it.
     """
     try:
         text = make_text()
@@ -133,22 +131,11 @@ def compiled_for_processor(
         if builds:
             return _compiled(_loaded, entry, lambda: text)
         found = _cached(_loaded, entry.library)
-        if found is None and begins and os.environ.get(BESIDE) != "0":
+        if found is None and begins:
             _begin(None, text, entry)
         return found
     except CompilationError as error:
-        _tell(str(error), "flights side by side", "they are flown one by one")
-    return None
-
-
-@functools.cache
-def compiled_text(text: str) -> ctypes.CDLL | None:
-    """C text of plans as a library; None: it cannot be compiled, which a ScenarioWarning tells."""
-    try:
-        entry = _entry_of(text, [*_OF_PROCESSOR, _processor()])
-        return _compiled(_loaded, entry, lambda: text)
-    except CompilationError as error:
-        _tell(str(error), "plans", "Python makes them, ten times slower,")
+        _tell(str(error), *told)
     return None
 
 
@@ -280,7 +267,7 @@ def _begin(function: casadi.Function | None, besides: str, entry: _Entry) -> Non
     """Starts a process that compiles a function, or text, unless one is at work or has been."""
     global _builder
     is_busy = _builder is not None and _builder.poll() is None
-    if is_busy or entry.library in _begun or not sys.executable:
+    if os.environ.get(BESIDE) == "0" or is_busy or entry.library in _begun or not sys.executable:
         return
     _begun.add(entry.library)
     with _written(entry.library.parent):

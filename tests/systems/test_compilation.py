@@ -21,9 +21,7 @@ from drake_nonstop.systems.compilation import (
     CompilationError,
     compiled,
     compiled_for_processor,
-    compiled_or_begun,
     compiler,
-    digest,
 )
 from drake_nonstop.validation import ScenarioWarning
 
@@ -242,7 +240,7 @@ def beside(monkeypatch):
     monkeypatch.setenv(compilation.BESIDE, "1")
     monkeypatch.setattr(compilation, "_begun", set())
     monkeypatch.setattr(compilation, "_builder", None)
-    return lambda function: compiled_or_begun(function, own_digest=digest(function))
+    return lambda function: compiled(function, waits=False)
 
 
 def wait_for(asked, timeout=30.0):
@@ -275,7 +273,7 @@ def test_a_process_that_ends_first_ends_its_compiler(use_compiler, folder, tmp_p
 import os, sys, time
 sys.path[:0] = {os.path.dirname(__file__)!r},
 import test_compilation as t
-assert t.compiled_or_begun(t.function(), own_digest=t.digest(t.function())) is None
+assert t.compiled(t.function(), waits=False) is None
 while not os.path.exists({str(tmp_path / "id")!r}):
     time.sleep(0.02)
 {ending}
