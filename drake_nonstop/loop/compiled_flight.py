@@ -333,10 +333,6 @@ class CompiledFlight(LoopFlight):
             other._outside.keep()
             self._outside = other._outside
 
-    def times_of(self, samples: NDArray) -> NDArray:
-        """Times of samples by their numbers (k,), s."""
-        return sample_times(samples, self._period)
-
     def seconds_of_functions(self, samples: int) -> float:
         """Values as of `CompiledLoop`; the flight stays where it is."""
         if self._whole is not None:

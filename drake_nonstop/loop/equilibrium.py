@@ -122,12 +122,9 @@ def _settle(nonstop: Diagram, trial: Context) -> None:
     start = trial.Clone()
     simulator = Simulator(nonstop, trial)
     reference = plant.required(trial, "reference")
-    desired = LoadReference.view(reference)
-    desired_rate = np.concatenate([desired.angular_acceleration, desired.acceleration])
     settled: dict[str, NDArray] = {}
 
-    def settle_at(load_state: NDArray) -> NDArray:
-        """The load's acceleration (6,), less the reference's, in a state of it (13,)."""
+    def acceleration(load_state: NDArray) -> NDArray:
         trial.SetTimeStateAndParametersFrom(start)
         settled["load_state"] = load_state
         plant.set_states(trial, **settled)
@@ -135,9 +132,9 @@ def _settle(nonstop: Diagram, trial: Context) -> None:
         settled["carrier_state"] = plant.required(trial, "carrier_reference")
         plant.set_states(trial, **settled)
         plant.trim(trial, **settled)
-        return plant.load_acceleration(trial) - desired_rate
+        return plant.load_acceleration(trial)
 
-    residual = _searched(settle_at, plant.states(trial).get("load_state"), reference)
+    residual = _searched(acceleration, plant.states(trial).get("load_state"), reference)
     if np.max(np.abs(residual)) < _REST:
         return
     cause = _cause_of_motion(plant, trial, plant.load_acceleration(trial))
@@ -164,10 +161,7 @@ def _settle_traced(nonstop: Diagram, context: Context, traced: Any) -> bool:
         return np.concatenate([rate.angular_velocity, rate.velocity])
 
     try:
-        reference = plant.required(context, "reference")
-        desired = LoadReference.view(reference)
-        wanted = np.concatenate([desired.angular_acceleration, desired.acceleration])
-        residual = _searched(lambda state: acceleration(state) - wanted, given, reference)
+        residual = _searched(acceleration, given, plant.required(context, "reference"))
     except Exception:  # whatever a block may raise, which its diagram does again
         return False
     if not np.max(np.abs(residual)) < _REST:
@@ -177,19 +171,21 @@ def _settle_traced(nonstop: Diagram, context: Context, traced: Any) -> bool:
 
 
 def _searched(
-    settle_at: Callable[[NDArray], NDArray], given: NDArray | None, reference: NDArray
+    acceleration: Callable[[NDArray], NDArray], given: NDArray | None, reference: NDArray
 ) -> NDArray:
-    """The acceleration (6,) that is left where the search for an equilibrium ends.
+    """What an acceleration (6,) has beside the reference's where the search for rest ends.
 
-    `settle_at` returns it for a load state (13,); `given` is that of now, None: it has none.
+    It is the load's, of a state of it (13,); `given` is that of now, None: it has none.
     """
+    desired = LoadReference.view(reference)
+    desired_rate = np.concatenate([desired.angular_acceleration, desired.acceleration])
 
     def settle(offset: NDArray) -> NDArray:
         """The same at a rotation and shift from the reference."""
-        return settle_at(_moved(reference[:LOAD_STATE_SIZE], offset))
+        return acceleration(_moved(reference[:LOAD_STATE_SIZE], offset)) - desired_rate
 
     if given is not None and np.all(np.abs(given - reference[:LOAD_STATE_SIZE]) <= _NEAR):
-        residual = settle_at(given)
+        residual = acceleration(given) - desired_rate
         if np.max(np.abs(residual)) < _REST / 1e3:
             return residual
     for drop in _DROPS:

@@ -30,14 +30,11 @@ class TracedStart:
         self._flight, layout = loop.fly(context), loop.layout
         self._rest = Evaluation(loop.rest_function, compiles=False)
         self.state = self._flight.state
-        starts = np.cumsum([0, *map(sum, layout.state_sizes.values())])
-        places = dict(zip(layout.leaves, starts.tolist(), strict=False))
-        sizes = layout.state_sizes.items()
-        self.continuous = np.concatenate([places[leaf] + np.arange(n[0]) for leaf, n in sizes])
-        load, carriers = (ports_of(loop.diagram, name)[0].get_system() for name in (LOAD, CARRIERS))
+        numbers = layout.states(np.arange(len(self.state)))
+        self.continuous = np.concatenate([own[0] for own in numbers.values()])
+        plant = (ports_of(loop.diagram, name)[0].get_system() for name in (LOAD, CARRIERS))
         self.load, self.carriers = (
-            slice(places[leaf], places[leaf] + layout.state_sizes[leaf][0])
-            for leaf in (load, carriers)
+            slice(own[0], own[-1] + 1) for own in (numbers[leaf][0] for leaf in plant)
         )
         holds = [leaf for leaf in layout.leaves if SAMPLE_TIME in output_names(leaf)]
         self.held = layout.places[holds[0]].start if holds else None  # the measured load state's

@@ -10,12 +10,9 @@ from numpy.typing import NDArray
 from drake_nonstop.mechanics.planned_orbit import OrbitTerms
 from drake_nonstop.mechanics.rigid_load import STILL_AIR
 from drake_nonstop.mechanics.signals import WIND_SIZE
-from drake_nonstop.model.system import Model
-from drake_nonstop.optimization.horizon_config import HorizonConfig, timed
 from drake_nonstop.optimization.orbit_constraints import OrbitConstraints
-from drake_nonstop.optimization.problem_config import LimitsConfig, tightened_bound
+from drake_nonstop.optimization.problem_config import tightened_bound
 from drake_nonstop.optimization.terminal_set import TerminalTables
-from drake_nonstop.optimization.update_data import ModelParameters
 
 # Aircraft have their limits at one in so many instants, at least so many between two knots: what
 # they need has fewer dips in a turn than speeds that pass low values.
@@ -86,25 +83,12 @@ class HorizonData(NamedTuple):
 
 
 class HorizonMotions(OrbitConstraints):
-    """Tells what plans of one model and config need to know; arguments as of `HorizonProblem`."""
-
-    def __init__(
-        self,
-        model: Model,
-        limits: LimitsConfig,
-        config: HorizonConfig,
-        name: Callable[[], str],
-        *,
-        beliefs: ModelParameters | None = None,
-    ):
-        config = timed(config, limits.frequency, model.control_period)
-        super().__init__(model, limits, config, name, beliefs=beliefs)
-        self.intervals = round(config.horizon / config.knot_spacing)
-        self._place_instants()
+    """Tells what plans need to know, once the instants of a `HorizonProblem` are placed."""
 
     def _place_instants(self) -> None:
         """Tells the instants at which carriers are limited, and which of them have more limits."""
-        config, intervals = self.config, self.intervals
+        config = self.config
+        self.intervals = intervals = round(config.horizon / config.knot_spacing)
         count = intervals * config.instants
         # Where coefficients are fixed, so is the value at the start: no instant is there.
         self._first_instant = 1 if config.fixed_coefficients else 0

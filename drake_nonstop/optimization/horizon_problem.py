@@ -31,7 +31,7 @@ from drake_nonstop.mechanics.planned_orbit import (
 )
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.diagnostics import BOUND
-from drake_nonstop.optimization.horizon_config import HorizonConfig
+from drake_nonstop.optimization.horizon_config import HorizonConfig, timed
 from drake_nonstop.optimization.horizon_motion import HorizonData, HorizonMotions
 from drake_nonstop.optimization.limits import Of
 from drake_nonstop.optimization.linearization import (
@@ -102,8 +102,9 @@ class HorizonProblem(HorizonMotions):
         *,
         beliefs: ModelParameters | None = None,
     ):
+        config = timed(config, limits.frequency, model.control_period)
         super().__init__(model, limits, config, name, beliefs=beliefs)
-        config = self.config
+        self._place_instants()
         self.count = self.intervals + DEGREE  # of the coefficients of ξ, and of A
         self._place_constraints()
         rows = spline_rows(self.instants, self.intervals, config.knot_spacing)

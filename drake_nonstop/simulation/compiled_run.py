@@ -219,7 +219,7 @@ class CompiledRun:
         signals, steps, period = advance.signals, advance.step_signals, self._loop.control_period
         samples = len(signals) // self._loop.shown_per_sample
         self._compare(signals)
-        begins = self._flight.times_of(np.arange(first, first + samples))[:, None]
+        begins = sample_times(np.arange(first, first + samples), period)[:, None]
         ends = np.append(begins[1:, 0], self._flight.time)
         if abs(ends[-1] - duration) < _ROUNDING:
             ends[-1] = duration  # as of a Simulator

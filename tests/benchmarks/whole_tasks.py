@@ -1,7 +1,7 @@
 """How close layers come to the best ξ and A for a whole task, which an offline optimization finds.
 
 Each layer flies the task; the offline optimum is a plan that knows all of the motion, the best of
-those from several starts, see `optimization.horizon_solver`.
+those from several starts, see `whole_task_plans`.
 """
 
 import time
@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from whole_task_plans import plan_task
 
 from drake_nonstop.analysis.task import Task, task_of
 from drake_nonstop.blocks.phase import ShapedPhaseConfig
@@ -17,7 +18,6 @@ from drake_nonstop.mechanics.planned_orbit import OrbitTerms, PlannedOrbit
 from drake_nonstop.mechanics.signals import SIGNAL_PERIOD, PlannedParameters
 from drake_nonstop.optimization.horizon_config import HorizonConfig, timed
 from drake_nonstop.optimization.horizon_problem import HorizonProblem
-from drake_nonstop.optimization.horizon_solver import plan_task
 from drake_nonstop.optimization.limits import Of
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.scenario.overrides import changed

@@ -3,6 +3,7 @@ import functools
 import numpy as np
 import pytest
 from helpers import Motion, model, nightly_beyond
+from whole_task_plans import plan_task
 
 from drake_nonstop.blocks import load_trajectory
 from drake_nonstop.mechanics.planned_orbit import OrbitTerms, PlannedOrbit, planned_speeds
@@ -12,7 +13,6 @@ from drake_nonstop.optimization.horizon_config import HorizonConfig
 from drake_nonstop.optimization.horizon_problem import HorizonProblem
 from drake_nonstop.optimization.horizon_solver import (
     HorizonSolver,
-    plan_task,
     receding_coefficients,
 )
 from drake_nonstop.optimization.problem_config import NonstopProblemConfig

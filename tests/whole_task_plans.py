@@ -1,0 +1,34 @@
+"""Plans of a whole task, by which those over a horizon are judged."""
+
+from dataclasses import replace
+
+from drake_nonstop.optimization.horizon_config import HorizonConfig, timed
+from drake_nonstop.optimization.horizon_problem import HorizonProblem
+from drake_nonstop.optimization.horizon_solver import HorizonSolver, receding_coefficients
+
+MAX_ITERATIONS = 20
+TOLERANCE = 3e-4
+
+
+def plan_task(model, limits, reference, duration, *, name, config=None):
+    """Plans of a whole task, the best first, each from another start.
+
+    The starts are what a receding horizon makes, the constant ξ and A that the global search finds,
+    and the nominal ones. ξ and A begin at their nominal values with three rates of zero. The task
+    ends at rest, or goes on as at its end; its duration in s is rounded to a whole number of
+    intervals between knots.
+    """
+    config = timed(config or HorizonConfig(), limits.frequency, model.control_period)
+    intervals = round(duration / config.knot_spacing)
+    short = HorizonProblem(model, limits, config, name)
+    flown, _ = receding_coefficients(short, reference, intervals, limits.speed_bound)
+    whole = replace(config, horizon=intervals * config.knot_spacing)
+    problem = HorizonProblem(model, limits, whole, name)
+    data = problem.data(0.0, 0.0, reference, limits.speed_bound)
+    solver = HorizonSolver(problem)
+    starts = [flown, solver.first_guess(data), problem.nominal_coefficients()]
+    answers = [
+        solver.solve(data, start, max_iterations=MAX_ITERATIONS, tolerance=TOLERANCE)
+        for start in starts
+    ]
+    return sorted(answers, key=solver.merit)
