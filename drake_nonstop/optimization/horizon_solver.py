@@ -346,7 +346,6 @@ def receding_coefficients(
     intervals: int,
     speed_bound: float,
     *,
-    max_iterations: int = 2,
     wind: Callable[[float], NDArray] = lambda time: STILL_AIR,
 ) -> tuple[NDArray, list[PlanAnswer]]:
     """Plans over a receding horizon along a task that goes as it is predicted.
@@ -356,7 +355,6 @@ def receding_coefficients(
         reference: the load's.
         intervals: between knots, from one plan to the next.
         speed_bound: m/s, ε.
-        max_iterations: of each plan but the first.
         wind: (3,), m/s, in W, that aircraft are believed to fly in, at a time in s.
 
     Returns:
@@ -373,7 +371,7 @@ def receding_coefficients(
         if start is None:
             answer = solver.solve(data, solver.first_guess(data), max_iterations=_FIRST_ITERATIONS)
         else:
-            answer = solver.solve(data, start, max_iterations=max_iterations, scale=scale)
+            answer = solver.solve(data, start, scale=scale)
         answers.append(answer)
         flown[:, k : k + DEGREE + 1] = answer.coefficients[:, : DEGREE + 1]
         start, scale = answer.next_start, max(answer.scale, LEAST_START_SCALE)

@@ -83,19 +83,6 @@ class LoadResponse:
             key=("response of a load", n, is_above_load),
         )
 
-    def at(
-        self,
-        reference: NDArray,
-        internal: NDArray,
-        gains: Mapping[str, Any],
-        *,
-        is_measured: NDArray,
-        wind: NDArray = STILL_AIR,
-    ) -> Response:
-        """The derivatives where the load is on its reference; the arguments are as of `along`."""
-        (found,) = self.along(reference, internal[None], gains, is_measured=is_measured, wind=wind)
-        return found
-
     def along(
         self,
         reference: NDArray,

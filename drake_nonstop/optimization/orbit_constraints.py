@@ -79,8 +79,10 @@ class OrbitConstraints:
         u, along, _ = orbit_directions(self.axes, self._orbit_angles)
         directions = np.concatenate([u, along], axis=2)
         self.orbit_directions = np.ascontiguousarray(np.moveaxis(directions, 2, 0))
+        tensions = functools.partial(self._constraints.of_squares, Of.TENSION)
+        own = {"max_speed": self.max_speed, "margins_of_tension": tensions, **self._cables}
         self.limits_of_carriers = ElementwiseFunction(
-            self._limits_of_carrier,
+            functools.partial(limits_of_carrier, **own),
             [12, 6, 1, 1],
             directions.shape[:2],
             key=("limits_of_carrier", limits, *self._cables.values()),
@@ -207,14 +209,6 @@ class OrbitConstraints:
             function=self.limits_of_carriers,
             directions=self.orbit_directions,
         )
-
-    def _limits_of_carrier(
-        self, terms: NDArray, directions: NDArray, amplitude: NDArray, bound: NDArray
-    ) -> list[NDArray]:
-        """`limits_of_carrier` of an orbit in symbols."""
-        tensions = functools.partial(self._constraints.of_squares, Of.TENSION)
-        own = terms, directions, amplitude, bound, self.max_speed
-        return limits_of_carrier(*own, tensions, **self._cables)
 
     def values_along(self, of: Of, terms: OrbitTerms, orbit: PlannedOrbit) -> NDArray:
         """Speeds, tensions or separations (k, c) at k instants, of the carriers, cables or pairs.

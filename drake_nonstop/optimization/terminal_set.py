@@ -126,10 +126,9 @@ def product_limits(
         lambda square, root: np.where(square > 0, root, 0.0),
         **cables,
     )
-    found = np.full(least.shape, np.inf) if most is None else most
     return (
         np.maximum(least.max(axis=(0, 2)), 0.0),
-        found.min(axis=(0, 2)),
+        most.min(axis=(0, 2)),
         tension_squares.min(axis=(0, 2)),
         tension_squares.max(axis=(0, 2)),
     )
@@ -140,6 +139,7 @@ def limits_of_carrier(
     directions: NDArray,
     amplitude: NDArray,
     speed_bound: NDArray,
+    *,
     max_speed: float,
     margins_of_tension: Callable[[Any], list[Any]],
     **cables: float,
@@ -160,7 +160,6 @@ def limits_of_carrier(
     least, most, square = _limits(
         polynomials[:, :, 0, :], amplitude, speed_bound, max_speed, _where_positive, **cables
     )
-    most = least + np.inf if most is None else most
     return [least, most, *margins_of_tension(square)]
 
 
@@ -175,11 +174,10 @@ def _limits(
     max_speed: float,
     where_positive: Callable[[NDArray, NDArray], NDArray],
     **cables: float,
-) -> tuple[NDArray, NDArray | None, NDArray]:
-    """The limits on s from below and from above of `product_limits`, of each speed alone.
+) -> tuple[NDArray, NDArray, NDArray]:
+    """The limits on s of `product_limits`, of each speed alone, and the squared tension.
 
-    None: there is no limit from above. And the squared tension. `where_positive` gives the second
-    array where the first is positive, and else zeros.
+    `where_positive` gives the second array where the first is positive, and else zeros.
     """
     values = polynomial_values(polynomials, amplitudes)
     c, b, a, tension_squares = speed_squares(values, **cables)
@@ -190,5 +188,5 @@ def _limits(
 
     square, root = upper_root(speed_bound)
     least = where_positive(square, root)
-    most = upper_root(max_speed)[1] if np.isfinite(max_speed) else None
+    most = upper_root(max_speed)[1] if np.isfinite(max_speed) else least + np.inf
     return least, most, tension_squares

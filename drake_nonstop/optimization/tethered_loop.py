@@ -198,7 +198,9 @@ def _response_at(response: LoadResponse, feedback: Feedback, orbit: Orbit) -> Re
     of_force = response.pseudo_inverse[:, 3:]
     internal = np.stack([part.ravel() for part in orbit[:4]])
     internal[:2] -= of_force @ force, of_force @ force_rate
-    return response.at(reference, internal, feedback.gains, is_measured=feedback.is_measured)
+    given = reference, internal[None], feedback.gains
+    (found,) = response.along(*given, is_measured=feedback.is_measured)
+    return found
 
 
 def _loop_at(
