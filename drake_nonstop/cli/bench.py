@@ -19,7 +19,6 @@ from drake_nonstop.cli.arguments import (
 from drake_nonstop.cli.ending import FAILED, complain
 from drake_nonstop.simulation.run import RunStopped
 from drake_nonstop.studies.files import require_writable, write_json
-from drake_nonstop.validation import require_whole
 from drake_nonstop.visualization.figure_style import require_drawing
 from drake_nonstop.visualization.progress import TaskProgress
 
@@ -45,12 +44,6 @@ def add_to(commands: Commands) -> None:
     engines.set_defaults(action=_bench_engines)
     add_scenario(engines, "out/bench", default="quintic")
     add_repeats(engines, 5)
-    about = "how long a run of a sweep takes, and a step of environments side by side"
-    many = benches.add_parser("many", help=about)
-    many.set_defaults(action=_bench_many)
-    add_scenario(many, "out/bench", default="quintic")
-    add_repeats(many, 5)
-    many.add_argument("--runs", type=int, default=100, metavar="N", help="of a sweep (100)")
     add_moved(benches, "optimizer", "viewer", "accuracy", "scale")
 
 
@@ -75,17 +68,6 @@ def _bench_engines(options: argparse.Namespace) -> int:
     require_repeats(options)
     measure = partial(benchmark_engines, read_scenario(options), repeats=options.repeats)
     return run_benchmark(options, "engines", measure, table)
-
-
-def _bench_many(options: argparse.Namespace) -> int:
-    from drake_nonstop.benchmarks.many import benchmark_many, table
-
-    require_repeats(options)
-    require_whole("--runs", options.runs, 1, 100_000)
-    given = {"runs": options.runs, "repeats": options.repeats}
-    return run_benchmark(
-        options, "many", partial(benchmark_many, read_scenario(options), **given), table
-    )
 
 
 def run_benchmark(

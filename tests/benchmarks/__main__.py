@@ -9,7 +9,16 @@ from pathlib import Path
 sys.path[:0] = [str(Path(__file__).parents[2]), str(Path(__file__).parents[1])]
 
 import drake_nonstop.studies.one_blas_thread  # noqa: E402, F401
-from benchmarks import accuracy, claims, optimizer, scaling, shell, viewer, whole_tasks  # noqa: E402
+from benchmarks import (  # noqa: E402
+    accuracy,
+    claims,
+    many,
+    optimizer,
+    scaling,
+    shell,
+    viewer,
+    whole_tasks,
+)
 from benchmarks.browser import find_browser  # noqa: E402
 from drake_nonstop.cli.arguments import (  # noqa: E402
     Commands,
@@ -29,6 +38,7 @@ from drake_nonstop.validation import (  # noqa: E402
     require,
     require_installed,
     require_seed,
+    require_whole,
     show_warning,
 )
 from drake_nonstop.visualization.figure_style import require_drawing  # noqa: E402
@@ -104,6 +114,24 @@ def _shell(options: argparse.Namespace) -> int:
         repeats=options.repeats,
     )
     return run_benchmark(options, "shell", measure, shell.table)
+
+
+def _add_many(commands: Commands) -> None:
+    parser = commands.add_parser(
+        "many", help="how long a run of a sweep takes, and a step of environments side by side"
+    )
+    parser.set_defaults(action=_many)
+    add_scenario(parser, "out/bench", default="quintic")
+    add_repeats(parser, 5)
+    parser.add_argument("--runs", type=int, default=100, metavar="N", help="of a sweep (100)")
+
+
+def _many(options: argparse.Namespace) -> int:
+    require_repeats(options)
+    require_whole("--runs", options.runs, 1, 100_000)
+    scenario, given = read_scenario(options), {"runs": options.runs, "repeats": options.repeats}
+    measure = partial(many.benchmark_many, scenario, **given)
+    return run_benchmark(options, "many", measure, many.table)
 
 
 def _add_optimizer(commands: Commands) -> None:
@@ -226,8 +254,8 @@ def _report(options: argparse.Namespace) -> int:
 
 
 _COMMANDS = (
-    *(_add_optimizer, _add_viewer, _add_accuracy, _add_scale, _add_shell, _add_pictures),
-    _add_report,
+    *(_add_optimizer, _add_viewer, _add_accuracy, _add_scale, _add_shell, _add_many),
+    *(_add_pictures, _add_report),
 )
 
 

@@ -2,8 +2,8 @@
 
 import pytest
 
+from benchmarks.many import environment_ratio
 from drake_nonstop import load_scenario
-from drake_nonstop.benchmarks.many import environment_ratio
 
 pytest.importorskip("gymnasium")
 pytestmark = pytest.mark.filterwarnings("ignore:compiled loop")

@@ -65,9 +65,9 @@ def benchmark_many(
         progress: called with what is being done and the share of it that is done.
 
     Returns:
-        What `drake-nonstop bench many` writes as JSON. `preparation` is the time of a run of one
-        sample by `simulate_many` over that by `simulate` of the diagram; `run` that of a run of the
-        sweep, with its metrics and the processes' start, over that of one by `simulate` of the
+        What `python -m tests.benchmarks many` writes as JSON. `preparation` is the time of a run of
+        one sample by `simulate_many` over that by `simulate` of the diagram; `run` that of a run of
+        the sweep, with its metrics and the processes' start, over that of one by `simulate` of the
         diagram with its metrics.
 
     Raises:
