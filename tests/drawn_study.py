@@ -15,6 +15,7 @@ import sys
 import warnings
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -36,7 +37,7 @@ from drake_nonstop.simulation.run import Run, StepCheck
 from drake_nonstop.simulation.run_quantities import RunQuantities
 from drake_nonstop.studies.ablation import read_grid
 from drake_nonstop.studies.journal import Journal, StudyInterrupted, open_journal, settings_of
-from drake_nonstop.studies.run_all import COMPLETED, FAILED, SerialExecutor, attempt, run_all
+from drake_nonstop.studies.run_all import COMPLETED, FAILED, SerialExecutor, attempts, run_all
 from drake_nonstop.systems.block import release
 from drake_nonstop.validation import ScenarioError, ScenarioWarning
 from drake_nonstop.visualization.progress import TaskProgress
@@ -111,9 +112,8 @@ def fly(tasks: str, seed: int, condition: str, overrides: Sequence[str]) -> dict
     """How a flight ended, and its figures; never an error of the run."""
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always", ScenarioWarning)
-        tried = attempt(
-            lambda: scenario_of(tasks, seed, condition, overrides), check_step=StepCheck.NOTHING
-        )
+        make = partial(scenario_of, tasks, seed, condition, overrides)
+        _, tried = next(attempts([(make, {"check_step": StepCheck.NOTHING})]))
     if tried.run is None:
         return _without_run(tried.ending, tried.message)
     wrong = _wrong(RunQuantities(tried.run), _JUDGED_BY[tasks])

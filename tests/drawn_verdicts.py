@@ -24,7 +24,7 @@ from drake_nonstop.simulation.outcome import Judgement, judge
 from drake_nonstop.simulation.run import StepCheck
 from drake_nonstop.simulation.run_quantities import RunQuantities
 from drake_nonstop.studies.journal import StudyInterrupted, open_journal, settings_of
-from drake_nonstop.studies.run_all import FAILED, SerialExecutor, attempt, run_all
+from drake_nonstop.studies.run_all import FAILED, SerialExecutor, attempts, run_all
 from drake_nonstop.systems.block import release
 from drake_nonstop.validation import ScenarioError, ScenarioWarning
 from drake_nonstop.visualization.progress import TaskProgress
@@ -140,7 +140,7 @@ def verdict_of(scenario: Scenario) -> tuple[str, list[str]]:
 
 def outcome_of(scenario: Scenario) -> Judgement:
     """What becomes of the flight; one that could not be built has stopped."""
-    tried = attempt(lambda: scenario, check_step=StepCheck.NOTHING)
+    _, tried = next(attempts([(scenario, {"check_step": StepCheck.NOTHING})]))
     if tried.run is None:
         return Judgement(outcome=RunOutcome.STOPPED, reasons=(tried.message,))
     judged = judge(RunQuantities(tried.run))

@@ -88,6 +88,11 @@ class Request:
         for viewer in self.viewers:
             require(callable(viewer), "viewers", viewer, remedy)
 
+    @property
+    def asked_engine(self) -> str:
+        """The engine in place of the scenario's, or that."""
+        return self.engine or self.scenario.engine
+
 
 class Flight:
     """One flight of a request's loop.
@@ -153,10 +158,10 @@ class Flight:
         """The loop's own."""
         return self.nonstop.GetMyMutableContextFromRoot(self.context)
 
-    def prepare(self, engine: str) -> ChosenStep:
+    def prepare(self) -> ChosenStep:
         """Sets the equilibrium and the step, and warns of what a user may not expect."""
         request, scenario, nonstop = self._request, self.scenario, self.nonstop
-        set_equilibrium(nonstop, self.loop_context, self._traced_start(engine))
+        set_equilibrium(nonstop, self.loop_context, self._traced_start())
         if not self.is_shared:
             PlantStates(nonstop).declare_defaults(self.loop_context)
         warn_of_other_bound(nonstop, self.loop_context, self._stated_bound)
@@ -164,19 +169,19 @@ class Flight:
             warn_of_angles(scenario)
             warn_of_margins(scenario, nonstop, self.loop_context, self._described)
             warn_of_growth(scenario, nonstop, self.loop_context, self._described)
-        traced = self._traced_start(engine)
-        chosen = with_chosen_step(scenario, nonstop, self.loop_context, traced)
+        chosen = with_chosen_step(scenario, nonstop, self.loop_context, self._traced_start())
         if request.after_step is None:  # which may end a run of any duration
             require_room(nonstop, dataclasses.replace(scenario, simulator_config=chosen.config))
         ApplySimulatorConfig(chosen.config, self._simulator)
         return chosen
 
-    def fly(self, engine: str, chosen: ChosenStep) -> Flying[None]:
+    def fly(self, chosen: ChosenStep) -> Flying[None]:
         """Flies to the end, the compiled engine what it can, Drake's Simulator the rest.
 
         Where the diagram is simulated instead, the run's `engine` says why, and so does a
         ScenarioWarning where `compiled` was asked for.
         """
+        engine = self._request.asked_engine
         compiled = self._compiled(chosen, engine) if engine != DIAGRAM else None
         self._simulator.set_monitor(self.monitor)
         self._start = time.perf_counter()
@@ -200,9 +205,11 @@ class Flight:
         finally:
             self._simulator.clear_monitor()  # each would keep the other alive
 
-    def _traced_start(self, engine: str) -> TracedStart | None:
+    def _traced_start(self) -> TracedStart | None:
         """The start by the loop that is compiled with the steps that are asked for."""
-        loop = DIAGRAM if engine == DIAGRAM else self._compiled_loop(self.scenario.simulator_config)
+        if self._request.asked_engine == DIAGRAM:
+            return None
+        loop = self._compiled_loop(self.scenario.simulator_config)
         if isinstance(loop, str) or not TracedStart.is_plain(loop):
             return None
         try:

@@ -9,7 +9,7 @@ from pydrake.systems.framework import Diagram
 
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.loop.block_events import NotCompilableError
-from drake_nonstop.scenario.schema import AUTO, DIAGRAM, Scenario
+from drake_nonstop.scenario.schema import DIAGRAM, Scenario
 from drake_nonstop.simulation.built_loop import SharedLoops, Viewer
 from drake_nonstop.simulation.compiled_run import Flying, flown_alone, tell_not_compiled
 from drake_nonstop.simulation.flight import Flight, Request, without_warnings
@@ -101,56 +101,45 @@ def simulating(
     A loop that is `shared` may be that of another scenario; where something is wrong with the run,
     its own is built, and tells of it.
     """
-    engine, reason = request.engine or request.scenario.engine, ""
-    flight = Flight(request, interruption, shared)
+    flight, reason = Flight(request, interruption, shared), ""
     try:
-        return (yield from _simulating(flight, request, engine, shared))
+        return (yield from _simulating(flight, request, shared))
     except NotCompilableError as error:
-        tell_not_compiled(f"{error};", engine)
-        engine, reason = DIAGRAM, f": {error}"
+        tell_not_compiled(f"{error};", request.asked_engine)
+        request, reason = dataclasses.replace(request, engine=DIAGRAM), f": {error}"
     except (RunStopped, ScenarioError):
         if not flight.is_shared:
             raise
     with without_warnings():
         own = Flight(request, interruption)
         own.engine += reason
-        return (yield from _simulating(own, request, engine))
+        return (yield from _simulating(own, request))
 
 
-def _simulating(
-    flight: Flight, request: Request, engine: str, shared: SharedLoops | None = None
-) -> Flying[Run]:
-    """Prepares, flies, makes the run, and judges its step."""
+def _simulating(flight: Flight, request: Request, shared: SharedLoops | None = None) -> Flying[Run]:
+    """Prepares, flies, and makes the run, flown again with half its step where it is in doubt."""
     with flight.kept():
-        chosen = flight.prepare(engine)
-        yield from flight.fly(engine, chosen)
+        chosen = flight.prepare()
+        yield from flight.fly(chosen)
     if flight.early_end is not None:
         return flight.run(flight.early_end)  # as it is: another step may end it elsewhere
-    return _judged(flight.run(), flight, chosen, request, engine, shared)
-
-
-def _judged(
-    run: Run,
-    flight: Flight,
-    chosen: ChosenStep,
-    request: Request,
-    engine: str,
-    shared: SharedLoops | None,
-) -> Run:
-    """The run, flown again with half its step where that may make a difference."""
-    if request.check_step is StepCheck.NOTHING:
+    run = flight.run()
+    doubt = "" if request.check_step is StepCheck.NOTHING else _doubt(run, flight, chosen)
+    if not doubt:
         return run
-    if chosen.unresolved:
-        return dataclasses.replace(run, unresolved=(chosen.unresolved,))
-    if is_in_doubt(run, flight.monitor.saved.states, flight.loop_context):
-        doubt = in_doubt(run)
-    elif chosen.is_in_doubt:
-        doubt = growth_in_doubt(run)
-    else:
-        return run
-    if request.check_step is StepCheck.PARTS or request.after_step is not None:
+    is_partly = request.check_step is StepCheck.PARTS or request.after_step is not None
+    if chosen.unresolved or is_partly:
         return dataclasses.replace(run, unresolved=(doubt,))
-    return _verified(run, request.progress, doubt, engine, shared)
+    return _verified(run, request.progress, doubt, request.engine, shared)
+
+
+def _doubt(run: Run, flight: Flight, chosen: ChosenStep) -> str:
+    """Why half the step may change a run's metrics; empty: nothing tells so."""
+    if chosen.unresolved:
+        return chosen.unresolved
+    if is_in_doubt(run, flight.monitor.saved.states, flight.loop_context):
+        return in_doubt(run)
+    return growth_in_doubt(run) if chosen.is_in_doubt else ""
 
 
 def verify_step(run: Run, *, progress: Callable[[float], None] | None = None) -> Run:
@@ -195,7 +184,7 @@ def _verified(
                 progress=progress,
                 check_step=StepCheck.NOTHING,
                 make_loop=replacements.pop("make_loop", make_nonstop),
-                engine=None if engine == AUTO else engine,
+                engine=engine,
                 replacements=replacements,
             )
             half = _simulated(request, shared)

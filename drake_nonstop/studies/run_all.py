@@ -10,10 +10,8 @@ from typing import Any, TypeVar
 
 from pydrake.systems.framework import Diagram
 
-from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.many import fly_many
-from drake_nonstop.simulation.run import Run, RunInterrupted, RunStopped
-from drake_nonstop.simulation.simulate import simulate
+from drake_nonstop.simulation.run import Run, RunStopped
 from drake_nonstop.studies.processes import (
     Answer,
     call_in_processes,
@@ -196,19 +194,6 @@ def attempts(
     for diagram in diagrams.values():
         release(diagram)
     gc.collect()  # Python's collector would run too late
-
-
-def attempt(scenario: Callable[[], Scenario], **arguments: Any) -> Attempt:
-    """Flies the scenario that a function returns, with arguments as of `simulate`.
-
-    Nothing but Ctrl-C is raised.
-    """
-    try:
-        return Attempt.of(simulate(scenario(), **arguments))
-    except RunInterrupted:
-        raise KeyboardInterrupt from None  # without the run, which cannot be sent to a process
-    except (Exception, SystemExit) as error:  # whatever the user's own blocks may raise
-        return Attempt.of(error)
 
 
 class SerialExecutor(Executor):

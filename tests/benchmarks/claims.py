@@ -37,7 +37,7 @@ from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.metrics import METRICS, Metric, compute_metrics
 from drake_nonstop.simulation.run import Run
 from drake_nonstop.simulation.run_quantities import carrier_speeds, load_errors
-from drake_nonstop.studies.run_all import COMPLETED, Progress, attempt, no_progress, run_all
+from drake_nonstop.studies.run_all import COMPLETED, Progress, attempts, no_progress, run_all
 from drake_nonstop.studies.stability import Stability, linearize
 from drake_nonstop.validation import ScenarioError, read_text, require
 
@@ -285,7 +285,7 @@ def _values(arguments: str, quantities: list[str]) -> dict[str, Measured]:
     if _is_linearized(arguments):
         found = linearize(_scenario(arguments.removeprefix(_LINEARIZED)))
         return {name: Measured(value=float(LOOP_QUANTITIES[name](found))) for name in quantities}
-    tried = attempt(lambda: _scenario(arguments))
+    _, tried = next(attempts([(lambda: _scenario(arguments), {})]))
     run = tried.run
     if run is None or tried.ending != COMPLETED:
         raise ScenarioError(f"claim on {arguments} = {tried.message}") from tried.error

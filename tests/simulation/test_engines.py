@@ -22,7 +22,7 @@ from drake_nonstop import (
 )
 from drake_nonstop.loop import compiled_loop
 from drake_nonstop.simulation import recording
-from drake_nonstop.studies.run_all import attempt
+from drake_nonstop.studies.run_all import attempts
 from drake_nonstop.systems import compilation
 from drake_nonstop.systems.block import LeafBlock
 from drake_nonstop.systems.compilation import compiler
@@ -269,7 +269,7 @@ def test_a_run_that_ends_in_its_first_sample_has_each_step_once():
 
 def test_a_study_may_ask_for_an_engine():
     scenario = load_scenario("line", [CONSTANT, "simulation_duration=0.05"])
-    found = [attempt(lambda: scenario, **given) for given in ({"engine": "diagram"}, {})]
+    found = [next(attempts([(scenario, given)]))[1] for given in ({"engine": "diagram"}, {})]
     assert [one.ending for one in found] == ["completed"] * 2
     assert_same(found[1].run, found[0].run)
 

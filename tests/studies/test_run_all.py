@@ -1,5 +1,6 @@
 """Many runs in processes: results, errors, and processes that die."""
 
+import functools
 import itertools
 import os
 import subprocess
@@ -19,7 +20,7 @@ from drake_nonstop.studies.run_all import (
     FAILED,
     UNBUILDABLE,
     SerialExecutor,
-    attempt,
+    attempts,
     run_all,
 )
 from drake_nonstop.validation import ScenarioError
@@ -99,7 +100,8 @@ def test_the_ending_of_an_attempt(faulty_blocks):
     for fault in ("none", "raises", "diverges", "constructor", "exits", "constructor exits"):
         block = f"load_disturbance=!faulty_blocks.FaultyWind {{fault: {fault}}}"
         overrides = ["simulation_duration=0.1", "optimization_layer=ConstantParameters", block]
-        tried = attempt(lambda given=overrides: load_scenario("line", given, trust=True))
+        make = functools.partial(load_scenario, "line", overrides, trust=True)
+        _, tried = next(attempts([(make, {})]))
         endings[fault] = tried.ending
         assert (tried.run is None) == fault.startswith("constructor")
         assert (tried.message == "") == (tried.ending == COMPLETED)
