@@ -77,6 +77,7 @@ class _Start:
         samples: of the controllers in a step.
         action: where the action is among the parameters of a flight.
         observation: at the equilibrium under the scenario's own action.
+        state: of a flight there.
     """
 
     def __init__(self, scenario: Scenario, action: str, time_step: float):
@@ -94,28 +95,28 @@ class _Start:
         shown = single.OBSERVED, (*dict.fromkeys([*single.OBSERVED, *ends]),)
         signals, steps = ((), shown[1]) if ends else (shown[0], ())  # any step may be the last one
         config = scenario.simulator_config
-        self._loop = CompiledLoop(nonstop, config, period, signals=signals, step_signals=steps)
-        beside = ", ".join(self._loop.blocks_beside)
+        self.loop = CompiledLoop(nonstop, config, period, signals=signals, step_signals=steps)
+        beside = ", ".join(self.loop.blocks_beside)
         require(not beside, "scenario", beside, "it is stepped by itself; give make_gym_env")
-        first = self._loop.parameter_names.index(f"{_HOLDER}.action[0]")
+        first = self.loop.parameter_names.index(f"{_HOLDER}.action[0]")
         self.action = slice(first, first + len(resting))
         self._settle(scenario, nonstop.CreateDefaultContext())
 
     def _settle(self, scenario: Scenario, context: Context) -> None:
         """Finds the start of the scenario, whose numbers are in a context of the loop."""
-        nonstop = self._loop.diagram
+        nonstop = self.loop.diagram
         self.scenario, self._context = scenario, context
-        traced = TracedStart(self._loop, context) if TracedStart.is_plain(self._loop) else None
+        traced = TracedStart(self.loop, context) if TracedStart.is_plain(self.loop) else None
         set_equilibrium(nonstop, context, traced)
         ending = single.ending_blocks(nonstop)
         self._ending = [(each, nonstop.GetSubsystemContext(each, context)) for each in ending]
-        self._flight = self._loop.fly(context)
+        self._flight = self.loop.fly(context)
         self.observation = np.concatenate(self._flight.start())[: single.observation_size(scenario)]
-        self._state = self._flight.state
+        self.state = self._flight.state
 
     def of(self, scenario: Scenario) -> "_Start | None":
         """The start of a scenario in the same loop; None where another one has to be built."""
-        nonstop, other = self._loop.diagram, copy.copy(self)
+        nonstop, other = self.loop.diagram, copy.copy(self)
         context = nonstop.CreateDefaultContext()
         given = nonstop, context, self.scenario, scenario, [self._box]
         if not (goes_by_numbers(nonstop, self.scenario) and take_scenario(*given)):
@@ -128,18 +129,10 @@ class _Start:
 
     def flight(self, other: "_Start") -> CompiledFlight:
         """A new flight, which shares with that of another start what is the same in both."""
-        flight = self._loop.fly(self._context)
-        if self._loop is other._loop:
+        flight = self.loop.fly(self._context)
+        if self.loop is other.loop:
             flight.share(other._flight)
         return flight
-
-    def prepare_lanes(self) -> None:
-        """Lets flights of the loop fly in lanes, for which it is compiled if it has not been."""
-        self._loop.prepare_lanes()
-
-    def begin(self, flight: CompiledFlight) -> None:
-        """Sets a flight of the loop to the start of an episode."""
-        flight.go_to(0, self._state)
 
     def ends(self, flown: Sequence[Advance]) -> tuple[NDArray, NDArray]:
         """Observations (k, size) after flights, and whether a block has ended each there (k,)."""
@@ -156,7 +149,7 @@ class _Start:
 
     def _is_over(self, rows: NDArray) -> bool:
         """Whether a block ends a run in one of some rows (k, size) of signals."""
-        shown = by_name(self._loop.step_signals, rows)
+        shown = by_name(self.loop.step_signals, rows)
         return any(
             block.ends_run(context, each)
             for block, context in self._ending
@@ -186,7 +179,7 @@ class NonstopVecEnv(VectorEnv[NDArray, NDArray, NDArray]):
         self._is_drawn = bool(drawn)
         self._start = start = _Start(sampled, *self._kind)
         if n >= _WORTH_LANES:
-            start.prepare_lanes()
+            start.loop.prepare_lanes()
         self.single_action_space, size = start.space, len(start.observation)
         self.single_observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float64)
         self.action_space = batch_space(self.single_action_space, n)
@@ -236,7 +229,7 @@ class NonstopVecEnv(VectorEnv[NDArray, NDArray, NDArray]):
         start, scenario = self._starts[i], self._starts[i].scenario
         length, duration = scenario.system.cable_length, scenario.simulation_duration
         self._numbers[:, i] = length, scenario.speed_bound, duration
-        start.begin(self._flights[i])
+        self._flights[i].go_to(0, start.state)
         self._observations[i] = start.observation
 
     def step(self, actions: NDArray) -> tuple[NDArray, NDArray, NDArray, NDArray, dict[str, Any]]:

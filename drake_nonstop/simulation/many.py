@@ -73,16 +73,16 @@ class _Flyer:
     Attributes:
         number: of the run.
         flying: the run, which asks for samples of its flight.
-        asked: what it waits for.
         told: warnings, where it `is_recording`.
+        asked: what it waits for, while it has no outcome.
     """
 
     number: int
     flying: Flying[Run]
     interruption: Interruption
-    is_recording: bool = False
+    is_recording: bool
     told: list[str] = field(default_factory=list)
-    asked: tuple[CompiledFlight, int] | None = None
+    asked: tuple[CompiledFlight, int] = field(init=False)
     outcome: Run | BaseException | None = None
 
     def go_on(self, advance: Advance | None, interruption: Interruption) -> None:
@@ -91,18 +91,15 @@ class _Flyer:
         with warnings.catch_warnings(record=True) if self.is_recording else nullcontext([]) as told:
             if self.is_recording:
                 warnings.simplefilter("always")
-            self._go_on(advance)
+            try:
+                self.asked = next(self.flying) if advance is None else self.flying.send(advance)
+            except StopIteration as end:
+                self.outcome = end.value
+            except RunInterrupted:
+                raise KeyboardInterrupt from None
+            except (Exception, SystemExit) as error:  # whatever the user's own blocks may raise
+                self.outcome = error
         self.told += [str(warning.message) for warning in told or ()]
-
-    def _go_on(self, advance: Advance | None) -> None:
-        try:
-            self.asked = next(self.flying) if advance is None else self.flying.send(advance)
-        except StopIteration as end:
-            self.outcome = end.value
-        except RunInterrupted:
-            raise KeyboardInterrupt from None
-        except (Exception, SystemExit) as error:  # whatever the user's own blocks may raise
-            self.outcome = error
 
 
 def fly_many(
@@ -129,39 +126,30 @@ def fly_many(
                 number = next(waiting, None)
                 if number is None:
                     break
-                flyer = _flyer(number, arguments[number], shared, is_recording)
+                given, own = arguments[number], Interruption()
+                flyer = _Flyer(number, _flying(given, own, shared), own, is_recording)
                 flyer.go_on(None, interruption)
                 flyers.append(flyer)
                 if flyer.outcome is None:
-                    most = _flights_at_a_time(most, arguments[number]["scenario"])
+                    most = _flights_at_a_time(most, given["scenario"])
             if not flyers:
                 return
-            asked = [flyer for flyer in flyers if flyer.outcome is None]
-            pairs = [flyer.asked for flyer in asked if flyer.asked is not None]
-            advances = advance_together(*map(list, zip(*pairs, strict=True))) if pairs else []
-            for flyer, advance in zip(asked, advances, strict=True):
+            going = [flyer for flyer in flyers if flyer.outcome is None]
+            flights, samples = [each.asked[0] for each in going], [each.asked[1] for each in going]
+            for flyer, advance in zip(going, advance_together(flights, samples), strict=True):
                 flyer.go_on(advance, interruption)
-            ended, flyers = flyers, []
+            ended, flyers = flyers, [flyer for flyer in going if flyer.outcome is None]
             for flyer in ended:
-                if flyer.outcome is None:
-                    flyers.append(flyer)
-                elif not flyer.interruption.number:
+                if flyer.outcome is not None and not flyer.interruption.number:
                     yield flyer.number, flyer.outcome, flyer.told
     raise KeyboardInterrupt
 
 
-def _flyer(
-    number: int, arguments: dict[str, Any], shared: SharedLoops, is_recording: bool
-) -> _Flyer:
-    interruption = Interruption()
-
-    def flying() -> Flying[Run]:
-        own = {k: v for k, v in arguments.items() if k in Request.__dataclass_fields__}
-        others = {k: v for k, v in arguments.items() if k not in own}
-        request = Request(replacements=others, **own)
-        return (yield from simulating(request, interruption, shared))
-
-    return _Flyer(number, flying(), interruption, is_recording)
+def _flying(given: dict[str, Any], interruption: Interruption, shared: SharedLoops) -> Flying[Run]:
+    """A run by the arguments of `simulate` that are given."""
+    own = {k: v for k, v in given.items() if k in Request.__dataclass_fields__}
+    others = {k: v for k, v in given.items() if k not in own}
+    return (yield from simulating(Request(replacements=others, **own), interruption, shared))
 
 
 def _flights_at_a_time(most: int, scenario: Scenario) -> int:

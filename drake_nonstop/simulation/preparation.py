@@ -2,7 +2,6 @@
 
 import contextlib
 from collections.abc import Callable, Mapping
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -109,9 +108,9 @@ def _growth_complaint(
     nonstop: Diagram,
     context: Context,
     time: float,
+    described: Mapping[str, System],
     *,
-    in_samples: bool,
-    described: Mapping[str, System] = MappingProxyType({}),
+    in_samples: bool = False,
 ) -> str:
     """A sentence on a formation that is unstable at the start, in a flight of a time in s."""
     with contextlib.suppress(ScenarioError):  # what is no formation
@@ -130,9 +129,7 @@ def warn_of_growth(
     The blocks `described` tell what they do in place of those of their boxes in the loop.
     """
     duration = scenario.simulation_duration
-    complaint = _growth_complaint(
-        scenario, nonstop, context, duration, in_samples=False, described=described
-    )
+    complaint = _growth_complaint(scenario, nonstop, context, duration, described)
     if complaint:
         warn_user(complaint)
 
@@ -145,7 +142,7 @@ def cause_of_divergence(scenario: Scenario, nonstop: Diagram, time: float) -> st
     cause = "; ".join(out_of_proportion(scenario))
     if not cause:
         context = nonstop.CreateDefaultContext()
-        cause = _growth_complaint(scenario, nonstop, context, time, in_samples=True)
+        cause = _growth_complaint(scenario, nonstop, context, time, {}, in_samples=True)
     cause = cause or "the loop may be unstable, or simulator_config.max_step_size too large"
     gains = [
         f"{block.get_name()}.{name} = {np.array2string(np.asarray(value), formatter=_FOUR_DIGITS)}"
