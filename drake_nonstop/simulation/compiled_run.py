@@ -16,7 +16,7 @@ from drake_nonstop.loop.lanes import Advance, advance_together
 from drake_nonstop.mechanics.signal_layouts import by_name
 from drake_nonstop.mechanics.signals import SIGNAL_PERIOD
 from drake_nonstop.scenario.schema import COMPILED, Scenario
-from drake_nonstop.simulation.monitor import SAME_RATIO, Monitor, at_instant
+from drake_nonstop.simulation.monitor import SAME_RATIO, EndingBlocks, Monitor, at_instant
 from drake_nonstop.simulation.recording import LogSignals, RecordingError
 from drake_nonstop.simulation.run import WALL_TIME
 from drake_nonstop.simulation.step_size import RestorableState, SavedState, flown
@@ -138,7 +138,7 @@ class CompiledRun:
         loop: CompiledLoop,
         logs: LogSignals,
         context: Context,
-        ending: Sequence[tuple[Any, Context]],
+        ending: EndingBlocks,
         compared: Simulator | None = None,
     ):
         self._loop, self._rows, self._context = loop, logs.rows(context), context
@@ -269,11 +269,8 @@ class CompiledRun:
 
     def _is_over(self, steps: NDArray) -> int | None:
         """How many steps there are until a block ends the run; None: none does."""
-        shown = by_name(self._loop.step_signals, steps)
-        for k in range(len(steps) if self._ending else 0):
-            if any(b.ends_run(context, shown[b.ending_signal][k]) for b, context in self._ending):
-                return k + 1
-        return None
+        last = self._ending.first_end(self._loop.step_signals, steps)
+        return None if last is None else last + 1
 
     def _go_back(self) -> None:
         """Goes back to the last sample that is recorded."""

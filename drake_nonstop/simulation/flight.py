@@ -32,7 +32,7 @@ from drake_nonstop.simulation.compiled_run import (
     tell_not_compiled,
 )
 from drake_nonstop.simulation.interruption import ALL, Interruption
-from drake_nonstop.simulation.monitor import Monitor
+from drake_nonstop.simulation.monitor import EndingBlocks, Monitor
 from drake_nonstop.simulation.preparation import (
     LoopMaker,
     cause_of_divergence,
@@ -137,11 +137,7 @@ class Flight:
         self._logs, self._visualizers = self._loop.logs, self._loop.visualizers
         self._simulator = Simulator(self._loop.diagram, context)
         self.context = self._simulator.get_mutable_context()
-        self._ending = [
-            (block, block.GetMyContextFromRoot(self.context))
-            for block in nested(nonstop, RUN_SIGNALS)[-1].GetSystems()
-            if hasattr(block, "ends_run")
-        ]
+        self._ending = EndingBlocks(nested(nonstop, RUN_SIGNALS)[-1], self.context)
         self.monitor = Monitor(
             self._simulator,
             nonstop,

@@ -25,6 +25,7 @@ from drake_nonstop.mechanics.signals import (
 )
 from drake_nonstop.model.system import Model
 from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.simulation.monitor import EndingBlocks
 from drake_nonstop.systems.tracing import NotFiniteError
 from drake_nonstop.validation import require
 
@@ -124,15 +125,13 @@ class NonstopEnv(DrakeGymEnv):
         diagram, self._loop = _diagram(scenario, self._action)
         simulator = Simulator(diagram)
         ApplySimulatorConfig(scenario.simulator_config, simulator)
-        ending = ending_blocks(self._loop)
 
         def end_of_run(root: Context) -> EventStatus:
-            own = ((block, block.GetMyContextFromRoot(root)) for block in ending)
-            if any(b.ends_run(c, b.GetOutputPort(b.ending_signal).Eval(c)) for b, c in own):
+            if EndingBlocks(self._loop, root).end_now():
                 return EventStatus.ReachedTermination(self._loop, "over")
             return EventStatus.DidNothing()
 
-        if ending:
+        if EndingBlocks(self._loop, simulator.get_context()).signals:
             simulator.set_monitor(end_of_run)
         return simulator, actions
 
@@ -194,11 +193,6 @@ def as_actions(actions: Any, space: gymnasium.spaces.Box, *lead: int) -> NDArray
     low, high = space.low.tolist(), space.high.tolist()
     require(is_within, "action", actions, f"give numbers from {low} to {high}{rows}")
     return np.clip(values, space.low, space.high)
-
-
-def ending_blocks(loop: Diagram) -> list[Any]:
-    """The blocks that may end a run."""
-    return [block for block in loop.GetSystems() if hasattr(block, "ends_run")]
 
 
 def _diagram(scenario: Scenario, action: str) -> tuple[Diagram, Diagram]:

@@ -23,13 +23,12 @@ from drake_nonstop.loop.compiled_loop import CompiledLoop
 from drake_nonstop.loop.equilibrium import set_equilibrium
 from drake_nonstop.loop.lanes import Advance, advance_together
 from drake_nonstop.loop.traced_start import TracedStart
-from drake_nonstop.mechanics.signal_layouts import by_name
 from drake_nonstop.mechanics.signals import WRENCH_SIZE
 from drake_nonstop.model.block import Block
 from drake_nonstop.scenario.schema import Scenario, sample
 from drake_nonstop.simulation import gym_environment as single
 from drake_nonstop.simulation.built_loop import goes_by_numbers, take_scenario
-from drake_nonstop.systems.block import is_of_package
+from drake_nonstop.simulation.monitor import EndingBlocks
 from drake_nonstop.systems.tracing import NotFiniteError
 from drake_nonstop.validation import StrictFields, require
 
@@ -91,16 +90,17 @@ class _Start:
         held = _HeldAction(action=resting.tolist())
         blocks: dict[str, Any] = {"extra": {_HOLDER: lambda own: holder(own, held)}}
         nonstop = make_nonstop(scenario, at_equilibrium=False, **blocks | {self._box: None})
-        ends = [block.ending_signal for block in single.ending_blocks(nonstop)]
-        shown = single.OBSERVED, (*dict.fromkeys([*single.OBSERVED, *ends]),)
-        signals, steps = ((), shown[1]) if ends else (shown[0], ())  # any step may be the last one
+        context = nonstop.CreateDefaultContext()
+        ends = EndingBlocks(nonstop, context).signals
+        shown = (*dict.fromkeys([*single.OBSERVED, *ends]),)
+        signals, steps = ((), shown) if ends else (shown, ())  # any step may be the last one
         config = scenario.simulator_config
         self.loop = CompiledLoop(nonstop, config, period, signals=signals, step_signals=steps)
         beside = ", ".join(self.loop.blocks_beside)
         require(not beside, "scenario", beside, "it is stepped by itself; give make_gym_env")
         first = self.loop.parameter_names.index(f"{_HOLDER}.action[0]")
         self.action = slice(first, first + len(resting))
-        self._settle(scenario, nonstop.CreateDefaultContext())
+        self._settle(scenario, context)
 
     def _settle(self, scenario: Scenario, context: Context) -> None:
         """Finds the start of the scenario, whose numbers are in a context of the loop."""
@@ -108,8 +108,7 @@ class _Start:
         self.scenario, self._context = scenario, context
         traced = TracedStart(self.loop, context) if TracedStart.is_plain(self.loop) else None
         set_equilibrium(nonstop, context, traced)
-        ending = single.ending_blocks(nonstop)
-        self._ending = [(each, nonstop.GetSubsystemContext(each, context)) for each in ending]
+        self._ending = EndingBlocks(nonstop, context)
         self._flight = self.loop.fly(context)
         self.observation = np.concatenate(self._flight.start())[: single.observation_size(scenario)]
         self.state = self._flight.state
@@ -137,25 +136,17 @@ class _Start:
     def ends(self, flown: Sequence[Advance]) -> tuple[NDArray, NDArray]:
         """Observations (k, size) after flights, and whether a block has ended each there (k,)."""
         has_ended = np.zeros(len(flown), bool)
-        if not self._ending:
+        if not self._ending.signals:
             return np.array([each.signals[-1] for each in flown]), has_ended
         rows = [each.step_signals for each in flown]
         last = np.array([own[-1] for own in rows])
-        for i, own in enumerate(rows if self._is_over(np.concatenate(rows)) else []):
-            if self._is_over(own):
-                has_ended[i] = True
-                last[i] = next(row for row in own if self._is_over(row[None]))
+        sizes = self.loop.step_signals
+        if self._ending.first_end(sizes, np.concatenate(rows)) is not None:
+            for i, own in enumerate(rows):
+                end = self._ending.first_end(sizes, own)
+                if end is not None:
+                    has_ended[i], last[i] = True, own[end]
         return last[:, : len(self.observation)], has_ended
-
-    def _is_over(self, rows: NDArray) -> bool:
-        """Whether a block ends a run in one of some rows (k, size) of signals."""
-        shown = by_name(self.loop.step_signals, rows)
-        return any(
-            block.ends_run(context, each)
-            for block, context in self._ending
-            for values in [shown[block.ending_signal]]
-            for each in ([values] if is_of_package(block) else values)  # the package's take rows
-        )
 
 
 class NonstopVecEnv(VectorEnv[NDArray, NDArray, NDArray]):

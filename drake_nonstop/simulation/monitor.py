@@ -1,19 +1,22 @@
 """Actions after every step of a simulation."""
 
+import itertools
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 from fractions import Fraction
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram, EventStatus
 
+from drake_nonstop.mechanics.signal_layouts import by_name
 from drake_nonstop.mechanics.signals import SIGNAL_PERIOD
 from drake_nonstop.simulation.interruption import Interruption
 from drake_nonstop.simulation.run import StepAction
 from drake_nonstop.simulation.step_size import RestorableState, SavedState, SavedStates
-from drake_nonstop.systems.block import LeafBlock
+from drake_nonstop.systems.block import LeafBlock, is_of_package
 
 _WAITING_PERIOD = 0.02  # s of wall time, between two questions of a run that waits
 _REPORT_PERIOD = 0.1  # s of wall time, between two calls of `progress`
@@ -58,6 +61,32 @@ class SampleInstants(LeafBlock):
             self.DeclarePeriodicPublishEvent(period, offset, lambda context: None)
 
 
+class EndingBlocks:
+    """The blocks of a loop that may end a run, with their contexts in that of a root.
+
+    Each has `ends_run(context, shown)`, of what its port shows that `ending_signal` names.
+    """
+
+    def __init__(self, loop: Diagram, root: Context):
+        blocks: list[Any] = [block for block in loop.GetSystems() if hasattr(block, "ends_run")]
+        self._blocks = [(block, block.GetMyContextFromRoot(root)) for block in blocks]
+        self.signals = [block.ending_signal for block in blocks]
+
+    def end_now(self) -> bool:
+        """Whether one ends the run in the state of its context."""
+        return any(b.ends_run(c, b.GetOutputPort(b.ending_signal).Eval(c)) for b, c in self._blocks)
+
+    def first_end(self, sizes: Mapping[str, int], rows: NDArray) -> int | None:
+        """The first of the rows (k, size) of signals of these sizes with which one ends the run."""
+        shown, ends = by_name(sizes, rows), list[int]()
+        for block, context in self._blocks:
+            values = shown[block.ending_signal]
+            if not is_of_package(block) or block.ends_run(context, values):  # takes rows, too
+                found = (k for k, value in enumerate(values) if block.ends_run(context, value))
+                ends += itertools.islice(found, 1)
+        return min(ends, default=None)
+
+
 class Monitor:
     """Saves states, reports progress, asks what to do, and ends the run where it is asked to.
 
@@ -66,8 +95,7 @@ class Monitor:
         nonstop: the loop's diagram.
         interruption: what Ctrl-C leaves.
         progress, after_step: as of `simulate`.
-        ending: the blocks that may end the run, with their contexts. A block has
-            `ends_run(context, shown)` of what its port shows that `ending_signal` names.
+        ending: the blocks that may end the run.
 
     Attributes:
         saved: states on the way.
@@ -84,7 +112,7 @@ class Monitor:
         *,
         progress: Callable[[float], None] | None,
         after_step: Callable[[Simulator, Diagram], StepAction] | None,
-        ending: Sequence[tuple[Any, Context]],
+        ending: EndingBlocks,
     ):
         self._simulator = simulator
         self._nonstop = nonstop
@@ -104,10 +132,9 @@ class Monitor:
             time_, lambda: SavedState.of(self._nonstop.GetMyContextFromRoot(root_context))
         ):
             return EventStatus.ReachedTermination(self._nonstop, "ended")
-        for block, context in self._ending:
-            if block.ends_run(context, block.GetOutputPort(block.ending_signal).Eval(context)):
-                self.has_ended = True
-                return EventStatus.ReachedTermination(self._nonstop, "over")
+        if self._ending.end_now():
+            self.has_ended = True
+            return EventStatus.ReachedTermination(self._nonstop, "over")
         return EventStatus.DidNothing()
 
     @property
