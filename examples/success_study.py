@@ -6,9 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet as parquet
+from matplotlib.figure import Figure
 
 from drake_nonstop import load_scenario, read_sweep, sweep
-from drake_nonstop.studies.figures import make_success_figure
+from drake_nonstop.visualization.figure_style import new_figure
 
 SPEC = Path(__file__).with_suffix(".yaml")
 MASS, GUST, BOUND = (
@@ -51,15 +52,37 @@ def main(
     ended = table["outcome"] != "stopped"
     errors = 1e3 * table["load.position_error_mean_m"][ended].astype(float)
     print(f"mean load error   {np.nanmedian(errors):.1f} mm, at most {np.nanmax(errors):.1f} mm")
-    figure = make_success_figure(
-        "Outcome of the quintic task: ok",
-        succeeded,
-        across=("gusts (N, standard deviation)", table[GUST]),
-        up=("load's mass, 1 is believed (kg)", table[MASS]),
-        panels=("bound (m/s)", table[BOUND]),
-    )
+    figure = make_success_figure(table, succeeded)
     figure.savefig(Path(folder) / "success.png", dpi=150)
     print(f"results: {done.table}, success.png beside it")
+
+
+def make_success_figure(table: dict[str, np.ndarray], succeeded: np.ndarray) -> Figure:
+    """The share of runs that succeeded over gusts and masses, a panel for each bound."""
+    bounds, gusts, masses = np.unique(table[BOUND]), table[GUST], table[MASS]
+    figure = new_figure((2.6 * len(bounds) + 1.4, 3.6))
+    edges = [np.linspace(values.min(), values.max(), 6) for values in (gusts, masses)]
+    all_axes = figure.subplots(1, len(bounds), sharey=True, squeeze=False)[0]
+    for axes, bound in zip(all_axes, bounds, strict=True):
+        chosen = table[BOUND] == bound
+        counts, hits = (
+            np.histogram2d(gusts[which], masses[which], bins=edges)[0].T
+            for which in (chosen, chosen & succeeded)
+        )
+        shares = np.ma.masked_array(hits / np.maximum(counts, 1), counts == 0)
+        shown = axes.pcolormesh(*edges, shares, cmap="viridis", vmin=0, vmax=1)
+        columns, rows = ((edge[:-1] + edge[1:]) / 2 for edge in edges)
+        style = {"ha": "center", "va": "center", "fontsize": "xx-small"}
+        for i, j in np.argwhere(counts > 0):
+            text = f"{shares[i, j]:.0%}\nof {counts[i, j]:.0f}"
+            colour = "black" if shares[i, j] > 0.6 else "white"
+            axes.text(columns[j], rows[i], text, color=colour, **style)
+        axes.set_title(f"bound (m/s): {bound:g}", fontsize="medium")
+        axes.set_xlabel("gusts (N, standard deviation)", fontsize="small")
+    all_axes[0].set_ylabel("load's mass, 1 is believed (kg)", fontsize="small")
+    figure.colorbar(shown, ax=list(all_axes), label="share that succeeded")
+    figure.suptitle("Outcome of the quintic task: ok")
+    return figure
 
 
 def _probability(succeeded: np.ndarray) -> tuple[float, float]:

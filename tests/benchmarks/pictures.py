@@ -15,12 +15,18 @@ from PIL import Image
 
 from benchmarks.browser import open_browser
 from drake_nonstop.analysis.aircraft_margins import aircraft_margins
+from drake_nonstop.analysis.separations import closest_cables, closest_carriers
+from drake_nonstop.mechanics.signals import CarrierStates
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.simulation.run import Run
-from drake_nonstop.simulation.run_quantities import RunQuantities, carrier_speeds
+from drake_nonstop.simulation.run_quantities import (
+    RunQuantities,
+    attachment_positions,
+    carrier_speeds,
+)
 from drake_nonstop.simulation.simulate import simulate
-from drake_nonstop.studies.figures import make_encounters_figure
 from drake_nonstop.studies.files import replacing_file
+from drake_nonstop.visualization.figure_style import new_figure
 from drake_nonstop.visualization.replay import record_replay
 from drake_nonstop.visualization.task_figures import make_aircraft_margins_figure
 
@@ -75,7 +81,7 @@ def make_pictures(folder: Path, progress: Callable[[str, float], None]) -> list[
             loop=0,
         )
     with replacing_file(folder / PATTERNS) as file:
-        file.write(_png(make_encounters_figure(_patterns()), dpi=110))
+        file.write(_png(_encounters_figure(_patterns()), dpi=110))
     with replacing_file(folder / AIRCRAFT) as file:
         file.write(_png(_aircraft_figure(flight, flying, hardest), dpi=110))
     with replacing_file(folder / ORBIT) as file:
@@ -158,6 +164,47 @@ def _hardest_instant(run: Run) -> float:
     time = run.steps["time"]
     lift = RunQuantities(run).aircraft_state.lift.max(axis=1)
     return float(time[np.argmax(np.where(time >= _FLIGHT[0], lift, 0.0))])
+
+
+def _encounters_figure(runs: dict[str, Run]) -> Figure:
+    """Orbits above a resting load, and least distances of carriers and of cables, over time.
+
+    There is a column for each of `runs`, which are given by their titles. Cables are drawn at the
+    instant at which two of them, or two carriers, are closest.
+    """
+    figure = new_figure((3.6 * len(runs), 5.6))
+    grid = figure.add_gridspec(2, len(runs), height_ratios=[1.3, 1])
+    for k, (title, run) in enumerate(runs.items()):
+        carriers = CarrierStates.view(run.signal("carrier_state")).positions
+        ends = attachment_positions(run, run.signal("load_state"))
+        closest = closest_carriers(carriers), closest_cables(ends, carriers)
+        instant = int(np.argmin(np.minimum(*closest)))
+        axes = figure.add_subplot(grid[0, k], projection="3d")
+        for i in range(carriers.shape[1]):
+            axes.plot(*carriers[:, i].T, color=f"C{i}", linewidth=1)
+            cable = np.stack([ends[instant, i], carriers[instant, i]])
+            axes.plot(*cable.T, color="black", linewidth=0.7)
+            axes.plot(*carriers[instant, i], "o", color=f"C{i}", markersize=5)
+        axes.set_aspect("equal")
+        axes.set_box_aspect(None, zoom=1.25)
+        axes.set_title(title, fontsize="medium")
+        axes.set_zlabel("z (m)", fontsize="x-small", labelpad=-4)
+        axes.view_init(elev=22, azim=-60)
+        axes.tick_params(labelsize="x-small")
+        axes.locator_params(nbins=4)
+        lower = figure.add_subplot(grid[1, k])
+        for distances, name, colour in zip(
+            closest, ("carriers", "cables"), ("C0", "C1"), strict=True
+        ):
+            shown = np.maximum(distances, 1e-3)  # m: a logarithmic axis has no zero
+            lower.semilogy(run.time, shown, label=name, color=colour, linewidth=1.2)
+        lower.set_ylim(1e-3, 200)
+        lower.set_xlabel("time (s)")
+        lower.grid(alpha=0.3)
+        if k == 0:
+            lower.set_ylabel("closest two (m)")
+            lower.legend(fontsize="small")
+    return figure
 
 
 def _aircraft_figure(run: Run, view: NDArray, time: float) -> Figure:
