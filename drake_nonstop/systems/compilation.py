@@ -278,6 +278,7 @@ def _begin(function: casadi.Function | None, besides: str, entry: _Entry) -> Non
     if function is not None:
         function.save(f"{scratch}/{_SAVED}")
     given = [scratch, str(entry.library), *sys.path]
+    _close_builder()
     _builder = subprocess.Popen(
         [sys.executable, "-c", _BUILD_BESIDE, *given],
         stdin=subprocess.PIPE,  # which ends with this process, however that ends
@@ -294,6 +295,12 @@ def _end(scratch: Path) -> None:
         os.killpg(_builder.pid, signal.SIGKILL)
         _builder.wait()
         shutil.rmtree(scratch, ignore_errors=True)
+    _close_builder()
+
+
+def _close_builder() -> None:
+    if _builder is not None and _builder.stdin is not None:
+        _builder.stdin.close()
 
 
 def build_beside(folder: str, library: str) -> None:
