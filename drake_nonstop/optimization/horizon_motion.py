@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.planned_orbit import OrbitTerms
 from drake_nonstop.mechanics.rigid_load import STILL_AIR
-from drake_nonstop.mechanics.signals import WIND_SIZE
+from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE, WIND_SIZE
 from drake_nonstop.optimization.orbit_constraints import OrbitConstraints
 from drake_nonstop.optimization.problem_config import tightened_bound
 from drake_nonstop.optimization.terminal_set import TerminalTables
@@ -130,18 +130,19 @@ class HorizonMotions(OrbitConstraints):
         """
         bound = tightened_bound(self.limits, speed_bound)
         wind = STILL_AIR if self.model.aircraft is None else wind
-        config, motion, later, known = self.config, None, None, None
+        config, motion, later, known = self.config, None, 0, None
         if last is not None:
             if last.speed_bound == bound and np.array_equal(last.wind, wind):
                 if last.start_time == start_time:
                     return last._replace(start_angle=start_angle)
                 motion = last.motion
-                later = self._intervals_later(motion.start_time, motion.ahead, start_time)
+                later = self._intervals_later(motion, start_time)
             known = last.motion.references
-        if motion is None or later is None:
-            ahead, later = (0 if motion is None else _INTERVALS_AHEAD), 0
+        if motion is None or later > motion.ahead:
+            ahead = 0 if motion is None else _INTERVALS_AHEAD
             references = self._references(start_time, reference, known, ahead)
-            motion = self._motion(start_time, references, speed_bound, wind, ahead)
+            motion = self._motion(start_time, references, speed_bound, wind, ahead, motion)
+            later = 0
         count, flights = len(self.instants), len(self._flight_at)
         at, flight_at = later * config.instants, later * self._flights_per_knot
         target_speeds = motion.target_speeds[at : at + count]
@@ -163,44 +164,51 @@ class HorizonMotions(OrbitConstraints):
             motion,
         )
 
-    def _intervals_later(self, first: float, most: int, start_time: float) -> int | None:
-        """How many intervals a time (s) is after a first one; None: no whole one, or too many."""
-        intervals = (start_time - first) / self.config.knot_spacing
+    def _intervals_later(self, known: KnownReferences | HorizonMotion, start_time: float) -> int:
+        """How many intervals a time (s) is after the start of what is known.
+
+        Beyond all that is known where they are no whole ones, or below zero.
+        """
+        intervals = (start_time - known.start_time) / self.config.knot_spacing
         later = round(intervals)
-        is_known = abs(intervals - later) < _SAME_KNOT and 0 <= later <= most
-        return later if is_known else None
+        is_whole = abs(intervals - later) < _SAME_KNOT and later >= 0
+        return later if is_whole else known.ahead + self.intervals + 1
 
     def _references(
         self, start_time: float, reference: Reference, known: KnownReferences | None, ahead: int
     ) -> KnownReferences:
         """References from a time on, for plans that start so many intervals later, or fewer.
 
-        Those that are known, of the same motion, are taken where they reach as far.
+        Those that are known, of the same motion, are taken.
         """
-        config = self.config
+        config, rows = self.config, np.zeros((0, LOAD_REFERENCE_SIZE))
         if known is not None:
-            later = self._intervals_later(known.start_time, known.ahead - ahead, start_time)
-            if later is not None:
-                return KnownReferences(
-                    start_time, known.ahead - later, known.rows[later * config.instants :]
-                )
-            ahead = max(ahead, _INTERVALS_AHEAD)
+            later = self._intervals_later(known, start_time)
+            rows = known.rows[later * config.instants :]
+            if later + ahead <= known.ahead:
+                return KnownReferences(start_time, known.ahead - later, rows)
+            ahead = _INTERVALS_AHEAD
         left = getattr(reference, "end_time", math.inf) - (start_time + config.horizon)
         ahead = int(min(max(left / config.knot_spacing, 0.0), ahead))
         times = self.times(start_time, len(self.instants) + ahead * config.instants)
-        return KnownReferences(start_time, ahead, references_at(reference, times))
+        new = references_at(reference, times[len(rows) :])
+        return KnownReferences(start_time, ahead, np.concatenate([rows, new]))
 
     def _motion(
         self,
         start_time: float,
-        known: KnownReferences,
+        references: KnownReferences,
         speed_bound: float,
         wind: NDArray,
         ahead: int,
+        known: HorizonMotion | None,
     ) -> HorizonMotion:
-        """The terms of a motion, also for plans that start so many intervals later, or fewer."""
+        """The terms of a motion, also for plans that start so many intervals later, or fewer.
+
+        Those that are `known`, of the same bound and wind, are taken.
+        """
         config, bound = self.config, tightened_bound(self.limits, speed_bound)
-        ahead = min(ahead, known.ahead) if wind.ndim == 1 else 0
+        ahead = min(ahead, references.ahead) if wind.ndim == 1 else 0
 
         def extended(numbers: NDArray, each: int) -> NDArray:
             """Numbers of instants, of which there are so many in an interval, goes on with them."""
@@ -210,9 +218,15 @@ class HorizonMotions(OrbitConstraints):
         count = len(self.instants) + ahead * config.instants
         flight_at = extended(self._flight_at, self._flights_per_knot)
         terminal_at = extended(self.terminal_at, config.terminal_instants)
-        references = known.rows[:count]
-        winds = np.broadcast_to(wind, (count, WIND_SIZE))
-        flat = self.all_terms(references, winds)
+        rows, winds = references.rows[:count], np.broadcast_to(wind, (count, WIND_SIZE))
+        flat, flight = np.zeros((2, 0))
+        if known is not None:
+            later = self._intervals_later(known, start_time)
+            flat = known.flat_terms[later * config.instants :]
+            flight = known.flat_flight[later * self._flights_per_knot :]
+        at = flight_at[len(flight) :]
+        flight = _joined(flight, self.flight_terms(rows[at], winds[at]))
+        flat = _joined(flat, self.all_terms(rows[len(flat) :], winds[len(flat) :]))
         terms = OrbitTerms.view(flat)
         least, jumps = np.zeros((2, count, self.model.n))
         target_speeds = least
@@ -226,9 +240,9 @@ class HorizonMotions(OrbitConstraints):
         return HorizonMotion(
             start_time=start_time,
             ahead=ahead,
-            references=known,
+            references=references,
             flat_terms=flat,
-            flat_flight=self.flight_terms(references[flight_at], winds[flight_at]),
+            flat_flight=flight,
             least=least,
             jumps=jumps,
             target_speeds=target_speeds,
@@ -252,3 +266,7 @@ def references_at(reference: Reference, times: NDArray) -> NDArray:
     """The references (k, 22) at times (k,) in s."""
     at = getattr(reference, "at", None)  # of a `ReferencePreview`
     return np.array([reference(time) for time in times]) if at is None else at(times)
+
+
+def _joined(rows: NDArray, others: NDArray) -> NDArray:
+    return np.concatenate([rows, others]) if len(rows) else others
