@@ -21,7 +21,7 @@ from drake_nonstop.simulation.recording import LogSignals, RecordingError
 from drake_nonstop.simulation.run import WALL_TIME
 from drake_nonstop.simulation.step_size import RestorableState, SavedState, flown
 from drake_nonstop.systems.block import is_of_package, release
-from drake_nonstop.systems.tracing import LARGEST
+from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
 from drake_nonstop.systems.wiring import maker_of
 from drake_nonstop.validation import one_line, warn_user
 
@@ -131,6 +131,7 @@ class CompiledRun:
     Attributes:
         evaluator: that of the loop's functions, "C" or "virtual machine".
         failure: the error of a block with which it left the rest to the diagram; empty: none.
+        error: that of a user's own block, which the diagram has to meet again; None: there is none.
     """
 
     def __init__(
@@ -150,6 +151,7 @@ class CompiledRun:
         self._recorded = 0, self._flight.state  # samples, and the state after them
         self._end = 0.0  # s, of what is recorded
         self.evaluator, self.failure = "C" if loop.is_compiled else "virtual machine", ""
+        self.error: BaseException | None = None
         self._compared, self._expected = compared, np.zeros((0, 0))
 
     def _state(self) -> RestorableState:
@@ -201,6 +203,8 @@ class CompiledRun:
         except BaseException as error:  # whatever blocks raise: the diagram does again, at its step
             if monitor.is_interrupted:
                 raise
+            if self._compared is not None and not isinstance(error, NotFiniteError):
+                self.error = error
             self._go_back()
             self.failure = f"{one_line(error)}; from t = {self._flight.time:g} s on"
             self._end = self._flight.time

@@ -196,6 +196,8 @@ class Flight:
                 self._simulator.Initialize(parameters)
                 if not self.monitor.has_ended:
                     self._simulator.AdvanceTo(duration)
+                if compiled is not None and compiled.error is not None and not self._is_cut:
+                    raise compiled.error  # of a block that has raised once, and not again
             for visualizer in self._visualizers:  # the last step may have been skipped
                 visualizer.ForcedPublish(visualizer.GetMyContextFromRoot(self.context))
         finally:
@@ -252,9 +254,12 @@ class Flight:
         return compiled
 
     @property
+    def _is_cut(self) -> bool:
+        return self.monitor.has_ended or self._interruption.number > 0
+
+    @property
     def _is_over(self) -> bool:
-        is_ended = self.monitor.has_ended or self._interruption.number > 0
-        return is_ended or self.context.get_time() >= self.scenario.simulation_duration
+        return self._is_cut or self.context.get_time() >= self.scenario.simulation_duration
 
     def run(self, stopped: str = "") -> Run:
         """The part that has been flown, and what has stopped it."""

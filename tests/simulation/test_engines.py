@@ -231,6 +231,25 @@ def test_a_block_that_fails_ends_the_run_at_the_diagrams_step():
     assert_same(run, expected)
 
 
+class FailsOnce(Fails):
+    """One that does not fail where it is asked again."""
+
+    has_failed = False
+
+    def calc(self, context, output):
+        if self.has_failed:
+            output.SetFromVector(np.zeros(6))
+            return
+        self.has_failed = context.get_time() > 0.051
+        super().calc(context, output)
+
+
+def test_an_error_is_not_lost_where_the_diagram_does_not_meet_it_again():
+    scenario = load_scenario("quintic", [CONSTANT, "simulation_duration=0.1"])
+    with pytest.raises(RunStopped, match="it broke"):
+        simulate(scenario, load_disturbance=FailsOnce(scenario), check_step=NOTHING)
+
+
 class Clock(LeafBlock):
     """Shows the time."""
 
