@@ -247,7 +247,7 @@ class FailsOnce(Fails):
 def test_an_error_is_not_lost_where_the_diagram_does_not_meet_it_again():
     scenario = load_scenario("quintic", [CONSTANT, "simulation_duration=0.1"])
     with pytest.raises(RunStopped, match="it broke"):
-        simulate(scenario, load_disturbance=FailsOnce(scenario), check_step=NOTHING)
+        simulate(scenario, load_disturbance=FailsOnce, check_step=NOTHING)
 
 
 class Clock(LeafBlock):
