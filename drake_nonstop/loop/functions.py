@@ -150,9 +150,9 @@ class LoopFunctions:
         return [part for part in parts if part is not None]
 
     def prepare(self, samples: int | None, compiles: bool) -> None:
-        """Takes C for those of samples, or shortens them, as `CompiledLoop` says."""
+        """Takes C for those of samples and `rest`, or shortens them, as `CompiledLoop` says."""
         self.samples += samples or 0
-        for function in self.of_samples:
+        for function in filter(None, [*self.of_samples, self.rest]):
             if compiles and (samples is None or self.samples >= _WORTH_LOOKING):
                 function.compile(waits=samples is None)
             is_slow = not compiles or function.compiled is None

@@ -27,8 +27,9 @@ class TracedStart:
     """
 
     def __init__(self, loop: CompiledLoop, context: Context):
-        self._flight, layout = loop.fly(context), loop.layout
-        self._rest = Evaluation(loop.rest_function, compiles=False)
+        self._flight, self._layout = loop.fly(context), loop.layout
+        layout = loop.layout
+        self._rest = Evaluation(loop.rest_function, compiles=True)
         self.state = self._flight.state
         numbers = layout.states(np.arange(len(self.state)))
         self.continuous = np.concatenate([own[0] for own in numbers.values()])
@@ -54,6 +55,10 @@ class TracedStart:
             and has_own_states(leaf, name)
             for name in (LOAD, CARRIERS)
         )
+
+    def take_state(self, context: Context) -> None:
+        """Takes the states of a context with the same parameters."""
+        self.state = self._layout.state_of(context)
 
     def initialized(self, state: NDArray) -> NDArray:
         """The state after the initialization's updates.

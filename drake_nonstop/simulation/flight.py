@@ -157,7 +157,10 @@ class Flight:
     def prepare(self) -> ChosenStep:
         """Sets the equilibrium and the step, and warns of what a user may not expect."""
         request, scenario, nonstop = self._request, self.scenario, self.nonstop
-        set_equilibrium(nonstop, self.loop_context, self._traced_start())
+        traced = self._traced_start()
+        set_equilibrium(nonstop, self.loop_context, traced)
+        if traced is not None:
+            traced.take_state(self.loop_context)
         if not self.is_shared:
             PlantStates(nonstop).declare_defaults(self.loop_context)
         warn_of_other_bound(nonstop, self.loop_context, self._stated_bound)
@@ -165,9 +168,10 @@ class Flight:
             warn_of_angles(scenario)
             warn_of_margins(scenario, nonstop, self.loop_context, self._described)
             warn_of_growth(scenario, nonstop, self.loop_context, self._described)
-        chosen = with_chosen_step(scenario, nonstop, self.loop_context, self._traced_start())
+        chosen = with_chosen_step(scenario, nonstop, self.loop_context, traced)
         if request.after_step is None:  # which may end a run of any duration
-            require_room(nonstop, dataclasses.replace(scenario, simulator_config=chosen.config))
+            config = chosen.config
+            require_room(self._logs.sizes, dataclasses.replace(scenario, simulator_config=config))
         ApplySimulatorConfig(chosen.config, self._simulator)
         return chosen
 

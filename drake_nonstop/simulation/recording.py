@@ -70,6 +70,8 @@ RUN_SIGNALS = {
 }
 
 DOUBLE = 8  # bytes
+
+Sizes = tuple[dict[str, int], dict[str, int]]  # of what is recorded: signals, and at every step
 _nameless_file = partial(tempfile.TemporaryFile, buffering=0)
 
 
@@ -263,6 +265,7 @@ class LogSignals:
         entries: what the columns of the signals are, by their names "block.port".
         sampled: the names of the diagram's ports that are recorded at 100 Hz.
         stepped: the names of those that are recorded at every step.
+        sizes: as of `recorded_sizes`.
     """
 
     def __init__(self, builder: DiagramBuilder, nonstop: Diagram, uses_files: bool = False):
@@ -270,13 +273,9 @@ class LogSignals:
         self.nonstop = nonstop
         self.sampled, self.stepped = [*sampled], [*stepped]
         names, self.entries = _names_and_entries(nonstop, sampled)
-        self._log = builder.AddSystem(
-            _Log(
-                {name: sampled[port].size() for name, port in names.items()},
-                {name: port.size() for name, port in stepped.items()},
-                MEMORY_LIMIT if uses_files else math.inf,
-            )
-        )
+        self.sizes = _sizes(names, sampled, stepped)
+        log = _Log(*self.sizes, MEMORY_LIMIT if uses_files else math.inf)
+        self._log = builder.AddSystem(log)
         # One input for all of them, since one for each would slow every step down.
         for i, ports in enumerate((sampled.values(), stepped.values())):
             multiplexer = builder.AddSystem(Multiplexer([port.size() for port in ports]))
@@ -361,10 +360,10 @@ def _names_and_entries(
     return names, found
 
 
-def expected_size(nonstop: Diagram, scenario: Scenario) -> float:
-    """About how many bytes the signals of a run take, where no step has to be shorter."""
+def expected_size(recorded: Sizes, scenario: Scenario) -> float:
+    """About how many bytes `recorded_sizes` take in a run, where no step has to be shorter."""
     step = scenario.simulator_config.max_step_size
-    samples, steps = (DOUBLE * (1 + sum(s.values())) for s in recorded_sizes(nonstop))
+    samples, steps = (DOUBLE * (1 + sum(s.values())) for s in recorded)
     return scenario.simulation_duration * (
         samples / SIGNAL_PERIOD + steps / min(step, SIGNAL_PERIOD)
     )
@@ -379,9 +378,9 @@ def least_size(scenario: Scenario) -> float:
     return scenario.simulation_duration / SIGNAL_PERIOD * columns * DOUBLE / 2
 
 
-def require_room(nonstop: Diagram, scenario: Scenario) -> None:
-    """Raises ScenarioError where the temporary folder has no room for a run that needs it."""
-    size = expected_size(nonstop, scenario)
+def require_room(recorded: Sizes, scenario: Scenario) -> None:
+    """Raises ScenarioError where the temporary folder has no room for a run of that size."""
+    size = expected_size(recorded, scenario)
     room = shutil.disk_usage(tempfile.gettempdir()).free
     most = max(room, MEMORY_LIMIT)
     longest = 0.9 * most / size * scenario.simulation_duration  # s; 0.9: it is rounded
@@ -420,10 +419,16 @@ def _recorded_ports(nonstop: Diagram) -> tuple[dict[str, OutputPort], dict[str, 
     )
 
 
-def recorded_sizes(nonstop: Diagram) -> tuple[dict[str, int], dict[str, int]]:
+def recorded_sizes(nonstop: Diagram) -> Sizes:
     """The sizes of the signals of a run, by "block.port", and of its steps, by their ports."""
     sampled, stepped = _recorded_ports(nonstop)
     names, _ = _names_and_entries(nonstop, sampled)
+    return _sizes(names, sampled, stepped)
+
+
+def _sizes(
+    names: dict[str, str], sampled: dict[str, OutputPort], stepped: dict[str, OutputPort]
+) -> Sizes:
     return (
         {name: sampled[port].size() for name, port in names.items()},
         {name: port.size() for name, port in stepped.items()},

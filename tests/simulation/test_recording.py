@@ -235,7 +235,7 @@ def test_a_run_without_room_for_its_signals_is_refused_and_the_remedy_works(dura
         simulate(scenario)
     scenario.simulation_duration = float(re.search(r"give at most (\S+) s", str(caught.value))[1])
     assert scenario.simulation_duration > 100
-    require_room(make_nonstop(scenario), scenario)
+    require_room(recording.recorded_sizes(make_nonstop(scenario)), scenario)
 
 
 @pytest.mark.nightly("flights")
@@ -244,7 +244,8 @@ def test_the_expected_size_is_that_of_the_signals():
         scenario = scenario_of(0.5, override)
         run = simulate(scenario)
         arrays = [run.time, *run.signals.values(), *run.steps.values()]
-        expected = recording.expected_size(make_nonstop(scenario), scenario)
+        sizes = recording.recorded_sizes(make_nonstop(scenario))
+        expected = recording.expected_size(sizes, scenario)
         assert sum(values.nbytes for values in arrays) == pytest.approx(expected, rel=0.05)
 
 
