@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 _FOLLOWED = 1e12  # times that a deviation grows, beyond which it is not followed
-_AT_ONCE = 64  # maps that are interpolated
+AT_ONCE = 64  # maps that are interpolated, so few that they stay in a core's cache
 
 
 class SampledLoop(NamedTuple):
@@ -67,11 +67,12 @@ def interpolated(values: NDArray, turns: NDArray) -> NDArray:
     By trigonometric interpolation, whose error for a smooth function is near rounding.
     """
     count = len(values)
-    spectrum = np.fft.rfft(values.reshape(count, -1), axis=0) / count
+    spectrum = np.fft.rfft(np.eye(count), axis=0) / count
     orders = np.arange(len(spectrum))
     weights = np.where((orders == 0) | (2 * orders == count), 1.0, 2.0)
     waves = np.exp(2j * np.pi * np.outer(turns, orders)) * weights
-    return (waves @ spectrum).real.reshape(len(turns), *values.shape[1:])
+    found: NDArray = (waves @ spectrum).real @ values.reshape(count, -1)
+    return found.reshape(len(turns), *values.shape[1:])
 
 
 def map_of_turn(maps: NDArray, samples: int) -> NDArray:
@@ -80,8 +81,8 @@ def map_of_turn(maps: NDArray, samples: int) -> NDArray:
     Its eigenvalues are the Floquet multipliers.
     """
     turn = np.eye(maps.shape[1])
-    for start in range(0, samples, _AT_ONCE):
-        some = np.arange(start, min(start + _AT_ONCE, samples))
+    for start in range(0, samples, AT_ONCE):
+        some = np.arange(start, min(start + AT_ONCE, samples))
         for step in interpolated(maps, some / samples):
             turn = step @ turn
     return turn
