@@ -1,6 +1,8 @@
 """A flight of a compiled loop, and what stands beside the trace as it goes on."""
 
 import time
+from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,7 +14,7 @@ from drake_nonstop.loop.block_events import SteppedBlock, sample_times
 from drake_nonstop.loop.exogenous_inputs import ExogenousInputs, Source
 from drake_nonstop.loop.functions import Evaluation, LoopFunctions, Reading
 from drake_nonstop.loop.lane_functions import LaneInputs
-from drake_nonstop.loop.trace import LoopLayout, discrete_state_of
+from drake_nonstop.loop.trace import LoopLayout, Step, discrete_state_of, runge_kutta3
 from drake_nonstop.systems.diagram_trace import updates_in_trace
 from drake_nonstop.systems.port_state import copied_context, set_discrete_values
 from drake_nonstop.systems.tracing import NotFiniteError
@@ -93,8 +95,8 @@ class CompiledFlight(LoopFlight):
         self._at_start, self._shown, self._after_sample = (
             Evaluation(part, compiles) for part in parts
         )
-        at_sample, whole = functions.at_sample, functions.whole
-        self._at_sample = None if at_sample is None else Evaluation(at_sample, compiles)
+        whole = functions.whole
+        self._at_sample = Evaluation(functions.at_sample, compiles) if whole is None else None
         self._whole = None if whole is None else Evaluation(whole, compiles)
         self.side_by_side = whole if compiles else None
         self._no_answers = np.zeros(layout.answers_size)
@@ -153,10 +155,13 @@ class CompiledFlight(LoopFlight):
         self._initialize()
         return self.state
 
-    def values_of(self, function: Evaluation, state: NDArray, at: float) -> list[NDArray]:
-        """Results of a function of an instant, at a time in s, of another state."""
-        read = [self._value(reading, at, at) for reading in function.readings]
-        return self._evaluated(function, state, self._parameters, np.array([at]), *read)
+    def values_of(self, function: Evaluation, state: NDArray, offset: float = 0.0) -> list[NDArray]:
+        """Results of a function, an offset (s) after the last sample, of another state."""
+        readings = (each._replace(offset=each.offset + offset) for each in function.readings)
+        now, ahead = self.time, self._time_after(self._period)
+        outside = [self._value(reading, now, ahead) for reading in readings]
+        own = state, self._parameters, np.array([self._time_after(offset)])
+        return self._evaluated(function, *own, *outside)
 
     def _initialize(self) -> None:
         # Those whose first update what samples at the start reads begin before it.
@@ -284,9 +289,36 @@ class CompiledFlight(LoopFlight):
 
     def _advance_in_parts(self) -> tuple[NDArray, NDArray]:
         """The signals of a sample, with blocks that are stepped after its updates."""
-        before = self._state
         assert self._at_sample is not None
-        self._state, read, is_valid = self._call(self._at_sample)
+        self._make_updates(self._at_sample)
+        self._state, signals, step_signals = self._call(self._after_sample)
+        return signals, step_signals
+
+    def advance_in_steps(
+        self, schedule: Sequence[Step], updates: Evaluation, rates: Evaluation
+    ) -> NDArray:
+        """Goes on by a sample with other steps than the loop's; the `signals` (instants, size).
+
+        The functions are `LoopFunctions.at_sample`, and one whose last result are the rates.
+        """
+        if self.samples > 0:
+            self._make_updates(updates)
+        shown = []
+        for step in schedule:
+            rate = partial(self._rate, rates)
+            self._state = runge_kutta3(rate, self._state, step)
+            if step.is_shown:
+                shown.append(self.values_of(self._shown, self._state, step.end)[0])
+        self.samples += 1
+        return np.array(shown)
+
+    def _rate(self, rates: Evaluation, state: NDArray, offset: float) -> NDArray:
+        return self.values_of(rates, state, offset)[-1]
+
+    def _make_updates(self, updates: Evaluation) -> None:
+        """Makes the updates of a sample, with those that blocks make themselves."""
+        before = self._state
+        self._state, read, is_valid = self._call(updates)
         for block in self._stepped.values():
             block.advance_to(self.time)
         self._give(read)
@@ -295,8 +327,6 @@ class CompiledFlight(LoopFlight):
         for leaf, is_right in zip(self._asked, is_valid, strict=True):
             if not is_right:
                 self._state[self._layout.places[leaf]] = self._asked_for(leaf, before)
-        self._state, signals, step_signals = self._call(self._after_sample)
-        return signals, step_signals
 
     def _place_of(self, leaf: System, state: NDArray) -> NDArray:
         """The discrete states of a leaf."""
@@ -373,10 +403,7 @@ class CompiledFlight(LoopFlight):
             start = end
 
     def _call(self, function: Evaluation) -> list[NDArray]:
-        now, ahead = self.time, self._time_after(self._period)
-        outside = [self._value(reading, now, ahead) for reading in function.readings]
-        own = self._state, self._parameters, np.array([now])
-        return self._evaluated(function, *own, *outside)
+        return self.values_of(function, self._state)
 
     def _value(self, reading: Reading, now: float, ahead: float) -> NDArray:
         number, output, offset = reading

@@ -32,6 +32,7 @@ from drake_nonstop.loop.derivatives import (
     derivative_functions,
 )
 from drake_nonstop.loop.functions import (
+    Evaluation,
     LoopFunction,
     LoopFunctions,
     Symbols,
@@ -244,27 +245,24 @@ class CompiledLoop:
         symbols = Symbols(self.layout.numbers)
         at_once = Traced(shown(trace.arguments[0], 0.0, symbols), trace.arguments, symbols)
         steps = trace.steps(self._schedule, shown)
-        at_sample = whole = None
-        if self.layout.held:
-            at_sample = LoopFunction(trace.updates())
-        else:
-            whole = trace.whole(self._schedule, shown)
+        updates = trace.updates()
         return LoopFunctions(
             at_start=LoopFunction(trace.updates(is_start=True)),
             shown=LoopFunction(at_once),
             after_sample=LoopFunction(steps),
-            at_sample=at_sample,
-            whole=whole,
+            at_sample=LoopFunction(updates),
+            whole=None if self.layout.held else trace.whole(self._schedule, shown, updates),
         )
 
     @property
     def rest_function(self) -> LoopFunction:
-        """The signal `carrier_reference` and the rates of the state."""
+        """The signal `carrier_reference`, where there is one, and the rates of the state."""
         functions = self._functions
         if functions.rest is None:
             trace, symbols = LoopTrace(self.layout), Symbols(self.layout.numbers)
             now = trace.arguments[0], 0.0, symbols
-            results = [*trace.shown(["carrier_reference"])(*now), *trace.rates(*now)]
+            names = [name for name in ("carrier_reference",) if self.diagram.HasOutputPort(name)]
+            results = [*trace.shown(names)(*now), *trace.rates(*now)]
             functions.rest = LoopFunction(Traced(results, trace.arguments, symbols))
         return functions.rest
 
@@ -286,6 +284,22 @@ class CompiledLoop:
             context=context,
             largest=largest,
         )
+
+    def fly_on(self, flight: CompiledFlight, samples: int, config: SimulatorConfig) -> NDArray:
+        """The `signals` (instants, size), as a flight goes on by samples with other steps.
+
+        Each rate is evaluated by itself: of a few samples that takes less than the trace of the
+        steps.
+
+        Raises:
+            ScenarioError: a block is stepped beside the trace.
+            NotFiniteError, NotCompilableError: as of `CompiledFlight.advance`.
+        """
+        require(not self.blocks_beside, "loop", self.blocks_beside, "fly it with its own steps")
+        schedule = _schedule(self.control_period, self.shown_per_sample, config.max_step_size)
+        functions = self._functions.at_sample, self.rest_function
+        parts = [Evaluation(function, self._compiles) for function in functions]
+        return np.concatenate([flight.advance_in_steps(schedule, *parts) for _ in range(samples)])
 
     def prepare_lanes(self) -> None:
         """Takes the C by which `lanes.advance_together` flies its flights, where it is compiled.

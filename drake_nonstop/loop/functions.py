@@ -138,16 +138,15 @@ class LoopFunctions:
     at_start: LoopFunction
     shown: LoopFunction
     after_sample: LoopFunction
-    at_sample: LoopFunction | None  # where blocks are stepped between it and `after_sample`
-    whole: LoopFunction | None  # where none are: both in one
+    at_sample: LoopFunction  # its updates
+    whole: LoopFunction | None  # where no blocks are stepped between it and `after_sample`: both
     samples: int = 0  # that loops have asked for
     rest: LoopFunction | None = None  # see `CompiledLoop.rest_function`; None: not asked for
 
     @property
     def of_samples(self) -> list[LoopFunction]:
         """Functions that are evaluated at every sample, or nearly."""
-        parts = [self.at_sample, self.after_sample] if self.whole is None else [self.whole]
-        return [part for part in parts if part is not None]
+        return [self.at_sample, self.after_sample] if self.whole is None else [self.whole]
 
     def prepare(self, samples: int | None, compiles: bool) -> None:
         """Takes C for those of samples and `rest`, or shortens them, as `CompiledLoop` says."""

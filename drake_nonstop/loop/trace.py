@@ -312,15 +312,14 @@ class LoopTrace:
         results = [now, casadi.vertcat(*signals), casadi.vertcat(*step_signals)]
         return Traced(results, self.arguments, symbols)
 
-    def whole(self, schedule: Sequence[Step], shown: _Part) -> LoopFunction:
+    def whole(self, schedule: Sequence[Step], shown: _Part, updates: Traced) -> LoopFunction:
         """The state and all signals at the next sample, and what its updates tell besides.
 
-        A further argument has which blocks have made updates themselves, and their states after
-        these.
+        `updates` are the sample's. A further argument has which blocks have made updates
+        themselves, and their states after these.
         """
-        updates = self.updates()
         answers = casadi.SX.sym("a", self._layout.answers_size)
-        after, read, is_valid = updates.results
+        after, read, is_valid = casadi.SX(updates.results[0]), *updates.results[1:]
         start = len(self._layout.self_updating)
         for k, leaf in enumerate(self._layout.self_updating):
             place = self._layout.places[leaf]

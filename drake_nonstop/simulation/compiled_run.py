@@ -19,7 +19,7 @@ from drake_nonstop.scenario.schema import COMPILED, Scenario
 from drake_nonstop.simulation.monitor import SAME_RATIO, EndingBlocks, Monitor, at_instant
 from drake_nonstop.simulation.recording import LogSignals, RecordingError
 from drake_nonstop.simulation.run import WALL_TIME
-from drake_nonstop.simulation.step_size import RestorableState, SavedState, flown
+from drake_nonstop.simulation.step_size import FlightSamples, RestorableState, SavedState, flown
 from drake_nonstop.systems.block import is_of_package, release
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
 from drake_nonstop.systems.wiring import maker_of
@@ -104,17 +104,29 @@ def tell_not_compiled(reason: str, engine: str) -> None:
 
 
 @dataclass(frozen=True)
-class _CompiledState:
+class CompiledState:
     """A `SavedState` whose context is written when it is asked for, which takes longer."""
 
     time: float
     state: NDArray
+    samples: int  # up to there
     flight: CompiledFlight
+    loop: CompiledLoop
 
     def restore(self, context: Context) -> None:
         """Sets the state of a context of the same diagram."""
         context.SetTime(self.time)
         self.flight.write_state(context, self.state)
+
+    def fly(self, duration: float, config: SimulatorConfig) -> FlightSamples:
+        """A flight from it on as of `ShortFlights`, by steps of the config; its own one is over."""
+        self.flight.go_to(self.samples, self.state)
+        loop, period = self.loop, self.loop.control_period
+        samples = math.ceil(duration / period - _ROUNDING)
+        rows = loop.fly_on(self.flight, samples, config)
+        times = self.time + period / loop.shown_per_sample * np.arange(1, len(rows) + 1)
+        kept = at_instant(times)
+        return FlightSamples.of(times[kept], by_name(loop.signals, rows[kept]))
 
 
 class CompiledRun:
@@ -157,7 +169,8 @@ class CompiledRun:
     def _state(self) -> RestorableState:
         """The state of the last sample, for a flight of the diagram from there."""
         if not self._loop.blocks_beside:
-            return _CompiledState(self._flight.time, self._flight.state, self._flight)
+            flight = self._flight
+            return CompiledState(flight.time, flight.state, flight.samples, flight, self._loop)
         self._write_state()
         return SavedState.of(self._loop.diagram.GetMyContextFromRoot(self._context))
 

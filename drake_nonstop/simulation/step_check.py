@@ -9,6 +9,7 @@ from pydrake.systems.analysis import SimulatorConfig
 from pydrake.systems.framework import Context
 
 from drake_nonstop.mechanics.signals import SIGNAL_PERIOD, CarrierStates
+from drake_nonstop.simulation.compiled_run import CompiledState
 from drake_nonstop.simulation.metrics import compute_metrics
 from drake_nonstop.simulation.moved_metrics import moved_metrics
 from drake_nonstop.simulation.run import Run
@@ -18,6 +19,7 @@ from drake_nonstop.simulation.step_size import (
     RestorableState,
     ShortFlights,
     difference,
+    finer,
     tolerated_speeds,
     tolerated_tensions,
     with_step,
@@ -59,20 +61,25 @@ def is_in_doubt(run: Run, states: list[RestorableState], context: Context) -> bo
         return False  # nothing can be flown again from a state on the way
     config = with_step(run.scenario.simulator_config, run.step)
     period = run.scenario.control_period
-    flights = ShortFlights(run.diagram, context, config)
+    flights = None
     time = max(_FLIGHT, 2 * period)
     hardest = (
         np.argmin(np.min(flown.tensions, axis=1)),
         np.argmax(roughness),
     )
     for i in sorted({_before(float(run.time[instant]), states) for instant in hardest}):
-        if states[i].time + time > run.time[-1] - SIGNAL_PERIOD:
+        state = states[i]
+        if state.time + time > run.time[-1] - SIGNAL_PERIOD:
             continue
         try:
-            finer = flights.fly(states[i], time, 2)
+            if isinstance(state, CompiledState):
+                half = state.fly(time, finer(config, 2))
+            else:
+                flights = flights or ShortFlights(run.diagram, context, config)
+                half = flights.fly(state, time, 2)
         except Exception:  # whatever blocks may raise, which they did not in the run
             return True
-        if difference(flown.at(np.round(finer.time / SIGNAL_PERIOD).astype(int)), finer) > _FAR:
+        if difference(flown.at(np.round(half.time / SIGNAL_PERIOD).astype(int)), half) > _FAR:
             return True
     return False
 

@@ -17,11 +17,20 @@ from drake_nonstop import (
     verify_step,
 )
 from drake_nonstop.analysis.linearized_loop import LinearizedLoop
+from drake_nonstop.loop.compiled_loop import CompiledLoop
 from drake_nonstop.loop.equilibrium import on_reference
+from drake_nonstop.mechanics.signal_layouts import by_name
 from drake_nonstop.scenario.schema import ENGINES
+from drake_nonstop.simulation.compiled_run import CompiledState
 from drake_nonstop.simulation.metrics import METRICS
 from drake_nonstop.simulation.moved_metrics import moved_metrics
-from drake_nonstop.simulation.step_size import SavedState, ShortFlights, difference, with_step
+from drake_nonstop.simulation.step_size import (
+    SavedState,
+    ShortFlights,
+    difference,
+    finer,
+    with_step,
+)
 from drake_nonstop.validation import ScenarioError, ScenarioWarning
 
 CONSTANT = "optimization_layer=ConstantParameters"
@@ -233,6 +242,38 @@ def test_a_short_flight_repeats_its_part_of_the_run(overrides):
         np.testing.assert_allclose(flown.tensions, run.signal("tensions")[21:31], atol=1e-10)
     finer = flights.fly(states[0], 0.1, 2)
     assert 0 < difference(flown, finer) < 0.1
+
+
+@pytest.mark.parametrize(
+    ("name", "overrides", "samples"),
+    [
+        ("quintic", ("optimization_layer.speed_bound=0.9",), 20),
+        ("quintic", (CONSTANT, "control_period=0.02"), 5),
+        ("aircraft_transfer", (), 0),
+    ],
+)
+def test_a_compiled_flight_with_half_the_step_is_that_of_the_diagram(name, overrides, samples):
+    scenario = load_scenario(name, [*overrides])
+    config, nonstop = with_step(scenario.simulator_config, 0.005), make_nonstop(scenario)
+    loop = CompiledLoop(nonstop, config, scenario.control_period, signal_period=0.01, samples=0)
+    context = nonstop.CreateDefaultContext()
+    flight = loop.fly(context)
+    flight.fly(samples)
+    state = CompiledState(flight.time, flight.state, samples, flight, loop)
+    expected = ShortFlights(nonstop, context, config).fly(state, 0.04, 2)
+    for _ in range(2):  # one flight leaves nothing for the next
+        half = state.fly(0.04, finer(config, 2))
+        for own, others in zip(half, expected, strict=True):
+            np.testing.assert_allclose(own, others, rtol=1e-9, atol=1e-9)
+    whole = state.fly(0.04, config)
+    assert difference(half, whole) > 1e-9
+    flight.go_to(samples, state.state)
+    signals = np.concatenate(
+        [flight.advance()[0] for _ in range(len(whole.time) // loop.shown_per_sample)]
+    )
+    np.testing.assert_allclose(
+        whole.tensions, by_name(loop.signals, signals)["tensions"], rtol=1e-12
+    )
 
 
 def test_what_counts_as_moved():
