@@ -120,6 +120,7 @@ class CompiledPlan(threading.local):
         functions = [_margins(part) for part in problem.functions]
         memory = problem.limits_of_carriers.memory
         memory.inputs[12:18] = problem.orbit_directions
+        memory.inputs[20:] = problem.numbers[:, None, None]
         limits = _Limits(memory.evaluate, memory.buffer, *memory[:2], *np.shape(memory.outputs))
         self._kept_alive = functions, limits
         low, spacing = problem.amplitudes[0], problem.amplitudes[1] - problem.amplitudes[0]

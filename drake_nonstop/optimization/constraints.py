@@ -4,7 +4,9 @@ A margin is negative where its constraint is not fulfilled: ‖v_i‖²/ε² −
 of the other constraints.
 """
 
+import copy
 import math
+from collections.abc import Iterable
 from typing import Any
 
 from numpy.typing import NDArray
@@ -20,7 +22,6 @@ class Constraints:
     """The rows of the table of limits that a config asks for, with their tightened values.
 
     Attributes:
-        max_speed: m/s, inf without such a limit.
         min_separation: m, 0 without such a limit.
     """
 
@@ -30,9 +31,26 @@ class Constraints:
             of: [(limit, limit.tightened(config, tightening)) for limit, _ in asked(config, of)]
             for of in Of
         }
-        self.max_speed = min((value for _, value in self._rows[Of.SPEED]), default=math.inf)
         separations = self._rows[Of.SEPARATION]
         self.min_separation = max((value for _, value in separations), default=0.0)
+
+    @property
+    def max_speed(self) -> Any:
+        """The largest speed in m/s, inf without such a limit."""
+        return min((value for _, value in self._rows[Of.SPEED]), default=math.inf)
+
+    @property
+    def values(self) -> list[Any]:
+        """The tightened values of all rows."""
+        return [value for rows in self._rows.values() for _, value in rows]
+
+    def with_values(self, values: Iterable[Any]) -> "Constraints":
+        """The same limits of other `values`, numbers or symbols."""
+        found, left = copy.copy(self), iter(values)
+        found._rows = {
+            of: [(limit, next(left)) for limit, _ in rows] for of, rows in self._rows.items()
+        }
+        return found
 
     def names(self, *kinds: Of) -> list[str]:
         """The name of the row that each margin of these kinds belongs to, in their order."""

@@ -269,10 +269,12 @@ class HorizonProblem(HorizonMotions):
         of_carriers = places[0][:, :pairs].reshape(count, -1, n).swapaxes(0, 1)
         of_terms = term_columns(n)
         along: dict[str, Any] = {"instants": every, "along": count, "angles": np.zeros(count)}
-        axes = np.hstack(self.axes).T[:, None]
+        numbers = np.repeat(self.numbers[:, None, None], n, axis=2)
+        axes = np.concatenate([np.hstack(self.axes).T[:, None], numbers])
+        size = len(axes)
         self.functions = [
             MarginFunction(
-                self._elementwise(self._carrier_margins, [6, 12, 6, 2], (count, n)),
+                self._elementwise(self._carrier_margins, [6, 12, size, 2], (count, n)),
                 **along,
                 places=of_carriers,
                 source="flat_terms",
@@ -285,9 +287,12 @@ class HorizonProblem(HorizonMotions):
             of_pairs = places[0][None, :, pairs:]
             vectors = (*self.axes, self.model.attachments)
             constants = [part[chosen].T for part in vectors for chosen in self._pairs]
+            constants.append(np.repeat(self.numbers[:, None], of_pairs.shape[2], axis=1))
             self.functions.append(
                 MarginFunction(
-                    self._elementwise(self._gap_margins, [6, 6, 18, 2], (count, of_pairs.shape[2])),
+                    self._elementwise(
+                        self._gap_margins, [6, 6, size + 12, 2], (count, of_pairs.shape[2])
+                    ),
                     **along,
                     places=of_pairs,
                     source="flat_terms",
@@ -303,7 +308,9 @@ class HorizonProblem(HorizonMotions):
             rows = np.concatenate([np.arange(len(at)), orbits])
             self.functions.append(
                 MarginFunction(
-                    self._elementwise(self._flight_margins_of_one, [6, 24, 6, 2], (len(rows), n)),
+                    self._elementwise(
+                        self._flight_margins_of_one, [6, 24, size, 2], (len(rows), n)
+                    ),
                     instants=at[rows],
                     along=len(at),
                     angles=np.append(np.zeros(len(at)), np.tile(angles, len(self._orbits_of))),
@@ -356,45 +363,47 @@ class HorizonProblem(HorizonMotions):
         return hessian
 
     def _carrier_margins(
-        self, orbit: NDArray, terms: NDArray, axes: NDArray, scale: NDArray
+        self, orbit: NDArray, terms: NDArray, constants: NDArray, scale: NDArray
     ) -> list[NDArray]:
         """The margins of one carrier's speed and tension at an instant.
 
-        `scale` are the bound on its speed and the unit of that, m/s.
+        `constants` are its axes and the `numbers`; `scale` are the bound on its speed and the unit
+        of that, m/s.
         """
-        own, axis = OrbitTerms.view(terms[None]), (axes[None, :3], axes[None, 3:])
+        cables, constraints, _ = self._of_numbers(constants[6:])
+        own, axes = OrbitTerms.view(terms[None]), (constants[None, :3], constants[None, 3:6])
         squares, tension_squares = planned_speeds(
-            own, axis, PlannedOrbit(*orbit[:, None]), **self._cables
+            own, axes, PlannedOrbit(*orbit[:, None]), **cables
         )
-        tensions = self._constraints.of_squares(Of.TENSION, tension_squares)
-        return [*self._constraints.of_speeds(squares, scale[:1], scale[1:]), *tensions]
+        tensions = constraints.of_squares(Of.TENSION, tension_squares)
+        return [*constraints.of_speeds(squares, scale[:1], scale[1:]), *tensions]
 
     def _gap_margins(
         self, orbit: NDArray, forces: NDArray, constants: NDArray, scale: NDArray
     ) -> list[NDArray]:
         """The margins of the distance of one pair of carriers at an instant."""
-        forces, (p, q, attachments) = forces.reshape(2, 3), constants.reshape(3, 2, 3)
+        cables, constraints, _ = self._of_numbers(constants[18:])
+        forces, (p, q, attachments) = forces.reshape(2, 3), constants[:18].reshape(3, 2, 3)
         squares = planned_gaps(
             forces[None],
             (p, q),
             PlannedOrbit(*orbit[:, None]),
             attachments=attachments,
             pairs=np.array([[0], [1]]),
-            **self._cables,
+            **cables,
         )
-        return self._constraints.of_squares(Of.SEPARATION, squares)
+        return constraints.of_squares(Of.SEPARATION, squares)
 
     def _flight_margins_of_one(
-        self, orbit: NDArray, terms: NDArray, axes: NDArray, scale: NDArray
+        self, orbit: NDArray, terms: NDArray, constants: NDArray, scale: NDArray
     ) -> list[NDArray]:
         """`_flight_margins` of one aircraft at an instant."""
-        own = FlightTerms.view(terms[None])
-        planned = PlannedOrbit(*orbit[:, None])
-        return self._flight_margins(own, (axes[None, :3], axes[None, 3:]), planned)
+        own, axes = FlightTerms.view(terms[None]), (constants[None, :3], constants[None, 3:6])
+        return self._flight_margins(own, axes, PlannedOrbit(*orbit[:, None]), constants[6:])
 
     def _elementwise(
         self, function: Callable, sizes: list[int], shape: tuple[int, int]
     ) -> ElementwiseFunction:
         """A function of one carrier or pair at an instant, for all of them."""
-        key = function.__name__, self.model.aircraft, self.limits, self.rest_length, self.compliance
-        return ElementwiseFunction(function, sizes, shape, key=key)
+        key = function.__name__, self._constraints.names(*Of)
+        return ElementwiseFunction(function, sizes, shape, key=key, compiles=True)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from drake_nonstop.mechanics.aircraft import Aircraft
 from drake_nonstop.mechanics.internal_force import orbit_axes
 from drake_nonstop.mechanics.planned_orbit import (
     FlightTerms,
@@ -47,6 +48,9 @@ class OrbitConstraints:
         config: of a horizon; the numbers of phases and amplitudes, and what follows jumps, count.
         name: tells what evaluates the terms, for the error of a value that is not finite.
         beliefs: numbers in place of those of model and limits.
+
+    Attributes:
+        numbers: (c,), of cables (L₀ in m, 1/K_c in m/N), limits (`Constraints.values`), aircraft.
     """
 
     def __init__(
@@ -79,14 +83,15 @@ class OrbitConstraints:
         u, along, _ = orbit_directions(self.axes, self._orbit_angles)
         directions = np.concatenate([u, along], axis=2)
         self.orbit_directions = np.ascontiguousarray(np.moveaxis(directions, 2, 0))
-        tensions = functools.partial(self._constraints.of_squares, Of.TENSION)
-        own = {"max_speed": self.max_speed, "margins_of_tension": tensions, **self._cables}
+        parts = [self.rest_length, self.compliance, *self._constraints.values]
+        self.numbers = np.concatenate([*map(np.atleast_1d, [*parts, *(model.aircraft or ())])])
         self.limits_of_carriers = ElementwiseFunction(
-            functools.partial(limits_of_carrier, **own),
-            [12, 6, 1, 1],
+            self._limits_of_carrier,
+            [12, 6, 1, 1, len(self.numbers)],
             directions.shape[:2],
-            key=("limits_of_carrier", limits, *self._cables.values()),
+            key=("limits_of_carrier", self._constraints.names(*Of)),
             has_derivatives=False,
+            compiles=True,
         )
         self._keeps_apart = self._constraints.min_separation > 0
         self._distances = OrbitDistances(self.axes)
@@ -94,6 +99,24 @@ class OrbitConstraints:
         self._terms = self._of_rows(orbit_along_reference)
         if self._limits_flight:
             self._flight_terms = self._of_rows(flight_along_reference)
+
+    def _limits_of_carrier(self, *given: NDArray) -> list[NDArray]:
+        """`limits_of_carrier` of its first arguments and the `numbers`."""
+        cables, constraints, _ = self._of_numbers(given[-1])
+        tensions = functools.partial(constraints.of_squares, Of.TENSION)
+        own = {"max_speed": constraints.max_speed, "margins_of_tension": tensions, **cables}
+        return limits_of_carrier(*given[:-1], **own)
+
+    def _of_numbers(self, numbers: NDArray) -> tuple[dict[str, Any], Constraints, Aircraft | None]:
+        """Cables, constraints and aircraft of other `numbers`, such as symbols."""
+        own = self.model.aircraft
+        sizes = [1, 1, len(self._constraints.values), *map(np.size, own or ())]
+        rest_length, compliance, values, *parts = np.split(numbers, np.cumsum(sizes)[:-1])
+        return (
+            {"rest_length": rest_length, "compliance": compliance},
+            self._constraints.with_values(values[:, None]),
+            None if own is None else Aircraft(*parts),
+        )
 
     def all_terms(self, references: NDArray, winds: NDArray = STILL_AIR) -> NDArray:
         """The flat `OrbitTerms` (k, 9n + 3) of references (k, 22).
@@ -124,18 +147,22 @@ class OrbitConstraints:
         angles, count = self._orbit_angles, len(flat_flight)
         orbit = PlannedOrbit.constant(np.tile(angles, count), frequency, amplitude)
         terms = FlightTerms.view(np.repeat(flat_flight, len(angles), axis=0))
-        margins = self._flight_margins(terms, self.axes, orbit)
+        margins = self._flight_margins(terms, self.axes, orbit, self.numbers)
         worst: NDArray = np.min(margins, axis=(0, 2)).reshape(count, -1).min(axis=1)
         return worst
 
     def _flight_margins(
-        self, terms: FlightTerms, axes: tuple[NDArray, NDArray], orbit: PlannedOrbit
+        self,
+        terms: FlightTerms,
+        axes: tuple[NDArray, NDArray],
+        orbit: PlannedOrbit,
+        numbers: NDArray,
     ) -> list[NDArray]:
         """The margins (k, n) of aircraft's limits, of numbers or symbols."""
-        aircraft = self.model.aircraft
+        cables, constraints, aircraft = self._of_numbers(numbers)
         assert aircraft is not None
-        needs = planned_needs(aircraft, terms, axes, orbit, **self._cables)
-        return self._constraints.of_flight(aircraft, needs)
+        needs = planned_needs(aircraft, terms, axes, orbit, **cables)
+        return constraints.of_flight(aircraft, needs)
 
     def jump_margins(self, terms: OrbitTerms) -> NDArray:
         """Excess of the speeds (k, n) above the bound that a jump of the plan asks for, m/s.
@@ -208,6 +235,7 @@ class OrbitConstraints:
             bounds=bounds,
             function=self.limits_of_carriers,
             directions=self.orbit_directions,
+            numbers=self.numbers,
         )
 
     def values_along(self, of: Of, terms: OrbitTerms, orbit: PlannedOrbit) -> NDArray:

@@ -41,6 +41,7 @@ class TerminalTables(NamedTuple):
     bounds: NDArray  # (k, n), m/s
     function: ElementwiseFunction  # of carriers at phases, see `limits_of_carrier`
     directions: NDArray  # (6, phases, n), u and u′
+    numbers: NDArray  # as of `OrbitConstraints`
 
     @property
     def spacing(self) -> float:
@@ -70,7 +71,9 @@ class TerminalTables(NamedTuple):
         terms = self.flat_terms[k, term_columns(n)][:, None]
         amplitude = np.full((1, *self.directions.shape[1:]), self.amplitudes[entry])
         bound = self.bounds[k, None, None]
-        (least, most, *margins), _ = self.function(terms, self.directions, amplitude, bound)
+        numbers = self.numbers[:, None, None]
+        given = terms, self.directions, amplitude, bound, numbers
+        (least, most, *margins), _ = self.function(*given)
         worst = np.min(margins, initial=self.apart[k, entry])
         return max(least.max(), 0.0), most.min(), worst
 
@@ -140,9 +143,9 @@ def limits_of_carrier(
     amplitude: NDArray,
     speed_bound: NDArray,
     *,
-    max_speed: float,
+    max_speed: Any,
     margins_of_tension: Callable[[Any], list[Any]],
-    **cables: float,
+    **cables: Any,
 ) -> list[NDArray]:
     """The least and the most s, and the margins of the tension, of symbols.
 
@@ -171,9 +174,9 @@ def _limits(
     polynomials: NDArray,
     amplitudes: NDArray,
     speed_bound: Any,
-    max_speed: float,
+    max_speed: Any,
     where_positive: Callable[[NDArray, NDArray], NDArray],
-    **cables: float,
+    **cables: Any,
 ) -> tuple[NDArray, NDArray, NDArray]:
     """The limits on s of `product_limits`, of each speed alone, and the squared tension.
 
@@ -188,5 +191,6 @@ def _limits(
 
     square, root = upper_root(speed_bound)
     least = where_positive(square, root)
-    most = upper_root(max_speed)[1] if np.isfinite(max_speed) else least + np.inf
+    is_limited = not isinstance(max_speed, float) or np.isfinite(max_speed)
+    most = upper_root(max_speed)[1] if is_limited else least + np.inf
     return least, most, tension_squares

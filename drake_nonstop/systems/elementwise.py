@@ -1,7 +1,7 @@
 """Traced functions that are evaluated for all entries of arrays, or all rows, in one call.
 
-A symbol stands for a whole array, so that each operation of CasADi's virtual machine is one loop
-over its entries.
+C evaluates some entries side by side. Without it a symbol stands for a whole array, so that each
+operation of CasADi's virtual machine is one loop over its entries. Both give the same, to the bit.
 """
 
 import ctypes
@@ -15,17 +15,34 @@ import casadi
 import numpy as np
 from numpy.typing import NDArray
 
+from drake_nonstop.systems.compilation import compiled_for_processor
+from drake_nonstop.systems.lane_code import side_by_side
 from drake_nonstop.systems.recent_traces import recent_trace
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError, bound
 
 _ROWS = 60  # that a `RowsFunction` evaluates at once
+_MOST_LANES = 8
+_EVALUATE = """
+#include <string.h>
+void evaluate(const long long *memory) { /* the inputs, the outputs, and the number of entries */
+  const double *inputs = (const double *)memory[0];
+  double *outputs = (double *)memory[1];
+  const long long entries = memory[2];
+  for (long long i, e = 0; e < entries; e += W) {
+    lanes input[INPUTS], results[RESULTS];
+    if (e > entries - W) e = entries - W; /* the last ones once more */
+    for (i = 0; i < INPUTS; i++) memcpy(input + i, inputs + i * entries + e, sizeof(lanes));
+    side_by_side(input, results);
+    for (i = 0; i < RESULTS; i++) memcpy(outputs + i * entries + e, results + i, sizeof(lanes));
+  }
+}
+"""
 
 
 class ElementwiseFunction:
     """Evaluates `function` for every entry of arrays, with its derivatives, in one call.
 
-    A symbol of the trace stands for a whole array, so that each operation is one loop over its
-    entries: several times faster than NumPy, and than a trace that is evaluated for each entry.
+    It is several times faster than NumPy, and than a trace that is evaluated for each entry.
 
     Args:
         function: takes one flat array per entry of `input_sizes` and returns an array or a tuple
@@ -34,6 +51,7 @@ class ElementwiseFunction:
         shape: that of the arrays which stand for a number.
         key: as of `TracedFunction`.
         has_derivatives: if not, g is 0.
+        compiles: whether C evaluates it, which is waited for; else CasADi's virtual machine.
 
     A call takes an array (size, *shape) for each input, or one that broadcasts to it, and returns
     new arrays: the values (m, *shape) and the derivatives (m, g, *shape).
@@ -47,12 +65,22 @@ class ElementwiseFunction:
         *,
         key: Any,
         has_derivatives: bool = True,
+        compiles: bool = False,
     ):
         by_count = input_sizes[0] if has_derivatives else 0
-        made = recent_trace(
-            lambda: _elementwise(function, input_sizes, math.prod(shape), by_count),
+        sizes, entries = [*input_sizes, by_count], math.prod(shape)
+        library = None
+        if compiles and entries >= _MOST_LANES:
+            library = recent_trace(
+                lambda: _library(_elementwise(function, input_sizes, 1, by_count)),
+                "elementwise lanes",
+                sizes,
+                key,
+            )
+        made = library or recent_trace(
+            lambda: _elementwise(function, input_sizes, entries, by_count),
             "elementwise",
-            [*input_sizes, by_count],
+            sizes,
             shape,
             key,
         )
@@ -112,6 +140,29 @@ class RowsFunction:
         return found
 
 
+class _Library:
+    """A function of one entry as C for all of them, `evaluate(memory)` of `_EVALUATE`."""
+
+    def __init__(self, library: ctypes.CDLL, function: casadi.Function):
+        self.n_in, self.n_out, self.evaluate = function.n_in, function.n_out, library.evaluate
+        self.evaluate.restype, self.evaluate.argtypes = None, [ctypes.c_void_p]
+        self.address = ctypes.cast(self.evaluate, ctypes.c_void_p).value or 0
+
+
+def _library(function: casadi.Function) -> _Library | None:
+    """A function of MX of one entry as C; None: it cannot be compiled, which a warning tells."""
+    argument = casadi.SX.sym("x", function.n_in())
+    results = function.expand().call(casadi.vertsplit(argument))
+    own = casadi.Function("entry", [argument], [casadi.cse(casadi.vertcat(*results))])
+    sizes = f"enum {{ INPUTS = {function.n_in()}, RESULTS = {function.n_out()} }};"
+    library = compiled_for_processor(
+        lambda: "\n".join([side_by_side(own, shares_angles=True), sizes, _EVALUATE]),
+        builds=True,
+        told=("functions of plans", "CasADi's virtual machine evaluates them"),
+    )
+    return None if library is None else _Library(library, function)
+
+
 class ElementwiseMemory(NamedTuple):
     """Memory of an `ElementwiseFunction`, which C evaluates by `evaluate(buffer)`.
 
@@ -132,7 +183,7 @@ class _ElementwiseScratch(threading.local):
 
     def __init__(
         self,
-        function: casadi.Function,
+        function: "casadi.Function | _Library",
         input_sizes: Sequence[int],
         shape: tuple[int, ...],
         by_count: int,
@@ -141,11 +192,17 @@ class _ElementwiseScratch(threading.local):
             np.zeros((count, *shape)) for count in (function.n_in(), function.n_out())
         )
         rows = [values.reshape(-1) for values in (*inputs, *outputs)]
-        self._kept_alive, evaluate = bound(function, rows[: len(inputs)], rows[len(inputs) :])
+        evaluate: Callable[[], None]
+        if isinstance(function, _Library):
+            self._kept_alive = np.array([inputs.ctypes.data, outputs.ctypes.data, rows[0].size])
+            buffer = self._kept_alive.ctypes.data
+            evaluate, address = functools.partial(function.evaluate, buffer), function.address
+        else:
+            self._kept_alive, evaluate = bound(function, rows[: len(inputs)], rows[len(inputs) :])
+            address, buffer = evaluate_address(), _pointer(self._kept_alive[0]._self(), None)
         parts = np.split(inputs, np.cumsum(input_sizes)[:-1])
         self.parts = parts, evaluate, outputs, by_count
-        buffer = _pointer(self._kept_alive[0]._self(), None)
-        self.memory = ElementwiseMemory(inputs, outputs, evaluate_address(), buffer)
+        self.memory = ElementwiseMemory(inputs, outputs, address, buffer)
 
 
 @functools.cache

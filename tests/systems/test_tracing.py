@@ -177,10 +177,15 @@ def test_operators_take_numbers_and_arrays_on_either_side(name, number, rng):
 
 def test_an_elementwise_function_has_the_values_and_derivatives_of_each_entry(rng):
     traced = TracedFunction(equations, [3, 2], name=lambda: "some_block", jacobian_of=0)
-    elementwise = ElementwiseFunction(equations, [3, 2], (4, 5), key=None)
+    elementwise, in_c = (
+        ElementwiseFunction(equations, [3, 2], (4, 5), key=None, compiles=compiles)
+        for compiles in (False, True)
+    )
     a, b = rng.uniform(1, 2, (3, 4, 1)), rng.uniform(1, 2, (2, 1, 5))
     values, slopes = elementwise(a, b)
     elementwise(b[[0, 1, 1]], b)  # an answer is its caller's
+    for own, other in zip((values, slopes), in_c(a, b), strict=True):
+        np.testing.assert_array_equal(own, other)  # to the bit
     assert (values.shape, slopes.shape) == ((11, 4, 5), (11, 3, 4, 5))
     for i, j in np.ndindex(4, 5):
         *expected, jacobian = traced(a[:, i, 0], b[:, 0, j])
