@@ -25,17 +25,18 @@ class _CableForces(Block):
     """Massless, tension-only spring-dampers from the load to the carriers."""
 
     reads = ("load_state", "carrier_state")
-    makes = ("cable_forces", "tensions")
+    makes = ("cable_forces", "carrier_cable_forces", "tensions")
     system = tuple(_OF_SYSTEM.values())
     of_model = ("attachments",)
 
     @staticmethod
     def equations(
         load_state: NDArray, carrier_state: NDArray, *, attachments: NDArray, **cables: NDArray
-    ) -> tuple[NDArray, NDArray]:
-        return cable_forces_and_tensions(
+    ) -> tuple[NDArray, ...]:
+        forces, tensions = cable_forces_and_tensions(
             load_state, carrier_state, attachments=attachments, **_columns(cables)
         )
+        return forces, forces, tensions
 
     def CalcPotentialEnergy(self, context: Context) -> float:
         """That of the stretched cables, J; the context is the block's own."""

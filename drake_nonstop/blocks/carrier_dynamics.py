@@ -105,7 +105,7 @@ class LoadedCarrierDynamics(Block):
         ScenarioError: `max_force` is not positive.
     """
 
-    reads = ("carrier_forces", "cable_forces")
+    reads = ("carrier_forces", "carrier_cable_forces")
     makes = ("carrier_state",)
     state_port = "carrier_state"
     system = ("carrier_mass", "gravity")
@@ -203,7 +203,7 @@ class FixedWingDynamics(Block):
         ScenarioError: the system has no aircraft.
     """
 
-    reads = ("aircraft_command", "cable_forces", "wind")
+    reads = ("aircraft_command", "carrier_cable_forces", "wind")
     makes = ("carrier_state", "aircraft_state", "carrier_acceleration")
     system = AIRCRAFT_NUMBERS
     ending_signal = "aircraft_state"
@@ -235,7 +235,7 @@ class FixedWingDynamics(Block):
 
     def TrimCarriersTo(self, context: Context, acceleration: NDArray) -> None:
         """Sets C_L, bank and thrust, within their limits, for these accelerations (3n,), m/s²."""
-        pull, wind = (self.GetInputPort(name).Eval(context) for name in ("cable_forces", "wind"))
+        pull, wind = (self.GetInputPort(name).Eval(context) for name in self.reads[1:])
         state = self.GetOutputPort("carrier_state").Eval(context)
         states = trimmed_states(self._aircraft_in(context), state, acceleration, pull, wind)
         context.SetContinuousState(states)

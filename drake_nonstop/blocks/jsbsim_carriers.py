@@ -92,7 +92,7 @@ class JsbsimCarriers(DiagramBlock):
             on, its time was set, or it starts between two steps.
     """
 
-    reads = ("aircraft_command", "cable_forces", "wind")
+    reads = ("aircraft_command", "carrier_cable_forces", "wind")
     makes = ("carrier_state", "aircraft_state", "carrier_acceleration")
 
     has_state_outside = True
@@ -126,7 +126,7 @@ class JsbsimCarriers(DiagramBlock):
 
     def TrimCarriersTo(self, context: Context, acceleration: NDArray) -> None:
         """Sets C_L, bank and thrust, within their limits, for these accelerations (3n,), m/s²."""
-        pull, wind = (self.GetInputPort(name).Eval(context) for name in ("cable_forces", "wind"))
+        pull, wind = (self.GetInputPort(name).Eval(context) for name in self.reads[1:])
         state = self.GetOutputPort("carrier_state").Eval(context)
         states = trimmed_states(self._aircraft, state, acceleration, pull, wind)
         flying = FlightStates.view(states)

@@ -258,6 +258,7 @@ SIGNALS: dict[str, Layout | None] = {
     ),
     "carrier_acceleration": Layout(Part("", "3n", "m/s²", "W")),
     "cable_forces": Layout(Part("", "3n", "N", "W", "on the load, at its attachments")),
+    "carrier_cable_forces": Layout(Part("", "3n", "N", "W", "of the carriers on their cables")),
     "tensions": Layout(Part("", "n", "N", "", "0 where slack")),
     "disturbance_wrench": WRENCH,
     "wind": Layout(Part("", "3n", "m/s", "W", "of the air at the carriers")),

@@ -47,7 +47,7 @@ def test_carrier_that_gets_no_number_is_named():
     block = LoadedCarrierDynamics(model())
     block.set_name("carrier_dynamics")
     context = block.CreateDefaultContext()
-    fix(block, context, carrier_forces=np.full(12, np.inf), cable_forces=np.zeros(12))
+    fix(block, context, carrier_forces=np.full(12, np.inf), carrier_cable_forces=np.zeros(12))
     with pytest.raises(NotFiniteError, match="carrier_dynamics"):
         block.EvalTimeDerivatives(context)
 
@@ -65,10 +65,10 @@ def test_carriers_feel_weight_cable_and_their_limit():
     cables = np.linspace(-1, 1, 12)
     expected = (forces - cables).reshape(4, 3) / mass - [0, 0, gravity]
     np.testing.assert_allclose(
-        acceleration(free, carrier_forces=forces, cable_forces=cables), expected
+        acceleration(free, carrier_forces=forces, carrier_cable_forces=cables), expected
     )
     limited = LoadedCarrierDynamics(model(), LoadedCarrierDynamicsConfig(max_force=5.0))
-    got = acceleration(limited, carrier_forces=forces, cable_forces=np.zeros(12))
+    got = acceleration(limited, carrier_forces=forces, carrier_cable_forces=np.zeros(12))
     applied = mass * (got + np.array([0, 0, gravity]))
     sizes = np.linalg.norm(forces.reshape(4, 3), axis=1)
     np.testing.assert_allclose(np.linalg.norm(applied, axis=1), np.minimum(sizes, 5.0))

@@ -41,7 +41,7 @@ def flown(n=3, config=None, **inputs):
     """The block and a context in flight at 15 m/s along x, with inputs."""
     block = FixedWingDynamics(model(n, aircraft=RASCAL, cable_length=150.0), config)
     context = block.CreateDefaultContext()
-    given = {"aircraft_command": 3 * n, "cable_forces": 3 * n, "wind": 3 * n}
+    given = {"aircraft_command": 3 * n, "carrier_cable_forces": 3 * n, "wind": 3 * n}
     fix(block, context, **{name: np.zeros(size) for name, size in given.items()} | inputs)
     velocities = np.tile([15.0, 0.0, 0.0], n)
     block.SetCarrierState(context, np.concatenate([np.arange(3.0 * n), velocities]))
@@ -52,7 +52,7 @@ def flown(n=3, config=None, **inputs):
 def test_trim_gives_the_acceleration(rng, n):
     pull, wind = rng.uniform(-5, 10, 3 * n), rng.uniform(-2, 2, 3 * n)
     acceleration = rng.uniform(-0.7, 0.7, 3 * n)
-    block, context = flown(n, cable_forces=pull, wind=wind)
+    block, context = flown(n, carrier_cable_forces=pull, wind=wind)
     before = output(block, context, "carrier_state")
     block.TrimCarriersTo(context, acceleration)
     np.testing.assert_allclose(
@@ -73,7 +73,7 @@ def test_a_trimmed_block_flies_straight():
     block, _ = flown()
     simulator = Simulator(block)
     context = simulator.get_mutable_context()
-    fix(block, context, aircraft_command=np.zeros(9), cable_forces=np.zeros(9), wind=np.zeros(9))
+    fix(block, context, **dict.fromkeys(FixedWingDynamics.reads, np.zeros(9)))
     start = np.concatenate([np.zeros(9), np.tile([15.0, 0.0, 0.0], 3)])
     block.SetCarrierState(context, start)
     block.TrimCarriersTo(context, np.zeros(9))

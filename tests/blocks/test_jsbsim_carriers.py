@@ -61,7 +61,7 @@ def block(n=3, config=None, speed=15.0, **inputs):
     pytest.importorskip("jsbsim")
     made = JsbsimCarriers(model(n, aircraft=RASCAL, cable_length=150.0), config)
     context = made.CreateDefaultContext()
-    given = dict.fromkeys(("aircraft_command", "cable_forces", "wind"), np.zeros(3 * n))
+    given = dict.fromkeys(JsbsimCarriers.reads, np.zeros(3 * n))
     fix(made, context, **given | inputs)
     state = np.concatenate([np.arange(3.0 * n), np.tile([speed, 0, 0], n)])
     made.SetCarrierState(context, state)

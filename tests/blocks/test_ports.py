@@ -170,6 +170,7 @@ _PULLED = ("reference", "desired_cable_forces", "desired_cable_force_rates")
 _ORBIT = ("internal_force_higher_rates", "wind_estimate", "reference_higher_rates")
 _REFERENCES = ["reference", "reference_higher_rates", "reference_preview"]
 _WINDS = ["wind", "load_wind", "wind_estimate"]
+_CABLES = ["cable_forces", "carrier_cable_forces", "tensions"]
 _DERIVATIVES = ("carrier_reference_acceleration", "carrier_reference_jerk")
 
 # block: (inputs, outputs, direct feedthrough), for continuous controllers
@@ -266,14 +267,14 @@ BLOCKS = {
         [("carrier_reference", "carrier_forces"), ("carrier_state", "carrier_forces")],
     ),
     CarrierDynamics: (["carrier_forces"], ["carrier_state"], []),
-    LoadedCarrierDynamics: (["carrier_forces", "cable_forces"], ["carrier_state"], []),
+    LoadedCarrierDynamics: (["carrier_forces", "carrier_cable_forces"], ["carrier_state"], []),
     FixedWingDynamics: (
-        ["aircraft_command", "cable_forces", "wind"],
+        ["aircraft_command", "carrier_cable_forces", "wind"],
         ["carrier_state", "aircraft_state", "carrier_acceleration"],
         [
             ("wind", "aircraft_state"),
             ("wind", "carrier_acceleration"),
-            ("cable_forces", "carrier_acceleration"),
+            ("carrier_cable_forces", "carrier_acceleration"),
         ],
     ),
     FixedWingController: (
@@ -292,13 +293,8 @@ BLOCKS = {
     ),
     IndividualCables: (
         ["load_state", "carrier_state"],
-        ["cable_forces", "tensions"],
-        [
-            ("load_state", "cable_forces"),
-            ("load_state", "tensions"),
-            ("carrier_state", "cable_forces"),
-            ("carrier_state", "tensions"),
-        ],
+        _CABLES,
+        [(source, target) for source in ("load_state", "carrier_state") for target in _CABLES],
     ),
     **dict.fromkeys(
         (noisy_feedback, EstimatedFeedback), everything(["load_state"], ["measured_load_state"])
@@ -307,13 +303,8 @@ BLOCKS = {
     MultibodyLoadPlant: (["cable_forces", "disturbance_wrench", "load_wind"], ["load_state"], []),
     Cables: (
         ["load_state", "carrier_state"],
-        ["cable_forces", "tensions"],
-        [
-            ("load_state", "cable_forces"),
-            ("load_state", "tensions"),
-            ("carrier_state", "cable_forces"),
-            ("carrier_state", "tensions"),
-        ],
+        _CABLES,
+        [(source, target) for source in ("load_state", "carrier_state") for target in _CABLES],
     ),
     NoDisturbance: ([], ["disturbance_wrench"], []),
     **dict.fromkeys((StillAir, SteadyWind, rising_wind), ([], _WINDS, [])),

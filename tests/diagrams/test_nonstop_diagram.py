@@ -105,6 +105,7 @@ def test_every_signal_is_read_but_those_that_only_report(figure):
         "diagnostics",
         "solve_time",
         "speed_bound",
+        "carrier_cable_forces",
         "tensions",
         "wind",
         "carrier_reference_jerk",
@@ -158,7 +159,11 @@ def test_sizes_follow_from_the_numbers_of_carriers_and_coordinates():
         "internal_force": 6,
         "internal_force_higher_rates": 6,
     }
-    assert BOXES["cables"].sizes(5, 3) == {"cable_forces": 15, "tensions": 5}
+    assert BOXES["cables"].sizes(5, 3) == {
+        "cable_forces": 15,
+        "carrier_cable_forces": 15,
+        "tensions": 5,
+    }
     assert BOXES["load_trajectory"].sizes(5, 3) == {
         "reference": 22,
         "reference_higher_rates": 6,
@@ -312,7 +317,8 @@ LAYER = (
         (
             "cables",
             {"cable_forces": 12},
-            "cable_forces (12): expected cable_forces (12), tensions (4)",
+            "cable_forces (12): expected cable_forces (12), tensions (4), optional "
+            "carrier_cable_forces (12)",
         ),
         ("load_disturbance", {}, "none: expected disturbance_wrench (6)"),
         (
