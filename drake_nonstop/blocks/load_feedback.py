@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from pydrake.systems.framework import Context, DiscreteValues
 from drake_nonstop.mechanics.load_estimate import corrected_state, predicted_state
 from drake_nonstop.mechanics.rotation import rotate_quaternion
 from drake_nonstop.mechanics.signals import (
+    LOAD_REFERENCE_SIZE,
     LOAD_STATE_SIZE,
     TRACKING_ERROR_SIZE,
     LoadState,
@@ -77,6 +78,17 @@ class DesiredStateFeedback(Block):
         return LoadMeasurement(is_measured=np.zeros(TRACKING_ERROR_SIZE))
 
 
+_WITHOUT_ATTITUDE = np.concatenate(  # of a `TrackingError`
+    TrackingError(np.zeros(3), np.ones(3), np.zeros(3), np.ones(3))
+)
+_MEASURED, _DESIRED = (  # places in [load_state, reference]
+    LoadState.view(first + np.arange(LOAD_STATE_SIZE)) for first in (0, LOAD_STATE_SIZE)
+)
+_DESIRED_ATTITUDE = np.concatenate(
+    [_DESIRED.quaternion, _MEASURED.position, _DESIRED.angular_velocity, _MEASURED.velocity]
+)
+
+
 @dataclass(kw_only=True)
 class DesiredAttitudeFeedbackConfig(StrictFields):
     """No parameters."""
@@ -97,15 +109,10 @@ class DesiredAttitudeFeedback(SelectorBlock):
 
     @staticmethod
     def entries(count: int) -> NDArray:
-        state, desired = map(LoadState.view, np.split(np.arange(count), [LOAD_STATE_SIZE]))
-        chosen = desired.quaternion, state.position, desired.angular_velocity, state.velocity
-        return np.concatenate(chosen)
+        return _DESIRED_ATTITUDE
 
     def describe_response(self) -> LoadMeasurement:
-        is_measured = np.ones(TRACKING_ERROR_SIZE)
-        errors = TrackingError.view(is_measured)
-        errors.orientation[:] = errors.angular_velocity[:] = 0
-        return LoadMeasurement(is_measured=is_measured)
+        return LoadMeasurement(is_measured=_WITHOUT_ATTITUDE)
 
 
 @dataclass(kw_only=True)
@@ -120,6 +127,7 @@ class MeasurementConfig(StrictFields):
     # s, between samples of the noise and of the delayed state
     period: float = checked(0.01, require_period)
     seed: int = checked(0, require_seed)  # of the noise
+    measures_attitude: bool = True  # false: attitude and angular velocity are the reference's
 
 
 @dataclass(kw_only=True)
@@ -134,7 +142,8 @@ class NoisyFeedback(LeafBlock):
     seed and the sample's number alone, so that runs repeat to the bit. The orientation is
     rotated by a random rotation vector in W. With a delay of N periods, a controller that
     samples every period gets the state of N periods before; in the first N periods the state at
-    the start.
+    the start. Without `measures_attitude` the attitude loop is open, as in
+    `DesiredAttitudeFeedback`: quaternion and angular velocity are the reference's, of now.
 
     Attributes:
         deviations: (12,), standard deviations of the errors, in the order of a `TrackingError`.
@@ -145,8 +154,9 @@ class NoisyFeedback(LeafBlock):
         ScenarioError: a field is out of range, or the delay no multiple of the period.
     """
 
-    reads = ("load_state",)
+    reads = ("load_state", "reference")
     makes = ("measured_load_state",)
+    where: ClassVar = {"reference": "`measures_attitude` is false"}
 
     def __init__(self, model: Model, config: MeasurementConfig | None = None):
         super().__init__()
@@ -164,6 +174,9 @@ class NoisyFeedback(LeafBlock):
         self.period, self._seed = config.period, config.seed
         self.deviations = np.repeat(deviations, 3)
         self.DeclareVectorInputPort("load_state", LOAD_STATE_SIZE)
+        self._measures_attitude = config.measures_attitude
+        if not self._measures_attitude:
+            self.DeclareVectorInputPort("reference", LOAD_REFERENCE_SIZE)
         if self.delay_periods > 0:
             # The last samples, the newest first, their number, and the time of the newest.
             self.DeclareDiscreteState(LOAD_STATE_SIZE * self.delay_periods)
@@ -193,16 +206,24 @@ class NoisyFeedback(LeafBlock):
     @property
     def trace_key(self) -> Any:
         """Prerequisites of the measurement besides the noise."""
-        return self.delay_periods, self.period, bool(self.deviations.any())
+        has_noise = bool(self.deviations.any())
+        return self.delay_periods, self.period, has_noise, self._measures_attitude
 
     updates_at_start = True
 
     def describe_response(self) -> LoadMeasurement:
+        shown = np.ones(TRACKING_ERROR_SIZE) if self._measures_attitude else _WITHOUT_ATTITUDE
         delay = self.delay_periods * self.period
-        return LoadMeasurement(self.deviations, delay=delay, period=self.period)
+        return LoadMeasurement(shown * self.deviations, shown, delay=delay, period=self.period)
 
     def traced_output(self, port: str, at: Any) -> NDArray:
-        return self._measured(at)
+        return self._with_attitude(self._measured(at), at)
+
+    def _with_attitude(self, state: NDArray, at: Any) -> NDArray:
+        """The state (13,), with the attitude of the reference where it is not measured."""
+        if self._measures_attitude:
+            return state
+        return np.concatenate([state, at.input("reference")])[_DESIRED_ATTITUDE]
 
     def traced_update(self, at: Any) -> list[NDArray]:
         if self.delay_periods == 0:
@@ -330,7 +351,10 @@ class EstimatedFeedback(NoisyFeedback):
 
     def traced_output(self, port: str, at: Any) -> NDArray:
         is_due = at.time[0] > at.state(self._first + 1)[0] + _DUE * self.period
-        return where(is_due, lambda: self._estimated(at, is_due=True), lambda: self._estimated(at))
+        estimate = where(
+            is_due, lambda: self._estimated(at, is_due=True), lambda: self._estimated(at)
+        )
+        return self._with_attitude(estimate, at)
 
     def traced_update(self, at: Any) -> list[NDArray]:
         return [*super().traced_update(at), self._estimated(at, is_due=True), at.time]

@@ -88,7 +88,8 @@ def at_rest(scenario: Scenario) -> Scenario:
     feedback = scenario.load_feedback
     if isinstance(feedback, MeasurementConfig):
         # What a filter behind it believes stays.
-        feedback = dataclasses.replace(feedback, **dict.fromkeys(_NOISES, 0.0), seed=0)
+        quiet: dict[str, Any] = dict.fromkeys(_NOISES, 0.0)
+        feedback = dataclasses.replace(feedback, **quiet, seed=0)
     return dataclasses.replace(
         scenario,
         load_trajectory=RestToRestConfig(

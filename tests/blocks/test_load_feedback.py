@@ -15,8 +15,10 @@ from drake_nonstop.blocks.load_feedback import (
     NoisyFeedbackConfig,
     steady_state_gain,
 )
+from drake_nonstop.mechanics.signals import LoadState
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.simulation.simulate import simulate
+from drake_nonstop.systems.documentation import own_config_class
 from drake_nonstop.validation import ScenarioError
 
 
@@ -200,3 +202,27 @@ def test_an_exact_measurement_is_passed_on_and_a_record_repeats():
 def test_bad_estimated_feedback(field, value):
     with pytest.raises(ScenarioError, match=f"^load_feedback\\.{field} = "):
         EstimatedFeedback(model(), EstimatedFeedbackConfig(**{field: value}))
+
+
+@pytest.mark.parametrize("block", [NoisyFeedback, EstimatedFeedback])
+def test_an_attitude_that_is_not_measured_is_the_reference_s(block):
+    state, reference, shown = Motion(50).state(0.1), Motion(51).reference(0.1), []
+    for measures_attitude in (True, False):
+        feedback = block(
+            model(),
+            own_config_class(block)(
+                position_noise=0.1, orientation_noise=0.1, measures_attitude=measures_attitude
+            ),
+        )
+        context = feedback.CreateDefaultContext()
+        context.SetTime(0.1)
+        fix(feedback, context, load_state=state)
+        if not measures_attitude:
+            fix(feedback, context, reference=reference)
+        shown.append(LoadState.view(output(feedback, context, "measured_load_state").copy()))
+    measured, desired = shown[0], LoadState.view(reference)
+    expected = (desired.quaternion, measured.position, desired.angular_velocity, measured.velocity)
+    for found, value in zip(shown[1], expected, strict=True):
+        np.testing.assert_array_equal(found, value)
+    is_measured = feedback.describe_response().is_measured
+    np.testing.assert_array_equal(is_measured, np.repeat([0, 1, 0, 1], 3))

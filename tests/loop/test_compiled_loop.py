@@ -76,7 +76,8 @@ def test_shipped_scenarios_are_the_same(name):
 MIXED = [
     [
         "optimization_layer=!NonstopOptimizer {period: 0.03, orbit_points: 1, max_tension: 9}",
-        "load_feedback=!NoisyFeedback {delay: 0.02, velocity_noise: 0.01, seed: 3}",
+        "load_feedback=!NoisyFeedback {delay: 0.02, velocity_noise: 0.01, seed: 3, "
+        "measures_attitude: false}",
         "wind=!GustyWind {velocity: [1, 0, 0], rise_time: 0.1}",
         *("system.load_drag=0.1", "phase=AccumulatedPhase"),
         "internal_force=InternalForceTrajectory",
@@ -90,7 +91,8 @@ MIXED = [
     ],
     [
         *("control_period=0.02", "simulator_config.max_step_size=0.004", CONSTANT),
-        "load_feedback=!EstimatedFeedback {period: 0.02, delay: 0.02, position_noise: 0.01}",
+        "load_feedback=!EstimatedFeedback {period: 0.02, delay: 0.02, position_noise: 0.01, "
+        "measures_attitude: false}",
         *("carrier_controller.integral_gain=5", "carrier_trajectory.hold=velocity"),
         "load_disturbance=!DisturbanceForce {force: [1, 0, 0], start_time: 0.05}",
         "load_trajectory=SteadyTurn",
