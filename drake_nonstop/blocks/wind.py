@@ -6,31 +6,36 @@ box "carrier_dynamics" have no aerodynamics, and do not feel it.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, WIND_SIZE, CarrierStates, LoadState
 from drake_nonstop.mechanics.wind import (
+    FOOT,
+    GUST_STEP,
     LOWEST_HEIGHT,
+    SEVERITIES,
     MeanWind,
-    Waves,
-    coloured_noise,
-    random_waves,
+    gust_samples,
+    turbulence_at,
     wave_frequencies,
 )
 from drake_nonstop.model.block import Block
 from drake_nonstop.model.descriptions import Gusts, Wind
 from drake_nonstop.model.system import Model
-from drake_nonstop.systems.block import LeafBlock
+from drake_nonstop.systems.block import LeafBlock, number
 from drake_nonstop.systems.diagram_trace import shown
+from drake_nonstop.systems.documentation import own_config_class
 from drake_nonstop.validation import (
+    ScenarioError,
     StrictFields,
     checked,
     fulfilling,
     non_negative,
     number_with,
+    one_of,
     positive,
     require,
     require_array,
@@ -42,8 +47,11 @@ _BOX = "wind"
 _FASTEST = 100.0  # m/s, more than in any storm
 _HIGHEST_GROUND = 1e5  # m, above or below z = 0
 _STEEPEST = 1.0  # exponent of the height
-_WAVES, _HIGHEST = 64, 100.0  # of a gust on each axis, and its highest frequency times its time
-_SHORTEST = 0.01  # s, correlation time of a gust
+_WAVES = 256  # that describe the gusts on an axis, up to 50 Hz
+_MOST_SAMPLES = 1 << 20  # of gusts, which take 25 MB a carrier
+_STEPS = 5  # samples of gusts in the shortest of their time constants, at least
+_LOWEST, _HIGHEST_ALTITUDE = 10 * FOOT, 1000 * FOOT  # m, between which the standard's lengths hold
+_AT_MOST_FASTEST = number_with(lambda v: v <= _FASTEST, f"give at most {_FASTEST:g} m/s")
 
 
 @dataclass(kw_only=True)
@@ -195,76 +203,166 @@ class WindProfile(SteadyWind):
 
 
 def _deviation(default: float) -> Any:
-    remedy = f"give at most {_FASTEST:g} m/s"
-    return non_negative(default, number_with(lambda deviation: deviation <= _FASTEST, remedy))
+    return non_negative(default, _AT_MOST_FASTEST)
+
+
+def _altitude(default: float) -> Any:
+    remedy = f"give {_LOWEST:.3g} to {_HIGHEST_ALTITUDE:.4g} m above the ground"
+    return fulfilling(default, lambda height: _LOWEST <= height <= _HIGHEST_ALTITUDE, remedy)
 
 
 @dataclass(kw_only=True)
-class GustyWindConfig(_ProfileFields):
-    """The mean wind, and the gusts on top of it."""
+class _TurbulenceFields(_ProfileFields):
+    """The mean wind, and where gusts are met."""
 
     velocity: list[float] = checked([0.0, 0.0, 0.0], _check_velocity)  # m/s, in W, the mean
     exponent: float = _exponent(0.0)  # of the height; 0.14: open land, 0: the same wind everywhere
-    gust: float = _deviation(0.5)  # m/s, standard deviation at a carrier, on each horizontal axis
-    vertical_share: float = non_negative(  # of that, the standard deviation on the vertical axis
-        0.6,
-        number_with(lambda s: s <= 2, "give at most 2, of the horizontal standard deviation"),
+    altitude: float = _altitude(100.0)  # m above the ground, of the carriers
+    airspeed: float = positive(15.0, _AT_MOST_FASTEST)  # m/s, at which carriers fly through gusts
+    coherence: float = non_negative(  # share of the gusts' power that all carriers have in common
+        0.0, number_with(lambda share: share <= 1, "give at most 1")
     )
-    gust_length: float = positive(50.0)  # m, correlation length
-    airspeed: float = positive(15.0)  # m/s, at which carriers fly through the gusts
-    load_gust: float = _deviation(0.0)  # m/s, as gust, of the load's own gusts, which last as long
+    load_altitude: float = _altitude(20.0)  # m above the ground
+    load_airspeed: float = positive(5.0, _AT_MOST_FASTEST)  # m/s, at which gusts pass the load
     seed: int = checked(0, require_seed)  # of the gusts
 
 
-class GustyWind(WindProfile):
-    """A `WindProfile` with seeded gusts, each carrier's its own.
+@dataclass(kw_only=True)
+class GustyWindConfig(_TurbulenceFields):
+    """The mean wind, and the gusts on top of it."""
 
-    On each axis first-order coloured noise, of `mechanics.wind`, whose time constant is
-    the correlation length over the airspeed: a function of time alone, so that runs repeat to the
-    bit whatever the integrator's steps are. A carrier's gusts follow from the seed and its number.
-    They are there from the start on; a mean wind may rise later.
+    gust: float = _deviation(0.5)  # m/s, standard deviation at a carrier, on each horizontal axis
+    load_gust: float = _deviation(0.0)  # m/s, as gust, of the load's own gusts
+
+
+class GustyWind(WindProfile):
+    """A `WindProfile` with Dryden's gusts, seeded, of a given strength.
+
+    White noise through the filters of MIL-F-8785C, see `mechanics.wind.gust_samples`: u along the
+    mean wind (without one, along x), of first order, v across it and w upwards, of second order.
+    Lengths, and the vertical deviation beside the horizontal one, follow from the altitude, see
+    `turbulence_at`; the time constants are the lengths over the airspeed. The samples, each 0.01 s
+    with a line between two, are a function of time alone: runs repeat to the bit whatever the
+    integrator's steps are. A carrier's own gusts follow from the seed and its number; the share
+    `coherence` of their power is the same at all carriers. The load has gusts of its own. They are
+    there from the start on; a mean wind may rise later.
+
+    A carrier that circles turns through u and v, whose lengths and deviations are the same.
 
     Raises:
         ScenarioError: a field is out of range.
     """
 
-    def __init__(self, model: Model, config: GustyWindConfig | None = None):
-        config = config or GustyWindConfig()
+    def __init__(self, model: Model, config: Any = None):
+        config = config or own_config_class(type(self))()
         super().__init__(model, config)
-        correlation_time = config.gust_length / config.airspeed
-        require(
-            correlation_time >= _SHORTEST,
-            f"{_BOX}.gust_length",
-            config.gust_length,
-            f"give at least {_SHORTEST:g} s times the airspeed, {_SHORTEST * config.airspeed:g} m",
-        )
+        along = np.append(config.velocity[:2], 0.0) / (np.hypot(*config.velocity[:2]) or 1.0)
+        along = along if along.any() else np.eye(3)[0]
+        across = np.array([-along[1], along[0], 0.0])
+        axes = np.array([along, across, [0.0, 0.0, 1.0]])
+        gust, load_gust = self._horizontal_deviations(config)
+        carriers = [[config.seed, 2 + i] for i in range(model.n)]
+        self._bodies = {
+            "wind": _Air.of(config, "", [[config.seed, 1], *carriers], axes * gust),
+            "load_wind": _Air.of(config, "load_", [[config.seed, 0]], axes * load_gust),
+        }
+        self._coherence = config.coherence
+        self._samples: dict[str, NDArray] = {}  # as far as they were asked for
+        self._wind = self._wind._replace(gust=gust, load_gusts=self._bodies["load_wind"].waves())
 
-        def waves(number: int) -> Waves:
-            random = np.random.default_rng([config.seed, number])
-            return random_waves(random, 3, correlation_time, count=_WAVES, highest=_HIGHEST)
-
-        frequencies = wave_frequencies(correlation_time, count=_WAVES, highest=_HIGHEST)
-        shares = np.array([1.0, 1.0, config.vertical_share])
-        carriers = [waves(i + 1) for i in range(model.n)]
-        self._waves = Waves._make(map(np.concatenate, zip(*carriers, strict=True)))
-        self._deviations = np.tile(config.gust * shares, model.n)
-        self._load_waves = waves(0)
-        gusts = Gusts(config.load_gust * shares, frequencies)
-        self._wind = self._wind._replace(gust=config.gust, load_gusts=gusts)
+    @staticmethod
+    def _horizontal_deviations(config: Any) -> tuple[float, float]:
+        """Those of carriers and load, m/s."""
+        return config.gust, config.load_gust
 
     def _gusts_at(self, port: str, at: Any) -> Any:
         return 0.0 if port == "wind_estimate" else at.known(port, self.GetOutputPort(port).size())
 
     def precomputed_inputs(self, ports: Sequence[str], times: NDArray) -> list[NDArray]:
         """The gusts on top of what ports show, (k, size), at times (k,) in s; m/s, in W."""
-        waves = {"wind": self._waves, "load_wind": self._load_waves}
-        assert self._wind.load_gusts is not None
-        deviations = {"wind": self._deviations, "load_wind": self._wind.load_gusts.deviations}
-        times = times[:, None, None]
-        return [coloured_noise(times, waves[port], deviations[port]) for port in ports]
+        instants = np.array([number(time) for time in times]) / GUST_STEP
+        before = instants.astype(int)
+        rows = []
+        for port in ports:
+            samples = self._samples_until(port, before.max(initial=0) + 2)
+            step = samples[before + 1] - samples[before]
+            rows.append(samples[before] + (times / GUST_STEP - before)[:, None] * step)
+        return rows
+
+    def _samples_until(self, port: str, count: int) -> NDArray:
+        """The port's gusts (at least count, size): those that were made, or all of them anew."""
+        if count > _MOST_SAMPLES:
+            raise ScenarioError(
+                f"{_BOX} = {type(self).__name__} at t = {count * GUST_STEP:.6g} s: gusts are made "
+                f"for {_MOST_SAMPLES * GUST_STEP:.0f} s at most; give a shorter simulation_duration"
+            )
+        samples = self._samples.get(port)
+        if samples is None or len(samples) < count:
+            made = self._bodies[port].samples(1 << int(count - 1).bit_length())
+            if port == "wind":
+                common, own = np.split(made, [1], axis=1)
+                made = np.sqrt(self._coherence) * common + np.sqrt(1 - self._coherence) * own
+            samples = self._samples[port] = made.reshape(len(made), -1)
+        return samples
 
 
-VARIANTS = (StillAir, SteadyWind, WindProfile, GustyWind)
+class _Air(NamedTuple):
+    """Turbulence as it is met at some places."""
+
+    seeds: list[list[int]]  # of the noises
+    times: NDArray  # (3,), s, of u, v and w
+    axes: NDArray  # (3, 3), m/s, in W: the axis of each times its standard deviation
+
+    @classmethod
+    def of(cls, config: Any, body: str, seeds: list[list[int]], axes: NDArray) -> "_Air":
+        """That of carriers or load, of axes times the horizontal deviation."""
+        altitude, airspeed = (getattr(config, f"{body}{name}") for name in ("altitude", "airspeed"))
+        lengths, horizontal = turbulence_at(altitude)
+        fastest = lengths.min() / (_STEPS * GUST_STEP)
+        remedy = f"gusts are too short at its altitude; give at most {fastest:g} m/s"
+        require(airspeed <= fastest, f"{_BOX}.{body}airspeed", airspeed, remedy)
+        return cls(seeds, lengths / airspeed, axes / np.array([[1.0], [1.0], [horizontal]]))
+
+    def samples(self, count: int) -> NDArray:
+        """(count, seeds, 3), m/s, in W."""
+        return gust_samples(self.seeds, self.times, count) @ self.axes
+
+    def waves(self) -> tuple[Gusts, ...]:
+        """Waves that have its spectra, for analyses; gusts along and across are independent."""
+        highest = np.pi / GUST_STEP * self.times
+        return tuple(
+            Gusts(np.abs(axis), wave_frequencies(time, count=_WAVES, highest=x, is_along=k == 0))
+            for k, (axis, time, x) in enumerate(zip(self.axes, self.times, highest, strict=True))
+        )
+
+
+@dataclass(kw_only=True)
+class DrydenConfig(_TurbulenceFields):
+    """The mean wind, and how strong its turbulence is."""
+
+    # light, moderate or severe: a wind of 15, 30 or 45 kn at 20 ft above the ground
+    severity: str = checked("light", one_of(SEVERITIES, f"give one of {', '.join(SEVERITIES)}"))
+
+
+class Dryden(GustyWind):
+    """A `WindProfile` with the turbulence of MIL-F-8785C of a stated severity, load and carriers.
+
+    The gusts are those of `GustyWind`; their deviations, too, follow from the altitudes: σ_w =
+    0.1 W_20, and 1.4 times that on a horizontal axis at 100 m. The mean wind is as its fields say.
+
+    Raises:
+        ScenarioError: a field is out of range.
+    """
+
+    @staticmethod
+    def _horizontal_deviations(config: DrydenConfig) -> tuple[float, float]:
+        vertical = 0.1 * SEVERITIES[config.severity]
+        of_carriers, of_load = map(turbulence_at, (config.altitude, config.load_altitude))
+        return vertical * of_carriers[1], vertical * of_load[1]
+
+
+VARIANTS = (StillAir, SteadyWind, WindProfile, GustyWind, Dryden)
 
 __all__ = ["StillAir", "StillAirConfig", "SteadyWind", "SteadyWindConfig"]
 __all__ += ["WindProfile", "WindProfileConfig", "GustyWind", "GustyWindConfig"]
+__all__ += ["Dryden", "DrydenConfig"]

@@ -265,10 +265,11 @@ def _disturbance(
     differences = plant.load.drag * mean - believed
     unknown = wrench.steady.copy()
     unknown[3:] += differences[np.argmax(np.linalg.norm(differences, axis=1))]
-    gusts = [] if wrench.gusts is None else [wrench.gusts]
-    if wind.load_gusts is not None:
-        forces = np.append(np.zeros(3), plant.load.drag * wind.load_gusts.deviations)
-        gusts.insert(0, wind.load_gusts._replace(deviations=forces))
+    gusts = [
+        each._replace(deviations=np.append(np.zeros(3), plant.load.drag * each.deviations))
+        for each in wind.load_gusts
+    ]
+    gusts += [] if wrench.gusts is None else [wrench.gusts]
     gusts = [each for each in gusts if np.any(each.deviations)]
     return Disturbance(believed=believed, unknown=unknown, gusts=tuple(gusts))
 

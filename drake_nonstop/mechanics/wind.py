@@ -1,5 +1,6 @@
-"""The mean wind, by height and time, and coloured noise, such as that of gusts."""
+"""The mean wind, by height and time, its gusts, and coloured noise, such as that of a force."""
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -8,6 +9,9 @@ from numpy.typing import NDArray
 from drake_nonstop.mechanics.cable import positive_part
 
 LOWEST_HEIGHT = 1.0  # m above the ground, below which the wind is as there
+FOOT, KNOT = 0.3048, 0.514444  # m, m/s
+SEVERITIES = {"light": 15 * KNOT, "moderate": 30 * KNOT, "severe": 45 * KNOT}  # W_20, m/s
+GUST_STEP = 0.01  # s, between the samples of gusts
 
 
 def power_law(height: NDArray, *, reference_height: float, exponent: float) -> NDArray:
@@ -78,10 +82,20 @@ def random_waves(
     return Waves(frequencies, random.uniform(0, 2 * np.pi, (noises, count)))
 
 
-def wave_frequencies(correlation_time: float, *, count: int, highest: float) -> NDArray:
-    """The middles (count,) of the bands of `random_waves`, rad/s."""
+def wave_frequencies(
+    correlation_time: float, *, count: int, highest: float, is_along: bool = True
+) -> NDArray:
+    """Frequencies (count,), rad/s, in the middles of bands of equal power, up to a highest ωτ.
+
+    The power below x = ωτ is in proportion to arctan x in first-order noise, as that of
+    `random_waves` and of gusts along the wind; of other gusts, to 2 arctan x − x/(1 + x²).
+    """
     shares = (np.arange(count) + 0.5) / count
-    return np.tan(shares * np.arctan(highest)) / correlation_time
+    if is_along:
+        return np.tan(shares * np.arctan(highest)) / correlation_time
+    x = np.geomspace(1e-4, highest, 4000)
+    power = 2 * np.arctan(x) - x / (1 + x**2)
+    return np.interp(shares * power[-1], power, x) / correlation_time
 
 
 def coloured_noise(time: Any, waves: Waves, deviation: float | NDArray) -> NDArray:
@@ -91,3 +105,56 @@ def coloured_noise(time: Any, waves: Waves, deviation: float | NDArray) -> NDArr
     """
     sines = np.sin(waves.frequencies * time + waves.phases)
     return deviation * np.sqrt(2 / sines.shape[-1]) * sines.sum(axis=-1)
+
+
+def turbulence_at(altitude: float) -> tuple[NDArray, float]:
+    """Dryden's scale lengths (3,), m, and σ_u/σ_w, at 3 to 305 m above the ground.
+
+    L_u = L_v = h/(0.177 + 0.000823 h)^1.2 and L_w = h, and σ_u = σ_v = σ_w/(0.177 + 0.000823 h)^0.4
+    with σ_w = 0.1 W_20, of the wind 20 ft above the ground, with h in ft (MIL-F-8785C, 3.7.3;
+    MIL-HDBK-1797, where the spectra of v and w are written with half of the lengths).
+    """
+    share = 0.177 + 0.000823 * altitude / FOOT
+    return altitude * np.array([share**-1.2, share**-1.2, 1.0]), share**-0.4
+
+
+def gust_samples(seeds: Sequence[Sequence[int]], times: NDArray, count: int) -> NDArray:
+    """Dryden's gusts [u, v, w] (count, seeds, 3), of variance 1, each `GUST_STEP`.
+
+    White noise n of density 1 through the filters
+
+        u = √(2τ)/(1 + τs) n,    v, w = √τ (1 + √3 τs)/(1 + τs)² n,    τ = L/V,
+
+    whose spectra are the standard's, from their stationary state on. The samples are exact: they
+    have the filters' own covariances at any lag. The first ones are the same to the bit whatever
+    the count, and each seed's whatever the others.
+
+    Args:
+        seeds: of `numpy.random.default_rng`.
+        times: τ (3,), s.
+        count: of samples.
+    """
+    # z_1 = √τ/(1 + τs) n and z_2 = z_1/(1 + τs): their covariance P, and that of a step's noise.
+    x = GUST_STEP / times
+    decay = np.exp(-x)
+    first = np.sqrt((1 - decay**2) / 2)
+    mixed = (1 - decay**2 * (1 + 2 * x)) / 4 / first
+    second = np.sqrt(positive_part((1 - decay**2 * (1 + 2 * x + 2 * x**2)) / 4 - mixed**2))
+    draws = [np.random.default_rng(seed).standard_normal((count, 2, 3)) for seed in seeds]
+    n_1, n_2 = np.moveaxis(np.array(draws), (0, 2), (2, 0))  # (count, seeds, 3) each
+    z_1, z_2 = first * n_1, mixed * n_1 + second * n_2
+    z_1[0], z_2[0] = n_1[0] / np.sqrt(2), (n_1[0] + n_2[0]) / np.sqrt(8)
+    z_1 = _summed(z_1, decay)
+    z_2[1:] += decay * x * z_1[:-1]
+    root = np.sqrt(3)
+    own, lagged = np.array([np.sqrt(2), root, root]), np.array([0, 1 - root, 1 - root])
+    return own * z_1 + lagged * _summed(z_2, decay)
+
+
+def _summed(inputs: NDArray, decay: NDArray) -> NDArray:
+    """z_k = decay z_(k−1) + input_k of inputs (k, ..., 3), by sums of 2, 4, 8, ... of them."""
+    sums, lag = inputs.copy(), 1
+    while lag < len(sums):
+        sums[lag:] += decay**lag * sums[:-lag]
+        lag *= 2
+    return sums

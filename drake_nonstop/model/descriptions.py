@@ -104,7 +104,7 @@ class Wind(NamedTuple):
     start: float = 0.0  # s, when it begins to rise
     rise_time: float = 0.0  # s; 0: it comes at once
     gust: float = 0.0  # m/s, standard deviation at a carrier, on a horizontal axis
-    load_gusts: Gusts | None = None  # m/s
+    load_gusts: tuple[Gusts, ...] = ()  # m/s, independent of one another
 
     @property
     def is_constant(self) -> bool:

@@ -11,6 +11,8 @@ from pydrake.systems.framework import LeafSystem
 from drake_nonstop import ScenarioWarning, load_scenario, make_nonstop, simulate
 from drake_nonstop.blocks.load_plant import LoadPlant, MultibodyLoadPlant
 from drake_nonstop.blocks.wind import (
+    Dryden,
+    DrydenConfig,
     GustyWind,
     GustyWindConfig,
     SteadyWind,
@@ -19,7 +21,7 @@ from drake_nonstop.blocks.wind import (
     WindProfile,
     WindProfileConfig,
 )
-from drake_nonstop.mechanics.wind import random_waves
+from drake_nonstop.mechanics.wind import GUST_STEP, gust_samples, turbulence_at, wave_frequencies
 from drake_nonstop.systems import wiring
 from drake_nonstop.validation import ScenarioError
 
@@ -99,34 +101,89 @@ def test_a_profile_follows_the_power_law():
         np.testing.assert_allclose(np.linalg.norm(found[name]), speed, rtol=1e-13)
 
 
-class TestGusts:
-    @pytest.mark.nightly("studies")
-    def test_deviation_correlation_and_independence_over_seeds(self):
-        """Against E x_i(t) x_j(t + s) = δ_ij σ² exp(−|s|/τ)."""
-        tau, lags = 50 / 15, np.array([0.0, 0.3, 1.0, 2.0])
-        starts = np.arange(30) * 20 * tau
-        times = (starts[:, None] + lags * tau).ravel()
-        draws = np.concatenate(
-            [gusts(times, gust=0.5, seed=seed).reshape(30, 4, 12) for seed in range(60)]
-        )
-        deviations = np.tile([0.5, 0.5, 0.3], 4)
-        scaled = draws / deviations  # (draws, lags, noises)
-        np.testing.assert_allclose(draws.std(axis=(0, 1)), deviations, rtol=0.05)
-        np.testing.assert_allclose(scaled.mean(axis=(0, 1)), 0, atol=0.08)
-        products = np.einsum("kli,kj->lij", scaled, scaled[:, 0]) / len(scaled)
-        own = np.diagonal(products, axis1=1, axis2=2)  # (lags, noises)
-        np.testing.assert_allclose(own.mean(axis=1), np.exp(-lags), atol=0.03)
-        np.testing.assert_allclose(own, np.exp(-lags)[:, None] * np.ones(12), atol=0.11)
-        others = products[:, ~np.eye(12, dtype=bool)]
-        np.testing.assert_allclose(others, 0, atol=0.11)
+def dryden_spectrum(k, x):
+    """Of u (0), v and w, over σ² τ, one-sided over Hz, at x = ωτ; MIL-F-8785C, 3.7.2.1."""
+    return 4 / (1 + x**2) if k == 0 else 2 * (1 + 3 * x**2) / (1 + x**2) ** 2
 
-    def test_spectrum_of_each_draw(self):
-        """Against the power below ω of the first-order spectrum, in proportion to arctan ωτ."""
-        tau, count = 3.0, 64
-        waves = random_waves(np.random.default_rng(5), 50, tau, count=count, highest=100.0)
-        for x in (0.1, 0.3, 1.0, 3.0, 10.0, 50.0):
-            share = (waves.frequencies * tau < x).mean(axis=1)
-            np.testing.assert_allclose(share, np.arctan(x) / np.arctan(100), atol=1 / count)
+
+class TestGusts:
+    def test_spectra_are_drydens(self):
+        """From a twentieth of a wave in the time constant to 10 Hz, where 64 waves left gaps."""
+        times, count = np.array([3.0, 2.0, 1.5]), 1 << 13
+        samples = gust_samples([[5, i] for i in range(60)], times, count)
+        window = np.hanning(count)[:, None, None]
+        power = (np.abs(np.fft.rfft(samples * window, axis=0)) ** 2).mean(axis=1)
+        power *= 2 * GUST_STEP / (window**2).sum()
+        frequencies = np.fft.rfftfreq(count, GUST_STEP)
+        for low, high in ((0.03, 0.1), (0.1, 0.3), (0.3, 1), (1, 2.9), (2.9, 3.1), (3.1, 10)):
+            band = (low <= frequencies) & (frequencies < high)
+            for k, time in enumerate(times):
+                expected = time * dryden_spectrum(k, 2 * np.pi * frequencies[band] * time)
+                assert power[band, k].mean() == pytest.approx(expected.mean(), rel=0.12), (low, k)
+
+    def test_variances_and_correlations_are_stationary_from_the_start(self):
+        """E x(t) x(t + s): exp(−s/τ) of u, (1 − s/2τ) exp(−s/τ) of v and w, and 0 of two noises."""
+        times = np.array([3.0, 0.5, 300.0])
+        samples = gust_samples([[1, i] for i in range(4000)], times, 65)
+        lags = GUST_STEP * np.arange(65)[:, None] / times
+        expected = np.exp(-lags) * (1 - np.array([0, 0.5, 0.5]) * lags)
+        found = np.einsum("tki,ki->ti", samples, samples[0]) / len(samples[0])
+        np.testing.assert_allclose(found, expected, atol=0.07)
+        np.testing.assert_allclose(samples.var(axis=1), 1, atol=0.08)
+        between = np.corrcoef(samples[-1, ::2].T, samples[-1, 1::2].T)
+        np.testing.assert_allclose(between, np.eye(6), atol=0.08)
+
+    @pytest.mark.parametrize(("is_along", "k"), [(True, 0), (False, 1)])
+    def test_described_waves_have_equal_shares_of_the_power(self, is_along, k):
+        frequencies = wave_frequencies(2.0, count=64, highest=100.0, is_along=is_along)
+        x = np.linspace(0, 100, 1_000_001)
+        power = np.cumsum(dryden_spectrum(k, x))
+        shares = np.interp(2 * frequencies, x, power / power[-1])
+        np.testing.assert_allclose(shares, (np.arange(64) + 0.5) / 64, atol=1e-4)
+
+    def test_lengths_and_deviations_are_the_standards(self):
+        """At 100 and 1000 ft: by hand from MIL-F-8785C; at 1000 ft all lengths are 1000 ft."""
+        lengths, ratio = turbulence_at(1000 * 0.3048)
+        np.testing.assert_allclose(lengths, 304.8, rtol=1e-9)
+        assert ratio == pytest.approx(1.0, rel=1e-9)
+        lengths, ratio = turbulence_at(100 * 0.3048)
+        np.testing.assert_allclose(lengths, np.array([505.2, 505.2, 100]) * 0.3048, rtol=1e-3)
+        assert ratio == pytest.approx(1.716, rel=1e-3)
+        block = Dryden(model(), DrydenConfig(severity="moderate", altitude=30.48))
+        air = block.describe_wind()
+        assert air.gust == pytest.approx(1.716 * 3 * 0.514444, rel=1e-3)  # 0.1 · 30 kn
+        vertical = air.load_gusts[2].deviations
+        np.testing.assert_allclose(vertical, [0, 0, 3 * 0.514444], rtol=1e-6)
+
+    def test_deviations_axes_and_coherence_over_seeds(self):
+        """u is along the mean wind; carriers have a stated share in common, the load has none."""
+        fields = {
+            "velocity": [0.0, 3.0, 0.0],
+            "gust": 0.5,
+            "coherence": 0.4,
+            "load_gust": 0.4,
+            "airspeed": 40.0,
+        }
+        lag = 2.5  # s
+        draws = []
+        for seed in range(300):
+            block = GustyWind(model(), GustyWindConfig(**fields, seed=seed))
+            draws.append(np.hstack(block.precomputed_inputs(SIGNALS[:2], np.array([0.0, lag]))))
+        found, later = np.moveaxis(draws, 1, 0)  # (300, 15) each
+        vertical = 0.5 / turbulence_at(100.0)[1], 0.4 / turbulence_at(20.0)[1]
+        deviations = np.array([*np.tile([0.5, 0.5, vertical[0]], 4), 0.4, 0.4, vertical[1]])
+        np.testing.assert_allclose(found.std(axis=0), deviations, rtol=0.15)
+        expected = np.eye(15)
+        expected[:12, :12] = np.kron(0.6 * np.eye(4) + 0.4, np.eye(3))
+        np.testing.assert_allclose(np.corrcoef(found.T), expected, atol=0.22)
+        correlated = ((found * later).mean(axis=0) / deviations**2)[:12].reshape(4, 3).mean(axis=0)
+        s = lag * 40.0 / turbulence_at(100.0)[0][[1, 0, 2]]
+        expected = np.exp(-s) * (1 - np.array([0.5, 0, 0.5]) * s)
+        np.testing.assert_allclose(correlated, expected, atol=0.1)
+
+    def test_a_flight_that_is_too_long_for_its_gusts_is_refused(self):
+        with pytest.raises(ScenarioError, match=r"^wind = GustyWind at t = 20000 s: "):
+            gusts([2e4])
 
     def test_repeat_to_the_bit_whatever_the_number_of_carriers_and_the_order_of_times(self):
         times = [0.0, 3.7, 1.2]
@@ -144,16 +201,14 @@ class TestGusts:
         name = next(name for name in runs[0].signals if name.split(".")[-1] == "wind")
         np.testing.assert_array_equal(*(run.signals[name] for run in runs))
 
-    def test_a_load_has_gusts_of_its_own_where_it_is_given_some(self):
-        times = 50.0 * np.arange(400)
+    def test_a_load_has_gusts_where_it_is_given_some_and_no_estimate_has(self):
         fields = {"velocity": [2.0, 0, 0], "seed": 1}
-        calm = signals(GustyWind(model(), GustyWindConfig(**fields)), times[:3])
-        np.testing.assert_array_equal(calm["load_wind"], [[2, 0, 0]] * 3)
-        found = signals(GustyWind(model(), GustyWindConfig(**fields, load_gust=0.4)), times)
-        np.testing.assert_allclose(found["load_wind"].std(axis=0), [0.4, 0.4, 0.24], rtol=0.15)
-        np.testing.assert_array_equal(found["wind_estimate"], [[2, 0, 0]] * 400)
-        both = np.hstack([found["wind"], found["load_wind"]])
-        assert np.abs(np.corrcoef(both.T) - np.eye(15)).max() < 0.25
+        calm = signals(GustyWind(model(), GustyWindConfig(**fields)), [0.0, 5.0])
+        np.testing.assert_array_equal(calm["load_wind"], [[2, 0, 0]] * 2)
+        found = signals(GustyWind(model(), GustyWindConfig(**fields, load_gust=0.4)), [0.0, 5.0])
+        assert np.abs(found["load_wind"] - [2, 0, 0]).min() > 1e-3
+        np.testing.assert_array_equal(found["wind"], calm["wind"])
+        np.testing.assert_array_equal(found["wind_estimate"], [[2, 0, 0]] * 2)
 
 
 @pytest.mark.parametrize("plant", [LoadPlant, MultibodyLoadPlant])
@@ -236,15 +291,20 @@ def test_a_load_that_does_not_read_the_wind_is_told():
         (WindProfileConfig(ground_height=np.inf), "ground_height"),
         (GustyWindConfig(gust=-1.0), "gust"),
         (GustyWindConfig(load_gust=200.0), "load_gust"),
-        (GustyWindConfig(vertical_share=3.0), "vertical_share"),
+        (GustyWindConfig(coherence=1.5), "coherence"),
         (GustyWindConfig(airspeed=0.0), "airspeed"),
-        (GustyWindConfig(gust_length=0.1), "gust_length"),
+        (GustyWindConfig(airspeed=90.0, altitude=4.0), "airspeed"),
+        (GustyWindConfig(altitude=310.0), "altitude"),
+        (GustyWindConfig(load_altitude=0.0), "load_altitude"),
+        (DrydenConfig(severity="calm"), "severity"),
         (GustyWindConfig(seed=0.5), "seed"),
     ],
 )
 def test_bad_wind(config, field):
-    block = {SteadyWindConfig: SteadyWind, WindProfileConfig: WindProfile}.get(
-        type(config), GustyWind
-    )
+    block = {
+        SteadyWindConfig: SteadyWind,
+        WindProfileConfig: WindProfile,
+        DrydenConfig: Dryden,
+    }.get(type(config), GustyWind)
     with pytest.raises(ScenarioError, match=f"^wind\\.{field} = "):
         block(model(), config)
