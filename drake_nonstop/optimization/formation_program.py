@@ -38,6 +38,8 @@ from drake_nonstop.systems.tracing import TracedFunction
 
 LEANING, CO_ROTATING = "leaning", "co_rotating"
 KINDS = (LEANING, CO_ROTATING)
+# Of the airspeed that is left in gusts, over the least one.
+LIFT_IN_GUSTS, AIRSPEED_IN_GUSTS = "airspeed in gusts / that of C_L", "airspeed in gusts / least"
 
 
 class FormationVariables(NamedTuple):
@@ -108,6 +110,8 @@ class FormationTask:
         wind: the wind's direction (3,), of length 1.
         motions: of the load, at rest among them.
         limits: and margins.
+        gust: m/s, along the flight, which may take so much of an airspeed before the aircraft's
+            answer; lift and airspeed are then within their own limits.
     """
 
     aircraft: Aircraft
@@ -115,6 +119,7 @@ class FormationTask:
     wind: NDArray
     motions: tuple[LoadMotion, ...]
     limits: DesignLimits
+    gust: float = 0.0
 
     def with_motions(self, count: int) -> "FormationTask":
         """The same with the first motions only."""
@@ -195,12 +200,14 @@ class _Formation:
         ]
         asked = [limit.words for limit, _ in task.limits.asked for _ in range(limit.margin_count)]
         self.names = [*(name for name, *_ in self._limits), *asked]
+        if task.gust > 0:
+            self.names += [LIFT_IN_GUSTS, AIRSPEED_IN_GUSTS]
 
     def traced(self, function: Callable, sizes: list[int]) -> TracedFunction:
         """One of the two functions below, with its Jacobian by the variables."""
         task, limits = self.task, self.task.limits
         asked = [(limit.field, value) for limit, value in limits.asked]
-        key = function.__name__, self.kind, task.aircraft, task.load, task.wind
+        key = function.__name__, self.kind, task.aircraft, task.load, task.wind, task.gust
         # The search tries speeds of km/s, too: any finite number will do.
         return TracedFunction(
             function,
@@ -243,6 +250,12 @@ class _Formation:
             # Margins of squares: by a share of the limit they change by twice of that.
             margins = limit.margins(aircraft, needed, value)
             rows += [1 + margin / (2 * ASKED_MARGIN) for margin in margins]
+        if self.task.gust > 0:
+            own = self.task.limits.own
+            left = 1 - self.task.gust / airspeed  # of the airspeed
+            lift = np.sqrt(positive_part(quantities["lift"]) / own.lift_share + 1e-6)
+            shares = left / lift, left * quantities["airspeed"] / own.speed_share
+            rows += [1 + (share - 1) / ASKED_MARGIN for share in shares]
         return np.concatenate([*rows, drawn_power(aircraft, thrust, airspeed)])
 
     def of_pair(self, values: NDArray, angles: NDArray) -> NDArray:

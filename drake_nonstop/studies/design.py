@@ -1,6 +1,7 @@
 """Formations of aircraft for a load, of several numbers and kinds, as a table and a dictionary."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -8,7 +9,7 @@ import numpy as np
 
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.optimization.formation_program import FormationVariables
-from drake_nonstop.studies.design_request import DesignRequest
+from drake_nonstop.studies.design_request import MARGIN, POWER, DesignRequest
 from drake_nonstop.studies.designed_formation import (
     DesignedFormation,
     Refusal,
@@ -54,7 +55,7 @@ class Design:
     """Result for a request."""
 
     request: DesignRequest
-    formations: tuple[DesignedFormation, ...]  # that keep its margins, the least power first
+    formations: tuple[DesignedFormation, ...]  # that keep its margins, in the request's order
     refusals: tuple[Refusal, ...]  # of other carriers and kinds, or of some margins of the same
 
     def is_efficient(self, formation: DesignedFormation) -> bool:
@@ -87,6 +88,12 @@ class Design:
         )
 
 
+ORDERS: dict[str, Callable[[DesignedFormation], float]] = {
+    MARGIN: lambda formation: -formation.reserve,
+    POWER: lambda formation: formation.power,
+}
+
+
 def design(request: DesignRequest, progress: Progress = no_progress) -> Design:
     """The formations for a request, found in a process per core.
 
@@ -115,7 +122,7 @@ def design(request: DesignRequest, progress: Progress = no_progress) -> Design:
         progress=progress,
     )
     formations = [f for key in keys for f in found[key] if isinstance(f, DesignedFormation)]
-    formations.sort(key=lambda formation: formation.power)
+    formations.sort(key=ORDERS[request.first])
     for k, formation in enumerate(formations, 1):
         formation.scenario.name = f"{request.name}_{k}"
     refusals = [r for key in keys for r in found[key] if isinstance(r, Refusal)]

@@ -24,6 +24,7 @@ from drake_nonstop.validation import (
     checked,
     fulfilling,
     non_negative,
+    one_of,
     positive,
     read_text,
     require,
@@ -40,6 +41,7 @@ _CABLES = (1.0, 5000.0)  # m
 _WAY_TIMES = (1.0, 36000.0)  # s, the way's length by the largest speed
 _MOST_CARRIERS = 12
 _LIMITS = FlightEnvelope()
+MARGIN, POWER = "margin", "power"
 
 
 def _within(low: float, high: float, unit: str) -> Callable[[str, Any], None]:
@@ -76,6 +78,7 @@ class _Asked(StrictFields):
     cable_damping: float = checked(2.0, _within(0.0, 1e6, "N s/m"))  # N s/m
     # m/s, in W
     wind: list[float] = vector([0.0, 0.0, 0.0], "m/s, in W", _within(0.0, 100.0, "m/s"))
+    gust: float = checked(0.0, _within(0.0, 20.0, "m/s"))  # m/s, standard deviation of gusts
     # m, of the load
     displacement: list[float] = vector([50.0, 0.0, 0.0], "m, in W", _within(0.0, 1e6, "m"))
     speed: float = non_negative(1.25)  # m/s, the load's largest on the way; 0: it rests
@@ -94,6 +97,8 @@ class _Asked(StrictFields):
     climb: float = _below(0.45, _LIMITS.climb)
     # of the range of thrust at an airspeed, kept at both of its ends
     thrust_reserve: float = _below(0.1, 0.5)
+    # what the first formation has: the largest margin, or the least power
+    first: str = checked(MARGIN, one_of((MARGIN, POWER), f"give {MARGIN} or {POWER}"))
     starts: int = points(4, 100)  # of the search for each number of carriers and kind
     seed: int = checked(0, require_seed)  # of the starts
 
@@ -104,7 +109,9 @@ class DesignRequest(AircraftLimits, _Asked):
 
     The attachments are a regular polygon about the load's centre of mass. The margins, and the
     limits of aircraft, hold at rest and on the way of the load, from rest to rest along
-    `displacement`; the separation at rest in still air.
+    `displacement`; the separation at rest in still air. In gusts, which may take three of their
+    standard deviations from an airspeed, lift and airspeed stay within the aircraft's own limits,
+    and each formation is flown in them before it is returned.
     """
 
     def check(self) -> Aircraft:

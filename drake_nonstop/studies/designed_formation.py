@@ -17,13 +17,16 @@ from drake_nonstop.analysis.flight_envelope import BowedCables, FlightEnvelope, 
 from drake_nonstop.mechanics.aircraft import (
     FlightNeeds,
     drawn_power,
+    stall_speed,
     thrust_limits,
 )
 from drake_nonstop.mechanics.formation_orbit import CarriedLoad
 from drake_nonstop.mechanics.planned_orbit import needs_of_motion
 from drake_nonstop.optimization.formation_program import (
+    AIRSPEED_IN_GUSTS,
     ASKED_MARGIN,
     LEANING,
+    LIFT_IN_GUSTS,
     DesignLimits,
     FlightMargins,
     FormationProgram,
@@ -44,6 +47,7 @@ _COARSE, _FINE = 24, 90  # phases of a turn
 _DOUBLINGS, _HALVINGS = 8, 20
 _OF_RANGE = " of its range"
 _START_TIME, _END_TIME, _REST_TIME = 5.0, 10.0, 60.0  # s, before and after a way; without one
+_GUSTS = 3.0  # standard deviations, that a gust may take from an airspeed
 _ENVELOPE = FlightEnvelope()
 OTHER_MARGINS = {  # by the names of the program's rows
     "share": "the least force of a cable",
@@ -61,6 +65,8 @@ class FlightExtremes(NamedTuple):
     thrust_above: float  # of the range of thrust, left above, the least
     thrust_below: float  # left below
     power: float  # W, that an aircraft draws from its battery, the mean at rest
+    # Airspeeds that gusts leave, over those where C_L is at its own limit, and over the least one.
+    in_gusts: tuple[float, float]
     asked: tuple[float, ...] = ()  # of each limit that is asked for, what is closest to it
 
 
@@ -139,6 +145,7 @@ def design_task(request: DesignRequest, carriers: int, count: int = KEY_INSTANTS
             separation=request.separation,
             asked=tuple(asked(request, Of.FLIGHT)),
         ),
+        gust=_GUSTS * request.gust,
     )
 
 
@@ -176,6 +183,9 @@ def flight_of(
     thrust, (least, most) = needs.thrust, thrust_limits(aircraft, needs.airspeed)
     at_rest = found[0]
     values = [(limit, limit.values(aircraft, needs)) for limit, _ in task.limits.asked]
+    left, own = 1 - task.gust / needs.airspeed, task.limits.own
+    of_lift = np.sqrt(np.maximum(needs.lift, 1e-6) / (own.lift_share * aircraft.max_lift))
+    least_airspeed = own.speed_share * stall_speed(aircraft)
     return FlightExtremes(
         FlightRanges.of(aircraft, needs),
         bank=float(np.max(np.abs(needs.bank))),
@@ -183,6 +193,10 @@ def flight_of(
         thrust_above=float(np.min((most - thrust) / (most - least))),
         thrust_below=float(np.min((thrust - least) / (most - least))),
         power=float(np.mean(drawn_power(aircraft, at_rest.thrust, at_rest.airspeed))),
+        in_gusts=(
+            float(np.min(left / of_lift)),
+            float(np.min(needs.airspeed * left) / least_airspeed),
+        ),
         asked=tuple(float(each[limit.worst(each)]) for limit, each in values),
     )
 
@@ -192,7 +206,7 @@ def missed_limits(
 ) -> list[Missed]:
     """Quantities beyond the limits, the farthest first; with a reserve of 1 beyond the margins."""
     rows = []
-    count = len(flight.asked)
+    count = len(flight.asked) + (2 if task.gust > 0 else 0)
     for k, (name, value, limit, margin, side, unit) in enumerate(_rows_of(task, flight)):
         wanted_reserve = 1.0 if k < count else reserve  # what is asked for is no margin
         least = limit - side * wanted_reserve * margin
@@ -247,12 +261,15 @@ def _rows_of(
 ) -> Iterator[tuple[str, float, float, float, int, str]]:
     """Of each quantity: its name, value, limit and margin, the limit's side, and the unit.
 
-    Those of the limits that are asked for come first.
+    Those of the limits that are asked for, and of gusts, come first.
     """
     limits = task.limits
     for (row, stated), value in zip(limits.asked, flight.asked, strict=True):
         margin = ASKED_MARGIN * stated
         yield row.words, value, stated - row.side * margin, margin, -row.side, row.unit
+    if task.gust > 0:
+        for name, value in zip((LIFT_IN_GUSTS, AIRSPEED_IN_GUSTS), flight.in_gusts, strict=True):
+            yield name, value, 1 - ASKED_MARGIN, ASKED_MARGIN, -1, ""
     for each in QUANTITIES:
         limit, wanted = (getattr(bounds, each.field) for bounds in (limits.own, limits.wanted))
         value, limit, margin = (
@@ -394,7 +411,7 @@ def formation_scenario(
     """The scenario that flies a formation: at rest, along the request's displacement, at rest."""
     angles = 2 * np.pi * np.arange(carriers) / carriers
     ring = request.load_radius * np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1)
-    frequency = _rounded(x.frequency)
+    frequency, slowest = _rounded(x.frequency), flight.ranges.airspeed[0]
     move: dict[str, Any] = {}
     duration = _REST_TIME
     if request.speed > 0:
@@ -432,11 +449,17 @@ def formation_scenario(
             "_tag": "!ConstantParameters",
             "frequency": frequency,
             "amplitude": 1.0 if kind == LEANING else 0.0,
-            "speed_bound": math.floor(9 * flight.ranges.airspeed[0]) / 10,
+            "speed_bound": math.floor(10 * min(0.9 * slowest, slowest - _GUSTS * request.gust))
+            / 10,
         },
         "carrier_controller.frequency": 1.8 if kind == LEANING else 1.5,
     }
-    if np.any(request.wind):
+    if request.gust > 0:
+        gusts = {"gust": request.gust, "load_gust": request.gust}
+        airspeed = round(sum(flight.ranges.airspeed) / 2, 1)
+        fields["wind"] = {"_tag": "!GustyWind", "velocity": request.wind, "airspeed": airspeed}
+        fields["wind"] |= gusts
+    elif np.any(request.wind):
         fields["wind"] = {"_tag": "!SteadyWind", "velocity": request.wind}
     made = load_scenario("aircraft_rest", [as_override(k, v) for k, v in fields.items()])
     kind = kind.replace("_", "-")

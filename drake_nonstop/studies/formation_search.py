@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from drake_nonstop.analysis.aircraft_margins import aircraft_margins
 from drake_nonstop.analysis.formation import find_formation
+from drake_nonstop.analysis.limit import RunOutcome
 from drake_nonstop.analysis.task import task_of
 from drake_nonstop.mechanics.aircraft import stall_speed
 from drake_nonstop.mechanics.signals import POSE_SIZE
@@ -27,7 +28,9 @@ from drake_nonstop.optimization.formation_program import (
 )
 from drake_nonstop.scenario.overrides import as_override, changed
 from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.simulation.outcome import judge
 from drake_nonstop.simulation.run import RunStopped, StepCheck
+from drake_nonstop.simulation.run_quantities import RunQuantities
 from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.studies.design_request import DesignRequest
 from drake_nonstop.studies.designed_formation import (
@@ -58,6 +61,8 @@ _OBSERVERS = (1.0, 0.7, 0.4)  # weights of the aircraft's observers that are tri
 # A flight at rest has three parts, of 14 s each, or of a turn where that takes longer. From the
 # second to the third part an error, m, may grow by a factor of 1.15; below 1e-4 m it is steady.
 _STEADY_PARTS, _STEADY_TIME, _STEADY_GROWTH, _STEADY_ERROR = 3, 14.0, 1.15, 1e-4
+_SEEDS = 3  # of gusts, in which a formation is flown
+_LOST = list(RunOutcome)[: list(RunOutcome).index(RunOutcome.BOUND_MISSED)]
 _STRONGEST = 20.0  # m/s, the strongest wind that is tried for a region
 _TOLERANCE = 0.05  # of the reserve, which is 0 at the border of a region
 _MASS, _WIND, _RESERVE = map(FormationVariables._fields.index, ("mass", "wind", "reserve"))
@@ -213,6 +218,8 @@ class FormationSearch:
         steadied = self._steadied(scenario, margins.turn)
         if steadied is None:
             return self._refusal(values, "in a flight at rest the load's sway grows")
+        if self.request.gust > 0 and (fault := _fault_in_gusts(steadied)):
+            return self._refusal(values, fault)
         distances = float(margins.carrier_distance.min()), float(margins.cable_distance.min())
         return DesignedFormation(
             kind=self.kind,
@@ -342,6 +349,20 @@ def _is_steady(scenario: Scenario, turn: float) -> bool:
     count = len(errors) // _STEADY_PARTS
     before, last = np.max(errors[-2 * count : -count]), np.max(errors[-count:])
     return bool(last < max(_STEADY_GROWTH * before, _STEADY_ERROR))
+
+
+def _fault_in_gusts(scenario: Scenario) -> str:
+    """What ends a flight in gusts, or loses the load, in words; "": nothing does."""
+    for seed in range(_SEEDS):
+        in_gusts = changed(scenario, [as_override("wind.seed", seed)])
+        try:
+            run = simulate(in_gusts, check_step=StepCheck.NOTHING)
+        except RunStopped as error:
+            run = error.run
+        judgement = judge(RunQuantities(run))
+        if judgement.outcome in _LOST:
+            return f"in gusts of seed {seed} {judgement.reasons[0]}"
+    return ""
 
 
 def _up(value: float) -> str:

@@ -10,9 +10,11 @@ import pytest
 from helpers import nightly_beyond
 
 from drake_nonstop.analysis.aircraft_margins import aircraft_margins
-from drake_nonstop.optimization.formation_program import FormationVariables
+from drake_nonstop.mechanics.aircraft import stall_speed
+from drake_nonstop.optimization.formation_program import FormationProgram, FormationVariables
 from drake_nonstop.optimization.limits import Of, limits_of
-from drake_nonstop.scenario.loading import dump_scenario, parse_scenario
+from drake_nonstop.scenario.loading import dump_scenario, load_scenario, parse_scenario
+from drake_nonstop.scenario.overrides import as_override
 from drake_nonstop.studies import design as module
 from drake_nonstop.studies import formation_search
 from drake_nonstop.studies.design import Design, design_dictionary, design_one, design_table
@@ -34,6 +36,7 @@ from drake_nonstop.studies.designed_formation import (
     formation_scenario,
     load_motions,
     missed_limits,
+    reserve_of,
     with_load,
 )
 from drake_nonstop.studies.formation_search import FeasibleRegion, FormationSearch
@@ -155,6 +158,46 @@ def test_without_wind_it_breaks_in_one_against_the_way(windy):
     )
     assert against.what == "wind against the load's way"
     assert against.value < 0.9 * behind.value
+
+
+def test_in_gusts_lift_and_airspeed_keep_the_aircrafts_own_limits(windy):
+    """By the aircraft's inverse in still air, of the same forces at the airspeed that is left."""
+    x, gust = windy.formations[0].variables, 0.4
+    task = design_task(dataclasses.replace(windy.request, gust=gust), 4)
+    flight = flight_of(task, "co_rotating", x)
+    own, lifts, shares = task.limits.own, [], []
+    for needs in formation_needs(task, "co_rotating", x):
+        left = needs.airspeed - 3 * gust
+        lifts.append(needs.lift * (needs.airspeed / left) ** 2)
+        shares.append(left / stall_speed(task.aircraft))
+    most_lift = own.lift_share * task.aircraft.max_lift
+    assert flight.in_gusts[0] ** -2 == pytest.approx(np.max(lifts) / most_lift)
+    assert flight.in_gusts[1] == pytest.approx(np.min(shares) / own.speed_share)
+    program = FormationProgram(task, "co_rotating")
+    rows = program.rows(np.array(x))[0]
+    assert rows.min() == pytest.approx(reserve_of(task, flight), abs=0.02)
+    # More gusts, and the row of lift is the first that is missed, there and here.
+    strong = dataclasses.replace(task, gust=3 * 0.8)
+    missed = missed_limits(strong, flight_of(strong, "co_rotating", x), 1.0)
+    assert missed[0].name == FormationProgram(strong, "co_rotating").closest_row(np.array(x))
+
+
+@pytest.mark.parametrize(("gust", "fault"), [(0.0, ""), (4.0, "in gusts of seed 0 ")])
+def test_a_formation_is_flown_in_its_gusts(gust, fault):
+    wind = {"_tag": "!GustyWind", "gust": gust, "load_gust": gust}
+    changes = [as_override("wind", wind), "simulation_duration=4"]
+    scenario = load_scenario("aircraft_rest", changes)
+    found = formation_search._fault_in_gusts(scenario)
+    assert found.startswith(fault)
+    assert (found == "") == (fault == "")
+
+
+def test_the_first_formation_has_the_largest_margin_or_the_least_power(windy):
+    for first, best in (("margin", windy.formations[0]), ("power", windy.formations[-1])):
+        request = read_request(None, [f"first={first}"])
+        assert min(windy.formations[::-1], key=module.ORDERS[request.first]) is best
+    with pytest.raises(ScenarioError, match=r"request.first = speed: give margin or power"):
+        read_request(None, ["first=speed"])
 
 
 @pytest.mark.nightly("flights")
