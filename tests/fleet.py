@@ -138,7 +138,7 @@ DRAWN: dict[str, tuple[str, list[str]]] = {
     ),
     "that_stalls": (
         "aircraft_three",
-        ["simulation_duration=4", "wind=!GustyWind {velocity: [9, 0, 0], rise_time: 3}"],
+        ["simulation_duration=4", "wind=!Dryden {velocity: [9, 0, 0], rise_time: 3}"],
     ),
     "that_diverges": (
         "quintic",
