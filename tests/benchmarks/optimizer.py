@@ -20,6 +20,7 @@ from drake_nonstop.optimization.constraints import FEASIBILITY_TOLERANCE
 from drake_nonstop.optimization.update_data import UpdateData
 from drake_nonstop.optimization.update_solver import Answer, UpdateSolver
 from drake_nonstop.scenario.loading import load_scenario
+from drake_nonstop.scenario.schema import DIAGRAM
 from drake_nonstop.simulation.metrics import versions
 from drake_nonstop.simulation.run import StepCheck
 from drake_nonstop.simulation.simulate import simulate
@@ -183,10 +184,12 @@ def _closed_loop() -> tuple[list[UpdateData], float, Model, Any]:
         models.append(model)
         return block
 
-    simulate(scenario, optimization_layer=recording, check_step=StepCheck.NOTHING)
+    # The diagram calls the layer for each update; the compiled loop keeps parameters by itself.
+    recorded = {"optimization_layer": recording, "engine": DIAGRAM}
+    simulate(scenario, check_step=StepCheck.NOTHING, **recorded)
     shares = []
     for _ in range(3):
-        run = simulate(scenario)
+        run = simulate(scenario, engine=DIAGRAM)
         shares.append(float(np.sum(run.solve_times)) / run.wall_time)
     # Looking for the equilibrium takes updates, too, before the run's.
     count = round(scenario.simulation_duration / config.period)
