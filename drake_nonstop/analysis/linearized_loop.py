@@ -72,28 +72,25 @@ class LinearizedLoop:
 
         The steps are those of a third-order Runge-Kutta scheme.
         """
-        both, period, size = self._held_dynamics, self._period, len(self._start)
+        dynamics, feedback, period = self._dynamics, self._feedback, self._period
+        unit = np.eye(len(dynamics))
 
         def growth(step: float) -> float:
             count = max(1, math.ceil(period / step - 1e-9))
-            part = both * period / count
-            square = part @ part / 2
-            whole = np.eye(2 * size) + part + square + square @ part / 3
-            whole = np.linalg.matrix_power(whole, count)
-            sample_map = whole[:size, :size] + whole[:size, size:]
+            part = dynamics * period / count
+            mean = unit + part / 2 + part @ part / 6
+            moved, held = unit + part @ mean, mean @ feedback * period / count  # of x, and of x_k
+            while count % 2 == 0:  # two steps in one
+                moved, held, count = moved @ moved, moved @ held + held, count // 2
+            sample_map = unit
+            for _ in range(count):
+                sample_map = moved @ sample_map + held
             return math.log(np.max(np.abs(np.linalg.eigvals(sample_map)))) / period
 
         # By short steps: SciPy's exponential would add the 0.2 s of its import to each run.
-        halvings = _HALVINGS + math.ceil(math.log2(1 + np.linalg.norm(both * period, 1)))
+        size = np.linalg.norm(np.concatenate([dynamics, feedback], axis=1) * period, 1)
+        halvings = _HALVINGS + math.ceil(math.log2(1 + size))
         return growth(period / 2**halvings), growth(step)
-
-    @cached_property
-    def _held_dynamics(self) -> NDArray:
-        """[[A, G], [0, 0]], of the state and what is held of it."""
-        size = len(self._start)
-        both = np.zeros((2 * size, 2 * size))
-        both[:size] = np.hstack([self._dynamics, self._feedback()])
-        return both
 
     def _rate(self, state: NDArray) -> NDArray:
         self._set(state)
@@ -107,6 +104,7 @@ class LinearizedLoop:
         rate: NDArray = self._nonstop.EvalTimeDerivatives(self._trial).CopyToVector()
         return rate
 
+    @cached_property
     def _feedback(self) -> NDArray:
         """G, by forward differences."""
         if self._hold is None:
@@ -166,6 +164,7 @@ class LinearizedTrace(LinearizedLoop):
     def _rate_of(self, state: NDArray, at: float = 0.0) -> NDArray:
         return self._traced.rest(state, at)[1][self._traced.continuous]
 
+    @cached_property
     def _feedback(self) -> NDArray:
         size, traced = len(self._start), self._traced
         if traced.held is None or not self._has_hold:

@@ -81,6 +81,7 @@ class LoadDeviations:
             stiffness=1 / (compliance + 1 / carrier_stiffness),
             stretch=model.cable_compliance,
             is_above_load=is_above_load,
+            is_brief=True,
         )
         self._is_measured = is_measured
 

@@ -163,37 +163,30 @@ def connected(boxes: Boxes, parts: Parts, inputs: Collection[str]) -> Diagram:
 
 def models_of(scenario: LoopConfig) -> tuple[Model, Model]:
     """Models of what the controllers believe, and of what is simulated."""
-    own = scenario.system, scenario.simulated, scenario.pattern, scenario.control_period
-    try:
-        return _models_of(pickle.dumps(own))
-    except (pickle.PicklingError, AttributeError, TypeError):  # a pattern of the user's own
-        return _models(*own)
-
-
-@functools.lru_cache(maxsize=64)
-def _models_of(content: bytes) -> tuple[Model, Model]:
-    return _models(*pickle.loads(content))
-
-
-def _models(
-    system: SystemParameters, simulated: Any, pattern: PatternConfig, control_period: float
-) -> tuple[Model, Model]:
-    believed = Model(system, pattern, control_period)
-    plant = overridden(system, simulated)
+    others = scenario.pattern, scenario.control_period
+    believed = _model(scenario.system, *others, "system", ())
+    plant = overridden(scenario.system, scenario.simulated)
     require(
         len(plant.attachments) == believed.n,
         "simulated.attachments",
         plant.attachments,
         f"give as many attachment points as system.attachments has, {believed.n}",
     )
-    simulated = Model(
-        plant,
-        pattern,
-        control_period,
-        field="simulated",
-        overridden=given_fields(simulated),
-    )
-    return believed, simulated
+    return believed, _model(plant, *others, "simulated", tuple(given_fields(scenario.simulated)))
+
+
+def _model(*own: Any) -> Model:
+    """The model of a system, a pattern and what follows these as arguments of `Model`."""
+    try:
+        return _model_of(pickle.dumps(own))
+    except (pickle.PicklingError, AttributeError, TypeError):  # a pattern of the user's own
+        return Model(*own[:3], field=own[3], overridden=own[4])
+
+
+@functools.lru_cache(maxsize=128)
+def _model_of(content: bytes) -> Model:
+    *own, field, overridden = pickle.loads(content)
+    return Model(*own, field=field, overridden=overridden)
 
 
 def _require_motion(loop: LoopBlocks) -> None:

@@ -50,6 +50,8 @@ class LoadResponse:
         stiffness: N/m, of the cables.
         stretch: m/N, by which the cables are longer where the carriers are.
         is_above_load: whether the references are above the load, instead of above its reference.
+        is_brief: whether only positions and velocities are commanded, and the cables' forces are
+            left out, which takes half the time.
     """
 
     def __init__(
@@ -60,6 +62,7 @@ class LoadResponse:
         stiffness: float,
         stretch: float,
         is_above_load: bool = False,
+        is_brief: bool = False,
     ):
         n, load = plant.n, plant.load
         self.n, self.load, self.pseudo_inverse = n, load, model.pseudo_inverse
@@ -75,13 +78,14 @@ class LoadResponse:
             30,
         ]
         self._rates = TracedFunction(
-            lambda *values: _trace(n, is_above_load, *values),
+            lambda *values: _trace(n, is_above_load, is_brief, *values),
             [*sizes, len(self._constants)],
             name=lambda: "the response of the load",
             largest=_LARGEST,
             jacobian_of=0,
-            key=("response of a load", n, is_above_load),
+            key=("response of a load", n, is_above_load, is_brief),
         )
+        self._commands = (6 if is_brief else 15) * n  # rows of the Jacobian
 
     def along(
         self,
@@ -102,7 +106,7 @@ class LoadResponse:
             is_measured: (12,), 0 for errors that the controllers take as zero, else 1.
             wind: (3,), m/s, in W.
         """
-        n = self.n
+        n, count = self.n, self._commands
         scalars = [np.ravel(gains[name])[:1] for name in FEEDBACK_GAINS[:3]]
         matrices = [
             np.ravel(gain if np.ndim(gain := gains[name]) == 2 else np.ravel(gain)[0] * np.eye(3))
@@ -115,9 +119,9 @@ class LoadResponse:
             *_, jacobian = self._rates(
                 on_reference, internal, reference, wind, packed, self._constants
             )
-            commands = jacobian[: 15 * n, : TRACKING_ERROR_SIZE + WRENCH_SIZE].copy()
+            commands = jacobian[:count, : TRACKING_ERROR_SIZE + WRENCH_SIZE].copy()
             commands[:, :TRACKING_ERROR_SIZE] *= is_measured
-            load, forces = jacobian[15 * n : 15 * n + 6], jacobian[15 * n + 6 :]
+            load, forces = jacobian[count : count + 6], jacobian[count + 6 :]
             found.append(Response(commands, load.copy(), forces.copy()))
         return found
 
@@ -125,6 +129,7 @@ class LoadResponse:
 def _trace(
     n: int,
     is_above_load: bool,
+    is_brief: bool,
     deviation: NDArray,
     internal: NDArray,
     reference: NDArray,
@@ -192,6 +197,8 @@ def _trace(
     positions, velocities, *_ = carrier_motion(
         state if is_above_load else reference, *forces, **taut, compliance=compliance
     )
+    if is_brief:
+        return positions, velocities, moved.angular_velocity, moved.velocity
     _, _, accelerations, jerks = carrier_motion(
         reference, *forces, *higher, **taut, compliance=compliance
     )

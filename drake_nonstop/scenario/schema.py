@@ -333,6 +333,13 @@ def sample(
         ScenarioError: see `Scenario.sampled`.
     """
     check(scenario)
+    return drawn(scenario, generator)
+
+
+def drawn(
+    scenario: Scenario, generator: RandomGenerator | None = None
+) -> tuple[Scenario, dict[str, Any]]:
+    """The same of a scenario that has been checked."""
     if generator is not None:
         remedy = "give a pydrake.common.RandomGenerator, or None"
         is_generator = isinstance(generator, RandomGenerator)

@@ -91,9 +91,8 @@ class BuiltLoop:
             return None
         context = self.context()
         loop_context = self.nonstop.GetMyMutableContextFromRoot(context)
-        if not take_scenario(self.nonstop, loop_context, self._scenario, scenario):
-            return None
-        return context, _descriptions(_numbers_of(self._scenario), _numbers_of(scenario))
+        numbers = take_scenario(self.nonstop, loop_context, self._scenario, scenario)
+        return None if numbers is None else (context, _descriptions(*numbers))
 
 
 def goes_by_numbers(nonstop: Diagram, scenario: Scenario) -> bool:
@@ -111,19 +110,20 @@ def take_scenario(
     built: Scenario,
     scenario: Scenario,
     left_out: Collection[str] = (),
-) -> bool:
+) -> tuple[LoopNumbers, LoopNumbers] | None:
     """Sets a new context of a loop, which `goes_by_numbers`, to those of another scenario.
 
-    False where another loop has to be built for it. Boxes that are left out do not count.
+    Returns the numbers that it was built with, and those set; None where another loop has to be
+    built for it. Boxes that are left out do not count.
     """
     is_like = scenario.reference_governor is None and all(
         comparable(getattr(scenario, k)) == comparable(getattr(built, k)) for k in _STRUCTURE
     )
-    numbers = (_numbers_of(each, left_out) for each in (built, scenario))
     try:
-        return is_like and take_numbers(nonstop, context, *numbers)
+        numbers = _numbers_of(built, left_out), _numbers_of(scenario, left_out)
+        return numbers if is_like and take_numbers(nonstop, context, *numbers) else None
     except ScenarioError:  # which is told as it is built
-        return False
+        return None
 
 
 def _numbers_of(scenario: Scenario, left_out: Collection[str] = ()) -> LoopNumbers:

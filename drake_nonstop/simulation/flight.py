@@ -23,7 +23,7 @@ from drake_nonstop.loop.equilibrium import set_equilibrium
 from drake_nonstop.loop.plant_states import PlantStates
 from drake_nonstop.loop.traced_start import TracedStart
 from drake_nonstop.scenario.proportions import warn_of_angles
-from drake_nonstop.scenario.schema import COMPILED, DIAGRAM, Scenario, check
+from drake_nonstop.scenario.schema import COMPILED, DIAGRAM, Scenario, check, drawn
 from drake_nonstop.simulation.built_loop import BuiltLoop, SharedLoops, Viewer
 from drake_nonstop.simulation.compiled_run import (
     CompiledRun,
@@ -115,7 +115,7 @@ class Flight:
         self._request, self._interruption = request, interruption
         self._is_second = interruption.collect is not None  # of a run that is there already
         self._replacements: dict[str, Any] = {}
-        scenario = request.scenario.sampled()
+        scenario, _ = drawn(request.scenario)  # which the request has checked
         self._stated_bound = scenario.speed_bound
         if request.replacements:
             scenario, self._replacements = replaced(request.scenario, request.replacements)

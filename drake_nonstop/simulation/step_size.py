@@ -19,6 +19,7 @@ from pydrake.systems.framework import Context, Diagram
 from drake_nonstop.analysis.linearized_loop import LinearizedLoop, LinearizedTrace
 from drake_nonstop.loop.equilibrium import on_reference
 from drake_nonstop.loop.traced_start import TracedStart
+from drake_nonstop.mechanics.reference_preview import ReferencePreview
 from drake_nonstop.mechanics.signals import SIGNAL_PERIOD, CarrierStates, LoadReference, LoadState
 from drake_nonstop.simulation.moved_metrics import SHARE, SPEED_GRAIN, TENSION_GRAIN
 from drake_nonstop.systems.port_state import copied_context, set_state_values, state_values
@@ -204,17 +205,17 @@ def with_step(config: SimulatorConfig, step: float) -> SimulatorConfig:
 def _most_demanding(nonstop: Diagram, context: Context, duration: float) -> tuple[float, float]:
     """When the reference curves most (s), and by how much a carrier's path does (m/s²)."""
     port = nonstop.GetOutputPort("reference")
-    moved = copied_context(nonstop, context)
-    Simulator(nonstop, moved).Initialize()  # whatever samples or holds takes its first value
-    load = LoadState.view(nonstop.GetOutputPort("load_state").Eval(moved))
-    carriers = CarrierStates.view(nonstop.GetOutputPort("carrier_state").Eval(moved))
+    load = LoadState.view(nonstop.GetOutputPort("load_state").Eval(context))
+    carriers = CarrierStates.view(nonstop.GetOutputPort("carrier_state").Eval(context))
     lever = np.max(np.linalg.norm(carriers.positions - load.position, axis=1))
     times = np.linspace(0, duration, _INSTANTS, endpoint=False)
-    references = []
-    for time in times:
-        moved.SetTime(time)
-        references.append(port.Eval(moved).copy())
-    reference = LoadReference.view(np.array(references))
+    ahead = "reference_preview"
+    preview = nonstop.GetOutputPort(ahead).Eval(context) if nonstop.HasOutputPort(ahead) else None
+    if preview is None or preview.end_time < duration:
+        moved = copied_context(nonstop, context)
+        Simulator(nonstop, moved).Initialize()  # whatever samples or holds takes its first value
+        preview = ReferencePreview(lambda time: moved.SetTime(time) or port.Eval(moved).copy())
+    reference = LoadReference.view(preview.at(times))
     turning = np.linalg.norm(reference.angular_acceleration, axis=1)
     turning = turning + np.sum(reference.angular_velocity**2, axis=1)
     curvatures = np.linalg.norm(reference.acceleration, axis=1) + lever * turning
