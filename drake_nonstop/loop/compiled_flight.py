@@ -61,7 +61,8 @@ class LoopFlight:
             return sample_times(self.samples + 1, self._period)
         return self.time + offset
 
-    def _evaluated(self, function: Evaluation, *inputs: NDArray) -> list[NDArray]:
+    def evaluated(self, function: Evaluation, *inputs: NDArray) -> list[NDArray]:
+        """Results of all inputs; raises NotFiniteError where one is not finite, or too large."""
         *results, norm = function(inputs)
         self._require_finite(norm[0])
         return results
@@ -157,11 +158,14 @@ class CompiledFlight(LoopFlight):
 
     def values_of(self, function: Evaluation, state: NDArray, offset: float = 0.0) -> list[NDArray]:
         """Results of a function, an offset (s) after the last sample, of another state."""
+        return self.evaluated(function, state, *self.given_at(function, offset))
+
+    def given_at(self, function: Evaluation, offset: float) -> list[NDArray]:
+        """What a function takes besides the state, an offset (s) after the last sample."""
         readings = (each._replace(offset=each.offset + offset) for each in function.readings)
         now, ahead = self.time, self._time_after(self._period)
         outside = [self._value(reading, now, ahead) for reading in readings]
-        own = state, self._parameters, np.array([self._time_after(offset)])
-        return self._evaluated(function, *own, *outside)
+        return [self._parameters, np.array([self._time_after(offset)]), *outside]
 
     def _initialize(self) -> None:
         # Those whose first update what samples at the start reads begin before it.
@@ -284,7 +288,7 @@ class CompiledFlight(LoopFlight):
             for leaf, is_right in zip(self._asked, is_valid, strict=True)
         ]
         given = np.concatenate([1.0 - is_valid, *answers])
-        state, signals, step_signals, *_ = self._evaluated(whole, *own, given, outside)
+        state, signals, step_signals, *_ = self.evaluated(whole, *own, given, outside)
         return [state, signals, step_signals]
 
     def _advance_in_parts(self) -> tuple[NDArray, NDArray]:
@@ -369,7 +373,7 @@ class CompiledFlight(LoopFlight):
             parts = [self._whole]
             _, outside = self._outside.of_samples(self.samples, 1)
             own = self._state, self._parameters, np.array([self.time])
-            self._evaluated(self._whole, *own, self._no_answers, outside[0])  # the inputs of now
+            self.evaluated(self._whole, *own, self._no_answers, outside[0])  # the inputs of now
         else:
             assert self._at_sample is not None
             parts = [self._at_sample, self._after_sample]

@@ -169,7 +169,7 @@ class DerivativeFlight(LoopFlight):
         at = self._time_after(offset)
         read = [self._sources[r.system].value(r.output, at) for r in function.readings]
         inputs = [state, self._parameters, np.array([at]), *read]
-        return self._evaluated(self._evaluations[function], *inputs)[0]
+        return self.evaluated(self._evaluations[function], *inputs)[0]
 
 
 def _parts(state: NDArray) -> tuple[NDArray, NDArray]:

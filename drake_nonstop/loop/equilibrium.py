@@ -7,12 +7,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.common.eigen_geometry import AngleAxis, Quaternion
-from pydrake.math import RotationMatrix
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram
 
 from drake_nonstop.loop.plant_states import PlantStates
+from drake_nonstop.mechanics.rotation import rotate_quaternion
 from drake_nonstop.mechanics.signals import (
     LOAD_REFERENCE_SIZE,
     LOAD_STATE_SIZE,
@@ -281,9 +280,5 @@ def _moved(state: NDArray, offset: NDArray) -> NDArray:
     """A load state (13,) rotated by a rotation vector and shifted, both in W (6,)."""
     rotation_vector, shift = np.split(offset, 2)
     quaternion, position, *twist = LoadState.view(state)
-    angle = np.linalg.norm(rotation_vector)
-    turn = RotationMatrix()
-    if angle > 0:
-        turn = RotationMatrix(AngleAxis(angle, rotation_vector / angle))
-    rotated = (turn @ RotationMatrix(Quaternion(quaternion))).ToQuaternion().wxyz()
+    rotated = rotate_quaternion(quaternion, rotation_vector)
     return np.concatenate([rotated, position + shift, *twist])

@@ -30,6 +30,7 @@ class TracedStart:
         self._flight, self._layout = loop.fly(context), loop.layout
         layout = loop.layout
         self._rest = Evaluation(loop.rest_function, compiles=True)
+        self._given: dict[float, NDArray] = {}
         self.state = self._flight.state
         numbers = layout.states(np.arange(len(self.state)))
         self.continuous = np.concatenate([own[0] for own in numbers.values()])
@@ -74,5 +75,7 @@ class TracedStart:
         Raises:
             NotFiniteError: as of `initialized`.
         """
-        found: Any = self._flight.values_of(self._rest, state, at)
+        if at not in self._given:  # all of it follows from the time
+            self._given[at] = np.concatenate(self._flight.given_at(self._rest, at))
+        found: Any = self._flight.evaluated(self._rest, state, self._given[at])
         return found[0], found[1]

@@ -78,9 +78,7 @@ class BuiltLoop:
 
     def context(self) -> Context:
         """A new context of the diagram, as it was built."""
-        context = self.diagram.CreateDefaultContext()
-        context.SetTimeStateAndParametersFrom(self._start)
-        return context
+        return self._start.Clone()
 
     def context_for(self, scenario: Scenario) -> tuple[Context, dict[str, System]] | None:
         """A new context with the numbers of another scenario, and the blocks that describe these.
