@@ -169,6 +169,11 @@ def run_into(folder: Path, scenario: Scenario, options: argparse.Namespace = _NO
         said = f"the results up to {metrics['simulated_s']:.3f} s are in {place}"
         return f"{said}{missing and f', {missing}'}{_unchanged(folder, place)}"
 
+    def remove_new() -> None:
+        if is_new:
+            with contextlib.suppress(OSError):
+                folder.rmdir()
+
     with current_interruption() as interruption, interruption.patient(ALL):
         interruption.keep = keep
         try:
@@ -193,9 +198,7 @@ def run_into(folder: Path, scenario: Scenario, options: argparse.Namespace = _NO
                     return FAILED
             return code
         except ScenarioError:
-            if is_new:
-                with contextlib.suppress(OSError):
-                    folder.rmdir()
+            remove_new()
             raise
         except RunStopped as stopped:
             complain(str(stopped))
@@ -203,7 +206,11 @@ def run_into(folder: Path, scenario: Scenario, options: argparse.Namespace = _NO
                 complain(keep(stopped.run))
             return FAILED
         except RunInterrupted as interrupted:
-            kept = keep(interrupted.run) if len(interrupted.run.time) > 0 else ""
+            kept = "nothing had been flown yet"
+            if len(interrupted.run.time) > 1:
+                kept = keep(interrupted.run)
+            else:
+                remove_new()
             if interruption.number:
                 return say_end(interruption, kept)
             complain(f"the run was stopped by a KeyboardInterrupt in its code; {kept}")

@@ -68,7 +68,7 @@ def compiled_loop_of(
         steering: the arguments of `simulate` that need the Simulator's own steps.
     """
     period = scenario.control_period
-    reason = f"{steering[0]} need the steps of Drake's Simulator" if steering else ""
+    reason = f"for {steering[0]} the steps of Drake's Simulator are needed" if steering else ""
     reason = reason or reason_against(logs.nonstop, config, period)
     ratio = max(SIGNAL_PERIOD, period) / min(SIGNAL_PERIOD, period) if period > 0 else 1.0
     if not reason and abs(ratio - round(ratio)) > SAME_RATIO * ratio:

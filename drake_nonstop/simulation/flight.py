@@ -23,7 +23,7 @@ from drake_nonstop.loop.equilibrium import set_equilibrium
 from drake_nonstop.loop.plant_states import PlantStates
 from drake_nonstop.loop.traced_start import TracedStart
 from drake_nonstop.scenario.proportions import warn_of_angles
-from drake_nonstop.scenario.schema import COMPILED, DIAGRAM, Scenario, check, drawn
+from drake_nonstop.scenario.schema import COMPILED, DIAGRAM, ENGINES, Scenario, check, drawn
 from drake_nonstop.simulation.built_loop import BuiltLoop, SharedLoops, Viewer
 from drake_nonstop.simulation.compiled_run import (
     CompiledRun,
@@ -77,10 +77,7 @@ class Request:
 
     def __post_init__(self) -> None:
         check(self.scenario)
-        remedy = f"give {DIAGRAM} or {COMPILED}, or None"
-        require(self.engine in (None, DIAGRAM, COMPILED), "engine", self.engine, remedy)
-        is_one = isinstance(self.check_step, StepCheck)
-        require(is_one, "check_step", self.check_step, "give one, such as StepCheck.PARTS")
+        require_how(self.check_step, self.engine)
         remedy = "give a function that takes a scenario and returns a Diagram, such as make_nonstop"
         require(callable(self.make_loop), "make_loop", self.make_loop, remedy)
         remedy = "give a list of functions, such as [show_in(meshcat)]"
@@ -92,6 +89,14 @@ class Request:
     def asked_engine(self) -> str:
         """The engine in place of the scenario's, or that."""
         return self.engine or self.scenario.engine
+
+
+def require_how(check_step: StepCheck, engine: str | None) -> None:
+    """Raises ScenarioError where one of these arguments of `simulate` is none."""
+    remedy = f"give {', '.join(ENGINES)}, or None"
+    require(engine in (None, *ENGINES), "engine", engine, remedy)
+    is_one = isinstance(check_step, StepCheck)
+    require(is_one, "check_step", check_step, "give one, such as StepCheck.PARTS")
 
 
 class Flight:
@@ -157,8 +162,11 @@ class Flight:
     def prepare(self) -> ChosenStep:
         """Sets the equilibrium and the step, and warns of what a user may not expect."""
         request, scenario, nonstop = self._request, self.scenario, self.nonstop
+        self._interruption.check()  # and again after what takes long
         traced = self._traced_start()
+        self._interruption.check()
         set_equilibrium(nonstop, self.loop_context, traced)
+        self._interruption.check()
         if traced is not None:
             traced.take_state(self.loop_context)
         if not self.is_shared:
@@ -173,6 +181,7 @@ class Flight:
             config = chosen.config
             require_room(self._logs.sizes, dataclasses.replace(scenario, simulator_config=config))
         ApplySimulatorConfig(chosen.config, self._simulator)
+        self._interruption.check()
         return chosen
 
     def fly(self, chosen: ChosenStep) -> Flying[None]:
@@ -183,6 +192,7 @@ class Flight:
         """
         engine = self._request.asked_engine
         compiled = self._compiled(chosen, engine) if engine != DIAGRAM else None
+        self._interruption.check()
         self._simulator.set_monitor(self.monitor)
         self._start = time.perf_counter()
         if not self._is_second:

@@ -51,6 +51,11 @@ class Interruption:
         """Action on a signal that is not only noted."""
         raise KeyboardInterrupt
 
+    def check(self) -> None:
+        """Raises KeyboardInterrupt where a signal has been noted: a place to end at."""
+        if self.number:
+            raise KeyboardInterrupt
+
     @contextlib.contextmanager
     def patient(self, patience: float) -> Iterator[None]:
         """Within it so many signals are only noted."""

@@ -14,10 +14,10 @@ from drake_nonstop.loop.lanes import Advance, advance_together
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.built_loop import SharedLoops
 from drake_nonstop.simulation.compiled_run import Flying
-from drake_nonstop.simulation.flight import Request
+from drake_nonstop.simulation.flight import Request, require_how
 from drake_nonstop.simulation.interruption import Interruption, current_interruption
 from drake_nonstop.simulation.recording import MEMORY_LIMIT, least_size
-from drake_nonstop.simulation.run import Run, RunInterrupted, RunsInterrupted, StepCheck
+from drake_nonstop.simulation.run import Run, RunsInterrupted, StepCheck
 from drake_nonstop.simulation.simulate import simulating
 from drake_nonstop.validation import listed, require, warn_user
 
@@ -47,12 +47,14 @@ def simulate_many(
         progress: called with the share of the runs that have ended, as each does.
 
     Raises:
-        ScenarioError: `scenarios` is no list, or `progress` no function.
+        ScenarioError: `scenarios` is no list, `progress` no function, or there is no such engine or
+            extent of the check.
         RunsInterrupted: Ctrl-C; carries the runs that have ended.
     """
     scenarios = listed("scenarios", scenarios, "give a list of them")
     remedy = "give a function, or None"
     require(progress is None or callable(progress), "progress", progress, remedy)
+    require_how(check_step, engine)
     outcomes: list[Any] = [None] * len(scenarios)
     arguments: dict[str, Any] = {"check_step": check_step, "engine": engine}
     ended = 0
@@ -73,21 +75,21 @@ class _Flyer:
     Attributes:
         number: of the run.
         flying: the run, which asks for samples of its flight.
+        is_recording: whether warnings are kept.
         told: warnings, where it `is_recording`.
         asked: what it waits for, while it has no outcome.
+        outcome: the run, or what it has raised; a KeyboardInterrupt: it is left out.
     """
 
     number: int
     flying: Flying[Run]
-    interruption: Interruption
     is_recording: bool
     told: list[str] = field(default_factory=list)
     asked: tuple[CompiledFlight, int] = field(init=False)
     outcome: Run | BaseException | None = None
 
-    def go_on(self, advance: Advance | None, interruption: Interruption) -> None:
+    def go_on(self, advance: Advance | None) -> None:
         """Gives it what it waits for; it then has an outcome, or waits for more."""
-        self.interruption.number = interruption.number
         with warnings.catch_warnings(record=True) if self.is_recording else nullcontext([]) as told:
             if self.is_recording:
                 warnings.simplefilter("always")
@@ -95,9 +97,11 @@ class _Flyer:
                 self.asked = next(self.flying) if advance is None else self.flying.send(advance)
             except StopIteration as end:
                 self.outcome = end.value
-            except RunInterrupted:
-                raise KeyboardInterrupt from None
-            except (Exception, SystemExit) as error:  # whatever the user's own blocks may raise
+            except (
+                Exception,
+                SystemExit,
+                KeyboardInterrupt,
+            ) as error:  # whatever the user's own blocks may raise
                 self.outcome = error
         self.told += [str(warning.message) for warning in told or ()]
 
@@ -121,14 +125,15 @@ def fly_many(
     flyers: list[_Flyer] = []
     shared = SharedLoops()
     with current_interruption() as interruption, interruption.patient(1):
-        while not interruption.number:
+        is_cut = False
+        while not (is_cut or interruption.number):
             while len(flyers) < most and not interruption.number:
                 number = next(waiting, None)
                 if number is None:
                     break
-                given, own = arguments[number], Interruption()
-                flyer = _Flyer(number, _flying(given, own, shared), own, is_recording)
-                flyer.go_on(None, interruption)
+                given = arguments[number]
+                flyer = _Flyer(number, _flying(given, shared), is_recording)
+                flyer.go_on(None)
                 flyers.append(flyer)
                 if flyer.outcome is None:
                     most = _flights_at_a_time(most, given["scenario"])
@@ -137,19 +142,24 @@ def fly_many(
             going = [flyer for flyer in flyers if flyer.outcome is None]
             flights, samples = [each.asked[0] for each in going], [each.asked[1] for each in going]
             for flyer, advance in zip(going, advance_together(flights, samples), strict=True):
-                flyer.go_on(advance, interruption)
+                flyer.go_on(advance)
             ended, flyers = flyers, [flyer for flyer in going if flyer.outcome is None]
             for flyer in ended:
-                if flyer.outcome is not None and not flyer.interruption.number:
+                is_error = isinstance(flyer.outcome, Exception)
+                if isinstance(flyer.outcome, KeyboardInterrupt) or (
+                    is_error and interruption.count > 1  # one that went through C++
+                ):
+                    is_cut = True
+                elif flyer.outcome is not None:
                     yield flyer.number, flyer.outcome, flyer.told
     raise KeyboardInterrupt
 
 
-def _flying(given: dict[str, Any], interruption: Interruption, shared: SharedLoops) -> Flying[Run]:
-    """A run by the arguments of `simulate` that are given."""
+def _flying(given: dict[str, Any], shared: SharedLoops) -> Flying[Run]:
+    """A run by the arguments of `simulate` that are given; no signal ends it before its time."""
     own = {k: v for k, v in given.items() if k in Request.__dataclass_fields__}
     others = {k: v for k, v in given.items() if k not in own}
-    return (yield from simulating(Request(replacements=others, **own), interruption, shared))
+    return (yield from simulating(Request(replacements=others, **own), Interruption(), shared))
 
 
 def _flights_at_a_time(most: int, scenario: Scenario) -> int:

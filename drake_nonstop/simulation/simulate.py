@@ -54,8 +54,8 @@ def simulate(
         make_loop: makes the loop's diagram of a scenario and of the replacements without a config;
             None: `make_nonstop` does. One of the user's own exports its signals by their names,
             as `connect_by_name` does; the loop may be inside of it.
-        engine: "diagram" or "compiled", in place of the scenario's; None: that. By "auto" the
-            compiled engine flies what it can, and the run's `engine` says what flew it.
+        engine: "auto", "diagram" or "compiled", in place of the scenario's; None: that. By "auto"
+            the compiled engine flies what it can, and the run's `engine` says what flew it.
         replacements: blocks in place of the scenario's, and `extra` ones, see `make_nonstop`.
             Those with a config are in the run's scenario.
 

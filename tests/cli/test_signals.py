@@ -21,6 +21,7 @@ from drake_nonstop.cli import run as run_command
 from drake_nonstop.cli import scenarios
 from drake_nonstop.cli.ending import handling_signals
 from drake_nonstop.cli.main import main
+from drake_nonstop.simulation import flight
 
 TRIES = int(os.environ.get("SIGNAL_TRIES", "6"))
 _DATA = {"scenario.yaml", "metrics.json", "signals.npz", "steps.npz"}
@@ -285,3 +286,19 @@ def test_a_keyboard_interrupt_that_became_another_error_is_one(monkeypatch, caps
     monkeypatch.setattr(scenarios, "scenario_names", lambda: int("a"))
     with pytest.raises(ValueError, match="invalid literal"):  # an error of ours is shown whole
         main(["list"])
+
+
+@pytest.mark.parametrize("step", ["set_equilibrium", "CompiledRun"])
+def test_an_interrupt_before_the_flight_ends_it_and_leaves_no_folder(
+    tmp_path, capsys, monkeypatch, step
+):
+    prepare = getattr(flight, step)
+
+    def interrupted(*arguments):
+        os.kill(os.getpid(), signal.SIGINT)
+        return prepare(*arguments)
+
+    monkeypatch.setattr(flight, step, interrupted)
+    assert main(["run", "quintic", "--quiet", "--out", str(tmp_path / "out")]) == 130
+    assert capsys.readouterr().err == "drake-nonstop: interrupted: nothing had been flown yet\n"
+    assert not any(tmp_path.iterdir())

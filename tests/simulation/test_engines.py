@@ -133,7 +133,7 @@ def test_a_long_run_goes_to_files(monkeypatch):
         (["control_period=0"], {}, "control_period = 0: it goes from sample to sample"),
         (["control_period=0.004"], {}, "control_period = 0.004 and the 0.01 s between signals"),
         (["load_plant=MultibodyLoadPlant"], {}, "load_plant = MultibodyLoadPlant: it has no"),
-        ([], {"after_step": lambda *_: StepAction.CONTINUE}, "after_step need the steps of"),
+        ([], {"after_step": lambda *_: StepAction.CONTINUE}, "for after_step the steps of"),
     ],
 )
 def test_what_cannot_be_compiled_is_said_and_the_diagram_flies(overrides, arguments, said):
@@ -150,7 +150,7 @@ def test_what_cannot_be_compiled_is_said_and_the_diagram_flies(overrides, argume
     ("overrides", "arguments", "said"),
     [
         (["control_period=0"], {}, "control_period = 0: it goes from sample to sample"),
-        ([], {"after_step": lambda *_: StepAction.CONTINUE}, "after_step need the steps of"),
+        ([], {"after_step": lambda *_: StepAction.CONTINUE}, "for after_step the steps of"),
         (["simulation_duration=0.004"], {}, "shorter than a sample"),
         (["engine=diagram"], {}, ""),
     ],

@@ -2,6 +2,7 @@
 
 import os
 import signal
+import sys
 import warnings
 
 import numpy as np
@@ -20,6 +21,7 @@ from drake_nonstop import (
 )
 from drake_nonstop.simulation import built_loop, many
 
+simulating = sys.modules[simulate.__module__]  # not the function of that name
 CONSTANT = "optimization_layer=ConstantParameters"
 SHORT = [CONSTANT, "simulation_duration=0.3"]
 MEASURED = {"time", "solve_time"}  # among the steps' signals, by a clock
@@ -146,6 +148,39 @@ def test_an_interrupt_keeps_the_runs_that_have_ended():
     *runs, missing = raised.value.runs
     assert all(isinstance(run, Run) for run in runs)  # that of the second ended beside the first's
     assert missing is None
+
+
+def test_an_interrupt_of_a_second_flight_keeps_the_runs_that_ended_with_the_first(monkeypatch):
+    scenarios = [load_scenario("quintic", [*SHORT, f"system.load_mass={m}"]) for m in (1, 1.1, 1.2)]
+    verify = simulating._verified
+
+    def interrupt(*arguments):
+        os.kill(os.getpid(), signal.SIGINT)
+        return verify(*arguments)
+
+    monkeypatch.setattr(
+        simulating, "_doubt", lambda run, *_: "doubt" * (run.scenario.system.load_mass == 1.1)
+    )
+    monkeypatch.setattr(simulating, "_verified", interrupt)
+    with pytest.raises(RunsInterrupted, match="2 of 3 runs have ended") as raised:
+        simulate_many(scenarios)
+    first, missing, last = raised.value.runs
+    assert missing is None
+    for run, scenario in ((first, scenarios[0]), (last, scenarios[2])):
+        assert_equal(run, simulate(scenario))
+
+
+@pytest.mark.parametrize("wrong", [{"engine": "fast"}, {"check_step": 1}])
+def test_what_is_wrong_for_all_runs_is_refused_once(wrong):
+    with pytest.raises(ScenarioError, match=f"^{next(iter(wrong))} = "):
+        simulate_many([], **wrong)
+
+
+def test_an_engine_that_is_given_is_in_place_of_each_scenarios():
+    scenario = load_scenario("quintic", [*SHORT, "engine=diagram"])
+    for engine, flies in ((None, "diagram"), ("auto", "compiled"), ("diagram", "diagram")):
+        (run,) = simulate_many([scenario], check_step=StepCheck.NOTHING, engine=engine)
+        assert run.engine.startswith(flies)
 
 
 def test_with_little_memory_fewer_fly_at_a_time(monkeypatch):
