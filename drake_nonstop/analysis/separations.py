@@ -4,6 +4,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from functools import cached_property
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,9 @@ from drake_nonstop.scenario.schema import Scenario
 
 _MOST_DISTANCES = 2**13  # between two of many, at once: this bounds the memory
 _PARTS, _REFINEMENTS = 8, 4  # of an interval between two steps, in search of a least distance
+_STRIDE = 8  # steps between those whose distances tell which others may be less
+_FIRST, _MOST = 64, 2**11  # intervals that are looked at before others are left out
+_ROUNDING = 1e-13  # m, by which an interval has to be closer to be searched
 
 
 class Spacing(ABC):
@@ -99,7 +103,7 @@ def least_carrier_distance(positions: NDArray) -> float:
     Args:
         positions: at each step (k, n, 3), m; between two steps they move along straight lines.
     """
-    return min(least_length(one - others) for _, _, (one,), (others,) in _pairs(positions))
+    return min(least_length(one - other) for _, (one,), (other,) in _pairs(positions))
 
 
 def least_cable_distances(ends: NDArray, carriers: NDArray) -> NDArray:
@@ -112,12 +116,14 @@ def least_cable_distances(ends: NDArray, carriers: NDArray) -> NDArray:
             along straight lines.
         carriers: their other ends (k, n, 3), m, which do likewise.
     """
-    count = ends.shape[1]
-    least = np.full((count, count), np.inf)
-    for _, i, (a, b), (c, d) in _pairs(ends, carriers):
-        row = least[i, i + 1 :]
-        row[:] = _least_segment_distances(a, b, c, d, row)
-    return np.array([least[pair] for pair in combinations(range(count), 2)])
+    pairs = np.array(np.triu_indices(ends.shape[1], 1))
+    least = np.full(pairs.shape[1], np.inf)
+    at_once = _STRIDE * max(2, _MOST_DISTANCES // max(1, len(least)))
+    for start in range(0, max(1, len(ends) - 1), at_once):
+        some = slice(start, start + at_once + 1)
+        cables = np.stack([ends[some], carriers[some]])
+        _lower_to_distances(least, _CablePairs(np.moveaxis(cables, -1, 0).copy(), pairs))
+    return least
 
 
 def segment_distances(a: NDArray, b: NDArray, c: NDArray, d: NDArray) -> NDArray:
@@ -126,7 +132,11 @@ def segment_distances(a: NDArray, b: NDArray, c: NDArray, d: NDArray) -> NDArray
     The nearest points of the two lines are clamped to the segments, one after the other
     (C. Ericson, Real-Time Collision Detection, section 5.1.9).
     """
-    u, v, w = b - a, d - c, a - c
+    return np.linalg.norm(_gaps(b - a, d - c, a - c), axis=-1)
+
+
+def _gaps(u: NDArray, v: NDArray, w: NDArray) -> NDArray:
+    """The shortest ways (…, 3) to segments along u from others along v, which begin w before."""
     uu, vv, uv = (u * u).sum(axis=-1), (v * v).sum(axis=-1), (u * v).sum(axis=-1)
     uw, vw = (u * w).sum(axis=-1), (v * w).sum(axis=-1)
     tiny = np.finfo(float).tiny
@@ -136,30 +146,30 @@ def segment_distances(a: NDArray, b: NDArray, c: NDArray, d: NDArray) -> NDArray
     on_first = on_first.clip(0, 1)
     on_second = ((uv * on_first + vw) / (vv + tiny)).clip(0, 1)
     on_first = ((uv * on_second - uw) / (uu + tiny)).clip(0, 1)
-    gap = w + on_first[..., None] * u - on_second[..., None] * v
-    return np.linalg.norm(gap, axis=-1)
+    return w + on_first[..., None] * u - on_second[..., None] * v
 
 
 def _distances(a: NDArray, b: NDArray) -> NDArray:
     return np.linalg.norm(a - b, axis=-1)
 
 
-def _pairs(*points: NDArray) -> Iterator[tuple[int, int, list[NDArray], list[NDArray]]]:
-    """The points (k, n, 3) of one (s, 1, 3) and of all that follow (s, m, 3), some steps at a time.
+def _pairs(*points: NDArray) -> Iterator[tuple[int, list[NDArray], list[NDArray]]]:
+    """The points (k, n, 3) of the first and of the second of each pair, some steps at a time.
 
-    With the first step and the number of the one. The last step of some is the first of the next.
+    With the first step. The last step of some is the first of the next.
     """
     steps, count = points[0].shape[:2]
-    at_once = max(2, _MOST_DISTANCES // count)
+    first, second = np.triu_indices(count, 1)
+    at_once = max(2, _MOST_DISTANCES // max(1, len(first)))
     for start in range(0, max(1, steps - 1), at_once - 1):
-        some = slice(start, start + at_once)
-        parts = [_laid_apart(part[some]) for part in points]
-        for i in range(count - 1):
-            one = [part[:, i : i + 1] for part in parts]
-            yield start, i, one, [part[:, i + 1 :] for part in parts]
+        parts = [np.moveaxis(part[start : start + at_once], -1, 0) for part in points]
+        one, other = (
+            [np.moveaxis(part[..., which], 0, -1) for part in parts] for which in (first, second)
+        )
+        yield start, one, other
 
 
-def _laid_apart(vectors: NDArray) -> NDArray:
+def laid_apart(vectors: NDArray) -> NDArray:
     """The same vectors (…, 3) with their components apart in memory: several times faster."""
     return np.moveaxis(np.moveaxis(vectors, -1, 0).copy(), 0, -1)
 
@@ -167,34 +177,88 @@ def _laid_apart(vectors: NDArray) -> NDArray:
 def _least_of_pairs(distances: Callable[..., NDArray], *points: NDArray) -> NDArray:
     """The least distance (k,) of any two of n, each with some `points` (k, n, 3)."""
     least = np.full(len(points[0]), np.inf)
-    for start, _, one, others in _pairs(*points):
-        found = distances(*one, *others).min(axis=1)
-        some = least[start : start + len(found)]
-        np.minimum(some, found, out=some)
+    for start, one, other in _pairs(*points):
+        found = distances(*one, *other).min(axis=1, initial=np.inf)
+        least[start : start + len(found)] = found
     return least
 
 
-def _least_segment_distances(
-    a: NDArray, b: NDArray, c: NDArray, d: NDArray, known: NDArray
-) -> NDArray:
-    """The least distances (m,) of the segment from a to b (k, 1, 3) and m from c to d (k, m, 3).
+class _CablePairs(NamedTuple):
+    """Pairs of straight cables that move."""
 
-    Each end changes linearly from step to step; `known` (m,) are distances that were reached.
+    components: NDArray  # (3, 2, k, n), of both ends of each cable at each step, m
+    pairs: NDArray  # (2, m), the numbers of the first and the second cables
+
+    def at(self, step: NDArray, pair: NDArray) -> list[NDArray]:
+        """The ends a, b of the first and c, d of the second cable, of a pair at a step (…, 3)."""
+        *parts, steps, count = self.components.shape
+        points = self.components.reshape(*parts, steps * count)
+        ends = [points.take(count * step + cable[pair], axis=-1) for cable in self.pairs]
+        return [np.moveaxis(end, 0, -1) for both in ends for end in both.swapaxes(0, 1)]
+
+
+def _lower_to_distances(least: NDArray, cables: _CablePairs) -> None:
+    """Lowers `least` (m,) to the least distances of pairs of cables.
+
+    No point of a cable moves farther than the farther-moving of its ends: that bounds a distance
+    between every eighth step. Between two steps the ends move along straight lines: the gap between
+    two cables along any one direction, which is at most their distance, is least at a step.
     """
-    distances = segment_distances(a, b, c, d)
-    least = np.minimum(known, distances.min(axis=0))
-    if len(a) < 2:
-        return least
-    travel = _largest_step(a, b) + _largest_step(c, d)
-    interval, pair = np.nonzero((distances[:-1] + distances[1:] - travel) / 2 < least)
-    if len(interval) == 0:
-        return least
-    one = np.stack([a, b])[:, :, 0]
-    other = np.stack([c, d])
-    starts = np.concatenate([one[:, interval], other[:, interval, pair]])
-    ends = np.concatenate([one[:, interval + 1], other[:, interval + 1, pair]])
-    starts, changes = _laid_apart(starts), _laid_apart(ends - starts)
-    low, width = np.zeros(len(interval)), 1.0
+    last = cables.components.shape[2] - 1
+    marks = np.append(np.arange(0, last, _STRIDE), last)
+    block, pair = np.indices((len(marks), len(least)))
+    distances = segment_distances(*cables.at(marks[block], pair))
+    np.minimum(least, distances.min(axis=0), out=least)
+    if last == 0:
+        return
+    steps = np.linalg.norm(np.diff(cables.components, axis=2), axis=0).max(axis=0)
+    ways = np.add.reduceat(steps, marks[:-1])[:, cables.pairs].sum(axis=1)
+    bounds = (distances[:-1] + distances[1:] - ways) / 2
+    pairs, begins = pair[:-1].ravel(), marks[block[:-1]].ravel()
+    for chosen in _lowest_first(bounds.ravel(), pairs, least):
+        step = np.minimum(begins[chosen] + np.arange(_STRIDE + 1)[:, None], last)
+        pair = np.broadcast_to(pairs[chosen], step.shape)
+        bounds = _lower_to_steps(least, cables.at(step, pair), pairs[chosen])
+        step, pair = step[:-1].ravel(), pair[:-1].ravel()
+        for closest in _lowest_first(bounds.ravel(), pair, least):
+            between = np.minimum(step[closest] + [[0], [1]], last)
+            _lower_between(least, cables.at(between, pair[closest]), pair[closest])
+
+
+def _lowest_first(bounds: NDArray, pairs: NDArray, least: NDArray) -> Iterator[NDArray]:
+    """The places of bounds below `least` of their pairs, which may change, some at a time."""
+    places, count = np.argsort(bounds - least[pairs]), _FIRST
+    while True:
+        places = places[~(bounds[places].clip(0) >= least[pairs[places]] - _ROUNDING)]
+        if len(places) == 0:
+            return
+        yield places[:count]
+        places, count = places[count:], min(4 * count, _MOST)
+
+
+def _lower_to_steps(least: NDArray, ends: list[NDArray], pair: NDArray) -> NDArray:
+    """Lowers `least` to the distances of pairs (m,) at k steps, with bounds (k - 1, m) between.
+
+    The `ends` are (k, m, 3) each.
+    """
+    a, b, c, d = ends
+    u, v, w = b - a, d - c, a - c
+    gaps = _gaps(u, v, w)
+    np.minimum.at(least, pair, np.linalg.norm(gaps, axis=-1).min(axis=0))
+    direction = gaps[:-1] + gaps[1:]
+    bound = np.full(direction.shape[:-1], np.inf)
+    for k in (slice(None, -1), slice(1, None)):
+        along_u, along_v, along_w = ((direction * part[k]).sum(axis=-1) for part in (u, v, w))
+        apart = along_w + np.minimum(along_u, 0) - np.maximum(along_v, 0)
+        np.minimum(bound, apart, out=bound)
+    return bound / np.maximum(np.linalg.norm(direction, axis=-1), np.finfo(float).tiny)
+
+
+def _lower_between(least: NDArray, ends: list[NDArray], pair: NDArray) -> None:
+    """Lowers `least` to the distances of pairs (m,) between two steps, with `ends` (2, m, 3)."""
+    starts, stops = np.array(ends).swapaxes(0, 1)
+    starts, changes = laid_apart(starts), laid_apart(stops - starts)
+    low, width = np.zeros(len(pair)), 1.0
     for _ in range(_REFINEMENTS):  # about the nearest of some instants in each interval
         shares = (low + width * np.linspace(0, 1, _PARTS + 1)[:, None]).clip(0, 1)
         between = starts[:, None] + shares[..., None] * changes[:, None]
@@ -202,9 +266,3 @@ def _least_segment_distances(
         np.minimum.at(least, pair, found.min(axis=0))
         nearest = np.take_along_axis(shares, np.argmin(found, axis=0)[None], axis=0)[0]
         low, width = nearest - width / _PARTS, 2 * width / _PARTS
-    return least
-
-
-def _largest_step(a: NDArray, b: NDArray) -> NDArray:
-    """How far the farther-moving end of segments (k, m, 3) moves in each step (k - 1, m)."""
-    return np.maximum(*(np.linalg.norm(np.diff(end, axis=0), axis=-1) for end in (a, b)))

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.analysis.flight_envelope import FlightRanges, LimitAlong
-from drake_nonstop.analysis.separations import Spacing, least_length
+from drake_nonstop.analysis.separations import Spacing, laid_apart, least_length
 from drake_nonstop.mechanics.aircraft import (
     Aircraft,
     FlightNeeds,
@@ -94,17 +94,17 @@ class RunQuantities(Spacing):
     @cached_property
     def carrier_positions(self) -> NDArray:
         """The carriers' positions (k, n, 3), in W, m."""
-        return CarrierStates.view(self.run.steps["carrier_state"]).positions
+        return laid_apart(CarrierStates.view(self.run.steps["carrier_state"]).positions)
 
     @cached_property
     def carrier_velocities(self) -> NDArray:
         """The carriers' velocities (k, n, 3), in W, m/s."""
-        return CarrierStates.view(self.run.steps["carrier_state"]).velocities
+        return laid_apart(CarrierStates.view(self.run.steps["carrier_state"]).velocities)
 
     @cached_property
     def speeds(self) -> NDArray:
         """The carriers' speeds (k, n), m/s."""
-        return carrier_speeds(self.run.steps["carrier_state"])
+        return _in_chunks(_norms, self.carrier_velocities)
 
     @cached_property
     def speed_bounds(self) -> NDArray:
@@ -135,8 +135,9 @@ class RunQuantities(Spacing):
         linear change would make too small.
         """
         least = float(np.min(self.speeds))
-        for velocities in _overlapping_chunks(self.carrier_velocities):
-            before, after, speeds = velocities[:-1], velocities[1:], _norms(velocities)
+        chunks = zip(*map(_overlapping_chunks, (self.carrier_velocities, self.speeds)), strict=True)
+        for velocities, speeds in chunks:
+            before, after = velocities[:-1], velocities[1:]
             products = (before * after).sum(axis=-1)
             turns_far = products < _SMALL_TURN * (speeds[:-1] * speeds[1:])
             if np.any(turns_far):
@@ -415,7 +416,14 @@ def _norms(vectors: NDArray) -> NDArray:
 
 def _steepest_angle(velocities: NDArray) -> float:
     """The largest angle of velocities (k, n, 3) to the horizontal, rad, also between two rows."""
-    starts, changes = velocities[:-1], np.diff(velocities, axis=0)
+    rise, level = np.abs(velocities[..., 2]), _norms(velocities[..., :2])
+    steepest = float(np.max(np.arctan2(rise, level)))
+    changes = np.diff(velocities, axis=0)
+    # Between two rows a velocity rises by no more than at them, and its level part is no less than:
+    least_level = (level[:-1] + level[1:] - _norms(changes[..., :2])) / 2
+    most_rise = np.maximum(rise[:-1], rise[1:])
+    may_be_steeper = ~(most_rise * math.cos(steepest) < least_level * math.sin(steepest))
+    starts, changes = velocities[:-1][may_be_steeper], changes[may_be_steeper]
     level, level_change = starts[..., :2], changes[..., :2]
     rise, rise_change = starts[..., 2], changes[..., 2]
     mixed = (level * level_change).sum(axis=-1)
@@ -423,8 +431,8 @@ def _steepest_angle(velocities: NDArray) -> float:
     denominator = rise_change * mixed - rise * (level_change * level_change).sum(axis=-1)
     shares = (numerator / np.where(denominator == 0, np.inf, denominator)).clip(0, 1)
     between = starts + shares[..., None] * changes
-    candidates = np.concatenate([velocities, between])
-    return float(np.max(np.arctan2(np.abs(candidates[..., 2]), _norms(candidates[..., :2]))))
+    angles = np.arctan2(np.abs(between[..., 2]), _norms(between[..., :2]))
+    return float(np.max(angles, initial=steepest))
 
 
 def _overlapping_chunks(values: NDArray) -> Iterator[NDArray]:

@@ -42,11 +42,7 @@ class SignalTable:
         for name in self.signals:
             if port in (name, name.partition(".")[2]):
                 return name
-        close = difflib.get_close_matches(str(port), list(self.signals), n=3, cutoff=0.4)
-        raise UnknownSignalError(
-            f"signal = {port}: give a port of the run, "
-            f"such as {' or '.join(close or list(self.signals)[:3])}"
-        )
+        raise UnknownSignalError(port, list(self.signals))
 
     def columns(self, signals: Sequence[str] = ()) -> dict[str, NDArray]:
         """The numbers (samples,) of signals, by names with their units: "tensions.1 [N]".
@@ -106,6 +102,9 @@ class SignalTable:
 
 
 class UnknownSignalError(ScenarioError, KeyError):
-    """A run has no signal of that name."""
+    """A run has no signal of that name; names that are close are looked for when it is told."""
 
-    __str__ = Exception.__str__  # a KeyError's is in quotation marks
+    def __str__(self) -> str:
+        port, names = self.args
+        close = difflib.get_close_matches(str(port), names, n=3, cutoff=0.4)
+        return f"signal = {port}: give a port of the run, such as {' or '.join(close or names[:3])}"

@@ -302,6 +302,29 @@ def test_moving_cables_are_closest_where_they_cross():
         ) == pytest.approx([np.min(distances)], abs=2e-3)
 
 
+@pytest.mark.parametrize("steps", [9, 30, 300, 2000])
+def test_cables_are_closest_between_any_of_many_steps(steps):
+    rng = np.random.default_rng(steps)
+    rates, phases = rng.uniform(1, 20, (4, 6)), rng.uniform(0, 6, (4, 6))
+    motion = np.sin(rates * np.linspace(0, 3, steps)[:, None, None] + phases)
+    ends, carriers = motion[..., :3], motion[..., 3:]
+    apart = least_cable_distances(ends, carriers)
+    for found, (i, j) in zip(apart, combinations(range(4), 2), strict=True):
+        moving = np.array([ends[:, i], carriers[:, i], ends[:, j], carriers[:, j]])
+        shares = np.linspace(0, 1, 60)[:, None, None]
+        dense = moving[:, None, :-1] + shares * np.diff(moving, axis=1)[:, None]
+        assert found == pytest.approx(np.min(segment_distances(*dense)), abs=1e-2)
+
+
+def test_a_short_encounter_of_two_fast_carriers_counts():
+    """They come near each other for six steps, and are farther apart, but slower, at the end."""
+    x = np.interp(np.arange(40), [8, 12, 16, 24], [0.5, 0.1, 0.5, 0.25])
+    ends, carriers = np.zeros((2, 40, 2, 3))
+    ends[:, :, 0], carriers[:, :, 0] = [-0.5, 0.5], np.column_stack([-x, x])
+    carriers[..., 2] = 1
+    assert least_cable_distances(ends, carriers) == pytest.approx([0.2], abs=1e-15)
+
+
 @pytest.mark.parametrize(("steps", "n"), [(1, 3), (300, 3), (200, 7), (50, 40)])
 def test_closest_two_are_those_of_all_pairs(steps, n):
     ends, carriers = np.random.default_rng(n).normal(size=(2, steps, n, 3))
