@@ -8,16 +8,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.cable import compliance_of
-from drake_nonstop.mechanics.carrier import carrier_motion, motion_after
+from drake_nonstop.mechanics.carrier import carrier_motion, motion_after, shifted_reference
 from drake_nonstop.mechanics.grasp import second_and_third_force_rates
 from drake_nonstop.mechanics.signal_layouts import SAMPLE_TIME
 from drake_nonstop.model.block import LOAD, Block, rigid_load
-from drake_nonstop.model.descriptions import CarrierReferences
+from drake_nonstop.model.descriptions import CarrierReferences, described
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.requirements import LoopBlocks
 from drake_nonstop.systems.traced_block import BetweenSamples
 from drake_nonstop.systems.wiring import WiringError
-from drake_nonstop.validation import StrictFields, require
+from drake_nonstop.validation import (
+    StrictFields,
+    require,
+    require_non_negative,
+    require_ranges,
+    vector,
+)
 
 _BOX = "carrier_trajectory"
 _HOLDS = {"third_order": 3, "second_order": 2, "velocity": 1}  # and their orders
@@ -25,6 +31,7 @@ _DERIVATIVES = ("carrier_reference_acceleration", "carrier_reference_jerk")
 _FORCE_RATES = "internal_force_higher_rates"
 _FOR_DERIVATIVES = (_FORCE_RATES, "wind_estimate")
 _HIGHER_RATES = "reference_higher_rates"
+_MEASURED = "measured_load_state"
 
 
 class _TrajectoryAboveReference(Block):
@@ -36,10 +43,14 @@ class _TrajectoryAboveReference(Block):
         "desired_cable_force_rates",
         *_FOR_DERIVATIVES,
         _HIGHER_RATES,
+        _MEASURED,
         SAMPLE_TIME,
     )
     makes = ("carrier_reference", *_DERIVATIVES)
-    where: ClassVar = {SAMPLE_TIME: "the model has a control period"}
+    where: ClassVar = {
+        SAMPLE_TIME: "the model has a control period",
+        _MEASURED: "`correction_rates` are not all zero",
+    }
     optional_inputs: tuple[str, ...] = (_HIGHER_RATES,)
     system: ClassVar[tuple[str, ...]] = ("cable_length", "cable_stiffness", *LOAD)
     of_model = ("attachments", "pseudo_inverse", "pattern.basis")
@@ -61,9 +72,20 @@ class _TrajectoryAboveReference(Block):
     @classmethod
     def check(cls, model: Model, config: Any) -> None:
         require(config.hold in _HOLDS, f"{_BOX}.hold", config.hold, f"give {' or '.join(_HOLDS)}")
+        require_ranges(_BOX, config)
+
+    def state(self, model: Model) -> NDArray:
+        return np.zeros(3)
+
+    @classmethod
+    def has_state(cls, model: Model, config: Any) -> bool:
+        return bool(np.any(config.correction_rates))
 
     def requires(self, loop: LoopBlocks) -> Iterator[str]:
-        """Raises WiringError where its accelerations are used, and the force's rates not made."""
+        """Raises WiringError where its accelerations are used, and the force's rates not made.
+
+        Warns where the wrench controller integrates the load's error, too.
+        """
         is_used = self.hold_order >= 2 or any(
             {*_DERIVATIVES} & loop.needed(name) for name in loop.blocks
         )
@@ -75,24 +97,34 @@ class _TrajectoryAboveReference(Block):
                 "output, the second and third rates (2m) of the internal force, or "
                 "internal_force=InternalForceTrajectory"
             )
-        yield from ()
+        gains = described(loop.get("wrench_controller")) or {}
+        is_twice = np.any(gains.get("position_integral_gain", 0.0))
+        if is_twice and self.has_state(self.model, self.config):
+            yield (
+                f"{_BOX}.correction_rates = {self.config.correction_rates}: the wrench controller "
+                "integrates the load's position error, too, and the two integrals wander against "
+                "each other; set those of wrench_controller to 0"
+            )
 
     @staticmethod
     def equations(
+        shift: NDArray,
         reference: NDArray,
         forces: NDArray,
         rates: NDArray,
         internal_force_higher_rates: NDArray,
         wind: NDArray,
         reference_higher_rates: NDArray,
+        load_state: NDArray | None = None,
         *,
+        correction_rates: NDArray,
         attachments: NDArray,
         pseudo_inverse: NDArray,
         basis: NDArray,
         cable_length: NDArray,
         cable_stiffness: NDArray | None = None,
         **load: NDArray,
-    ) -> tuple[NDArray, NDArray, NDArray]:
+    ) -> tuple[NDArray, NDArray, NDArray, NDArray]:
         cables = _cables(attachments, cable_length, cable_stiffness)
         forces, rates = forces.reshape(-1, 3), rates.reshape(-1, 3)
         higher_rates = second_and_third_force_rates(
@@ -106,11 +138,16 @@ class _TrajectoryAboveReference(Block):
             pseudo_inverse=pseudo_inverse,
             basis=basis,
         )
+        shift_rate = shift
+        if load_state is not None:
+            reference, shift_rate = shifted_reference(
+                reference, shift, load_state, rates=correction_rates
+            )
         motion = carrier_motion(reference, forces, rates, *higher_rates, **cables)
-        return np.concatenate(motion[:2]), motion[2], motion[3]
+        return shift_rate, np.concatenate(motion[:2]), motion[2], motion[3]
 
     def inputs(self, model: Model) -> tuple[str, ...]:
-        return self.reads[:-1]
+        return self.reads[: -1 if self.has_state(model, self.config) else -2]
 
     def between_samples(self, model: Model, config: Any) -> BetweenSamples:
         return _moving(_HOLDS[config.hold])
@@ -137,14 +174,21 @@ def _cables(attachments: NDArray, length: NDArray, stiffness: NDArray | None) ->
     return {"attachments": attachments, "rest_length": length, "compliance": compliance}
 
 
+def _check_rates(field: str, rates: list[float]) -> None:
+    for rate in rates:
+        require_non_negative(field, rate)
+
+
 @dataclass(kw_only=True)
 class _Hold(StrictFields):
     hold: str = "third_order"  # of the references between samples; or "second_order", "velocity"
+    # rad/s, along x, y and z of W, at which the references move against the load's measured error
+    correction_rates: list[float] = vector([0.0, 0.0, 0.0], "in W", _check_rates)
 
 
 @dataclass(kw_only=True)
 class CarrierTrajectoryConfig(_Hold):
-    """How the references move between samples; the cables are the system's."""
+    """How the references move, between samples and against errors; the cables are the system's."""
 
 
 class CarrierTrajectory(_TrajectoryAboveReference):
@@ -159,14 +203,21 @@ class CarrierTrajectory(_TrajectoryAboveReference):
     v + τ a + τ² j/2, with `hold` "second_order" without j, with "velocity" without a. Accelerations
     and jerks stand still, but for an acceleration of third order, a + τ j.
 
+    With `correction_rates` σ, one for each axis of W, the load's reference is moved by the state s,
+    of ṡ = −σ (p − p_d), and by its velocity ṡ, with the measured position p: what else holds the
+    load off its reference, such as cables of another length, dies out as exp(−σ t). The integral of
+    a wrench controller cannot do that on long cables: a force moves the load only by the cables'
+    stretch, 2.3 mm/N in `aircraft_rest`, and its predicted rate is that of a free load. Rates above
+    a tenth of the carriers' frequency are lost in `aircraft_co_rotating`.
+
     Raises:
-        ScenarioError: `hold` is another text.
+        ScenarioError: `hold` is another text, or a rate is negative.
     """
 
 
 @dataclass(kw_only=True)
 class InextensibleCarrierTrajectoryConfig(_Hold):
-    """How the references move between samples; the cables are the system's."""
+    """How the references move, between samples and against errors; the cables are the system's."""
 
 
 class InextensibleCarrierTrajectory(_TrajectoryAboveReference):
@@ -176,7 +227,7 @@ class InextensibleCarrierTrajectory(_TrajectoryAboveReference):
     lifts it. Otherwise as `CarrierTrajectory`.
 
     Raises:
-        ScenarioError: `hold` is another text.
+        ScenarioError: `hold` is another text, or a rate is negative.
     """
 
     system = ("cable_length", *LOAD)
@@ -222,7 +273,8 @@ class MeasuredCarrierTrajectory(Block):
         forces, rates = forces.reshape(-1, 3), rates.reshape(-1, 3)
         return np.concatenate(carrier_motion(load_state, forces, rates, **cables))
 
-    inputs = _TrajectoryAboveReference.inputs
+    def inputs(self, model: Model) -> tuple[str, ...]:
+        return self.reads[:-1]
 
     def describe_response(self) -> CarrierReferences:
         return CarrierReferences(None, is_above_load=True)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.cable import positive_part
 from drake_nonstop.mechanics.rotation import cross, norm, rotation_matrix
-from drake_nonstop.mechanics.signals import LoadReference
+from drake_nonstop.mechanics.signals import LoadReference, LoadState
 
 
 def cable_vectors(
@@ -87,6 +87,25 @@ def carrier_motion(
         of_load.append(load.jerk + 2 * cross(alpha, turning) + cross(omega, bending))
     cables = cable_vectors(forces, rest_length=rest_length, compliance=compliance)
     return [end + cable for end, cable in zip(of_load, cables, strict=False)]
+
+
+def shifted_reference(
+    reference: NDArray, shift: NDArray, load_state: NDArray, *, rates: NDArray
+) -> tuple[NDArray, NDArray]:
+    """A load's reference (22,) moved by s, at the velocity ṡ = −σ (p − p_d), and ṡ (3,), in W.
+
+    Args:
+        reference: of the load, with the desired position p_d.
+        shift: s (3,), m.
+        load_state: (13,), measured, with the position p.
+        rates: σ (3,), rad/s, along the axes of W.
+    """
+    desired = LoadReference.view(reference)
+    shift_rate = rates * (desired.position - LoadState.view(load_state).position)
+    moved = desired._replace(
+        position=desired.position + shift, velocity=desired.velocity + shift_rate
+    )
+    return np.concatenate(moved), shift_rate
 
 
 def motion_after(
