@@ -210,7 +210,6 @@ def figures_of(run: Run) -> Figures:
         "least_tension": float(quantities.tensions.min()),
         "relaxed": counts["relaxed"],
         "held": counts["held"],
-        "solve_ms": quantities.solve_times,
         "flown_s": float(quantities.time[-1]),
         "wall_s": run.wall_time,
     }
