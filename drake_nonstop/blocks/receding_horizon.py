@@ -24,6 +24,7 @@ from drake_nonstop.mechanics.reference_preview import ReferencePreview, continue
 from drake_nonstop.mechanics.rigid_load import STILL_AIR
 from drake_nonstop.mechanics.signals import PLANNED_SIZE, PlannedParameters
 from drake_nonstop.model.system import Model
+from drake_nonstop.optimization.compiled_plan import compiled_solver
 from drake_nonstop.optimization.diagnostics import Outcome
 from drake_nonstop.optimization.horizon_config import HorizonConfig, check_horizon, timed
 from drake_nonstop.optimization.horizon_motion import HorizonData
@@ -41,6 +42,7 @@ from drake_nonstop.optimization.problem_config import (
     check_pattern,
     points,
 )
+from drake_nonstop.optimization.step_program import DAQP
 from drake_nonstop.optimization.update_data import ModelParameters
 from drake_nonstop.systems.block import weakly
 from drake_nonstop.systems.diagram_trace import FastUpdate, InContext, TraceContext
@@ -171,6 +173,12 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
             return super().shown(output, context)
         values = self._values_in(context)
         return values if output == "plan" else _parameters_of(values)
+
+    @property
+    def engine_note(self) -> str:
+        """What a run's `engine` tells besides; empty: its plans are made as they should be."""
+        is_in_python = self._config.solver == DAQP and compiled_solver() is None
+        return "plans in Python" if is_in_python else ""
 
     @property
     def trace_key(self) -> Any:

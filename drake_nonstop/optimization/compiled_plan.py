@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from drake_nonstop.optimization.horizon_motion import HorizonData
 from drake_nonstop.optimization.horizon_problem import MarginFunction
-from drake_nonstop.systems.compilation import compiled_for_processor
+from drake_nonstop.systems.compilation import CompilationError, compiled_for_processor
 from drake_nonstop.systems.elementwise import evaluate_address
 from drake_nonstop.systems.tracing import NotFiniteError
 
@@ -86,13 +86,19 @@ class _Data(_Structure):
 def compiled_solver() -> Callable[..., int] | None:
     """`solve_plan` of solve_plan.c; None: it cannot be compiled, which a ScenarioWarning tells."""
     told = "plans", "Python makes them, ten times slower,"
-    library = compiled_for_processor(lambda: _TEXT, builds=True, told=told)
-    if library is None or not evaluate_address() or not _quadprog():
+    library = compiled_for_processor(_text, builds=True, told=told)
+    if library is None:
         return None
     solve = library.solve_plan
     solve.restype = ctypes.c_int64
     solve.argtypes = [*[ctypes.c_void_p] * 2, ctypes.c_int64, *[ctypes.c_void_p] * 3]
     return solve
+
+
+def _text() -> str:
+    if not (evaluate_address() and _quadprog()):
+        raise CompilationError("the wheels of casadi and daqp do not show their functions in C")
+    return _TEXT
 
 
 def _quadprog() -> int:

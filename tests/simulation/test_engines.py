@@ -21,6 +21,7 @@ from drake_nonstop import (
     simulate,
 )
 from drake_nonstop.loop import compiled_loop
+from drake_nonstop.optimization import compiled_plan
 from drake_nonstop.simulation import recording
 from drake_nonstop.studies.run_all import attempts
 from drake_nonstop.systems import compilation
@@ -365,3 +366,16 @@ def test_what_a_search_reads_is_no_signal(bounds):
 def test_a_run_computes_with_numbers_only():
     with np.errstate(all="raise"):
         simulate(load_scenario("quintic", [NONSTOP, "simulation_duration=0.1"]), engine="compiled")
+
+
+def test_plans_in_python_for_want_of_c_are_told_once_and_recorded(monkeypatch):
+    monkeypatch.setattr(compiled_plan, "_quadprog", lambda: 0)
+    scenario = load_scenario("quintic", ["simulation_duration=0.02", "engine=diagram"])
+    compiled_plan.compiled_solver.cache_clear()
+    try:
+        with pytest.warns(ScenarioWarning, match="^plans: the wheels of .* Python makes") as told:
+            runs = [simulate(scenario) for _ in range(2)]
+    finally:
+        compiled_plan.compiled_solver.cache_clear()
+    assert len(told) == 1
+    assert [run.engine for run in runs] == 2 * ["diagram, plans in Python"]
