@@ -59,5 +59,9 @@ def reap() -> None:
 
 
 def slowness() -> float:
-    """How much longer than on an idle machine things may take now."""
-    return min(max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1)), 4.0)
+    """How much longer than on an idle machine things may take now.
+
+    The load is that of the last minute, or of this instant where that is more.
+    """
+    running = int(Path("/proc/loadavg").read_text().split()[3].partition("/")[0])
+    return min(max(1.0, max(os.getloadavg()[0], running) / (os.cpu_count() or 1)), 4.0)

@@ -195,7 +195,7 @@ def test_without_a_compiler_the_run_tells_it_and_only_who_asks_is_warned(monkeyp
 def test_another_engine_is_refused():
     with pytest.raises(ScenarioError, match=r"engine = fast: give auto, diagram or compiled"):
         simulate(load_scenario("quintic", ["engine=fast"]))
-    with pytest.raises(ScenarioError, match=r"engine = fast: give diagram or compiled, or None"):
+    with pytest.raises(ScenarioError, match=r"engine = fast: .*, compiled, or None"):
         simulate(load_scenario("quintic"), engine="fast")
     with pytest.raises(ScenarioError, match=r"check_step = 3: give one, such"):
         simulate(load_scenario("quintic"), check_step=3)
