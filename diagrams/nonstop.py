@@ -30,6 +30,7 @@ from drake_nonstop.blocks import (
     optimization_layer,
     phase,
     wind,
+    wind_estimator,
     wrench_controller,
 )
 from drake_nonstop.blocks.sample_and_hold import SAMPLE_AND_HOLD
@@ -144,8 +145,14 @@ BOXES: dict[str, Box] = {
     ),
     "wind": Box(
         variants=wind.VARIANTS,
-        makes=("wind", "load_wind", "wind_estimate"),
+        makes=("wind", "load_wind", "mean_wind"),
         place=Place(1, 4, 1, Kind.ADDITION),
+    ),
+    "wind_estimator": Box(
+        variants=wind_estimator.VARIANTS,
+        makes=("wind_estimate", "wind_variance"),
+        optional={"wind_variance": "WindObserver"},
+        place=Place(2, 4, 1, Kind.ADDITION),
     ),
     "load_plant": Box(
         variants=load_plant.VARIANTS,
@@ -178,6 +185,7 @@ class BoxFields:
     cables: Any = None
     load_disturbance: Any = None
     wind: Any = None
+    wind_estimator: Any = None
     load_plant: Any = None
 
 
@@ -223,8 +231,9 @@ cables.cable_forces -> load_plant.cable_forces
 load_disturbance.disturbance_wrench -> load_plant.disturbance_wrench
 
 wind.load_wind -> load_plant.load_wind
-wind.wind_estimate -> wrench_controller.wind_estimate
-wind.wind_estimate -> carrier_trajectory.wind_estimate
+wind.mean_wind -> wind_estimator.mean_wind
+wind_estimator.wind_estimate -> wrench_controller.wind_estimate
+wind_estimator.wind_estimate -> carrier_trajectory.wind_estimate
 """  # noqa: E501
 
 

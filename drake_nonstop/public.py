@@ -153,6 +153,7 @@ from drake_nonstop.blocks.carrier_dynamics import *
 from drake_nonstop.blocks.cables import *
 from drake_nonstop.blocks.load_disturbance import *
 from drake_nonstop.blocks.wind import *
+from drake_nonstop.blocks.wind_estimator import *
 from drake_nonstop.blocks.load_plant import *
 
 # How notebooks show them: figures are drawn in a room above that of runs.

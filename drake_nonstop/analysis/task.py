@@ -21,7 +21,7 @@ from drake_nonstop.mechanics.rigid_load import STILL_AIR
 from drake_nonstop.mechanics.signals import PLANNED_SIZE, LoadReference, PlannedParameters
 from drake_nonstop.mechanics.wind import MeanWind
 from drake_nonstop.mechanics.wrench import feedforward_wrench
-from drake_nonstop.model.descriptions import RESPONSE, WIND, TurnRate, Wind, described
+from drake_nonstop.model.descriptions import RESPONSE, TurnRate, Wind, described, described_air
 from drake_nonstop.model.system import Model, given_fields
 from drake_nonstop.optimization.horizon_config import HorizonConfig, timed
 from drake_nonstop.optimization.plan import Plan
@@ -257,7 +257,7 @@ def task_at(
     blocks |= instead
     task = _task(scenario, lambda time: reference, blocks)
     limits = dataclasses.replace(task.limits, frequency=frequency, amplitude=amplitude)
-    if described(blocks.get("wind"), WIND) is None and nonstop.HasOutputPort("load_wind"):
+    if described_air(blocks) is None and nonstop.HasOutputPort("load_wind"):
         wind = nonstop.GetOutputPort("load_wind").Eval(context)
         task = dataclasses.replace(task, air=Wind(MeanWind(wind.copy())))
     return dataclasses.replace(task, limits=limits)
@@ -280,7 +280,7 @@ def _task(
         reference=reference,
         duration=scenario.simulation_duration,
         response=loop_response(model, blocks),
-        air=described(blocks.get("wind"), WIND) or Wind(),
+        air=described_air(blocks) or Wind(),
         counts_wind=model.aircraft is not None and getattr(layer, "wind", True),
         horizon=timed(horizon, limits.frequency, scenario.control_period),
     )

@@ -244,18 +244,19 @@ class NoisyFeedback(LeafBlock):
 
     def precomputed_inputs(self, names: Sequence[str], times: NDArray) -> list[NDArray]:
         """The noise (k, 12) at times (k,) in s, of which there is no other quantity."""
-        numbers, places = np.unique(self._numbers_of(times), return_inverse=True)
-        noise = np.array([self._noise(number) for number in numbers.tolist()])
-        return [noise[places.ravel()] for _ in names]
+        noise = held_noise(self._seed, times, self.period, TRACKING_ERROR_SIZE)
+        return [self.deviations * noise for _ in names]  # all of a `TrackingError` in W
 
-    def _numbers_of(self, times: Any) -> Any:
-        """Numbers of the samples that are held at times in s."""
-        return np.array([math.floor(number(time) / self.period + 1e-6) for time in times])
 
-    def _noise(self, number: int) -> NDArray:
-        """A sample (12,) by its number: all of a `TrackingError` in W."""
-        generator = np.random.default_rng([self._seed, number])
-        return self.deviations * generator.standard_normal(TRACKING_ERROR_SIZE)
+def held_noise(seed: int, times: NDArray, period: float, size: int) -> NDArray:
+    """White, normal noise (k, size) of variance 1, held for a period (s), at times (k,) in s.
+
+    Each sample is drawn from the seed and its number alone.
+    """
+    held = [math.floor(number(time) / period + 1e-6) for time in times]
+    numbers, places = np.unique(held, return_inverse=True)
+    drawn = [np.random.default_rng([seed, k]).standard_normal(size) for k in numbers.tolist()]
+    return np.array(drawn)[places.ravel()]
 
 
 def _with_noise(state: NDArray, noise: NDArray) -> NDArray:

@@ -131,6 +131,7 @@ def governed(
     layer: Any,
     duration: float,
     wind: System | None = None,
+    wind_signal: str = _WIND,
 ) -> System:
     """The `ReferenceGovernor` of a trajectory; the trajectory itself where none is needed.
 
@@ -140,7 +141,8 @@ def governed(
         trajectory: the block for the box `load_trajectory`.
         layer: the optimization layer's config, with the margin that was computed for it.
         duration: s, how long the motion is looked at.
-        wind: the block that makes `wind_estimate`, which counts for aircraft; None: still air.
+        wind: the block that `wind_estimate` comes from, which counts for aircraft; None: still air.
+        wind_signal: its name there.
 
     Raises:
         ScenarioError: a parameter cannot be used, or the trajectory does not tell its motion, or
@@ -168,7 +170,7 @@ def governed(
         can_plan=can_plan,
         config=with_fields_of(HorizonConfig, layer),
         name=lambda: _FIELD,
-        winds=_winds(wind) if wind is not None and counts_wind else still_air,
+        winds=_winds(wind, wind_signal) if wind is not None and counts_wind else still_air,
     )
     less = "give a lower speed_bound, or wider bounds of frequency and amplitude"
     if model.aircraft is not None:
@@ -199,9 +201,9 @@ def _check(model: Model, config: ReferenceGovernorConfig) -> None:
     )
 
 
-def _winds(block: System) -> Winds:
-    """Value of a block's `wind_estimate` for a load that is on its reference."""
-    context, port = block.CreateDefaultContext(), block.GetOutputPort(_WIND)
+def _winds(block: System, signal: str) -> Winds:
+    """Value of a block's signal of the wind for a load that is on its reference."""
+    context, port = block.CreateDefaultContext(), block.GetOutputPort(signal)
     reads_load = _LOAD_STATE in input_names(block)
 
     def winds(times: NDArray, references: NDArray) -> NDArray:
@@ -214,7 +216,7 @@ def _winds(block: System) -> Winds:
         return found
 
     remedy = (
-        f"its {_WIND} is not known before the run; let it follow from time and {_LOAD_STATE} "
+        f"its {signal} is not known before the run; let it follow from time and {_LOAD_STATE} "
         f"alone, or leave {_FIELD} out"
     )
     said = f"with wind = {type(block).__name__}"

@@ -107,7 +107,7 @@ class SampleAndHold(LeafBlock):
 
 def hold_of(loop: LoopBlocks) -> SampleAndHold:
     """The block that holds the inputs of sampled controllers, at first those at the start."""
-    wind = loop.maker_of(_WIND)
+    wind, _ = loop.origin_of(_WIND)
     is_wanted = wind is not None or any(loop.reads(name, _WIND) for name in loop.blocks)
     # A constant estimate needs no hold, which would cost time at each sample.
     holds_wind = is_wanted and not getattr(wind, "is_sampled", False)

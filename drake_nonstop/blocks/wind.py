@@ -1,4 +1,4 @@
-"""Box "wind": how the air moves at carriers and load, and what the controllers believe of it.
+"""Box "wind": how the air moves at carriers and load.
 
 The wind acts on the load by its drag, and on carriers that are aircraft. The other carriers of the
 box "carrier_dynamics" have no aerodynamics, and do not feel it.
@@ -62,7 +62,7 @@ class StillAirConfig(StrictFields):
 class StillAir(Block):
     """No wind."""
 
-    makes = ("wind", "load_wind", "wind_estimate")
+    makes = ("wind", "load_wind", "mean_wind")
 
     is_trivial = True  # nothing blows
     is_sampled = True
@@ -76,7 +76,8 @@ class StillAir(Block):
         return Wind()
 
 
-def _check_velocity(field: str, value: Any) -> None:
+def check_velocity(field: str, value: Any) -> None:
+    """Raises ScenarioError for what is no velocity (3,) of a wind, m/s."""
     velocity = require_array(field, value, [3], "m/s, in W")
     is_wind = np.linalg.norm(velocity) <= _FASTEST
     require(is_wind, field, value, f"give a velocity of at most {_FASTEST:g} m/s")
@@ -86,12 +87,10 @@ def _check_velocity(field: str, value: Any) -> None:
 class _MeanWindFields(StrictFields):  # no config may be below another: YAML could not tell them
     """A velocity, and when it rises."""
 
-    velocity: list[float] = checked([2.0, 0.0, 0.0], _check_velocity)  # m/s, in W
+    velocity: list[float] = checked([2.0, 0.0, 0.0], check_velocity)  # m/s, in W
     start_time: float = non_negative(0.0)  # s, still air before it
     # s, in which it then rises linearly to the velocity; 0: at once
     rise_time: float = non_negative(0.0)
-    # m/s, in W, wind_estimate; null: the mean wind at the load
-    believed: list[float] | None = checked(None, _check_velocity)
 
 
 @dataclass(kw_only=True)
@@ -112,9 +111,8 @@ class SteadyWind(LeafBlock):
     def __init__(self, model: Model, config: _MeanWindFields | None = None):
         super().__init__()
         config = require_ranges(_BOX, config or SteadyWindConfig())
-        believed = None if config.believed is None else np.array(config.believed, float)
         mean = MeanWind.of(config, np.array(config.velocity, float))
-        self._wind = Wind(mean, believed, config.start_time, config.rise_time)
+        self._wind = Wind(mean, None, config.start_time, config.rise_time)
         inputs = (("carrier_state", 6 * model.n), ("load_state", LOAD_STATE_SIZE))
         read = {k: self.DeclareVectorInputPort(k, size) for k, size in inputs if k in self.reads}
         self.is_sampled = self._wind.is_constant and not read
@@ -130,8 +128,6 @@ class SteadyWind(LeafBlock):
         return self._wind
 
     def traced_output(self, port: str, at: Any) -> NDArray:
-        if port == "wind_estimate" and self._wind.believed is not None:
-            return self._wind.believed
         mean = self._wind.at(at.time, self._positions(port, at)).ravel()
         return mean + self._gusts_at(port, at)
 
@@ -192,9 +188,9 @@ class WindProfile(SteadyWind):
 
     @property
     def trace_key(self) -> Any:
-        """The mean wind, and what is believed of it."""
-        (velocity, *law), believed, *rise = self._wind[:4]
-        return velocity.tobytes(), *law, None if believed is None else believed.tobytes(), *rise
+        """The mean wind."""
+        (velocity, *law), _, *rise = self._wind[:4]
+        return velocity.tobytes(), *law, *rise
 
     def _positions(self, port: str, at: Any) -> NDArray:
         if port == "wind":
@@ -215,7 +211,7 @@ def _altitude(default: float) -> Any:
 class _TurbulenceFields(_ProfileFields):
     """The mean wind, and where gusts are met."""
 
-    velocity: list[float] = checked([0.0, 0.0, 0.0], _check_velocity)  # m/s, in W, the mean
+    velocity: list[float] = checked([0.0, 0.0, 0.0], check_velocity)  # m/s, in W, the mean
     exponent: float = _exponent(0.0)  # of the height; 0.14: open land, 0: the same wind everywhere
     altitude: float = _altitude(100.0)  # m above the ground, of the carriers
     airspeed: float = positive(15.0, _AT_MOST_FASTEST)  # m/s, at which carriers fly through gusts
@@ -276,7 +272,7 @@ class GustyWind(WindProfile):
         return config.gust, config.load_gust
 
     def _gusts_at(self, port: str, at: Any) -> Any:
-        return 0.0 if port == "wind_estimate" else at.known(port, self.GetOutputPort(port).size())
+        return 0.0 if port == "mean_wind" else at.known(port, self.GetOutputPort(port).size())
 
     def precomputed_inputs(self, ports: Sequence[str], times: NDArray) -> list[NDArray]:
         """The gusts on top of what ports show, (k, size), at times (k,) in s; m/s, in W."""

@@ -135,7 +135,7 @@ def make_parts(
             trajectory,
             with_margin(scenario.optimization_layer, margin),
             scenario.simulation_duration,
-            loop.maker_of("wind_estimate"),
+            *loop.origin_of("wind_estimate"),
         )
         blocks = blocks | {"load_trajectory": slowed}
         loop = replace(loop, blocks=blocks)

@@ -14,12 +14,12 @@ from drake_nonstop.mechanics.rotation import rotation_matrix
 from drake_nonstop.mechanics.signals import LoadReference
 from drake_nonstop.mechanics.wrench import NO_FEEDBACK
 from drake_nonstop.model.descriptions import (
-    WIND,
     CarrierReferences,
     LoadMeasurement,
     LoadWrench,
     Wind,
     described,
+    described_air,
 )
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.problem_config import AUTO, LimitsConfig
@@ -250,10 +250,10 @@ def _disturbance(
     model: Model, plant: Model, blocks: Blocks, motion: Motion, left_out: list[str]
 ) -> Disturbance:
     """Disturbance of the load by the wind and the box load_disturbance."""
-    wind, wrench = Wind(), LoadWrench()
-    if "wind" in blocks and (wind := described(blocks["wind"], WIND)) is None:
+    air, wrench = described_air(blocks), LoadWrench()
+    if "wind" in blocks and air is None:
         left_out.append(f"{_name(blocks, 'wind')}: what it does to the load")
-        wind = Wind()
+    wind = air or Wind()
     if wind.start > 0 == wind.rise_time:
         left_out.append("wind.rise_time = 0: the jump of the mean wind")
     name = "load_disturbance"

@@ -263,5 +263,7 @@ SIGNALS: dict[str, Layout | None] = {
     "disturbance_wrench": WRENCH,
     "wind": Layout(Part("", "3n", "m/s", "W", "of the air at the carriers")),
     "load_wind": Layout(Part("", "3", "m/s", "W", "of the air at the load")),
+    "mean_wind": Layout(Part("", "3", "m/s", "W", "at the load, without gusts")),
     "wind_estimate": Layout(Part("", "3", "m/s", "W", "what the controllers believe")),
+    "wind_variance": Layout(Part("", "1", "m²/s²", "", "of the estimate, on each axis")),
 }

@@ -233,6 +233,7 @@ class Block(TracedBlock):
             inputs=signal_sizes(type(self), model, reads),
             outputs=outputs,
             optional=[name for name in self.optional_inputs if name in reads],
+            known=self.quantities(model),
             reads_time=self.reads_time,
             parameters=parameters,
             key=(equations, has_state, *kept),
@@ -306,6 +307,13 @@ class Block(TracedBlock):
     def inputs(self, model: Model) -> tuple[str, ...]:
         """The signals that it reads."""
         return self.reads
+
+    def quantities(self, model: Model) -> Mapping[str, int]:
+        """Names and sizes of functions of the time that `equations` takes after the signals.
+
+        The methods `precomputed_inputs` and `precomputed_input_rates` make them, see `TracedBlock`.
+        """
+        return {}
 
     def state(self, model: Model) -> NDArray | None:
         """The state (s,) in a new context, None if there is none."""

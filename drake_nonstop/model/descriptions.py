@@ -1,10 +1,13 @@
 """Descriptions of blocks by themselves, for analyses that do not simulate them.
 
 A block says it by a method, `describe_response()` or `describe_wind()`, which returns one of the
-descriptions below. Of a block without the method its response is not known.
+descriptions below. Of a block without the method its response is not known. A block that makes
+`wind_estimate` may have `describe_wind_estimate()`, which returns the wind (3,) that it assumes,
+m/s, in W; of one without it the estimate is taken for the mean wind at the load.
 """
 
 import math
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,7 +18,7 @@ from drake_nonstop.mechanics.wind import MeanWind, risen_share
 from drake_nonstop.systems.block import has_own
 from drake_nonstop.systems.tracing import where
 
-RESPONSE, WIND = "describe_response", "describe_wind"
+RESPONSE, WIND, WIND_ESTIMATE = "describe_response", "describe_wind", "describe_wind_estimate"
 
 
 def described(block: Any, method: str = RESPONSE) -> Any:
@@ -122,6 +125,13 @@ class Wind(NamedTuple):
         elif self.start > 0:
             share = where(time[0] >= self.start, np.ones(1), np.zeros(1))
         return share * self.mean.at(positions)
+
+
+def described_air(blocks: Mapping[str, Any]) -> Wind | None:
+    """The wind of a loop's blocks, and what their controllers believe; None: it is not known."""
+    air = described(blocks.get("wind"), WIND)
+    assumed = described(blocks.get("wind_estimator"), WIND_ESTIMATE)
+    return air if air is None else air._replace(believed=assumed)
 
 
 class TurnRate(NamedTuple):

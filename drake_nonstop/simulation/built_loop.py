@@ -30,6 +30,7 @@ _DESCRIBED = (
     "carrier_controller",
     "carrier_dynamics",
     "wind",
+    "wind_estimator",
 )
 
 

@@ -37,6 +37,12 @@ class LoopBlocks:
         """The block that makes a signal; None: none does."""
         return self._makers.get(signal)
 
+    def origin_of(self, signal: str) -> tuple[System | None, str]:
+        """The block that makes a signal, and its name; of one that is handed on, its origin's."""
+        maker = self.maker_of(signal)
+        passed = getattr(maker, "passes_on", None)
+        return (maker, signal) if passed is None else self.origin_of(passed)
+
     @cached_property
     def _makers(self) -> dict[str, System]:
         pairs = [*self.blocks.values()][::-1]  # the first one counts

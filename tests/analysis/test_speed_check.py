@@ -115,8 +115,9 @@ def test_a_task_without_a_bound_is_feasible():
 
 def test_the_wind_of_a_check_is_that_at_the_height_of_the_load_when_it_has_risen():
     profile = "velocity: [4, 0, 0], exponent: 0.3, ground_height: -80, start_time: 2, rise_time: 4"
-    believed = "believed: [3, 0, 0]"
-    scenario = load_scenario("aircraft_transfer", [f"wind=!WindProfile {{{profile}, {believed}}}"])
+    assumed = "wind_estimator=!AssumedWind {velocity: [3, 0, 0]}"
+    settings = [f"wind=!WindProfile {{{profile}}}", assumed]
+    scenario = load_scenario("aircraft_transfer", settings)
     task = task_of(scenario)
     height = 80 + task.reference(0.0)[6]
     at_load = 4 * (height / 10) ** 0.3

@@ -79,6 +79,7 @@ from drake_nonstop.blocks.wind import (
     WindProfile,
     WindProfileConfig,
 )
+from drake_nonstop.blocks.wind_estimator import AssumedWind, KnownWind, NoWind, WindObserver
 from drake_nonstop.blocks.wrench_controller import (
     GeometricPd,
     PaperWrenchController,
@@ -169,7 +170,7 @@ DISTRIBUTION = (
 _PULLED = ("reference", "desired_cable_forces", "desired_cable_force_rates")
 _ORBIT = ("internal_force_higher_rates", "wind_estimate", "reference_higher_rates")
 _REFERENCES = ["reference", "reference_higher_rates", "reference_preview"]
-_WINDS = ["wind", "load_wind", "wind_estimate"]
+_WINDS = ["wind", "load_wind", "mean_wind"]
 _CABLES = ["cable_forces", "carrier_cable_forces", "tensions"]
 _DERIVATIVES = ("carrier_reference_acceleration", "carrier_reference_jerk")
 
@@ -316,10 +317,13 @@ BLOCKS = {
             [
                 ("carrier_state", "wind"),
                 ("load_state", "load_wind"),
-                ("load_state", "wind_estimate"),
+                ("load_state", "mean_wind"),
             ],
         ),
     ),
+    KnownWind: everything(["mean_wind"], ["wind_estimate"]),
+    **dict.fromkeys((NoWind, AssumedWind), ([], ["wind_estimate"], [])),
+    WindObserver: (["wind", "carrier_state"], ["wind_estimate", "wind_variance"], []),
     LoadPlant: (["cable_forces", "disturbance_wrench", "load_wind"], ["load_state"], []),
 }
 
@@ -487,7 +491,7 @@ def test_outputs_follow_each_change_of_an_input_the_state_and_the_time(make, per
     context.SetTime(time)
     after = check("time")
     for name in before:
-        constant = make in (NoDisturbance, StillAir, SteadyWind) or (
+        constant = make in (NoDisturbance, StillAir, SteadyWind, NoWind, AssumedWind) or (
             make is ConstantParameters and name == "parameters"
         )
         if name == "reference_higher_rates":  # no snap on a line, nor along cubics

@@ -272,19 +272,24 @@ AIRCRAFT = [  # a transfer that is too fast in the wind, with ξ and A that do n
 
 
 BELIEVED = [
-    ("!SteadyWind {velocity: [-1, 0, 0]}", True),
-    ("!SteadyWind {velocity: [-1, 0, 0], believed: [0, 0, 0]}", False),
-    ("!SteadyWind {velocity: [-1, 0, 0], start_time: 33}", False),
+    ("!SteadyWind {velocity: [-1, 0, 0]}", True, "KnownWind"),
+    ("!SteadyWind {velocity: [-1, 0, 0]}", False, "NoWind"),
+    ("!SteadyWind {velocity: [-1, 0, 0], start_time: 33}", False, "KnownWind"),
     # At the load, 50 m above the ground: 1 and 0.25 m/s.
-    ("!WindProfile {velocity: [-0.25, 0, 0], exponent: 0.86, ground_height: -50}", True),
-    ("!WindProfile {velocity: [-0.25, 0, 0], exponent: 0, ground_height: -50}", False),
-    ("!SteadyWind {velocity: [1, 0, 0]}", False),
+    (
+        "!WindProfile {velocity: [-0.25, 0, 0], exponent: 0.86, ground_height: -50}",
+        True,
+        "KnownWind",
+    ),
+    ("!WindProfile {velocity: [-0.25, 0, 0], exponent: 0, ground_height: -50}", False, "KnownWind"),
+    ("!SteadyWind {velocity: [1, 0, 0]}", False, "KnownWind"),
 ]
 
 
-@pytest.mark.parametrize(("wind", "is_slowed"), nightly_beyond(4, "studies", BELIEVED))
-def test_the_wind_that_is_believed_counts_for_aircraft(wind, is_slowed):
-    scenario = load_scenario("aircraft_transfer", [*AIRCRAFT, f"wind={wind}"])
+@pytest.mark.parametrize(("wind", "is_slowed", "estimator"), nightly_beyond(4, "studies", BELIEVED))
+def test_the_wind_that_is_believed_counts_for_aircraft(wind, is_slowed, estimator):
+    settings = [*AIRCRAFT, f"wind={wind}", f"wind_estimator={estimator}"]
+    scenario = load_scenario("aircraft_transfer", settings)
     loop = make_nonstop(scenario, at_equilibrium=False)
     trajectory = loop.GetSubsystemByName("load_trajectory")
     assert (type(trajectory) is ReferenceGovernor) == is_slowed
@@ -299,7 +304,7 @@ class OwnWind(LeafSystem):
             self.DeclareDiscreteState(3)
         else:
             port = self.DeclareVectorInputPort("tensions", 4)
-        for name, size in (("wind", 12), ("load_wind", 3), ("wind_estimate", 3)):
+        for name, size in (("wind", 12), ("load_wind", 3), ("mean_wind", 3)):
 
             def calc(context, output, size=size):
                 if source != "state":
@@ -315,7 +320,7 @@ def test_the_wind_has_to_be_known_before_the_run(source):
     with pytest.raises(ScenarioError) as error:
         make_nonstop(scenario, at_equilibrium=False, wind=lambda model: OwnWind(source))
     assert str(error.value) == (
-        "reference_governor = with wind = OwnWind: its wind_estimate is not known before the run; "
+        "reference_governor = with wind = OwnWind: its mean_wind is not known before the run; "
         "let it follow from time and load_state alone, or leave reference_governor out"
     )
 

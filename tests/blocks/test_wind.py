@@ -25,7 +25,7 @@ from drake_nonstop.mechanics.wind import GUST_STEP, gust_samples, turbulence_at,
 from drake_nonstop.systems import wiring
 from drake_nonstop.validation import ScenarioError
 
-SIGNALS = ("wind", "load_wind", "wind_estimate")
+SIGNALS = ("wind", "load_wind", "mean_wind")
 CONSTANT = "optimization_layer=!ConstantParameters {}"
 
 
@@ -63,26 +63,11 @@ def test_a_steady_wind_rises_linearly_and_is_the_same_everywhere():
     found = signals(SteadyWind(model(), config), [0, 10, 11, 12, 14, 15])
     shares = np.array([0, 0, 0.25, 0.5, 1, 1])[:, None]
     np.testing.assert_array_equal(found["wind"], shares * np.tile(velocity, 4))
-    for name in ("load_wind", "wind_estimate"):
+    for name in ("load_wind", "mean_wind"):
         np.testing.assert_array_equal(found[name], shares * velocity)
     at_once = SteadyWindConfig(velocity=velocity, start_time=10)
     found = signals(SteadyWind(model(), at_once), [9.99, 10])
     np.testing.assert_array_equal(found["load_wind"], [np.zeros(3), velocity])
-
-
-@pytest.mark.parametrize("block", [SteadyWind, WindProfile, GustyWind])
-def test_what_is_believed_may_differ_from_the_mean_wind_at_the_load(block):
-    config = {
-        SteadyWind: SteadyWindConfig,
-        WindProfile: WindProfileConfig,
-        GustyWind: GustyWindConfig,
-    }[block](velocity=[5.0, 0, 0])
-    true = signals(block(model(), config), [1.0], load_height=10)
-    np.testing.assert_allclose(true["wind_estimate"], [[5.0, 0, 0]])
-    config.believed = [0.0, 1.0, 0.0]
-    found = signals(block(model(), config), [1.0], load_height=10)
-    np.testing.assert_array_equal(found["wind_estimate"], [[0, 1, 0]])
-    np.testing.assert_array_equal(found["load_wind"], true["load_wind"])
 
 
 def test_a_profile_follows_the_power_law():
@@ -97,7 +82,7 @@ def test_a_profile_follows_the_power_law():
     speeds = np.exp(np.log(5) + 0.2 * np.log(np.array([20, 120, 1, 1]) / 20))
     np.testing.assert_allclose(np.linalg.norm(winds, axis=1), speeds, rtol=1e-13)
     speed = np.exp(np.log(5) + 0.2 * np.log(10 / 20))
-    for name in ("load_wind", "wind_estimate"):
+    for name in ("load_wind", "mean_wind"):
         np.testing.assert_allclose(np.linalg.norm(found[name]), speed, rtol=1e-13)
 
 
@@ -165,9 +150,9 @@ class TestGusts:
             "airspeed": 40.0,
         }
         lag = 2.5  # s
-        draws = []
+        draws, own = [], model()
         for seed in range(300):
-            block = GustyWind(model(), GustyWindConfig(**fields, seed=seed))
+            block = GustyWind(own, GustyWindConfig(**fields, seed=seed))
             draws.append(np.hstack(block.precomputed_inputs(SIGNALS[:2], np.array([0.0, lag]))))
         found, later = np.moveaxis(draws, 1, 0)  # (300, 15) each
         vertical = 0.5 / turbulence_at(100.0)[1], 0.4 / turbulence_at(20.0)[1]
@@ -201,14 +186,14 @@ class TestGusts:
         name = next(name for name in runs[0].signals if name.split(".")[-1] == "wind")
         np.testing.assert_array_equal(*(run.signals[name] for run in runs))
 
-    def test_a_load_has_gusts_where_it_is_given_some_and_no_estimate_has(self):
+    def test_a_load_has_gusts_where_it_is_given_some_and_no_mean_has(self):
         fields = {"velocity": [2.0, 0, 0], "seed": 1}
         calm = signals(GustyWind(model(), GustyWindConfig(**fields)), [0.0, 5.0])
         np.testing.assert_array_equal(calm["load_wind"], [[2, 0, 0]] * 2)
         found = signals(GustyWind(model(), GustyWindConfig(**fields, load_gust=0.4)), [0.0, 5.0])
         assert np.abs(found["load_wind"] - [2, 0, 0]).min() > 1e-3
         np.testing.assert_array_equal(found["wind"], calm["wind"])
-        np.testing.assert_array_equal(found["wind_estimate"], [[2, 0, 0]] * 2)
+        np.testing.assert_array_equal(found["mean_wind"], [[2, 0, 0]] * 2)
 
 
 @pytest.mark.parametrize("plant", [LoadPlant, MultibodyLoadPlant])
@@ -235,22 +220,26 @@ def start_offset(*settings):
 
 
 def test_controllers_that_know_the_wind_hold_the_load_where_it_should_be():
-    windy = "wind=!SteadyWind {velocity: [2, 0, 0]%s}"
-    np.testing.assert_allclose(start_offset(windy % ""), 0, atol=1e-7)
-    drift = start_offset(windy % ", believed: [0, 0, 0]")
+    windy = "wind=!SteadyWind {velocity: [2, 0, 0]}"
+    np.testing.assert_allclose(start_offset(windy), 0, atol=1e-7)
+    drift = start_offset(windy, "wind_estimator=NoWind")
     assert drift[0] > 0.01
     assert np.abs(drift[1:]).max() < 0.2 * drift[0]
 
 
 def test_sampled_controllers_hold_an_estimate_that_changes():
     wire = "{}.{}wind_estimate -> wrench_controller.wind_estimate"
-    for block, source in (
-        ("StillAir", ("wind", "")),
-        ("SteadyWind", ("wind", "")),
-        ("!SteadyWind {rise_time: 1}", ("sample_and_hold", "held_")),
-        ("WindProfile", ("sample_and_hold", "held_")),
+    direct, held = ("wind_estimator", ""), ("sample_and_hold", "held_")
+    for block, estimator, source in (
+        ("StillAir", "KnownWind", direct),
+        ("SteadyWind", "KnownWind", direct),
+        ("!SteadyWind {rise_time: 1}", "KnownWind", held),
+        ("WindProfile", "KnownWind", held),
+        ("WindProfile", "NoWind", direct),
+        ("WindProfile", "WindObserver", direct),
     ):
-        scenario = load_scenario("quintic", [CONSTANT, f"wind={block}"])
+        settings = [CONSTANT, f"wind={block}", f"wind_estimator={estimator}"]
+        scenario = load_scenario("quintic", settings)
         nonstop = make_nonstop(scenario, at_equilibrium=False)
         assert wire.format(*source) in wiring.connections(nonstop)
 
@@ -283,7 +272,7 @@ def test_a_load_that_does_not_read_the_wind_is_told():
     [
         (SteadyWindConfig(velocity=[1.0, 2.0]), "velocity"),
         (SteadyWindConfig(velocity=[80.0, 80.0, 0.0]), "velocity"),
-        (SteadyWindConfig(believed=[np.nan, 0.0, 0.0]), "believed"),
+        (SteadyWindConfig(velocity=[np.nan, 0.0, 0.0]), "velocity"),
         (SteadyWindConfig(rise_time=-1.0), "rise_time"),
         (WindProfileConfig(exponent=-0.1), "exponent"),
         (WindProfileConfig(exponent=1.5), "exponent"),

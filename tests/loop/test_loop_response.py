@@ -230,8 +230,8 @@ OF_LOOPS = {
             *SLOW,
             "load_feedback=!EstimatedFeedback {period: 0.02, position_noise: 1.0e-4, "
             "orientation_noise: 1.0e-4}",
-            "wind=!GustyWind {velocity: [0.05, 0, 0], believed: [0, 0, 0], load_gust: 0.01, "
-            "rise_time: 1}",
+            "wind=!GustyWind {velocity: [0.05, 0, 0], load_gust: 0.01, rise_time: 1}",
+            "wind_estimator=NoWind",
             *("optimization_layer.tightening=auto", "optimization_layer.model_error=0.005"),
         ],
         {
@@ -408,9 +408,9 @@ def test_a_drag_that_the_controllers_do_not_know_adds_what_its_force_does():
 @pytest.mark.nightly("studies")
 def test_a_force_in_still_air_and_the_wind_that_makes_it_count_alike(as_it_is):
     """A wind that is not believed is a force of its drag, 0.7 N s/m by default."""
-    wind = "wind=!SteadyWind {velocity: [0.2, 0, 0], believed: [0, 0, 0]}"
-    force = "load_disturbance=!DisturbanceForce {force: [0.14, 0, 0]}"
-    shares = [margin_with(given).margin.disturbance for given in (wind, force)]
+    wind = ["wind=!SteadyWind {velocity: [0.2, 0, 0]}", "wind_estimator=NoWind"]
+    force = ["load_disturbance=!DisturbanceForce {force: [0.14, 0, 0]}"]
+    shares = [margin_with(*given).margin.disturbance for given in (wind, force)]
     assert shares[0] == pytest.approx(shares[1], rel=1e-9)
     assert shares[0] > 0 == as_it_is.disturbance
 
@@ -465,11 +465,11 @@ class _OwnWind(LeafSystem):
 
     def __init__(self, model):
         super().__init__()
-        for name, size in (("wind", 3 * model.n), ("load_wind", 3), ("wind_estimate", 3)):
+        for name, size in (("wind", 3 * model.n), ("load_wind", 3), ("mean_wind", 3)):
             self.DeclareVectorOutputPort(name, size, partial(_blow, size), {self.nothing_ticket()})
 
     def describe_wind(self):
-        return Wind(MeanWind(np.array([0.2, 0.0, 0.0])), believed=np.zeros(3))
+        return Wind(MeanWind(np.array([0.2, 0.0, 0.0])))
 
 
 def _blow(size, context, output):
@@ -479,8 +479,8 @@ def _blow(size, context, output):
 def test_blocks_of_ones_own_that_describe_themselves_take_part():
     """The margin, and what a run says of its formation, are those of the same loop of ours."""
     layer = "optimization_layer.tightening=auto"
-    wind = "wind=!SteadyWind {velocity: [0.2, 0, 0], believed: [0, 0, 0]}"
-    scenario = load_scenario("three_carriers", [layer, wind, "carrier_controller=CarrierPid"])
+    wind = ["wind=!SteadyWind {velocity: [0.2, 0, 0]}", "wind_estimator=NoWind"]
+    scenario = load_scenario("three_carriers", [layer, *wind, "carrier_controller=CarrierPid"])
     expected = make_nonstop(scenario, at_equilibrium=False)
     own = {"carrier_controller": lambda model: _DescribedController(model), "wind": _OwnWind}
     with warnings.catch_warnings():
