@@ -19,12 +19,15 @@ from drake_nonstop.blocks.load_feedback import MeasurementConfig
 from drake_nonstop.blocks.load_trajectory import RestToRestConfig, SteadyTurnConfig
 from drake_nonstop.blocks.optimization_layer import ConstantParametersConfig
 from drake_nonstop.blocks.phase import AccumulatedPhaseConfig
+from drake_nonstop.blocks.wind import DrydenConfig, GustyWindConfig, WindProfileConfig
+from drake_nonstop.blocks.wind_estimator import WindObserverConfig
 from drake_nonstop.diagrams.nonstop import BOXES, SAMPLE_AND_HOLD, box_of, make_nonstop
 from drake_nonstop.loop.compiled_loop import CompiledLoop, reason_against
 from drake_nonstop.loop.equilibrium import set_equilibrium
 from drake_nonstop.mechanics.rotation import quaternion_rate
 from drake_nonstop.mechanics.sampled_loop import map_of_turn
 from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, LoadState
+from drake_nonstop.optimization.problem_config import with_fields_of
 from drake_nonstop.scenario.schema import Scenario, check
 from drake_nonstop.simulation.step_size import stable_config
 from drake_nonstop.systems.port_state import PortState, set_state_values, state_values
@@ -35,7 +38,7 @@ _STEP = 1e-6  # of differences, in SI units
 _PHASES = 15  # of a turn, at which the loop is linearized
 _SMALLEST = 1e-6  # of the largest singular value: what a port does not show
 NEUTRAL = 1 + 1e-4  # above the multipliers of slow integrators, with rounding
-_CHANGES_OF_WIND = ("start_time", "rise_time", "gust", "load_gust")  # fields of its blocks
+_CHANGES_OF_WIND = ("start_time", "rise_time")  # fields of its blocks
 _LOAD = box_of("load_state")
 # Whose states are not perturbed.
 _EXOGENOUS = (SAMPLE_AND_HOLD, *(name for name, box in BOXES.items() if not box.is_linearized))
@@ -90,6 +93,9 @@ def at_rest(scenario: Scenario) -> Scenario:
         # What a filter behind it believes stays.
         quiet: dict[str, Any] = dict.fromkeys(_NOISES, 0.0)
         feedback = dataclasses.replace(feedback, **quiet, seed=0)
+    estimator = scenario.wind_estimator
+    if isinstance(estimator, WindObserverConfig):
+        estimator = dataclasses.replace(estimator, airspeed_noise=0.0)
     return dataclasses.replace(
         scenario,
         load_trajectory=RestToRestConfig(
@@ -98,6 +104,7 @@ def at_rest(scenario: Scenario) -> Scenario:
         load_feedback=feedback,
         load_disturbance=NoDisturbanceConfig(),
         wind=_steady(scenario.wind),
+        wind_estimator=estimator,
         phase=AccumulatedPhaseConfig(),
         optimization_layer=ConstantParametersConfig(
             **_parameters(scenario.optimization_layer, "frequency", "amplitude", "speed_bound")
@@ -107,6 +114,8 @@ def at_rest(scenario: Scenario) -> Scenario:
 
 def _steady(wind: Any) -> Any:
     """The wind without gusts, risen from the beginning on."""
+    if isinstance(wind, GustyWindConfig | DrydenConfig):
+        wind = with_fields_of(WindProfileConfig, wind)
     changing = [name for name in _CHANGES_OF_WIND if hasattr(wind, name)]
     return dataclasses.replace(wind, **dict.fromkeys(changing, 0.0)) if changing else wind
 

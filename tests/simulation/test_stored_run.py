@@ -164,9 +164,9 @@ def test_columns_and_frames_have_units(stored):
 
 
 def test_a_run_is_shown_in_one_line(stored):
-    assert repr(stored[0]) == "<Run of quintic: 0.2 s, 27 signals>"
+    assert repr(stored[0]) == "<Run of quintic: 0.2 s, 28 signals>"
     stopped = dataclasses.replace(stored[0], stopped="the run diverged")
-    assert repr(stopped) == "<Run of quintic: 0.2 s, 27 signals, stopped: the run diverged>"
+    assert repr(stopped) == "<Run of quintic: 0.2 s, 28 signals, stopped: the run diverged>"
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ BRIEF = ["simulation_duration=0.2"]
 def test_a_run_shows_its_metrics_a_figure_and_its_replay():
     run = simulate(load_scenario("quintic", BRIEF))
     shown = run._repr_html_()
-    assert "&lt;Run of quintic: 0.2 s, 29 signals&gt;" in shown
+    assert "&lt;Run of quintic: 0.2 s, 30 signals&gt;" in shown
     assert "carrier speed" in shown
     assert re.search(r'src="data:image/png;base64,[A-Za-z0-9+/]{5000,}', shown)
     assert html.unescape(re.search(r'srcdoc="([^"]*)"', shown)[1]) == record_replay(run)
