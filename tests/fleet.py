@@ -95,6 +95,7 @@ DRAWN: dict[str, tuple[str, list[str]]] = {
             "load_trajectory=!SampledTrajectory {samples: [[0, 0, 0, 0], [2, 0.3, 0.1, 0], "
             "[5, 0.6, 0, 0.1]]}",
             "wind=!GustyWind {velocity: [0.5, 0, 0], gust: 0.2, rise_time: 1, seed: 5}",
+            "wind_estimator=WindObserver",
             *("system.load_drag=0.1", "optimization_layer.amplitude=0.5"),
             *("optimization_layer.speed_bound=0.2", "simulator_config.max_step_size=0.004"),
         ],
@@ -116,6 +117,7 @@ DRAWN: dict[str, tuple[str, list[str]]] = {
             "force_distribution=!BoundedTensionDistribution {min_tension: 2.4}",
             "wrench_controller=GeometricPd",
             *("optimization_layer=ConstantParameters", "load_feedback=DesiredAttitudeFeedback"),
+            "wind_estimator=NoWind",
         ],
     ),
     "four_ideal_governed": (
@@ -133,6 +135,7 @@ DRAWN: dict[str, tuple[str, list[str]]] = {
         "quintic",
         [
             *("simulation_duration=0.8", "carrier_controller=LoadedCarrierPid"),
+            "wind_estimator=!AssumedWind {velocity: [0, 0, 0]}",
             "carrier_dynamics=!LoadedCarrierDynamics {max_force: 1.0}",
         ],
     ),
