@@ -138,6 +138,12 @@ class HorizonProblem(HorizonMotions):
         low, high = self._bounds
         return (low / self.nominal)[:, None], (high / self.nominal)[:, None]
 
+    @property
+    def is_compiled(self) -> bool:
+        """Whether C evaluates all functions."""
+        functions = [self.limits_of_carriers, *(part.function for part in self.functions)]
+        return all(function.memory.evaluate for function in functions)
+
     def nominal_coefficients(self) -> NDArray:
         """Coefficients (2, N) of the nominal ξ and A."""
         return np.ones((2, self.count))

@@ -114,7 +114,8 @@ class HorizonSolver:
         self.fixed_rows = np.hstack([of_step, np.zeros((len(of_step), slacks))])
         self._little_slack = PLAN_TOLERANCE * float(self.weights.min())
         self._compiled: CompiledPlan | None = None
-        if compiles and self.solver == DAQP and (solve_plan := compiled_solver()) is not None:
+        compiles = compiles and self.solver == DAQP and problem.is_compiled
+        if compiles and (solve_plan := compiled_solver()) is not None:
             settings = [*_SETTINGS, self._little_slack, _MOST_ROUNDS]
             self._compiled = CompiledPlan(solve_plan, self, settings)
 

@@ -184,7 +184,8 @@ class OrbitConstraints:
     def settled(jumps: NDArray, instants: int) -> NDArray:
         """The largest (k, n) of the jumps at an instant and those before it, so many in all."""
         padded = np.concatenate([np.zeros((instants - 1, jumps.shape[1])), jumps])
-        return np.lib.stride_tricks.sliding_window_view(padded, instants, axis=0).max(axis=2)
+        shifted = (padded[i : i + len(jumps)] for i in range(instants))
+        return functools.reduce(np.maximum, shifted)
 
     def _reach(self, terms: OrbitTerms) -> NDArray:
         """By how much (k, n) a carrier moves with a force across its cable, m/N."""

@@ -158,7 +158,7 @@ def _library(function: casadi.Function) -> _Library | None:
     library = compiled_for_processor(
         lambda: "\n".join([side_by_side(own, shares_angles=True), sizes, _EVALUATE]),
         builds=True,
-        told=("functions of plans", "CasADi's virtual machine evaluates them"),
+        told=("plans", "Python makes them, ten times slower,"),  # as of their own C
     )
     return None if library is None else _Library(library, function)
 
@@ -166,7 +166,7 @@ def _library(function: casadi.Function) -> _Library | None:
 class ElementwiseMemory(NamedTuple):
     """Memory of an `ElementwiseFunction`, which C evaluates by `evaluate(buffer)`.
 
-    Both are addresses, of a `void (*)(void *)` and of its argument.
+    Both are addresses, of a `void (*)(void *)` and of its argument; 0 where C does not.
     """
 
     inputs: NDArray  # (inputs, *shape)
@@ -199,22 +199,10 @@ class _ElementwiseScratch(threading.local):
             evaluate, address = functools.partial(function.evaluate, buffer), function.address
         else:
             self._kept_alive, evaluate = bound(function, rows[: len(inputs)], rows[len(inputs) :])
-            address, buffer = evaluate_address(), _pointer(self._kept_alive[0]._self(), None)
+            address = buffer = 0
         parts = np.split(inputs, np.cumsum(input_sizes)[:-1])
         self.parts = parts, evaluate, outputs, by_count
         self.memory = ElementwiseMemory(inputs, outputs, address, buffer)
-
-
-@functools.cache
-def evaluate_address() -> int:
-    """The address of what evaluates a function that is bound to memory; 0: it is not known."""
-    libraries = ctypes.CDLL(casadi._casadi.__file__)  # with those that it is linked to
-    evaluate = getattr(libraries, "_ZN6casadi21_function_buffer_evalEPv", None)
-    return ctypes.cast(evaluate, ctypes.c_void_p).value or 0 if evaluate else 0
-
-
-_pointer = ctypes.pythonapi.PyCapsule_GetPointer
-_pointer.restype, _pointer.argtypes = ctypes.c_void_p, [ctypes.py_object, ctypes.c_char_p]
 
 
 def _elementwise(
