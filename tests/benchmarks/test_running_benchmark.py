@@ -118,7 +118,7 @@ def test_every_box_is_there(timed):
     silent = {box for box, count in calls.items() if count <= 3}
     # Constant, and asked for before the first step; or Drake's own system.
     still = {"load_disturbance", "wind"}
-    expected = {"load_feedback"}
+    expected = {"load_feedback", "wind_estimator"}
     if "DoCalcTimeDerivatives" not in vars(LeafBlock):  # or all LeafBlocks are asked for rates
         expected |= still
     assert silent == expected
