@@ -1,7 +1,7 @@
 """How far carriers and cables are apart."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import cached_property
 from itertools import combinations
 from typing import NamedTuple
@@ -77,7 +77,7 @@ class Spacing(ABC):
 
 def closest_carriers(positions: NDArray) -> NDArray:
     """The distance (k,) of the closest two of carriers at `positions` (k, n, 3), m."""
-    return _least_of_pairs(_distances, positions)
+    return closest_cables(positions, positions)  # of no length
 
 
 def closest_cables(ends: NDArray, carriers: NDArray) -> NDArray:
@@ -85,7 +85,11 @@ def closest_cables(ends: NDArray, carriers: NDArray) -> NDArray:
 
     Both (k, n, 3).
     """
-    return _least_of_pairs(segment_distances, ends, carriers)
+    least = np.empty(len(ends))
+    for start, one, other in _pairs(ends, carriers):
+        found = segment_distances(*one, *other).min(axis=1)
+        least[start : start + len(found)] = found
+    return least
 
 
 def least_length(vectors: NDArray) -> float:
@@ -121,8 +125,8 @@ def least_cable_distances(ends: NDArray, carriers: NDArray) -> NDArray:
     at_once = _STRIDE * max(2, _MOST_DISTANCES // max(1, len(least)))
     for start in range(0, max(1, len(ends) - 1), at_once):
         some = slice(start, start + at_once + 1)
-        cables = np.stack([ends[some], carriers[some]])
-        _lower_to_distances(least, _CablePairs(np.moveaxis(cables, -1, 0).copy(), pairs))
+        parts = [part[some].transpose(2, 0, 1) for part in (ends, carriers)]
+        _lower_to_distances(least, _CablePairs(np.stack(parts, axis=1), pairs))
     return least
 
 
@@ -149,10 +153,6 @@ def _gaps(u: NDArray, v: NDArray, w: NDArray) -> NDArray:
     return w + on_first[..., None] * u - on_second[..., None] * v
 
 
-def _distances(a: NDArray, b: NDArray) -> NDArray:
-    return np.linalg.norm(a - b, axis=-1)
-
-
 def _pairs(*points: NDArray) -> Iterator[tuple[int, list[NDArray], list[NDArray]]]:
     """The points (k, n, 3) of the first and of the second of each pair, some steps at a time.
 
@@ -162,9 +162,9 @@ def _pairs(*points: NDArray) -> Iterator[tuple[int, list[NDArray], list[NDArray]
     first, second = np.triu_indices(count, 1)
     at_once = max(2, _MOST_DISTANCES // max(1, len(first)))
     for start in range(0, max(1, steps - 1), at_once - 1):
-        parts = [np.moveaxis(part[start : start + at_once], -1, 0) for part in points]
+        parts = [part[start : start + at_once].transpose(2, 0, 1) for part in points]
         one, other = (
-            [np.moveaxis(part[..., which], 0, -1) for part in parts] for which in (first, second)
+            [part[..., which].transpose(1, 2, 0) for part in parts] for which in (first, second)
         )
         yield start, one, other
 
@@ -172,15 +172,6 @@ def _pairs(*points: NDArray) -> Iterator[tuple[int, list[NDArray], list[NDArray]
 def laid_apart(vectors: NDArray) -> NDArray:
     """The same vectors (…, 3) with their components apart in memory: several times faster."""
     return np.moveaxis(np.moveaxis(vectors, -1, 0).copy(), 0, -1)
-
-
-def _least_of_pairs(distances: Callable[..., NDArray], *points: NDArray) -> NDArray:
-    """The least distance (k,) of any two of n, each with some `points` (k, n, 3)."""
-    least = np.full(len(points[0]), np.inf)
-    for start, one, other in _pairs(*points):
-        found = distances(*one, *other).min(axis=1, initial=np.inf)
-        least[start : start + len(found)] = found
-    return least
 
 
 class _CablePairs(NamedTuple):
@@ -217,11 +208,10 @@ def _lower_to_distances(least: NDArray, cables: _CablePairs) -> None:
     pairs, begins = pair[:-1].ravel(), marks[block[:-1]].ravel()
     for chosen in _lowest_first(bounds.ravel(), pairs, least):
         step = np.minimum(begins[chosen] + np.arange(_STRIDE + 1)[:, None], last)
-        pair = np.broadcast_to(pairs[chosen], step.shape)
-        bounds = _lower_to_steps(least, cables.at(step, pair), pairs[chosen])
-        step, pair = step[:-1].ravel(), pair[:-1].ravel()
+        bounds = _lower_to_steps(least, cables.at(step, pairs[chosen]), pairs[chosen])
+        step, pair = step[:-1].ravel(), np.tile(pairs[chosen], _STRIDE)
         for closest in _lowest_first(bounds.ravel(), pair, least):
-            between = np.minimum(step[closest] + [[0], [1]], last)
+            between = np.minimum([step[closest], step[closest] + 1], last)
             _lower_between(least, cables.at(between, pair[closest]), pair[closest])
 
 
@@ -245,24 +235,24 @@ def _lower_to_steps(least: NDArray, ends: list[NDArray], pair: NDArray) -> NDArr
     u, v, w = b - a, d - c, a - c
     gaps = _gaps(u, v, w)
     np.minimum.at(least, pair, np.linalg.norm(gaps, axis=-1).min(axis=0))
-    direction = gaps[:-1] + gaps[1:]
-    bound = np.full(direction.shape[:-1], np.inf)
+    direction = gaps[:-1] + gaps[1:]  # about that of the shortest way between two steps
+    apart = []
     for k in (slice(None, -1), slice(1, None)):
         along_u, along_v, along_w = ((direction * part[k]).sum(axis=-1) for part in (u, v, w))
-        apart = along_w + np.minimum(along_u, 0) - np.maximum(along_v, 0)
-        np.minimum(bound, apart, out=bound)
-    return bound / np.maximum(np.linalg.norm(direction, axis=-1), np.finfo(float).tiny)
+        apart.append(along_w + np.minimum(along_u, 0) - np.maximum(along_v, 0))
+    lengths = np.linalg.norm(direction, axis=-1)
+    return np.minimum(*apart) / np.maximum(lengths, np.finfo(float).tiny)
 
 
 def _lower_between(least: NDArray, ends: list[NDArray], pair: NDArray) -> None:
     """Lowers `least` to the distances of pairs (m,) between two steps, with `ends` (2, m, 3)."""
     starts, stops = np.array(ends).swapaxes(0, 1)
     starts, changes = laid_apart(starts), laid_apart(stops - starts)
-    low, width = np.zeros(len(pair)), 1.0
+    low, width, parts = np.zeros(len(pair)), 1.0, np.arange(_PARTS + 1)[:, None] / _PARTS
     for _ in range(_REFINEMENTS):  # about the nearest of some instants in each interval
-        shares = (low + width * np.linspace(0, 1, _PARTS + 1)[:, None]).clip(0, 1)
+        shares = (low + width * parts).clip(0, 1)
         between = starts[:, None] + shares[..., None] * changes[:, None]
         found = segment_distances(*between)
         np.minimum.at(least, pair, found.min(axis=0))
-        nearest = np.take_along_axis(shares, np.argmin(found, axis=0)[None], axis=0)[0]
+        nearest = shares[np.argmin(found, axis=0), np.arange(len(pair))]
         low, width = nearest - width / _PARTS, 2 * width / _PARTS

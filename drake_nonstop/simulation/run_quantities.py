@@ -166,7 +166,8 @@ class RunQuantities(Spacing):
         is_moving = False
         for start in range(apart, len(time) - apart, _CHUNK):
             rows = slice(start - apart, min(start + _CHUNK, len(time) - apart) + apart)
-            velocities, times = CarrierStates.view(states[rows]).velocities, time[rows]
+            velocities = laid_apart(CarrierStates.view(states[rows]).velocities)
+            times = time[rows]
             intervals = (times[2 * apart :] - times[: -2 * apart])[:, None, None]
             accelerations = (velocities[2 * apart :] - velocities[: -2 * apart]) / intervals
             velocities = velocities[apart:-apart]
