@@ -101,9 +101,9 @@ class _TrajectoryAboveReference(Block):
         is_twice = np.any(gains.get("position_integral_gain", 0.0))
         if is_twice and self.has_state(self.model, self.config):
             yield (
-                f"{_BOX}.correction_rates = {self.config.correction_rates}: the wrench controller "
-                "integrates the load's position error, too, and the two integrals wander against "
-                "each other; set those of wrench_controller to 0"
+                f"{_BOX}.correction_rates = {self.config.correction_rates}: the load's position "
+                "error is integrated twice, and the two integrals wander against each other; set "
+                "that of wrench_controller to 0"
             )
 
     @staticmethod

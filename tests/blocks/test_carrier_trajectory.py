@@ -39,9 +39,10 @@ from drake_nonstop.model.pattern import (
     HamiltonianCycleConfig,
 )
 from drake_nonstop.model.system import SystemParameters
+from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.systems.wiring import WiringError, connections, input_names
-from drake_nonstop.validation import ScenarioError
+from drake_nonstop.validation import ScenarioError, ScenarioWarning
 
 counts = pytest.mark.parametrize("n", [3, 4, 6])
 
@@ -108,6 +109,35 @@ def test_inextensible_cables_are_as_long_as_they_are_unstretched():
     stiff = carried(CarrierTrajectory(model(cable_stiffness=np.inf)), pose)
     np.testing.assert_array_equal(carried(InextensibleCarrierTrajectory(model()), pose), stiff)
     assert np.linalg.norm(carried(CarrierTrajectory(model()), pose) - stiff) > 1e-3
+
+
+def test_references_move_against_the_measured_error():
+    """By a shift and at its velocity, as if the load's reference were moved."""
+    rates, shift = np.array([0.1, 0.0, 0.3]), np.array([0.02, 0.0, -0.04])
+    desired, seen = SIGNALS["reference"], SIGNALS["measured_load_state"]
+    block = CarrierTrajectory(model(), CarrierTrajectoryConfig(correction_rates=rates.tolist()))
+    context = block.CreateDefaultContext()
+    context.SetContinuousState(shift)
+    pulls = {"desired_cable_forces": np.tile([0.3, -0.2, 2.5], 4)}
+    fix(block, context, **SIGNALS, **pulls, desired_cable_force_rates=np.full(12, 0.1))
+    velocity = rates * (desired[4:7] - seen[4:7])
+    np.testing.assert_allclose(block.EvalTimeDerivatives(context).CopyToVector(), velocity)
+    moved = desired.copy()
+    moved[4:7] += shift
+    moved[10:13] += velocity
+    np.testing.assert_allclose(
+        output(block, context, "carrier_reference"),
+        carried(CarrierTrajectory(model()), {"reference": moved}),
+        rtol=1e-12,
+    )
+
+
+def test_two_integrals_of_one_error_are_warned_of():
+    twice = load_scenario("quintic", ["carrier_trajectory.correction_rates=[0, 0, 0.1]"])
+    with pytest.warns(ScenarioWarning, match=r"^carrier_trajectory.correction_rates = .* twice"):
+        make_nonstop(twice)
+    with pytest.raises(ScenarioError, match=r"^carrier_trajectory.correction_rates = -1"):
+        CarrierTrajectory(model(), CarrierTrajectoryConfig(correction_rates=[0.0, 0.0, -1.0]))
 
 
 def test_measured_pose_carries_the_cables():
