@@ -373,7 +373,7 @@ def test_plans_in_python_for_want_of_c_are_told_once_and_recorded(monkeypatch):
     scenario = load_scenario("quintic", ["simulation_duration=0.02", "engine=diagram"])
     compiled_plan.compiled_solver.cache_clear()
     try:
-        with pytest.warns(ScenarioWarning, match="^plans: the wheels of .* Python makes") as told:
+        with pytest.warns(ScenarioWarning, match="^plans: the wheel of .* Python makes") as told:
             runs = [simulate(scenario) for _ in range(2)]
     finally:
         compiled_plan.compiled_solver.cache_clear()
