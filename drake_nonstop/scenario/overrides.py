@@ -116,6 +116,11 @@ def _apply(tree: Tree, override: str, trusted: Trusted) -> None:
     require("_tag" not in path.split("."), "--set", path, "choose a block by its name, phase=X")
     if parents:
         require_current(parents[0], "--set", override)
+    elif path not in tree:
+        homes = [
+            f"{part}.{path}" for part, of in tree.items() if isinstance(of, dict) and path in of
+        ]
+        require(not homes, "--set", path, f"there is none; did you mean {' or '.join(homes)}?")
     branch: Any = tree
     for i, key in enumerate(parents):
         parts = [part for part in branch if part != "_tag"]

@@ -127,6 +127,8 @@ def test_a_file_with_defaults_only_needs_no_more_than_its_name(tmp_path):
         ("system.load_mass=true", ["system.load_mass = True", "a number"]),
         ("system.cable_stiffness=-5", ["system.cable_stiffness = -5", "greater than zero"]),
         ("system.cable_stiffness=.inf", ["simulated.cable_stiffness = inf", "finite"]),
+        ("load_mass=2", ["--set = load_mass", "did you mean system.load_mass?"]),
+        ("speed_bound=2", ["did you mean optimization_layer.speed_bound?"]),
         ("system.loadmass=1", ["system.loadmass = 1", "did you mean load_mass"]),
         ("sytem.load_mass=1", ["sytem", "did you mean system"]),
         ("pattern.phases=[0,0,1,2]", ["pattern.phases", "coincide modulo pi"]),
