@@ -37,6 +37,12 @@ from drake_nonstop.mechanics.reference_preview import (
     continued_reference as continued_reference,
 )
 from drake_nonstop.optimization.diagnostics import Outcome as Outcome
+from drake_nonstop.optimization.carriers import (
+    carrier_motion as carrier_motion,
+    carrier_speeds as carrier_speeds,
+    cable_tensions as cable_tensions,
+    carrier_distances as carrier_distances,
+)
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold as SampleAndHold
 from drake_nonstop.systems.point_forces import PointForces as PointForces
 from drake_nonstop.systems.block import LeafBlock as LeafBlock

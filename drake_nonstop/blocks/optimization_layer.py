@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydrake.systems.framework import BasicVector, Context
 
+from drake_nonstop.blocks.nlp_layer import LayerInputs, NlpLayer, NlpLayerConfig
 from drake_nonstop.blocks.receding_horizon import (
     RecedingHorizonOptimizer,
     RecedingHorizonOptimizerConfig,
@@ -370,6 +371,7 @@ VARIANTS = (
     RecedingHorizonOptimizer,
     NonstopOptimizer,
     TurnRateOptimizer,
+    NlpLayer,
     ConstantParameters,
 )
 
@@ -380,6 +382,9 @@ __all__ = [
     "NonstopOptimizerConfig",
     "TurnRateOptimizer",
     "TurnRateOptimizerConfig",
+    "NlpLayer",
+    "NlpLayerConfig",
+    "LayerInputs",
     "ConstantParameters",
     "ConstantParametersConfig",
 ]

@@ -13,7 +13,13 @@ from drake_nonstop.mechanics.carrier import cable_vectors
 from drake_nonstop.mechanics.internal_force import internal_force
 from drake_nonstop.mechanics.planned_orbit import OrbitTerms
 from drake_nonstop.mechanics.rotation import clipped, cross, quaternion_rate
-from drake_nonstop.mechanics.signals import LoadState, Parameters, Phase
+from drake_nonstop.mechanics.signals import (
+    LOAD_STATE_SIZE,
+    LoadReference,
+    LoadState,
+    Parameters,
+    Phase,
+)
 
 
 def phase_of(parameters: NDArray, previous: NDArray, phase: NDArray) -> NDArray:
@@ -40,6 +46,15 @@ def advance(state: NDArray, angular: NDArray, translational: NDArray, time: floa
             angular_velocity + time * angular,
             velocity + time * translational,
         ]
+    )
+
+
+def advanced_reference(reference: NDArray, time: float) -> NDArray:
+    """A reference (22,) after `time` (s) at its present accelerations, see `advance`."""
+    desired = LoadReference.view(reference)
+    rates = desired.angular_acceleration, desired.acceleration
+    return np.concatenate(
+        [advance(reference[:LOAD_STATE_SIZE], *rates, time), *rates, desired.jerk]
     )
 
 

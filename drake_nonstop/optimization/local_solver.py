@@ -26,8 +26,8 @@ class LocalSolver(threading.local):
     """Two MathematicalPrograms over [ξ, A], built once: the nearest and the fastest point.
 
     Each thread has its own, built of the same arguments. Cost and margins are functions of [ξ, A]
-    and the flat `UpdateData`, with gradients as second outputs; the first `speed_count` margins are
-    those of the speed bound.
+    and a flat vector of data, with gradients as second outputs; the first `speed_count` margins are
+    those of the speed bound. Without any there is no fastest point.
     """
 
     NAMES: ClassVar[dict[str, Callable[[], SolverInterface]]] = {
@@ -56,7 +56,8 @@ class LocalSolver(threading.local):
         self._nearest_box = self._nearest.AddBoundingBoxConstraint(nothing, nothing, x)
         self._nearest.AddCost(weakly(self._evaluate_cost), vars=x)
         self._nearest.AddConstraint(weakly(self._evaluate_margins), zero, infinity, vars=x)
-
+        if speed_count == 0:
+            return
         self._fastest = MathematicalProgram()
         x = self._fastest.NewContinuousVariables(2, "x")
         worst = self._fastest.NewContinuousVariables(1, "worst_margin")

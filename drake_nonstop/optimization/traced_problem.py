@@ -20,10 +20,8 @@ from drake_nonstop.mechanics.planned_orbit import (
 from drake_nonstop.mechanics.rigid_load import STILL_AIR, load_acceleration
 from drake_nonstop.mechanics.rotation import rotation_matrix
 from drake_nonstop.mechanics.signals import (
-    LOAD_STATE_SIZE,
     PARAMETERS_SIZE,
     WRENCH_SIZE,
-    LoadReference,
     Parameters,
 )
 from drake_nonstop.model.system import Model
@@ -185,10 +183,7 @@ class TracedProblem:
             ahead = nonstop.advance(state, *accelerations, instant)
             motion = np.concatenate([ahead, *accelerations, np.zeros(3)])
             if self.config.load_motion == "desired":
-                desired = LoadReference.view(reference)
-                rates = desired.angular_acceleration, desired.acceleration
-                moved = nonstop.advance(reference[:LOAD_STATE_SIZE], *rates, instant)
-                motion = np.concatenate([moved, *rates, desired.jerk])
+                motion = nonstop.advanced_reference(reference, instant)
             terms = flight_terms(
                 ahead,
                 motion,

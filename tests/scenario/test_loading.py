@@ -34,6 +34,7 @@ def test_the_shipped_scenarios():
         "paper_line_without_optimization",
         "paper_quintic",
         "quintic",
+        "quintic_nlp",
         "real_scale_carousel",
         "real_scale_cycle",
         "real_scale_spread",
