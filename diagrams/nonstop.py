@@ -132,8 +132,8 @@ BOXES: dict[str, Box] = {
     ),
     "cables": Box(
         variants=cables.VARIANTS,
-        makes=("cable_forces", "carrier_cable_forces", "tensions"),
-        optional={"carrier_cable_forces": "Cables"},
+        makes=("cable_state", "cable_forces", "carrier_cable_forces", "tensions"),
+        optional={"cable_state": "LumpedCables", "carrier_cable_forces": "Cables"},
         recorded_where_read=("carrier_cable_forces",),
         place=Place(2, 3, -1, Kind.PLANT),
         is_simulated=True,

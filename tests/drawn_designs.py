@@ -38,7 +38,7 @@ SIZES = {
     "rascal_110": ["load_radius=1.5", "load_drag=0.6", "separation=10.0"],
     "ultrastick_25e": [
         *("load_radius=0.75", "load_drag=0.2", "separation=6.0"),
-        *("cable_stiffness=40.0", "cable_damping=0.7", "aircraft.cable_diameter=0.0005"),
+        *("cable_stiffness=40.0", "cable_damping=0.7", "cable_diameter=0.0005"),
     ],
 }
 
@@ -90,7 +90,7 @@ _ODD = {
     "climb": ["1e-9", "0.52", "1"],
     "thrust_reserve": ["0", "1e-9", "0.499", "0.5"],
     "aircraft.mass": ["0", "1e-3", "1e3", ".nan"],
-    "aircraft.cable_diameter": ["0", "1e-9", "0.1", "10"],
+    "cable_diameter": ["0", "1e-9", "0.1", "10"],
     "aircraft.max_thrust": ["[0, 0, 0]", "[1, 0, 0]", "[1e9, 0, 0]", "[-1, 0, 0]"],
     "load_inertia": ["[[0, 0, 0], [0, 0, 0], [0, 0, 0]]", "[[1, 0, 0], [0, 1, 0], [0, 0, 9]]"],
 }

@@ -19,12 +19,12 @@ from drake_nonstop.mechanics.aircraft import (
     thrust_limits,
     thrust_share,
 )
+from drake_nonstop.model.aircraft import CABLE_DENSITY
 from drake_nonstop.optimization.limits import LIMITS, Limit, Of
 from drake_nonstop.scenario.run_limits import RunLimits
 from drake_nonstop.scenario.schema import Scenario
 
 _NEARLY = 0.04  # of a limit
-_DENSITY = 970.0  # kg/m³, of Dyneema
 _LEAST_TENSION = 1e-3  # N, of a cable that is all but slack
 _SHARE_OF_WIDTH = 0.01  # by which two cables may differ in length
 ROWS = {limit.name: limit for limit in LIMITS}
@@ -222,7 +222,7 @@ class BowedCables(NamedTuple):
             bow=float(np.max(sag) * length) / (16 * 4 ** (1 / 3)),
             shortening=(float(np.min(shorter)), float(np.max(shorter))),
             difference=float(np.max(np.ptp(shorter, axis=1))),
-            mass=float(_DENSITY * math.pi / 4 * aircraft.cable_diameter**2 * length),
+            mass=float(CABLE_DENSITY * math.pi / 4 * aircraft.cable_diameter**2 * length),
             load_width=max(float(np.linalg.norm(a - b)) for a, b in combinations(attachments, 2)),
         )
 
@@ -245,7 +245,7 @@ class BowedCables(NamedTuple):
             f"cables are simulated as straight: drag would shorten two of them by up to "
             f"{self.difference:.2g} m differently, more than a hundredth of the load's width "
             f"({allowed:.2g} m), which turns and moves the load; give thinner cables "
-            "(aircraft.cable_diameter) or more tension, or expect a flight that differs"
+            "(cable_diameter) or more tension, or expect a flight that differs"
         )
 
     @property

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.framework import Context
 
+from drake_nonstop.blocks.lumped_cables import LumpedCables, LumpedCablesConfig
 from drake_nonstop.mechanics.cable import cable_forces_and_tensions, cables_elastic_energy
 from drake_nonstop.model.block import Block, BlockParameters
 from drake_nonstop.model.system import Model
@@ -133,6 +134,7 @@ def _each(model: Model, name: str, given: list[float], default: float) -> NDArra
     return values
 
 
-VARIANTS = (Cables, IndividualCables)
+VARIANTS = (Cables, IndividualCables, LumpedCables)
 
 __all__ = ["Cables", "CablesConfig", "IndividualCables", "IndividualCablesConfig"]
+__all__ += ["LumpedCables", "LumpedCablesConfig"]

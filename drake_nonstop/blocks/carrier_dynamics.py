@@ -15,6 +15,7 @@ from drake_nonstop.mechanics.aircraft import (
     FlightStates,
     flight_acceleration,
     flight_rate,
+    flown_aircraft,
     is_stalled,
     shown_state,
     trimmed_states,
@@ -206,13 +207,20 @@ class FixedWingDynamics(Block):
     reads = ("aircraft_command", "carrier_cable_forces", "wind")
     makes = ("carrier_state", "aircraft_state", "carrier_acceleration")
     system = AIRCRAFT_NUMBERS
+    of_model = ("bears_cable_drag",)
     ending_signal = "aircraft_state"
 
     @staticmethod
     def equations(
-        states: NDArray, command: NDArray, pull: NDArray, wind: NDArray, **numbers: Any
+        states: NDArray,
+        command: NDArray,
+        pull: NDArray,
+        wind: NDArray,
+        *,
+        bears_cable_drag: bool,
+        **numbers: Any,
     ) -> tuple[NDArray, ...]:
-        flying = aircraft_of(numbers)
+        flying = flown_aircraft(aircraft_of(numbers), bears_cable_drag)
         return (
             flight_rate(flying, states, command, pull, wind),
             states[: 2 * len(pull)],
@@ -246,7 +254,8 @@ class FixedWingDynamics(Block):
         return self.config.stops_at_stall and bool(np.any(is_stalled(aircraft, shown)))
 
     def _aircraft_in(self, context: Context) -> Aircraft:
-        return aircraft_of(parameters_in(self, context))
+        own = aircraft_of(parameters_in(self, context))
+        return flown_aircraft(own, self.model.bears_cable_drag)
 
     def CalcKineticEnergy(self, context: Context) -> float:
         """½ m Σ ‖v_i‖², J; the context is the block's own."""

@@ -10,7 +10,13 @@ from numpy.typing import NDArray
 from pydrake.systems.framework import Context, DiagramBuilder, DiscreteValues
 from pydrake.systems.primitives import AffineSystem
 
-from drake_nonstop.mechanics.aircraft import FlightStates, air_frame, is_stalled, trimmed_states
+from drake_nonstop.mechanics.aircraft import (
+    FlightStates,
+    air_frame,
+    flown_aircraft,
+    is_stalled,
+    trimmed_states,
+)
 from drake_nonstop.mechanics.carrier import carriers_kinetic_energy, carriers_potential_energy
 from drake_nonstop.mechanics.signals import AircraftState, CarrierStates
 from drake_nonstop.model.block import (
@@ -198,7 +204,8 @@ class _Hangar:
     """Makes the aircraft of flights; they are checked once, as the block is made."""
 
     def __init__(self, model: Model, config: JsbsimCarriersConfig):
-        self.aircraft = required_aircraft(model, _BOX, "JsbsimCarriers")
+        own = required_aircraft(model, _BOX, "JsbsimCarriers")
+        self.aircraft = flown_aircraft(own, model.bears_cable_drag)
         require_jsbsim(_BOX)
         require_ranges(_BOX, config)
         self.n, self.step, hook = model.n, config.step, np.array(config.hook, float)

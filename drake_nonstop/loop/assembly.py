@@ -92,6 +92,8 @@ def make_parts(
     scenario, others = replaced(boxes, scenario, replacements)
     scenario = scenario.sampled()
     believed, simulated = models_of(scenario)
+    cables = others.get("cables", getattr(scenario, "cables", None))
+    simulated = _beside_cables(cables, simulated)
     sizes = _figure_sizes(boxes, believed)
     blocks: dict[str, System] = {}
     watched: dict[str, WatchedModel] = {}
@@ -141,6 +143,16 @@ def make_parts(
         loop = replace(loop, blocks=blocks)
     held = {SAMPLE_AND_HOLD: hold_of(loop)} if scenario.control_period > 0 else {}
     return Parts(loop, blocks | held, watched, margin)
+
+
+def _beside_cables(cables: Any, simulated: Model) -> Model:
+    """The plant's model with what its carriers have to know of their cables."""
+    kind = block_of(type(cables)) if is_dataclass(cables) else cables
+    if not getattr(kind, "bears_drag", False):
+        return simulated
+    simulated = copy.copy(simulated)
+    simulated.bears_cable_drag = False
+    return simulated
 
 
 def connected(boxes: Boxes, parts: Parts, inputs: Collection[str]) -> Diagram:

@@ -54,6 +54,7 @@ from drake_nonstop.systems.wiring import require_context
 from drake_nonstop.validation import ScenarioError, require, require_known
 
 _MAX_STEPS = 20  # in a sample: all of them are in one function of C
+_MOST_OPERATIONS = 50_000  # of a sample's steps, a rate each, beyond which C calls functions
 _ROUNDING = 1e-9  # s, of a duration
 _STRETCH = 1.01  # of the longest step: a last one that is as much longer is one step
 
@@ -244,14 +245,18 @@ class CompiledLoop:
         shown = trace.shown(self.signals, self.step_signals)
         symbols = Symbols(self.layout.numbers)
         at_once = Traced(shown(trace.arguments[0], 0.0, symbols), trace.arguments, symbols)
-        steps = trace.steps(self._schedule, shown)
+        calls = len(self._schedule) * trace.operations_of_rates > _MOST_OPERATIONS
+        steps = trace.steps(self._schedule, shown, trace.called() if calls else None)
         updates = trace.updates()
+        whole = None
+        if not self.layout.held:
+            whole = trace.whole(self._schedule, shown, updates, calls=calls)
         return LoopFunctions(
             at_start=LoopFunction(trace.updates(is_start=True)),
             shown=LoopFunction(at_once),
             after_sample=LoopFunction(steps),
             at_sample=LoopFunction(updates),
-            whole=None if self.layout.held else trace.whole(self._schedule, shown, updates),
+            whole=whole,
         )
 
     @property

@@ -233,6 +233,7 @@ def on_reference(nonstop: Diagram, context: Context) -> None:
     plant.set_states(own, load_state=plant.required(own, "reference")[:LOAD_STATE_SIZE])
     simulator.Initialize()
     plant.set_states(own, carrier_state=plant.required(own, "carrier_reference"))
+    plant.trim_cables(own)
 
 
 def _newton(function: Callable[[NDArray], NDArray], start: NDArray) -> tuple[NDArray, bool]:

@@ -43,10 +43,14 @@ class Reading(NamedTuple):
 
 @dataclass
 class Symbols:
-    """The symbols of a function for what stands outside, in the order in which it is read."""
+    """The symbols of a function for what stands outside, in the order in which it is read.
+
+    Those of a function that calls others are MX, with `arguments` of its own.
+    """
 
     numbers: Mapping[System, int]  # of all systems
-    symbols: dict[Reading, casadi.SX] = field(default_factory=dict)
+    symbols: dict[Reading, Any] = field(default_factory=dict)
+    arguments: list[casadi.MX] = field(default_factory=list)
 
     def at(self, offset: float) -> Any:
         """Gives the values of outputs, of a given size, at an instant."""
@@ -56,9 +60,11 @@ class Symbols:
 
         return give
 
-    def of(self, reading: Reading, size: int) -> NDArray:
-        """The symbols of a reading."""
-        return object_array(self.symbols.setdefault(reading, casadi.SX.sym("outside", size)))
+    def of(self, reading: Reading, size: int) -> Any:
+        """The symbols of a reading; one of MX is a vector."""
+        kind = casadi.MX if self.arguments else casadi.SX
+        symbol = self.symbols.setdefault(reading, kind.sym("outside", size))
+        return [symbol] if self.arguments else object_array(symbol)
 
 
 class Traced(NamedTuple):
@@ -78,12 +84,15 @@ class LoopFunction:
 
     def __init__(self, traced: Traced, *, is_whole: bool = False):
         results, arguments, symbols = traced
+        self.has_calls = bool(symbols.arguments)
         self.readings, read = [*symbols.symbols], [*symbols.symbols.values()]
-        outside = casadi.vertcat(*read) if read else casadi.SX(0, 1)
         self.argument_sizes = [argument.numel() for argument in arguments]
-        stacked = casadi.vertcat(*arguments, outside)
         checked = results[:-1] if is_whole else results  # not what tells of updates to be made
         results = [*results, casadi.sumsqr(casadi.vertcat(*checked))]
+        if self.has_calls:
+            stacked, results = _stacked([*arguments, *read], results)
+        else:
+            stacked = casadi.vertcat(*arguments, *read)
         self._not_short: tuple[casadi.SX, list[casadi.SX]] | None = (stacked, results)
         self.function = casadi.Function("loop", [stacked], results)
         self.compiled: Compiled | None = None  # the same, as C
@@ -129,6 +138,16 @@ class LoopFunction:
             self._next_look = 2 * self._lane_samples
             self.compile_lanes(builds=False, begins=self._lane_samples >= _WORTH_LANES)
         return self.lanes
+
+
+def _stacked(
+    arguments: list[casadi.MX], results: list[casadi.MX]
+) -> tuple[casadi.MX, list[casadi.MX]]:
+    """One symbol in place of the arguments, and the results as functions of it."""
+    ends = np.cumsum([0, *(argument.numel() for argument in arguments)]).tolist()
+    stacked = casadi.MX.sym("stacked", ends[-1])
+    inner = casadi.Function("inner", arguments, results)
+    return stacked, inner.call(casadi.vertsplit(stacked, ends), True, False)
 
 
 @dataclass

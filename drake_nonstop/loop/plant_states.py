@@ -13,6 +13,8 @@ none is needed. `context` is the block's own, in which its input ports can be ev
   What the ports show must stay. Without it further states keep their values.
 - `TrimCarriersTo(context, acceleration)`: in place of `TrimCarriers`, sets further states for the
   carriers to have this acceleration (3n), that of `carrier_reference`.
+- `TrimCables(context)`, of the block that makes `cable_forces`: sets its state for the load and the
+  carriers of now, before the carriers' states are trimmed. Without it that keeps its value.
 - `SetDefaultLoadState(value)`, `SetDefaultCarrierState(value)`: makes the value that of new
   contexts. Without it the defaults of Drake's Integrator, AffineSystem and MultibodyPlant (its
   positions) in the block are set, and the continuous states of LeafSystems in Python declared anew.
@@ -40,6 +42,7 @@ _SETTERS = {LOAD: "SetLoadState", CARRIERS: "SetCarrierState"}
 _DEFAULT_SETTERS = {LOAD: "SetDefaultLoadState", CARRIERS: "SetDefaultCarrierState"}
 _TRIMS = {CARRIERS: "TrimCarriers", LOAD: "TrimLoad"}  # in the order of their calls
 _TRIM_TO = "TrimCarriersTo"
+_CABLES, TRIM_CABLES = "cable_forces", "TrimCables"
 _METHODS = {
     LOAD: (_SETTERS[LOAD], _DEFAULT_SETTERS[LOAD], _TRIMS[LOAD], "CalcLoadAcceleration"),
     CARRIERS: (_SETTERS[CARRIERS], _DEFAULT_SETTERS[CARRIERS], _TRIMS[CARRIERS], _TRIM_TO),
@@ -54,6 +57,8 @@ class PlantStates:
         self._nonstop = nonstop
         self._ports = {signal: _port_with_state(nonstop, signal) for signal in _SETTERS}
         self._owners = {signal: port.get_system() for signal, port in self._ports.items()}
+        cables = [port.get_system() for port in ports_of(nonstop, _CABLES)]
+        self._cables = [block for block in cables if hasattr(block, TRIM_CABLES)]
         self._shown = {
             signal: PortState(self._owners[signal], port) for signal, port in self._ports.items()
         }
@@ -149,6 +154,7 @@ class PlantStates:
         Raises:
             ScenarioError: a port does not show its state any more.
         """
+        self.trim_cables(context)
         trimmed = self._trim_carriers(context)
         for signal, name in _TRIMS.items():
             if hasattr(self._owners[signal], name):
@@ -158,6 +164,11 @@ class PlantStates:
             own = self._context(signal, context)
             if not own.is_stateless():
                 self._check(signal, own, value, " and ".join(trimmed))
+
+    def trim_cables(self, context: Context) -> None:
+        """Has cables with a state set it for the load and the carriers."""
+        for block in self._cables:
+            block.TrimCables(self._nonstop.GetMutableSubsystemContext(block, context))
 
     def _trim_carriers(self, context: Context) -> list[str]:
         """Has the carriers' block set states for its reference's acceleration; what was called."""
@@ -173,8 +184,8 @@ class PlantStates:
 
     def take_over(self, context: Context, settled: Context) -> None:
         """Sets all states of the plant's blocks to those in another context of the loop."""
-        for signal, block in self._owners.items():
-            own = self._context(signal, context)
+        for block in (*self._owners.values(), *self._cables):
+            own = self._nonstop.GetMutableSubsystemContext(block, context)
             own.SetStateAndParametersFrom(self._nonstop.GetSubsystemContext(block, settled))
 
     def load_acceleration(self, context: Context) -> NDArray:
@@ -230,6 +241,8 @@ class PlantStates:
                 getattr(block, _DEFAULT_SETTERS[signal])(value.copy())
             else:
                 _declare_defaults(block, self._nonstop.GetSubsystemContext(block, context))
+        for block in self._cables:
+            _declare_defaults(block, self._nonstop.GetSubsystemContext(block, context))
         default, others = self._nonstop.CreateDefaultContext(), []
         self._nonstop.FixInputPortsFrom(self._nonstop, context, default)
         for signal, value in self.states(default).items():

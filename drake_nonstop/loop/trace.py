@@ -302,7 +302,8 @@ class LoopTrace:
         def rate(state: casadi.SX, offset: float) -> casadi.SX:
             return self.rates(state, offset, symbols)[0]
 
-        now = self.arguments[0] if updates is None else updates.results[0]
+        arguments = symbols.arguments or self.arguments
+        now = arguments[0] if updates is None else updates.results[0]
         signals, step_signals = [], []
         for step in schedule:
             now = runge_kutta3(rate, now, step)
@@ -310,13 +311,16 @@ class LoopTrace:
             step_signals.append(own_step_signals)
             signals += [own_signals] if step.is_shown else []
         results = [now, casadi.vertcat(*signals), casadi.vertcat(*step_signals)]
-        return Traced(results, self.arguments, symbols)
+        return Traced(results, arguments, symbols)
 
-    def whole(self, schedule: Sequence[Step], shown: _Part, updates: Traced) -> LoopFunction:
+    def whole(
+        self, schedule: Sequence[Step], shown: _Part, updates: Traced, *, calls: bool = False
+    ) -> LoopFunction:
         """The state and all signals at the next sample, and what its updates tell besides.
 
         `updates` are the sample's. A further argument has which blocks have made updates
-        themselves, and their states after these.
+        themselves, and their states after these. If it `calls` the functions of an instant, its C
+        does not have all their operations again at each step.
         """
         answers = casadi.SX.sym("a", self._layout.answers_size)
         after, read, is_valid = casadi.SX(updates.results[0]), *updates.results[1:]
@@ -326,10 +330,25 @@ class LoopTrace:
             end = start + place.stop - place.start
             after[place] = casadi.if_else(answers[k], answers[start:end], after[place])
             start = end
-        moved = self.steps(schedule, shown, updates._replace(results=[after]))
+        arguments, symbols = [*self.arguments, answers], updates.symbols
+        if calls:
+            own = symbols
+            stacked = casadi.vertcat(*arguments, *own.symbols.values())
+            made = casadi.cse([after, read, is_valid])
+            function = casadi.Function("updates", [stacked], made)
+            _, arguments, symbols = self.called(answers)
+            outside = [symbols.of(r, s.numel()) for r, s in own.symbols.items()]
+            taken = casadi.vertcat(*arguments, *itertools.chain(*outside))
+            after, read, is_valid = function.call([taken])
+        moved = self.steps(schedule, shown, Traced([after], arguments, symbols))
         results = [*moved.results, read, is_valid]
-        traced = Traced(results, [*self.arguments, answers], moved.symbols)
-        return LoopFunction(traced, is_whole=True)
+        return LoopFunction(Traced(results, arguments, symbols), is_whole=True)
+
+    def called(self, *others: casadi.SX) -> Traced:
+        """The state, of arguments for calls of functions, with others behind them."""
+        sizes = [each.numel() for each in (*self.arguments, *others)]
+        arguments = [casadi.MX.sym("argument", size) for size in sizes]
+        return Traced(arguments[:1], arguments, Symbols(self._layout.numbers, arguments=arguments))
 
     def shown(self, *signals: Iterable[str]) -> _Part:
         """Some lists of signals, by the names of the diagram's ports."""
@@ -340,6 +359,14 @@ class LoopTrace:
         """The rates of the loop's state, 0 of all that is discrete."""
         return self._part(self._rates_at)
 
+    @cached_property
+    def operations_of_rates(self) -> int:
+        """How many operations the rates take."""
+        symbols = Symbols(self._layout.numbers)
+        results = self.rates(self.arguments[0], 0.0, symbols)
+        read = [*self.arguments, *symbols.symbols.values()]
+        return int(casadi.Function("rates", [casadi.vertcat(*read)], results).n_instructions())
+
     def _rates_at(self, instant: DiagramSnapshot) -> list[casadi.SX]:
         found = []
         for leaf, (continuous, *discrete) in self._layout.state_sizes.items():
@@ -349,15 +376,16 @@ class LoopTrace:
 
     def _part(self, make: Callable[[DiagramSnapshot], list[casadi.SX]]) -> _Part:
         """Values of an instant, traced once, of any state, offset (s) and `Symbols`."""
-        state, parameters, time = self.arguments
+        state, *others = self.arguments
         own = Symbols(self._layout.numbers)
         states = self._layout.states(object_array(state))
         results = make(self._instant(states, own.at(0.0)))
-        stacked = casadi.vertcat(state, parameters, time, *own.symbols.values())
-        function = casadi.Function("part", [stacked], results)
+        stacked = casadi.vertcat(state, *others, *own.symbols.values())
+        function = casadi.Function("part", [stacked], casadi.cse(results))
 
         def part(now: casadi.SX, offset: float, symbols: Symbols) -> list[casadi.SX]:
             read = own.symbols.items()
+            _, parameters, time, *_ = symbols.arguments or self.arguments
             outside = [symbols.of(r._replace(offset=offset), s.numel()) for r, s in read]
             inputs = casadi.vertcat(now, parameters, time + offset, *itertools.chain(*outside))
             return function.call([inputs])

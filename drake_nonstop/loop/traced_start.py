@@ -8,7 +8,7 @@ from pydrake.systems.framework import Context
 
 from drake_nonstop.loop.compiled_loop import CompiledLoop
 from drake_nonstop.loop.functions import Evaluation
-from drake_nonstop.loop.plant_states import CARRIERS, LOAD, has_own_states
+from drake_nonstop.loop.plant_states import CARRIERS, LOAD, TRIM_CABLES, has_own_states
 from drake_nonstop.mechanics.signal_layouts import SAMPLE_TIME
 from drake_nonstop.systems.wiring import output_names, ports_of
 
@@ -48,13 +48,17 @@ class TracedStart:
         No block stands beside the trace, or is a user's own.
         """
         layout = loop.layout
-        return not (layout.held or layout.of_users) and all(
-            len(ports := ports_of(loop.diagram, name)) == 1
-            and (leaf := ports[0].get_system()) in layout.state_sizes
-            and getattr(leaf, "state_port", None) == name
-            and layout.state_sizes[leaf][0] == ports[0].size()
-            and has_own_states(leaf, name)
-            for name in (LOAD, CARRIERS)
+        return (
+            not (layout.held or layout.of_users)
+            and all(
+                len(ports := ports_of(loop.diagram, name)) == 1
+                and (leaf := ports[0].get_system()) in layout.state_sizes
+                and getattr(leaf, "state_port", None) == name
+                and layout.state_sizes[leaf][0] == ports[0].size()
+                and has_own_states(leaf, name)
+                for name in (LOAD, CARRIERS)
+            )
+            and not any(hasattr(leaf, TRIM_CABLES) for leaf in layout.leaves)
         )
 
     def take_state(self, context: Context) -> None:

@@ -67,6 +67,11 @@ class Aircraft(NamedTuple):
         return self.cable_drag * self.cable_diameter * self.cable_length / (4 * self.wing_area)
 
 
+def flown_aircraft(aircraft: Aircraft, bears_cable_drag: bool) -> Aircraft:
+    """The aircraft, without its share of the drag of a cable that has drag of its own."""
+    return aircraft if bears_cable_drag else aircraft._replace(cable_drag=0.0)
+
+
 class AirFrame(NamedTuple):
     """The directions of flight through the air."""
 

@@ -51,13 +51,30 @@ def cable_forces_and_tensions(
     levers = attachments @ rotation_matrix(load.quaternion).T
     stretch = carriers.positions - load.position - levers
     stretch_rate = carriers.velocities - load.velocity - cross(load.angular_velocity, levers)
+    tension, direction = tensions_and_directions(
+        stretch, stretch_rate, rest_length=rest_length, stiffness=stiffness, damping=damping
+    )
+    return tension * direction, tension[:, 0]
+
+
+def tensions_and_directions(
+    stretch: NDArray,
+    stretch_rate: NDArray,
+    *,
+    rest_length: float | NDArray,
+    stiffness: float | NDArray,
+    damping: float | NDArray,
+) -> tuple[NDArray, NDArray]:
+    """Tensions T (..., 1), N, and directions (..., 3) of spring-dampers from end to end (..., 3).
+
+    `stretch_rate` is the rate of `stretch`; T is that of `cable_forces_and_tensions`.
+    """
     length = norm(stretch)
     direction = stretch / length
-    length_rate = (direction * stretch_rate).sum(axis=1, keepdims=True)
+    length_rate = (direction * stretch_rate).sum(axis=-1, keepdims=True)
     spring = stiffness * positive_part(length - rest_length)
     damped = positive_part(spring + damping * length_rate)
-    tension = damped - positive_part(damped - 2 * spring)
-    return tension * direction, tension[:, 0]
+    return damped - positive_part(damped - 2 * spring), direction
 
 
 def cables_elastic_energy(

@@ -195,6 +195,17 @@ AIRCRAFT_COMMAND = Layout(
     Part("thrust", "n", "N"),
 )
 
+MOST_NODES = 50  # of a cable
+
+
+def nodes_layout(nodes: int) -> SomeOf:
+    """The state of so many nodes of each cable, from the load on."""
+    return SomeOf(
+        *(Part(f"position_{k + 1}", "3n", "m", "W") for k in range(nodes)),
+        *(Part(f"velocity_{k + 1}", "3n", "m/s", "W") for k in range(nodes)),
+    )
+
+
 SAMPLE_TIME = "sample_time"  # of what is held
 HELD = "held_"  # begins the name of a signal that is held from one sample to the next
 
@@ -257,6 +268,7 @@ SIGNALS: dict[str, Layout | None] = {
         Part("airspeed", "n", "m/s"),
     ),
     "carrier_acceleration": Layout(Part("", "3n", "m/s²", "W")),
+    "cable_state": nodes_layout(MOST_NODES),
     "cable_forces": Layout(Part("", "3n", "N", "W", "on the load, at its attachments")),
     "carrier_cable_forces": Layout(Part("", "3n", "N", "W", "of the carriers on their cables")),
     "tensions": Layout(Part("", "n", "N", "", "0 where slack")),

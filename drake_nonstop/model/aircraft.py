@@ -22,6 +22,8 @@ from drake_nonstop.validation import (
 )
 
 TABLE = Path(__file__).parent / "aircraft_table"
+CABLE_DIAMETER, CABLE_DRAG = 0.001, 1.1  # m, and C_D of air across a braided line
+CABLE_DENSITY = 970.0  # kg/m³, of Dyneema
 _SHORTEST_LAG = 1e-3  # s, that steps of a run resolve
 _KIND = "give an AircraftParameters, or in YAML a mapping of its fields"
 _SPEEDS = 1000  # from a tenth of the stall speed to ten times, that a search tries
@@ -38,7 +40,7 @@ class AircraftParameters(StrictFields):
     """Fixed-wing carriers, all alike: one of the table, single fields changed, or a user's own.
 
     A field that is None is the `model`'s, or where there is no model has to be given; the last
-    six have defaults. Coefficients are those of the wing area.
+    four have defaults. Coefficients are those of the wing area.
     """
 
     model: str | None = None  # of the table: rascal_110, ultrastick_25e
@@ -61,8 +63,6 @@ class AircraftParameters(StrictFields):
     )
     gust_time: float | None = _lag()  # s, until gusts are trimmed; default 0.4
     air_density: float | None = positive(None)  # kg/m³; default 1.225
-    cable_diameter: float | None = non_negative(None)  # m, for its drag; default 0.001
-    cable_drag: float | None = non_negative(None)  # C_Dc, of the cable's area; default 1.1
     lift_gain: float | None = positive(None)  # C_L that is flown, over the commanded one; default 1
     thrust_gain: float | None = positive(None)  # likewise of the thrust; default 1
 
@@ -71,8 +71,6 @@ class AircraftParameters(StrictFields):
 _DEFAULTS = {
     "gust_time": 0.4,
     "air_density": 1.225,
-    "cable_diameter": 0.001,
-    "cable_drag": 1.1,
     "lift_gain": 1.0,
     "thrust_gain": 1.0,
 }
@@ -133,11 +131,13 @@ def make_aircraft(
     *,
     cable_length: float,
     gravity: float,
+    cable_diameter: float = CABLE_DIAMETER,
+    cable_drag: float = CABLE_DRAG,
     field: str = "system.aircraft",
 ) -> Aircraft:
     """The aircraft of these parameters, checked; `field` is their name in error messages.
 
-    Cable length and gravity are in m and m/s².
+    Cable length, gravity and cable diameter are in m, m/s² and m.
 
     Raises:
         ScenarioError: a field is missing or out of its range, or the aircraft cannot fly level
@@ -149,7 +149,9 @@ def make_aircraft(
         name = f"{field}.{key}"
         meaning = "[a, b, c] of the thrust a + b V + c V² at the airspeed V"
         values[key] = require_array(name, values[key], [3], meaning)
-    aircraft = Aircraft(**values, cable_length=cable_length, gravity=gravity)
+    cable = {"diameter": cable_diameter, "drag": cable_drag, "length": cable_length}
+    values |= {f"cable_{name}": value for name, value in cable.items()}
+    aircraft = Aircraft(**values, gravity=gravity)
     _check_polar(field, aircraft)
     _check_level_flight(field, aircraft)
     return aircraft

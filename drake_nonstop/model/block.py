@@ -17,7 +17,7 @@ from pydrake.systems.primitives import Selector, SelectorParams
 
 from drake_nonstop.mechanics.aircraft import Aircraft
 from drake_nonstop.mechanics.rigid_load import RigidLoad
-from drake_nonstop.mechanics.signal_layouts import HELD, SIGNALS
+from drake_nonstop.mechanics.signal_layouts import HELD, SIGNALS, Layout
 from drake_nonstop.model.aircraft import FLIGHT_FIELDS
 from drake_nonstop.model.system import AIRCRAFT, OFFSET, Model
 from drake_nonstop.systems.block import BlockType
@@ -30,6 +30,8 @@ from drake_nonstop.validation import ScenarioError, one_line, require, require_a
 # An aircraft's, but for what its motion does not go by.
 AIRCRAFT_NUMBERS = (
     *(AIRCRAFT + name for name in FLIGHT_FIELDS),
+    "cable_diameter",
+    "cable_drag",
     "cable_length",
     "gravity",
 )
@@ -217,7 +219,9 @@ class Block(TracedBlock):
         if state is not None:
             state = require_array(self._said("state"), state, [None], "numbers, the first state")
         has_state = state is not None and self.has_state(model, config)
-        outputs = signal_sizes(type(self), model, self.makes)
+        if layouts := self.layouts(model, config):
+            self.signal_layouts = layouts
+        outputs = signal_sizes(self, model, self.makes)
         self._require_sound(constants, parameters, reads, has_state)
         made = {name: size for name, size in outputs.items() if name != self.state_port}
         if state is not None:
@@ -230,7 +234,7 @@ class Block(TracedBlock):
             kept.append(("state", state.tobytes()))
         super().__init__(
             function,
-            inputs=signal_sizes(type(self), model, reads),
+            inputs=signal_sizes(self, model, reads),
             outputs=outputs,
             optional=[name for name in self.optional_inputs if name in reads],
             known=self.quantities(model),
@@ -313,6 +317,10 @@ class Block(TracedBlock):
 
         The methods `precomputed_inputs` and `precomputed_input_rates` make them, see `TracedBlock`.
         """
+        return {}
+
+    def layouts(self, model: Model, config: Any) -> dict[str, Layout]:
+        """Layouts of its outputs that differ with the config, in place of `signal_layouts`."""
         return {}
 
     def state(self, model: Model) -> NDArray | None:
@@ -405,7 +413,7 @@ def _is_numeric(value: Any) -> bool:
     return array.size > 0
 
 
-def signal_sizes(block: type, model: Model, names: Iterable[str]) -> dict[str, int]:
+def signal_sizes(block: Any, model: Model, names: Iterable[str]) -> dict[str, int]:
     """The sizes of the signals of these names, by the figure's layouts or those of the block.
 
     Raises:
@@ -419,7 +427,8 @@ def signal_sizes(block: type, model: Model, names: Iterable[str]) -> dict[str, i
             "it is no vector among the figure's signals; correct the name, or give its layout, "
             f'such as signal_layouts = {{"{name}": Layout(Part("", "3", "m"))}}'
         )
-        require(layout is not None, f"{block.__name__} reads or makes", name, remedy)
+        kind = block if isinstance(block, type) else type(block)
+        require(layout is not None, f"{kind.__name__} reads or makes", name, remedy)
         sizes[name] = layout.count(model.n, model.m)
     return sizes
 

@@ -1,6 +1,7 @@
 """The model that several blocks share: load, cables, carriers and pattern."""
 
 import dataclasses
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any, Optional, Protocol
@@ -12,7 +13,14 @@ from drake_nonstop.mechanics.aircraft import Aircraft
 from drake_nonstop.mechanics.grasp import grasp_matrix
 from drake_nonstop.mechanics.rigid_load import RigidLoad, gravity_wrench
 from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE
-from drake_nonstop.model.aircraft import AircraftParameters, make_aircraft, merged
+from drake_nonstop.model.aircraft import (
+    CABLE_DENSITY,
+    CABLE_DIAMETER,
+    CABLE_DRAG,
+    AircraftParameters,
+    make_aircraft,
+    merged,
+)
 from drake_nonstop.model.pattern import InternalForcePattern, check_pattern
 from drake_nonstop.validation import (
     StrictFields,
@@ -27,6 +35,9 @@ from drake_nonstop.validation import (
 
 OFFSET = "pattern_offset"  # N, in L, among the parameters of a block
 AIRCRAFT = "aircraft."  # begins the names of an aircraft's fields among them
+# Pa, of a braid of Dyneema SK78 over its whole section: Marlow's Excel D12 of 4 mm breaks at
+# 2,050 kgf. Dyneema's density is that of DSM's fibre, 970 kg/m³.
+_STRENGTH = 1.6e9
 _MAX_CARRIERS = 100  # whose blocks take ten seconds to trace
 
 
@@ -55,6 +66,11 @@ class SystemParameters(StrictFields):
         "give a number greater than zero, or .inf if the controllers are to assume no stretch",
     )
     cable_damping: float = non_negative(0.1)  # N s/m
+    cable_diameter: float = non_negative(CABLE_DIAMETER)  # m
+    cable_drag: float = non_negative(CABLE_DRAG)  # C_D of air across a cable, of its diameter
+    cable_friction: float = non_negative(0.02)  # C_f of air along it, of its circumference
+    cable_density: float = non_negative(CABLE_DENSITY)  # kg/m³
+    cable_breaking_load: float | None = positive(None)  # N; none: that of Dyneema SK78
     carrier_mass: float = positive(0.1)  # kg
     gravity: float = positive(9.81)  # m/s²
     # An SDF or URDF file with load_mass, load_inertia and attachments, read as a scenario is
@@ -119,6 +135,8 @@ class Model:
 
     Attributes:
         aircraft: the carriers, where they are fixed-wing aircraft, whose mass is `carrier_mass`.
+        bears_cable_drag: whether these have a share of their cable's drag; cables may have their
+            own.
 
     Raises:
         ScenarioError: a parameter is out of range, there are fewer than 3 attachments,
@@ -136,6 +154,7 @@ class Model:
     ):
         require_ranges(field, system)
         self.aircraft: Aircraft | None = None
+        self.bears_cable_drag = True
         if system.aircraft is not None:
             system, self.aircraft = _with_aircraft(system, field, "carrier_mass" in overridden)
         self.system, self.pattern_config, self.field = system, pattern, field
@@ -187,6 +206,21 @@ class Model:
         check_pattern(self.pattern, self.attachments, (self.pseudo_inverse @ weight).reshape(-1, 3))
 
     @property
+    def cable_mass(self) -> float:
+        """A cable's mass in kg."""
+        return self.system.cable_density * self._cable_area * self.cable_length
+
+    @property
+    def cable_breaking_load(self) -> float:
+        """Tension in N that a cable breaks at."""
+        given = self.system.cable_breaking_load
+        return _STRENGTH * self._cable_area if given is None else given
+
+    @property
+    def _cable_area(self) -> float:
+        return math.pi / 4 * self.system.cable_diameter**2
+
+    @property
     def load_mass(self) -> float:
         """The load's mass in kg, that of `load`."""
         return self.system.load_mass
@@ -228,9 +262,11 @@ _READ_WITH = {
     "cable_stiffness": ("cable_stiffness",),
     "cable_compliance": ("cable_stiffness",),
     "cable_damping": ("cable_damping",),
+    "cable_mass": ("cable_density", "cable_diameter", "cable_length"),
+    "cable_breaking_load": ("cable_breaking_load", "cable_diameter"),
     "carrier_mass": ("carrier_mass",),
     "gravity": ("gravity",),
-    "aircraft": ("aircraft", "cable_length", "gravity"),
+    "aircraft": ("aircraft", "cable_length", "cable_diameter", "cable_drag", "gravity"),
     "pattern": (OFFSET,),
 }
 
@@ -243,9 +279,19 @@ def aircraft_in(system: SystemParameters | Model) -> Aircraft | None:
     """
     if isinstance(system, Model):
         return system.aircraft
-    if system.aircraft is None:
-        return None
-    return make_aircraft(system.aircraft, cable_length=system.cable_length, gravity=system.gravity)
+    return None if system.aircraft is None else _aircraft_of(system, "system")
+
+
+def _aircraft_of(system: SystemParameters, field: str) -> Aircraft:
+    assert system.aircraft is not None
+    return make_aircraft(
+        system.aircraft,
+        cable_length=system.cable_length,
+        gravity=system.gravity,
+        cable_diameter=system.cable_diameter,
+        cable_drag=system.cable_drag,
+        field=f"{field}.aircraft",
+    )
 
 
 def _with_aircraft(
@@ -255,13 +301,7 @@ def _with_aircraft(
 
     `is_given` tells that the mass of the carriers is not a default.
     """
-    assert system.aircraft is not None
-    aircraft = make_aircraft(
-        system.aircraft,
-        cable_length=system.cable_length,
-        gravity=system.gravity,
-        field=f"{field}.aircraft",
-    )
+    aircraft = _aircraft_of(system, field)
     mass, stated = float(aircraft.mass), system.carrier_mass
     is_default = stated == SystemParameters.carrier_mass and not is_given
     remedy = f"leave it out: the carriers are aircraft of {mass:g} kg, {field}.aircraft.mass"

@@ -10,7 +10,7 @@ import numpy as np
 
 from drake_nonstop.analysis.flight_envelope import FlightEnvelope
 from drake_nonstop.mechanics.aircraft import Aircraft
-from drake_nonstop.model.aircraft import AircraftParameters, make_aircraft
+from drake_nonstop.model.aircraft import CABLE_DIAMETER, AircraftParameters, make_aircraft
 from drake_nonstop.model.system import checked_inertia
 from drake_nonstop.optimization.formation_program import KINDS
 from drake_nonstop.optimization.problem_config import AircraftLimits, check_flight_limits, points
@@ -74,6 +74,7 @@ class _Asked(StrictFields):
     load_inertia: list[list[float]] | None = None  # kg m², in L; none: a disc of that radius
     load_drag: float = checked(0.6, _within(0.0, 1e4, "N s/m"))  # N s/m
     cable_length: list[float] = field(default_factory=lambda: [60.0, 200.0])  # m, least and largest
+    cable_diameter: float = checked(CABLE_DIAMETER, _within(0.0, 0.1, "m"))  # m
     cable_stiffness: float = checked(120.0, _within(1e-2, 1e7, "N/m"))  # N/m
     cable_damping: float = checked(2.0, _within(0.0, 1e6, "N s/m"))  # N s/m
     # m/s, in W
@@ -154,7 +155,11 @@ class DesignRequest(AircraftLimits, _Asked):
             need(slow <= self.speed <= fast, "speed", remedy)
         checked_inertia("request.load_inertia", self.inertia)
         aircraft = make_aircraft(
-            self.aircraft, cable_length=float(long), gravity=GRAVITY, field="request.aircraft"
+            self.aircraft,
+            cable_length=float(long),
+            gravity=GRAVITY,
+            cable_diameter=self.cable_diameter,
+            field="request.aircraft",
         )
         check_flight_limits("request", self, aircraft)
         return aircraft

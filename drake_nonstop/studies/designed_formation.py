@@ -441,6 +441,7 @@ def formation_scenario(
         "system.attachments": (ring.round(9) + 0.0).tolist(),
         "system.cable_length": _rounded(x.cable_length),
         "system.cable_stiffness": request.cable_stiffness,
+        "system.cable_diameter": request.cable_diameter,
         "system.cable_damping": request.cable_damping,
         "system.aircraft": aircraft,
         "pattern": pattern,

@@ -82,7 +82,7 @@ def compiled(
     process compiles it.
 
     Args:
-        function: of SX expressions.
+        function: of SX expressions, or of MX that calls such.
         besides: C text that follows that of the function, and may call it.
         own_digest: its `digest`; "": it is not known.
         waits: if so, a ScenarioWarning tells why it cannot be compiled, once for each reason.
@@ -340,10 +340,16 @@ def _cached(load: Callable[[Path], _Loaded], library: Path) -> _Loaded | None:
 
 
 def c_text(function: casadi.Function) -> str:
-    """A function's C text, in which what is the same in two places is computed once."""
+    """A function's C text, in which what is the same in two places is computed once.
+
+    One of MX has those that it calls as they are.
+    """
+    generator = casadi.CodeGenerator("loop", {"with_header": False})
+    if function.is_a("MXFunction"):
+        generator.add(function)
+        return str(generator.dump())
     argument = casadi.SX.sym("x", function.size1_in(0))
     results = casadi.cse(function.call([argument]))
-    generator = casadi.CodeGenerator("loop", {"with_header": False})
     generator.add(casadi.Function(function.name(), [argument], results))
     text: str = generator.dump()
     return text

@@ -240,8 +240,8 @@ def test_what_straight_cables_leave_out_is_told():
     assert cables.load_width == pytest.approx(3.0)
     assert cables.mass == pytest.approx(0.11, abs=0.005)
     assert "differently, more than a hundredth of the load's width (0.03 m)" in cables.warning
-    thin = dataclasses.replace(RASCAL, cable_diameter=1e-4)
-    assert not margins(model(F150, 150.0, thin), 0.595).cables.warning
+    thin = model(F150, 150.0, cable_diameter=1e-4)
+    assert not margins(thin, 0.595).cables.warning
     alike = margins(model(R60, 60.0), 0.4, yaw_rate=0.4).cables  # on level circles
     assert alike.shortening[1] > 0.03 > 1e-3 > alike.difference
     assert not alike.warning

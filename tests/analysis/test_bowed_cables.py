@@ -10,8 +10,8 @@ LENGTH, SPEED, TENSION = 150.0, 15.3, 25.0
 
 
 def cables(diameter):
-    parameters = AircraftParameters(model="rascal_110", cable_diameter=diameter)
-    aircraft = make_aircraft(parameters, cable_length=LENGTH, gravity=9.81)
+    parameters = AircraftParameters(model="rascal_110")
+    aircraft = make_aircraft(parameters, cable_length=LENGTH, gravity=9.81, cable_diameter=diameter)
     one = np.ones((1, 1))
     return aircraft, BowedCables.of(aircraft, SPEED * one, TENSION * one[..., None], np.eye(2))
 

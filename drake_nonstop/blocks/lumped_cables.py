@@ -1,0 +1,180 @@
+"""Cables with mass and drag, for the box "Cable Forces"."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.systems.framework import Context
+
+from drake_nonstop.mechanics.lumped_cable import (
+    CableMaterial,
+    lumped_cables,
+    lumped_cables_energies,
+    straight_nodes,
+)
+from drake_nonstop.mechanics.signal_layouts import MOST_NODES, Layout, nodes_layout
+from drake_nonstop.model.block import Block, BlockParameters
+from drake_nonstop.model.system import AIRCRAFT, Model
+from drake_nonstop.systems.parameters import parameters_in
+from drake_nonstop.validation import (
+    StrictFields,
+    checked,
+    is_number,
+    positive,
+    require,
+    require_ranges,
+    require_whole,
+)
+
+_OF_AIR = f"{AIRCRAFT}air_density"
+_MATERIAL = ("length", "stiffness", "damping", "diameter", "density", "drag", "friction")
+_AIR_DENSITY = 1.225  # kg/m³, where no aircraft say it
+
+
+def _check_nodes(field: str, value: Any) -> None:
+    require_whole(field, value, 1, MOST_NODES)
+
+
+@dataclass(kw_only=True)
+class LumpedCablesConfig(StrictFields):
+    """How finely cables are resolved; what they are made of is the system's."""
+
+    nodes: int = checked(12, _check_nodes)  # of each cable
+    # of the fastest wave along a cable; cable_damping counts up to that
+    max_damping_ratio: float = positive(0.3)
+
+
+class LumpedCables(Block):
+    """Cables that weigh, bow and swing: nodes with mass and drag between springs that only pull.
+
+    With the tensions T and directions u of the segments above and below a node of the mass m,
+
+        m v̇ = T₊ u₊ − T₋ u₋ + ½ ρ d L₀/N (C_D ‖w_n‖ w_n + π C_f ‖w_t‖ w_t) − m g e₃,
+
+    see `mechanics.lumped_cable`. Length, stiffness, damping, diameter, density, drag and friction
+    are the system's, the air's density that of its aircraft. Load and carriers feel the tensions at
+    their ends: aircraft then have no share of their cable's drag in their polar.
+
+    `cable_state` is the state; it starts straight from the load to the carriers. Steps follow the
+    fastest wave, 2 N √(K_c/M) rad/s, M the cable's mass.
+
+    Raises:
+        ScenarioError: there is no node, or no mass; the cable breaks under the load at rest, or
+            weighs more than it carries.
+    """
+
+    reads = ("load_state", "carrier_state", "wind", "load_wind")
+    makes = ("cable_state", "cable_forces", "carrier_cable_forces", "tensions")
+    state_port = "cable_state"
+    system = (*(f"cable_{name}" for name in _MATERIAL), "gravity")
+    of_model = ("attachments",)
+
+    bears_drag = True  # of its cables, which aircraft then do not
+
+    @staticmethod
+    def equations(
+        state: NDArray,
+        *inputs: NDArray,
+        attachments: NDArray,
+        max_damping_ratio: NDArray,
+        **numbers: Any,
+    ) -> tuple[NDArray, ...]:
+        moved = lumped_cables(
+            state,
+            *inputs,
+            attachments=attachments,
+            cable=_material(numbers),
+            max_damping_ratio=max_damping_ratio,
+        )
+        return moved.rates, moved.load_forces, moved.carrier_forces, moved.tensions[0]
+
+    @classmethod
+    def check(cls, model: Model, config: LumpedCablesConfig) -> None:
+        require_ranges("cables", config)
+        system, field = model.system, model.field
+        remedy = "give a number above zero: nodes have mass"
+        for name in ("cable_diameter", "cable_density"):
+            require(getattr(system, name) > 0, f"{field}.{name}", getattr(system, name), remedy)
+        require(
+            is_number(system.cable_stiffness),
+            "simulated.cable_stiffness",
+            system.cable_stiffness,
+            "simulated cables stretch: give a finite number greater than zero",
+        )
+        weight = model.gravity * model.cable_mass
+        carried = model.gravity * system.load_mass / model.n
+        diameter = f"{system.cable_diameter:g}"
+        require(
+            weight < carried,
+            f"{field}.cable_diameter",
+            diameter,
+            f"each cable weighs {weight:.3g} N, and carries {carried:.3g} N of the load; give a "
+            "thinner or shorter one, or more load",
+        )
+        require(
+            carried + weight < model.cable_breaking_load,
+            f"{field}.cable_diameter",
+            diameter,
+            f"each cable breaks at {model.cable_breaking_load:.3g} N, and carries "
+            f"{carried + weight:.3g} N at rest; give a thicker one",
+        )
+
+    def constants(self, model: Model, config: LumpedCablesConfig) -> dict[str, Any]:
+        air = {} if model.aircraft is not None else {_OF_AIR: np.array([_AIR_DENSITY])}
+        return super().constants(model, config) | air
+
+    def block_parameters(self, model: Model, config: LumpedCablesConfig) -> BlockParameters:
+        air = () if model.aircraft is None else (_OF_AIR,)
+        return self.parameters_of(
+            model,
+            config,
+            ["max_damping_ratio"],
+            system=(*self.system, *air),
+            structure=lambda _, config: config.nodes,
+        )
+
+    def layouts(self, model: Model, config: LumpedCablesConfig) -> dict[str, Layout]:
+        return {"cable_state": nodes_layout(config.nodes)}
+
+    def state(self, model: Model) -> NDArray:
+        """Upright cables above the load."""
+        above = model.attachments + np.array([0.0, 0.0, model.cable_length])
+        carriers = np.concatenate([above.ravel(), np.zeros(above.size)])
+        return self._initial_nodes(model.initial_load_state, carriers)
+
+    def TrimCables(self, context: Context) -> None:
+        """Sets the nodes for the load and the carriers of now."""
+        ends = (self.GetInputPort(name).Eval(context) for name in self.reads[:2])
+        context.SetContinuousState(self._initial_nodes(*ends))
+
+    def _initial_nodes(self, load_state: NDArray, carrier_state: NDArray) -> NDArray:
+        """The nodes that a run starts with: on straight lines."""
+        return straight_nodes(
+            load_state,
+            carrier_state,
+            attachments=self.model.attachments,
+            nodes=self.config.nodes,
+        )
+
+    def CalcKineticEnergy(self, context: Context) -> float:
+        """½ Σ m v², J; the context is the block's own."""
+        return self._energies(context)[0]
+
+    def CalcPotentialEnergy(self, context: Context) -> float:
+        """That of the stretched segments and of the weights, J."""
+        return self._energies(context)[1]
+
+    def _energies(self, context: Context) -> tuple[float, float]:
+        state = context.get_continuous_state_vector().CopyToVector()
+        ends = (self.GetInputPort(name).Eval(context) for name in self.reads[:2])
+        numbers = self.constants(self.model, self.config) | parameters_in(self, context)
+        cable = _material(numbers)
+        return lumped_cables_energies(state, *ends, attachments=self.model.attachments, cable=cable)
+
+
+def _material(numbers: dict[str, Any]) -> CableMaterial:
+    """The cables of a block's numbers, by the names of its parameters and constants."""
+    return CableMaterial(
+        *(numbers[f"cable_{name}"] for name in _MATERIAL), numbers[_OF_AIR], numbers["gravity"]
+    )

@@ -1,0 +1,170 @@
+"""Cables with mass and drag: nodes in a line between springs that only pull.
+
+A cable of the length L₀ is cut into N equal pieces, with a node in the middle of each that has the
+piece's mass m = ρ_c π d²/4 L₀/N and its drag. The N + 1 segments from the load's attachment over
+the nodes to the carrier are L₀/N long, the first and the last half of that. With the tensions T_k
+and directions u_k of the segments below and above a node, and its velocity v,
+
+    m v̇ = T_{k+1} u_{k+1} − T_k u_k + ½ ρ d L₀/N (C_D ‖w_n‖ w_n + π C_f ‖w_t‖ w_t) − m g e₃,
+
+where w_n and w_t are the parts of w − v, the air's velocity past the node, across and along the
+cable. The wind w runs linearly along the cable from that at the load to that at the carrier.
+
+A segment is a spring-damper as of `mechanics.cable`, of a share of the cable's compliance. Its
+damping is limited: steps that resolve the waves along the cable then suffice.
+
+Arrays of nodes are (N, n, 3), those of n cables, the load's neighbours first; W, SI.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drake_nonstop.mechanics.cable import positive_part, tensions_and_directions, within
+from drake_nonstop.mechanics.rotation import cross, norm, rotation_matrix
+from drake_nonstop.mechanics.signals import CarrierStates, LoadState
+
+_UP = np.array([0.0, 0.0, 1.0])
+_LEAST = 1e-12  # m²/s², beside squares of speeds, which may vanish
+
+
+class CableMaterial(NamedTuple):
+    """One cable for all; numbers may be arrays (1,), also of symbols."""
+
+    rest_length: float | NDArray  # m, L₀
+    stiffness: float | NDArray  # N/m, of the whole cable
+    damping: float | NDArray  # N s/m, likewise
+    diameter: float | NDArray  # m, d
+    density: float | NDArray  # kg/m³, ρ_c
+    drag: float | NDArray  # C_D of flow across, of the diameter
+    friction: float | NDArray  # C_f of flow along, of the circumference
+    air_density: float | NDArray  # kg/m³, ρ
+    gravity: float | NDArray  # m/s²
+
+    @property
+    def mass(self) -> float | NDArray:
+        """Mass of a cable, kg."""
+        return self.density * np.pi / 4 * self.diameter * self.diameter * self.rest_length
+
+
+class LumpedCables(NamedTuple):
+    """What nodes do, and what the cables' ends pull with."""
+
+    rates: NDArray  # (6Nn,), of the state
+    load_forces: NDArray  # (n, 3), N, on the load
+    carrier_forces: NDArray  # (n, 3), N, of the carriers on their cables
+    tensions: NDArray  # (N + 1, n), N, from the load on
+
+
+def nodes_of(state: NDArray, n: int) -> tuple[NDArray, NDArray]:
+    """Positions and velocities, each (N, n, 3), of a state (6Nn,): all positions come first."""
+    positions, velocities = np.split(state, 2)
+    return positions.reshape(-1, n, 3), velocities.reshape(-1, n, 3)
+
+
+def segment_shares(nodes: int) -> NDArray:
+    """Shares (N + 1, 1, 1) of the cable that its segments are."""
+    inner = np.ones(nodes + 1)
+    inner[[0, -1]] = 0.5
+    return inner[:, None, None] / nodes
+
+
+def straight_nodes(
+    load_state: NDArray, carrier_state: NDArray, *, attachments: NDArray, nodes: int
+) -> NDArray:
+    """The state (6Nn,) of cables that are straight and stretched evenly."""
+    places = np.cumsum(segment_shares(nodes))[:-1, None, None]
+    lines = _ends(load_state, carrier_state, attachments)
+    return np.concatenate([(low + places * (high - low)).ravel() for low, high in lines])
+
+
+def lumped_cables(
+    state: NDArray,
+    load_state: NDArray,
+    carrier_state: NDArray,
+    wind: NDArray,
+    load_wind: NDArray,
+    *,
+    attachments: NDArray,
+    cable: CableMaterial,
+    max_damping_ratio: float | NDArray,
+) -> LumpedCables:
+    """The motion of the nodes of n cables, and the forces at both ends.
+
+    Args:
+        state: see `nodes_of`.
+        load_state: (13,), in W.
+        carrier_state: (6n,), in W.
+        wind: (3n,), m/s, at the carriers.
+        load_wind: (3,), m/s, at the load.
+        attachments: (n, 3), m, in L.
+        cable: what they are made of.
+        max_damping_ratio: of the fastest wave along the cable; the damping is at most that.
+    """
+    positions, velocities = nodes_of(state, len(attachments))
+    (low, high), (low_velocity, high_velocity) = _ends(load_state, carrier_state, attachments)
+    points = np.concatenate([low[None], positions, high[None]])
+    speeds = np.concatenate([low_velocity[None], velocities, high_velocity[None]])
+    count = len(positions)
+    shares, mass = segment_shares(count), cable.mass
+    # The fastest wave turns by 2 N √(K/M) rad/s, and B/K times half of that is its damping ratio.
+    most = max_damping_ratio * np.sqrt(cable.stiffness * mass) / count
+    tensions, directions = tensions_and_directions(
+        points[1:] - points[:-1],
+        speeds[1:] - speeds[:-1],
+        rest_length=cable.rest_length * shares,
+        stiffness=cable.stiffness / shares,
+        damping=within(np.atleast_1d(cable.damping), 0.0, most) / shares,
+    )
+    pulls = tensions * directions
+    # The tangent of the parabola through a node and its neighbours.
+    tangents = shares[1:] * directions[:-1] + shares[:-1] * directions[1:]
+    tangents = tangents / norm(tangents)
+    places = np.cumsum(shares)[:-1, None, None]
+    past = load_wind + places * (wind.reshape(-1, 3) - load_wind) - velocities
+    along = (past * tangents).sum(axis=-1, keepdims=True) * tangents
+    across = past - along
+    pressure = cable.air_density / 2 * cable.diameter * cable.rest_length / count
+    drag = cable.drag * _speed(across) * across + np.pi * cable.friction * _speed(along) * along
+    forces = pulls[1:] - pulls[:-1] + pressure * drag
+    accelerations = forces / (mass / count) - cable.gravity * _UP
+    return LumpedCables(
+        np.concatenate([velocities.ravel(), accelerations.ravel()]),
+        pulls[0],
+        pulls[-1],
+        tensions[..., 0],
+    )
+
+
+def lumped_cables_energies(
+    state: NDArray,
+    load_state: NDArray,
+    carrier_state: NDArray,
+    *,
+    attachments: NDArray,
+    cable: CableMaterial,
+) -> tuple[float, float]:
+    """Kinetic energy of the nodes, and potential energy of them and of the segments, J; floats."""
+    positions, velocities = nodes_of(state, len(attachments))
+    (low, high), _ = _ends(load_state, carrier_state, attachments)
+    points = np.concatenate([low[None], positions, high[None]])
+    shares, mass = segment_shares(len(positions)), cable.mass / len(positions)
+    stretch = positive_part(norm(points[1:] - points[:-1]) - cable.rest_length * shares)
+    elastic = np.sum(cable.stiffness / shares * stretch**2) / 2
+    weight = np.sum(mass * cable.gravity * positions[..., 2])
+    return float(np.sum(mass * velocities**2) / 2), float(elastic + weight)
+
+
+def _ends(
+    load_state: NDArray, carrier_state: NDArray, attachments: NDArray
+) -> tuple[tuple[NDArray, NDArray], tuple[NDArray, NDArray]]:
+    """Positions and velocities of the attachments and of the carriers, each (n, 3)."""
+    load, carriers = LoadState.view(load_state), CarrierStates.view(carrier_state)
+    levers = attachments @ rotation_matrix(load.quaternion).T
+    moving = load.velocity + cross(load.angular_velocity, levers)
+    return (load.position + levers, carriers.positions), (moving, carriers.velocities)
+
+
+def _speed(velocity: NDArray) -> NDArray:
+    return np.sqrt((velocity * velocity).sum(axis=-1, keepdims=True) + _LEAST)
