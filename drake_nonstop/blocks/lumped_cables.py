@@ -131,6 +131,7 @@ class LumpedCables(Block):
             config,
             ["max_damping_ratio"],
             system=(*self.system, *air),
+            fixed=("cable_breaking_load",),
             structure=lambda _, config: config.nodes,
         )
 
@@ -175,6 +176,5 @@ class LumpedCables(Block):
 
 def _material(numbers: dict[str, Any]) -> CableMaterial:
     """The cables of a block's numbers, by the names of its parameters and constants."""
-    return CableMaterial(
-        *(numbers[f"cable_{name}"] for name in _MATERIAL), numbers[_OF_AIR], numbers["gravity"]
-    )
+    names = (*(f"cable_{name}" for name in _MATERIAL), _OF_AIR, "gravity")
+    return CableMaterial._make(numbers[name] for name in names)

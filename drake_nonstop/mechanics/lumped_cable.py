@@ -22,11 +22,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.cable import positive_part, tensions_and_directions, within
-from drake_nonstop.mechanics.rotation import cross, norm, rotation_matrix
+from drake_nonstop.mechanics.rotation import absolute, cross, norm, rotation_matrix
 from drake_nonstop.mechanics.signals import CarrierStates, LoadState
 
 _UP = np.array([0.0, 0.0, 1.0])
-_LEAST = 1e-12  # m²/s², beside squares of speeds, which may vanish
+_LEAST = 1e-12  # m²/s², beside the square of a speed, which may vanish
 
 
 class CableMaterial(NamedTuple):
@@ -110,8 +110,9 @@ def lumped_cables(
     shares, mass = segment_shares(count), cable.mass
     # The fastest wave turns by 2 N √(K/M) rad/s, and B/K times half of that is its damping ratio.
     most = max_damping_ratio * np.sqrt(cable.stiffness * mass) / count
+    stretch = points[1:] - points[:-1]
     tensions, directions = tensions_and_directions(
-        points[1:] - points[:-1],
+        stretch,
         speeds[1:] - speeds[:-1],
         rest_length=cable.rest_length * shares,
         stiffness=cable.stiffness / shares,
@@ -119,14 +120,17 @@ def lumped_cables(
     )
     pulls = tensions * directions
     # The tangent of the parabola through a node and its neighbours.
-    tangents = shares[1:] * directions[:-1] + shares[:-1] * directions[1:]
-    tangents = tangents / norm(tangents)
+    ratio = shares[1:] / shares[:-1]
+    tangents = ratio * stretch[:-1] + stretch[1:] / ratio
+    square = (tangents * tangents).sum(axis=-1, keepdims=True)
     places = np.cumsum(shares)[:-1, None, None]
     past = load_wind + places * (wind.reshape(-1, 3) - load_wind) - velocities
-    along = (past * tangents).sum(axis=-1, keepdims=True) * tangents
-    across = past - along
+    along = (past * tangents).sum(axis=-1, keepdims=True) / square
+    across = past - along * tangents
     pressure = cable.air_density / 2 * cable.diameter * cable.rest_length / count
-    drag = cable.drag * _speed(across) * across + np.pi * cable.friction * _speed(along) * along
+    rubbing = np.pi * cable.friction * np.sqrt(square) * absolute(along) * along
+    speed = np.sqrt((across * across).sum(axis=-1, keepdims=True) + _LEAST)
+    drag = cable.drag * speed * across + rubbing * tangents
     forces = pulls[1:] - pulls[:-1] + pressure * drag
     accelerations = forces / (mass / count) - cable.gravity * _UP
     return LumpedCables(
@@ -164,7 +168,3 @@ def _ends(
     levers = attachments @ rotation_matrix(load.quaternion).T
     moving = load.velocity + cross(load.angular_velocity, levers)
     return (load.position + levers, carriers.positions), (moving, carriers.velocities)
-
-
-def _speed(velocity: NDArray) -> NDArray:
-    return np.sqrt((velocity * velocity).sum(axis=-1, keepdims=True) + _LEAST)

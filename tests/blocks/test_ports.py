@@ -67,6 +67,7 @@ from drake_nonstop.blocks.load_trajectory import (
     SampledTrajectory,
     Waypoints,
 )
+from drake_nonstop.blocks.lumped_cables import LumpedCables, LumpedCablesConfig
 from drake_nonstop.blocks.optimization_layer import ConstantParameters, NonstopOptimizer
 from drake_nonstop.blocks.phase import AccumulatedPhase, PaperPhase, ShapedPhase
 from drake_nonstop.blocks.sample_and_hold import HELD_SIGNALS, SampleAndHold
@@ -173,6 +174,11 @@ _REFERENCES = ["reference", "reference_higher_rates", "reference_preview"]
 _WINDS = ["wind", "load_wind", "mean_wind"]
 _CABLES = ["cable_forces", "carrier_cable_forces", "tensions"]
 _DERIVATIVES = ("carrier_reference_acceleration", "carrier_reference_jerk")
+
+
+def lumped_cables(made):
+    return LumpedCables(made, LumpedCablesConfig(nodes=1))
+
 
 # block: (inputs, outputs, direct feedthrough), for continuous controllers
 BLOCKS = {
@@ -306,6 +312,15 @@ BLOCKS = {
         ["load_state", "carrier_state"],
         _CABLES,
         [(source, target) for source in ("load_state", "carrier_state") for target in _CABLES],
+    ),
+    lumped_cables: (
+        ["load_state", "carrier_state", "wind", "load_wind"],
+        ["cable_state", *_CABLES],
+        [
+            ("load_state", "cable_forces"),
+            ("load_state", "tensions"),
+            ("carrier_state", "carrier_cable_forces"),
+        ],
     ),
     NoDisturbance: ([], ["disturbance_wrench"], []),
     **dict.fromkeys((StillAir, SteadyWind, rising_wind), ([], _WINDS, [])),

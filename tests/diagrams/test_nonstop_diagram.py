@@ -29,6 +29,7 @@ from drake_nonstop.diagrams.nonstop import BOXES, box_of, figure_wires, make_non
 from drake_nonstop.loop.box import block_class, config_class
 from drake_nonstop.loop.equilibrium import set_equilibrium
 from drake_nonstop.loop.parameters import set_parameter
+from drake_nonstop.mechanics.signal_layouts import MOST_NODES
 from drake_nonstop.model.system import SystemOverrides, SystemParameters
 from drake_nonstop.scenario.loading import dump_scenario, load_scenario
 from drake_nonstop.scenario.schema import Scenario
@@ -65,6 +66,7 @@ NOT_BY_DEFAULT = {
     "carrier_controller": ("aircraft_command", "command_saturation"),
     "carrier_dynamics": ("aircraft_state", "carrier_acceleration"),
     "wind_estimator": ("wind_variance",),
+    "cables": ("cable_state",),
 }
 
 
@@ -161,6 +163,7 @@ def test_sizes_follow_from_the_numbers_of_carriers_and_coordinates():
         "internal_force_higher_rates": 6,
     }
     assert BOXES["cables"].sizes(5, 3) == {
+        "cable_state": 15 * 2 * MOST_NODES,
         "cable_forces": 15,
         "carrier_cable_forces": 15,
         "tensions": 5,
@@ -319,7 +322,7 @@ LAYER = (
             "cables",
             {"cable_forces": 12},
             "cable_forces (12): expected cable_forces (12), tensions (4), optional "
-            "carrier_cable_forces (12)",
+            "cable_state (1200), carrier_cable_forces (12)",
         ),
         ("load_disturbance", {}, "none: expected disturbance_wrench (6)"),
         (

@@ -1,0 +1,103 @@
+"""Cables of nodes as a block: their start, what is refused, and flights with them."""
+
+import numpy as np
+import pytest
+from helpers import fix, model, output
+
+from drake_nonstop.blocks.cables import Cables, LumpedCables
+from drake_nonstop.diagrams.nonstop import make_nonstop
+from drake_nonstop.loop import compiled_loop
+from drake_nonstop.loop.compiled_loop import CompiledLoop
+from drake_nonstop.scenario.loading import load_scenario
+from drake_nonstop.simulation.simulate import simulate
+from drake_nonstop.validation import ScenarioError
+
+
+def test_trimmed_cables_pull_as_straight_ones_at_both_ends():
+    made, load = model(4), np.array([1.0, *np.zeros(12)])
+    above = made.attachments + np.array([0.1, 0.0, 0.82])
+    carriers = np.concatenate([above.ravel(), np.full(12, 0.1)])
+    found = []
+    for block in (Cables(made), LumpedCables(made)):
+        context = block.CreateDefaultContext()
+        fix(block, context, load_state=load, carrier_state=carriers)
+        if isinstance(block, LumpedCables):
+            fix(block, context, wind=np.zeros(12), load_wind=np.zeros(3))
+            block.TrimCables(context)
+            shares = np.array([0.5, 11.5])[:, None, None] / 12
+            state = output(block, context, "cable_state").reshape(2, 12, 4, 3)
+            expected = made.attachments + shares * (above - made.attachments)
+            np.testing.assert_allclose(state[0, [0, -1]], expected, atol=1e-12)
+            np.testing.assert_allclose(state[1, [0, -1]], np.ones((4, 3)) * 0.1 * shares)
+        found.append([output(block, context, f"{end}cable_forces") for end in ("", "carrier_")])
+    np.testing.assert_allclose(found[0], found[1], atol=0.02)  # but for what dampers add
+    names = block.signal_layouts["cable_state"].entries("cable_state", 288)
+    assert names[5].name == "cable_state.position_1.2.z"
+    assert names[-1].name == "cable_state.velocity_12.4.z"
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        (["cables.nodes=0"], "cables.nodes = 0: give a whole number from 1 to 50"),
+        (["simulated.cable_diameter=0"], "simulated.cable_diameter = 0.0: give a number above"),
+        (["simulated.cable_diameter=0.0001"], "each cable breaks at 12.6 N, and carries 24.5 N"),
+        (["simulated.cable_breaking_load=25"], "each cable breaks at 25 N, and carries 25.6 N"),
+        (["simulated.cable_diameter=0.006"], "each cable weighs 40.4 N, and carries 24.5 N"),
+        (["simulated.cable_stiffness=.inf"], "simulated.cable_stiffness = inf: simulated cables"),
+    ],
+)
+def test_cables_that_cannot_be_are_refused_in_a_sentence(changes, said):
+    with pytest.raises(ScenarioError) as caught:
+        make_nonstop(load_scenario("aircraft_rest", ["cables=LumpedCables", *changes]))
+    assert said in str(caught.value)
+
+
+def flown(*changes):
+    scenario = load_scenario("aircraft_rest", ["cables=LumpedCables", "cables.nodes=2", *changes])
+    diagram = make_nonstop(scenario)
+    return scenario, diagram
+
+
+def test_a_loop_that_calls_functions_is_that_of_one_function_to_rounding(monkeypatch):
+    scenario, diagram = flown("wind=!SteadyWind {velocity: [2, 1, 0], rise_time: 0.1}")
+    context = diagram.CreateDefaultContext()
+    rows = []
+    for most in (1e9, 0):
+        monkeypatch.setattr(compiled_loop, "_MOST_OPERATIONS", most)
+        monkeypatch.setattr(compiled_loop, "_recent_functions", compiled_loop.LruCache())
+        loop = CompiledLoop(
+            diagram, scenario.simulator_config, scenario.control_period, compiles=False
+        )
+        rows.append(loop.run(context, 0.4)[1])
+    for name, values in rows[0].items():
+        np.testing.assert_allclose(values, rows[1][name], atol=1e-9, err_msg=name)
+    assert np.ptp(rows[0]["cable_state"], axis=0).max() > 1
+
+
+def test_aircraft_have_no_drag_of_cables_that_have_their_own():
+    _, diagram = flown()
+    lumped = diagram.GetSubsystemByName("carrier_dynamics")
+    straight = make_nonstop(load_scenario("aircraft_rest")).GetSubsystemByName("carrier_dynamics")
+    found = []
+    for block in (lumped, straight):
+        context = block.CreateDefaultContext()
+        state = np.zeros(48)
+        state[12:24:3] = 15.0  # m/s
+        context.SetContinuousState(state)
+        fix(block, context, **{name: np.zeros(12) for name in block.reads})
+        found.append(output(block, context, "carrier_acceleration").reshape(4, 3)[:, 0])
+    mass, drag = 6.0, 1.225 / 2 * 1.1 * 1e-3 * 150 / 4 * 15.0**2
+    np.testing.assert_allclose(np.subtract(*found), drag / mass, rtol=1e-6)
+
+
+def test_flights_of_both_engines_are_equal():
+    scenario, diagram = flown("simulation_duration=0.2")
+    run = simulate(scenario)
+    loop = CompiledLoop(
+        *(diagram, run.scenario.simulator_config, 0.04), signal_period=0.01, compiles=False
+    )
+    assert run.signal("cable_state").shape[1] == 48
+    for name in ("cable_state", "load_state", "carrier_cable_forces"):
+        _, rows = loop.run(diagram.CreateDefaultContext(), 0.2)
+        np.testing.assert_allclose(run.signal(name), rows[name], atol=1e-8)
