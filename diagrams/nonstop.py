@@ -105,11 +105,28 @@ BOXES: dict[str, Box] = {
     ),
     "carrier_trajectory": Box(
         variants=carrier_trajectory.VARIANTS,
-        makes=("carrier_reference", "carrier_reference_acceleration", "carrier_reference_jerk"),
+        makes=(
+            "carrier_reference",
+            "carrier_reference_acceleration",
+            "carrier_reference_jerk",
+            "cable_drag_and_weight",
+            "cable_drag_and_weight_rates",
+            "cable_reference",
+        ),
         optional=dict.fromkeys(
             ("carrier_reference_acceleration", "carrier_reference_jerk"), "CarrierTrajectory"
+        )
+        | dict.fromkeys(
+            ("cable_drag_and_weight", "cable_drag_and_weight_rates", "cable_reference"),
+            "BowedCarrierTrajectory",
         ),
-        recorded_where_read=("carrier_reference_acceleration", "carrier_reference_jerk"),
+        recorded_where_read=(
+            "carrier_reference_acceleration",
+            "carrier_reference_jerk",
+            "cable_drag_and_weight",
+            "cable_drag_and_weight_rates",
+            "cable_reference",
+        ),
         place=Place(4, 2, 1, Kind.INNER_LOOP),
     ),
     "carrier_controller": Box(

@@ -7,18 +7,28 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from drake_nonstop.blocks.lumped_cables import (
+    CABLE_MATERIAL,
+    air_density_name,
+    air_density_where_unsaid,
+    cable_material,
+    check_nodes,
+)
+from drake_nonstop.mechanics.bowed_line import TimeWindow, bowed_lines, motion_over_window
 from drake_nonstop.mechanics.cable import compliance_of
 from drake_nonstop.mechanics.carrier import carrier_motion, motion_after, shifted_reference
 from drake_nonstop.mechanics.grasp import second_and_third_force_rates
-from drake_nonstop.mechanics.signal_layouts import SAMPLE_TIME
-from drake_nonstop.model.block import LOAD, Block, rigid_load
+from drake_nonstop.mechanics.signal_layouts import SAMPLE_TIME, Layout, nodes_layout
+from drake_nonstop.model.block import LOAD, Block, BlockParameters, rigid_load
 from drake_nonstop.model.descriptions import CarrierReferences, described
-from drake_nonstop.model.system import Model
+from drake_nonstop.model.system import OFFSET, Model
 from drake_nonstop.systems.requirements import LoopBlocks
 from drake_nonstop.systems.traced_block import BetweenSamples
 from drake_nonstop.systems.wiring import WiringError
 from drake_nonstop.validation import (
     StrictFields,
+    checked,
+    positive,
     require,
     require_non_negative,
     require_ranges,
@@ -28,16 +38,18 @@ from drake_nonstop.validation import (
 _BOX = "carrier_trajectory"
 _HOLDS = {"third_order": 3, "second_order": 2, "velocity": 1}  # and their orders
 _DERIVATIVES = ("carrier_reference_acceleration", "carrier_reference_jerk")
+_INSTANTS = 9  # of the window: accelerations to 0.003 m/s² on cables of 150 m
 _FORCE_RATES = "internal_force_higher_rates"
 _FOR_DERIVATIVES = (_FORCE_RATES, "wind_estimate")
 _HIGHER_RATES = "reference_higher_rates"
 _MEASURED = "measured_load_state"
+_GEOMETRY = ("attachments", "pseudo_inverse", "basis", "phases", "orders")
 
 
 class _TrajectoryAboveReference(Block):
     """Carriers above the load's reference, with accelerations and jerks (eqs. 1, 22)."""
 
-    reads = (
+    reads: ClassVar[tuple[str, ...]] = (
         "reference",
         "desired_cable_forces",
         "desired_cable_force_rates",
@@ -46,14 +58,14 @@ class _TrajectoryAboveReference(Block):
         _MEASURED,
         SAMPLE_TIME,
     )
-    makes = ("carrier_reference", *_DERIVATIVES)
+    makes: ClassVar[tuple[str, ...]] = ("carrier_reference", *_DERIVATIVES)
     where: ClassVar = {
         SAMPLE_TIME: "the model has a control period",
         _MEASURED: "`correction_rates` are not all zero",
     }
     optional_inputs: tuple[str, ...] = (_HIGHER_RATES,)
     system: ClassVar[tuple[str, ...]] = ("cable_length", "cable_stiffness", *LOAD)
-    of_model = ("attachments", "pseudo_inverse", "pattern.basis")
+    of_model: ClassVar[tuple[str, ...]] = ("attachments", "pseudo_inverse", "pattern.basis")
     is_sampled = True
 
     def __init__(self, model: Model, config: Any = None):
@@ -283,8 +295,124 @@ class MeasuredCarrierTrajectory(Block):
         return _moving(1)
 
 
-VARIANTS = (CarrierTrajectory, InextensibleCarrierTrajectory, MeasuredCarrierTrajectory)
+@dataclass(kw_only=True)
+class BowedCarrierTrajectoryConfig(_Hold):
+    """How finely cables are resolved; what they are made of is the system's."""
+
+    nodes: int = checked(12, check_nodes)  # of each cable
+    window: float = positive(0.75)  # s, before and after the present, in which their motion counts
+
+
+class BowedCarrierTrajectory(_TrajectoryAboveReference):
+    """Carriers at the ends of cables that bow under their drag, weight and inertia.
+
+    Eq. 1 as an initial value problem: nodes as those of `LumpedCables`, from the attachment and the
+    desired force on the load up to where the carrier has to be, and pull. The nodes' motion is that
+    over a window of time in which the load follows its reference and the pattern its plan, while
+    what the feedback adds to the desired forces changes at a constant rate, see
+    `mechanics.bowed_line`. The air moves with `wind_estimate`.
+
+    `cable_drag_and_weight` is what carriers pull with beyond the desired forces, `cable_reference`
+    the motion of the nodes. With a diameter of 0 the references are those of `CarrierTrajectory`.
+
+    Raises:
+        ScenarioError: a parameter is out of its range, or the stiffness is no finite number.
+    """
+
+    reads = (
+        "reference",
+        "desired_cable_forces",
+        "desired_cable_force_rates",
+        "planned",
+        "wind_estimate",
+        _HIGHER_RATES,
+        _MEASURED,
+        SAMPLE_TIME,
+    )
+    makes = (
+        *_TrajectoryAboveReference.makes,
+        "cable_drag_and_weight",
+        "cable_drag_and_weight_rates",
+        "cable_reference",
+    )
+    system = (*CABLE_MATERIAL, *LOAD)
+    of_model = (*_TrajectoryAboveReference.of_model, "pattern.phases", "pattern.orders")
+
+    bears_drag = True  # of the cables, which aircraft then do not
+
+    def constants(self, model: Model, config: Any) -> dict[str, Any]:
+        own = {"nodes": config.nodes, "window": TimeWindow.of(config.window, _INSTANTS)}
+        return super().constants(model, config) | own | air_density_where_unsaid(model)
+
+    def block_parameters(self, model: Model, config: Any) -> BlockParameters:
+        return self.parameters_of(
+            model,
+            config,
+            ["correction_rates"],
+            system=(*self.system, *model.offset_parameter, *air_density_name(model)),
+            structure=lambda _, config: (config.nodes, config.window),
+        )
+
+    def layouts(self, model: Model, config: Any) -> dict[str, Layout]:
+        return {"cable_reference": nodes_layout(config.nodes)}
+
+    @staticmethod
+    def equations(  # type: ignore[override]
+        shift: NDArray,
+        reference: NDArray,
+        forces: NDArray,
+        rates: NDArray,
+        planned: NDArray,
+        wind: NDArray,
+        reference_higher_rates: NDArray,
+        load_state: NDArray | None = None,
+        *,
+        correction_rates: NDArray,
+        window: TimeWindow,
+        nodes: int,
+        **numbers: NDArray,
+    ) -> tuple[NDArray, ...]:
+        shift_rate = shift
+        if load_state is not None:
+            reference, shift_rate = shifted_reference(
+                reference, shift, load_state, rates=correction_rates
+            )
+        over_window = motion_over_window(
+            rigid_load(**{name: numbers[name] for name in LOAD}),
+            reference,
+            reference_higher_rates,
+            planned,
+            forces.reshape(-1, 3),
+            rates.reshape(-1, 3),
+            wind,
+            window,
+            offset=numbers.get(OFFSET, np.zeros(1)),
+            **{name: numbers[name] for name in _GEOMETRY},
+        )
+        material = cable_material(numbers)
+        lines = bowed_lines(*over_window, wind, window, cable=material, nodes=nodes)
+        position, velocity, acceleration, jerk = window.at_present(lines.ends)
+        pull, pull_rate, *_ = window.at_present(lines.forces)
+        moving = [window.at_present(node)[:2] for node in lines.nodes]
+        return (
+            shift_rate,
+            np.concatenate([position, velocity]),
+            acceleration,
+            jerk,
+            pull.ravel() - forces,
+            pull_rate.ravel() - rates,
+            np.concatenate([part.ravel() for parts in zip(*moving, strict=True) for part in parts]),
+        )
+
+
+VARIANTS = (
+    CarrierTrajectory,
+    InextensibleCarrierTrajectory,
+    MeasuredCarrierTrajectory,
+    BowedCarrierTrajectory,
+)
 
 __all__ = ["CarrierTrajectory", "CarrierTrajectoryConfig"]
 __all__ += ["InextensibleCarrierTrajectory", "InextensibleCarrierTrajectoryConfig"]
+__all__ += ["BowedCarrierTrajectory", "BowedCarrierTrajectoryConfig"]
 __all__ += ["MeasuredCarrierTrajectory", "MeasuredCarrierTrajectoryConfig"]

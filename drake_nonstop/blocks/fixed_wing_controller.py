@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from drake_nonstop.mechanics.aircraft import flown_aircraft
 from drake_nonstop.mechanics.flight_control import (
     ObserverStates,
     flight_command,
@@ -28,6 +29,7 @@ from drake_nonstop.validation import (
 )
 
 _BOX = "carrier_controller"
+_OF_CABLES = ("cable_drag_and_weight", "cable_drag_and_weight_rates")
 _LIMITS = ("lift_share", "max_bank", "speed_share")
 
 
@@ -70,6 +72,9 @@ class FixedWingController(Block):
     the air; C_L (n); thrust (n), N]: continuous, or discrete where the model has a control period;
     the command is then computed at the samples and held.
 
+    Where references know their cables' drag and weight f_d has these, too, by
+    `cable_drag_and_weight`, and the model of the aircraft no share of that drag.
+
     Raises:
         ScenarioError: the system has no aircraft, or a parameter is out of its range.
     """
@@ -84,11 +89,13 @@ class FixedWingController(Block):
         "desired_cable_force_rates",
         "wind_estimate",
         "carrier_acceleration",
+        *_OF_CABLES,
     )
+    optional_inputs = _OF_CABLES
     makes = ("aircraft_command", "command_saturation")
 
     system = AIRCRAFT_NUMBERS
-    of_model = ("n", "control_period")
+    of_model = ("n", "control_period", "bears_cable_drag")
     is_sampled = True
     is_held = True
 
@@ -104,6 +111,8 @@ class FixedWingController(Block):
         cable_force_rates: NDArray,
         wind: NDArray,
         acceleration: NDArray,
+        cable_load: NDArray,
+        cable_load_rates: NDArray,
         *,
         frequency: NDArray,
         damping: NDArray,
@@ -112,10 +121,13 @@ class FixedWingController(Block):
         observer_time: NDArray,
         n: int,
         control_period: float,
+        bears_cable_drag: bool,
         **numbers: NDArray,
     ) -> tuple[NDArray, NDArray, NDArray]:
         limits = {name: numbers[name] for name in _LIMITS}
-        aircraft = aircraft_of(numbers)
+        aircraft = flown_aircraft(aircraft_of(numbers), bears_cable_drag)
+        cable_forces = cable_forces + cable_load
+        cable_force_rates = cable_force_rates + cable_load_rates
         position_gain, velocity_gain, _ = pid_gains(frequency, damping, 0.0)
         measured = AircraftState.view(aircraft_state)
         command = flight_command(

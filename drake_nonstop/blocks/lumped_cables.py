@@ -9,8 +9,10 @@ from pydrake.systems.framework import Context
 
 from drake_nonstop.mechanics.lumped_cable import (
     CableMaterial,
+    ends_of_cables,
     lumped_cables,
     lumped_cables_energies,
+    resampled_nodes,
     straight_nodes,
 )
 from drake_nonstop.mechanics.signal_layouts import MOST_NODES, Layout, nodes_layout
@@ -29,18 +31,30 @@ from drake_nonstop.validation import (
 
 _OF_AIR = f"{AIRCRAFT}air_density"
 _MATERIAL = ("length", "stiffness", "damping", "diameter", "density", "drag", "friction")
+CABLE_MATERIAL = tuple(f"cable_{name}" for name in _MATERIAL)  # fields of the system
 _AIR_DENSITY = 1.225  # kg/m³, where no aircraft say it
 
 
-def _check_nodes(field: str, value: Any) -> None:
+def check_nodes(field: str, value: Any) -> None:
+    """Raises ScenarioError for what is no number of nodes."""
     require_whole(field, value, 1, MOST_NODES)
+
+
+def air_density_name(model: Model) -> tuple[str, ...]:
+    """The parameter of the air's density; none where no aircraft say it."""
+    return () if model.aircraft is None else (_OF_AIR,)
+
+
+def air_density_where_unsaid(model: Model) -> dict[str, NDArray]:
+    """The air's density where no aircraft say it, as a block's constant."""
+    return {} if model.aircraft is not None else {_OF_AIR: np.array([_AIR_DENSITY])}
 
 
 @dataclass(kw_only=True)
 class LumpedCablesConfig(StrictFields):
     """How finely cables are resolved; what they are made of is the system's."""
 
-    nodes: int = checked(12, _check_nodes)  # of each cable
+    nodes: int = checked(12, check_nodes)  # of each cable
     # of the fastest wave along a cable; cable_damping counts up to that
     max_damping_ratio: float = positive(0.3)
 
@@ -56,8 +70,8 @@ class LumpedCables(Block):
     are the system's, the air's density that of its aircraft. Load and carriers feel the tensions at
     their ends: aircraft then have no share of their cable's drag in their polar.
 
-    `cable_state` is the state; it starts straight from the load to the carriers. Steps follow the
-    fastest wave, 2 N √(K_c/M) rad/s, M the cable's mass.
+    `cable_state` is the state; it starts in the shape of the references' cables, or straight. Steps
+    follow the fastest wave, 2 N √(K_c/M) rad/s, M the cable's mass.
 
     Raises:
         ScenarioError: there is no node, or no mass; the cable breaks under the load at rest, or
@@ -67,7 +81,7 @@ class LumpedCables(Block):
     reads = ("load_state", "carrier_state", "wind", "load_wind")
     makes = ("cable_state", "cable_forces", "carrier_cable_forces", "tensions")
     state_port = "cable_state"
-    system = (*(f"cable_{name}" for name in _MATERIAL), "gravity")
+    system = (*CABLE_MATERIAL, "gravity")
     of_model = ("attachments",)
 
     bears_drag = True  # of its cables, which aircraft then do not
@@ -84,7 +98,7 @@ class LumpedCables(Block):
             state,
             *inputs,
             attachments=attachments,
-            cable=_material(numbers),
+            cable=cable_material(numbers),
             max_damping_ratio=max_damping_ratio,
         )
         return moved.rates, moved.load_forces, moved.carrier_forces, moved.tensions[0]
@@ -121,16 +135,14 @@ class LumpedCables(Block):
         )
 
     def constants(self, model: Model, config: LumpedCablesConfig) -> dict[str, Any]:
-        air = {} if model.aircraft is not None else {_OF_AIR: np.array([_AIR_DENSITY])}
-        return super().constants(model, config) | air
+        return super().constants(model, config) | air_density_where_unsaid(model)
 
     def block_parameters(self, model: Model, config: LumpedCablesConfig) -> BlockParameters:
-        air = () if model.aircraft is None else (_OF_AIR,)
         return self.parameters_of(
             model,
             config,
             ["max_damping_ratio"],
-            system=(*self.system, *air),
+            system=(*self.system, *air_density_name(model)),
             fixed=("cable_breaking_load",),
             structure=lambda _, config: config.nodes,
         )
@@ -144,10 +156,14 @@ class LumpedCables(Block):
         carriers = np.concatenate([above.ravel(), np.zeros(above.size)])
         return self._initial_nodes(model.initial_load_state, carriers)
 
-    def TrimCables(self, context: Context) -> None:
-        """Sets the nodes for the load and the carriers of now."""
-        ends = (self.GetInputPort(name).Eval(context) for name in self.reads[:2])
-        context.SetContinuousState(self._initial_nodes(*ends))
+    def TrimCables(self, context: Context, reference: NDArray | None = None) -> None:
+        """Sets the nodes for the load and the carriers of now, those of a reference if it bows."""
+        load, carriers = (self.GetInputPort(name).Eval(context) for name in self.reads[:2])
+        nodes = self._initial_nodes(load, carriers)
+        if reference is not None:
+            lines = ends_of_cables(load, carriers, self.model.attachments)
+            nodes = resampled_nodes(reference, lines, self.config.nodes)
+        context.SetContinuousState(nodes)
 
     def _initial_nodes(self, load_state: NDArray, carrier_state: NDArray) -> NDArray:
         """The nodes that a run starts with: on straight lines."""
@@ -170,11 +186,10 @@ class LumpedCables(Block):
         state = context.get_continuous_state_vector().CopyToVector()
         ends = (self.GetInputPort(name).Eval(context) for name in self.reads[:2])
         numbers = self.constants(self.model, self.config) | parameters_in(self, context)
-        cable = _material(numbers)
+        cable = cable_material(numbers)
         return lumped_cables_energies(state, *ends, attachments=self.model.attachments, cable=cable)
 
 
-def _material(numbers: dict[str, Any]) -> CableMaterial:
+def cable_material(numbers: dict[str, Any]) -> CableMaterial:
     """The cables of a block's numbers, by the names of its parameters and constants."""
-    names = (*(f"cable_{name}" for name in _MATERIAL), _OF_AIR, "gravity")
-    return CableMaterial._make(numbers[name] for name in names)
+    return CableMaterial._make(numbers[name] for name in (*CABLE_MATERIAL, _OF_AIR, "gravity"))

@@ -94,6 +94,8 @@ def make_parts(
     believed, simulated = models_of(scenario)
     cables = others.get("cables", getattr(scenario, "cables", None))
     simulated = _beside_cables(cables, simulated)
+    trajectory = others.get("carrier_trajectory", getattr(scenario, "carrier_trajectory", None))
+    believed = _beside_cables(trajectory, believed)
     sizes = _figure_sizes(boxes, believed)
     blocks: dict[str, System] = {}
     watched: dict[str, WatchedModel] = {}
@@ -145,14 +147,14 @@ def make_parts(
     return Parts(loop, blocks | held, watched, margin)
 
 
-def _beside_cables(cables: Any, simulated: Model) -> Model:
-    """The plant's model with what its carriers have to know of their cables."""
-    kind = block_of(type(cables)) if is_dataclass(cables) else cables
+def _beside_cables(entry: Any, model: Model) -> Model:
+    """The model, in which carriers have no share of the drag that a block counts as the cables'."""
+    kind = block_of(type(entry)) if is_dataclass(entry) else entry
     if not getattr(kind, "bears_drag", False):
-        return simulated
-    simulated = copy.copy(simulated)
-    simulated.bears_cable_drag = False
-    return simulated
+        return model
+    model = copy.copy(model)
+    model.bears_cable_drag = False
+    return model
 
 
 def connected(boxes: Boxes, parts: Parts, inputs: Collection[str]) -> Diagram:

@@ -13,8 +13,9 @@ none is needed. `context` is the block's own, in which its input ports can be ev
   What the ports show must stay. Without it further states keep their values.
 - `TrimCarriersTo(context, acceleration)`: in place of `TrimCarriers`, sets further states for the
   carriers to have this acceleration (3n), that of `carrier_reference`.
-- `TrimCables(context)`, of the block that makes `cable_forces`: sets its state for the load and the
-  carriers of now, before the carriers' states are trimmed. Without it that keeps its value.
+- `TrimCables(context, reference)`, of the block that makes `cable_forces`: sets its state for the
+  load and the carriers of now, before the carriers' states are trimmed; `reference` is the signal
+  `cable_reference`, None: there is none. Without it that keeps its value.
 - `SetDefaultLoadState(value)`, `SetDefaultCarrierState(value)`: makes the value that of new
   contexts. Without it the defaults of Drake's Integrator, AffineSystem and MultibodyPlant (its
   positions) in the block are set, and the continuous states of LeafSystems in Python declared anew.
@@ -168,7 +169,8 @@ class PlantStates:
     def trim_cables(self, context: Context) -> None:
         """Has cables with a state set it for the load and the carriers."""
         for block in self._cables:
-            block.TrimCables(self._nonstop.GetMutableSubsystemContext(block, context))
+            own = self._nonstop.GetMutableSubsystemContext(block, context)
+            block.TrimCables(own, self.signal(context, "cable_reference"))
 
     def _trim_carriers(self, context: Context) -> list[str]:
         """Has the carriers' block set states for its reference's acceleration; what was called."""

@@ -75,8 +75,28 @@ def straight_nodes(
 ) -> NDArray:
     """The state (6Nn,) of cables that are straight and stretched evenly."""
     places = np.cumsum(segment_shares(nodes))[:-1, None, None]
-    lines = _ends(load_state, carrier_state, attachments)
+    lines = ends_of_cables(load_state, carrier_state, attachments)
     return np.concatenate([(low + places * (high - low)).ravel() for low, high in lines])
+
+
+def resampled_nodes(
+    state: NDArray, lines: tuple[tuple[NDArray, NDArray], tuple[NDArray, NDArray]], nodes: int
+) -> NDArray:
+    """The state (6Nn,) of `nodes` on splines through those of a `state`, with the `lines`' ends."""
+    from scipy.interpolate import CubicSpline  # here: the import takes long, and few runs need it
+
+    n = len(lines[0][0])
+    if len(state) == 6 * nodes * n:
+        return state
+    given, places = (
+        np.cumsum(segment_shares(count))[:-1] for count in (len(state) // (6 * n), nodes)
+    )
+    breaks = np.concatenate([[0.0], given, [1.0]])
+    found = []
+    for inner, (low, high) in zip(nodes_of(state, n), lines, strict=True):
+        points = np.concatenate([low[None], inner, high[None]])
+        found.append(CubicSpline(breaks, points)(places).ravel())
+    return np.concatenate(found)
 
 
 def lumped_cables(
@@ -103,9 +123,11 @@ def lumped_cables(
         max_damping_ratio: of the fastest wave along the cable; the damping is at most that.
     """
     positions, velocities = nodes_of(state, len(attachments))
-    (low, high), (low_velocity, high_velocity) = _ends(load_state, carrier_state, attachments)
-    points = np.concatenate([low[None], positions, high[None]])
-    speeds = np.concatenate([low_velocity[None], velocities, high_velocity[None]])
+    ends, end_velocities = ends_of_cables(load_state, carrier_state, attachments)
+    points, speeds = (
+        np.concatenate([low[None], inner, high[None]])
+        for inner, (low, high) in ((positions, ends), (velocities, end_velocities))
+    )
     count = len(positions)
     shares, mass = segment_shares(count), cable.mass
     # The fastest wave turns by 2 N √(K/M) rad/s, and B/K times half of that is its damping ratio.
@@ -119,19 +141,10 @@ def lumped_cables(
         damping=within(np.atleast_1d(cable.damping), 0.0, most) / shares,
     )
     pulls = tensions * directions
-    # The tangent of the parabola through a node and its neighbours.
-    ratio = shares[1:] / shares[:-1]
-    tangents = ratio * stretch[:-1] + stretch[1:] / ratio
-    square = (tangents * tangents).sum(axis=-1, keepdims=True)
     places = np.cumsum(shares)[:-1, None, None]
     past = load_wind + places * (wind.reshape(-1, 3) - load_wind) - velocities
-    along = (past * tangents).sum(axis=-1, keepdims=True) / square
-    across = past - along * tangents
-    pressure = cable.air_density / 2 * cable.diameter * cable.rest_length / count
-    rubbing = np.pi * cable.friction * np.sqrt(square) * absolute(along) * along
-    speed = np.sqrt((across * across).sum(axis=-1, keepdims=True) + _LEAST)
-    drag = cable.drag * speed * across + rubbing * tangents
-    forces = pulls[1:] - pulls[:-1] + pressure * drag
+    drag = node_drag(past, stretch[:-1], stretch[1:], shares[1:] / shares[:-1], cable, count)
+    forces = pulls[1:] - pulls[:-1] + drag
     accelerations = forces / (mass / count) - cable.gravity * _UP
     return LumpedCables(
         np.concatenate([velocities.ravel(), accelerations.ravel()]),
@@ -139,6 +152,35 @@ def lumped_cables(
         pulls[-1],
         tensions[..., 0],
     )
+
+
+def node_drag(
+    past: NDArray,
+    below: NDArray,
+    above: NDArray,
+    ratio: float | NDArray,
+    cable: CableMaterial,
+    nodes: int,
+) -> NDArray:
+    """Drag (..., 3), N, of one of a cable's nodes.
+
+    Args:
+        past: w − v (..., 3), m/s, the air's velocity past the node.
+        below: (..., 3), m, the segment below the node, from end to end.
+        above: (..., 3), m, that above it.
+        ratio: of the share of the cable that the segment above is, to that below.
+        cable: what it is made of.
+        nodes: N.
+    """
+    # The tangent of the parabola through a node and its neighbours.
+    tangents = ratio * below + above / ratio
+    square = (tangents * tangents).sum(axis=-1, keepdims=True)
+    along = (past * tangents).sum(axis=-1, keepdims=True) / square
+    across = past - along * tangents
+    rubbing = np.pi * cable.friction * np.sqrt(square) * absolute(along) * along
+    speed = np.sqrt((across * across).sum(axis=-1, keepdims=True) + _LEAST)
+    pressure = cable.air_density / 2 * cable.diameter * cable.rest_length / nodes
+    return pressure * (cable.drag * speed * across + rubbing * tangents)
 
 
 def lumped_cables_energies(
@@ -151,7 +193,7 @@ def lumped_cables_energies(
 ) -> tuple[float, float]:
     """Kinetic energy of the nodes, and potential energy of them and of the segments, J; floats."""
     positions, velocities = nodes_of(state, len(attachments))
-    (low, high), _ = _ends(load_state, carrier_state, attachments)
+    (low, high), _ = ends_of_cables(load_state, carrier_state, attachments)
     points = np.concatenate([low[None], positions, high[None]])
     shares, mass = segment_shares(len(positions)), cable.mass / len(positions)
     stretch = positive_part(norm(points[1:] - points[:-1]) - cable.rest_length * shares)
@@ -160,7 +202,7 @@ def lumped_cables_energies(
     return float(np.sum(mass * velocities**2) / 2), float(elastic + weight)
 
 
-def _ends(
+def ends_of_cables(
     load_state: NDArray, carrier_state: NDArray, attachments: NDArray
 ) -> tuple[tuple[NDArray, NDArray], tuple[NDArray, NDArray]]:
     """Positions and velocities of the attachments and of the carriers, each (n, 3)."""

@@ -253,6 +253,11 @@ SIGNALS: dict[str, Layout | None] = {
     "carrier_reference": CARRIER_STATES,
     "carrier_reference_acceleration": Layout(Part("", "3n", "m/s²", "W")),
     "carrier_reference_jerk": Layout(Part("", "3n", "m/s³", "W")),
+    "cable_reference": nodes_layout(MOST_NODES),
+    "cable_drag_and_weight": Layout(
+        Part("", "3n", "N", "W", "that carriers pull with beyond desired_cable_forces")
+    ),
+    "cable_drag_and_weight_rates": Layout(Part("", "3n", "N/s", "W")),
     "carrier_forces": Layout(Part("", "3n", "N", "W")),
     "aircraft_command": AIRCRAFT_COMMAND,
     "command_saturation": Layout(

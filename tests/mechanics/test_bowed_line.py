@@ -1,0 +1,195 @@
+"""Lines that bow, against closed forms, the plant's nodes and other formulas of the rates."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from drake_nonstop.mechanics import bowed_line
+from drake_nonstop.mechanics.bowed_line import TimeWindow, bowed_lines, motion_over_window
+from drake_nonstop.mechanics.carrier import carrier_motion
+from drake_nonstop.mechanics.grasp import (
+    cable_forces_and_rates,
+    grasp_matrix,
+    second_and_third_force_rates,
+    wrenches_along,
+)
+from drake_nonstop.mechanics.internal_force import elliptic_carousel, planned_internal_force
+from drake_nonstop.mechanics.lumped_cable import CableMaterial, lumped_cables
+from drake_nonstop.mechanics.rigid_load import RigidLoad
+from drake_nonstop.mechanics.rotation import rotation_matrix
+from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE, LoadReference, PlannedParameters
+
+CABLE = CableMaterial(150.0, 120.0, 0.0, 1e-3, 970.0, 1.1, 0.02, 1.225, 9.81)
+WINDOW = TimeWindow.of(0.75, 9)
+STILL = np.zeros(3)
+SQUARE = np.array([[1.5, 0.0, 0.0], [0.0, 1.5, 0.0], [-1.5, 0.0, 0.0], [0.0, -1.5, 0.0]])
+
+
+def turned(vectors, rate):
+    """Vectors (n, 3) that turn about the vertical, at the instants of the window: (k, n, 3)."""
+    cosine, sine = np.cos(rate * WINDOW.times), np.sin(rate * WINDOW.times)
+    x, y = vectors[:, 0], vectors[:, 1]
+    level = [np.outer(cosine, x) - np.outer(sine, y), np.outer(sine, x) + np.outer(cosine, y)]
+    return np.stack([*level, np.broadcast_to(vectors[:, 2], level[0].shape)], axis=-1)
+
+
+def resting(force):
+    return np.broadcast_to(np.atleast_2d(force), (len(WINDOW.times), 1, 3))
+
+
+def chord(lines):
+    return np.linalg.norm(WINDOW.at_present(lines.ends)[0][0])
+
+
+def test_lines_without_mass_and_drag_are_straight_as_in_eq_1():
+    forces, rates, second, third = np.random.default_rng(1).normal(size=(4, 4, 3))
+    forces = 10 * forces + [0, 0, 40]
+    t = WINDOW.times[:, None, None]
+    over_window = forces + t * rates + t**2 / 2 * second + t**3 / 6 * third
+    reference = np.eye(LOAD_REFERENCE_SIZE)[0]
+    kept = np.broadcast_to(SQUARE, over_window.shape)
+    for nodes in (1, 5):
+        lines = bowed_lines(
+            over_window, kept, STILL, WINDOW, cable=CABLE._replace(diameter=0.0), nodes=nodes
+        )
+        cables = {"attachments": SQUARE, "rest_length": 150.0, "compliance": 1 / 120.0}
+        expected = carrier_motion(reference, forces, rates, second, third, **cables)
+        for made, known, allowed in zip(
+            WINDOW.at_present(lines.ends), expected, (1e-12, 1e-6, 1e-5, 1e-3), strict=True
+        ):
+            assert made == pytest.approx(known, abs=allowed)
+        assert np.array_equal(lines.forces, over_window)
+
+
+def test_a_still_line_hangs_as_a_catenary_to_second_order():
+    across, up = 2.0, 3.0  # N: the line weighs ten times as much
+    cable = CABLE._replace(diameter=5e-3, stiffness=1e12)
+    weight = cable.mass * cable.gravity / 150.0
+
+    def end(s):
+        low, high = up / across, (up + weight * s) / across
+        level = np.arcsinh(high) - np.arcsinh(low)
+        return across / weight * np.array([level, 0.0, np.hypot(1, high) - np.hypot(1, low)])
+
+    errors = []
+    for nodes in (10, 20, 40):
+        lines = bowed_lines(
+            resting([across, 0.0, up]), resting(STILL), STILL, WINDOW, cable=cable, nodes=nodes
+        )
+        errors.append(np.linalg.norm(lines.ends[0, 0] - end(150.0)))
+    assert errors[-1] < 0.04
+    for coarse, fine in itertools.pairwise(errors):
+        assert coarse / fine == pytest.approx(4.0, rel=0.1)
+    assert lines.forces[0, 0] == pytest.approx(
+        [across, 0.0, up + weight * 150.0], rel=1e-4, abs=1e-4
+    )
+
+
+def test_a_taut_line_that_is_carried_round_is_shorter_by_the_closed_form():
+    speed, tension = 15.3, 400.0
+    cable = CABLE._replace(density=0.0, friction=0.0, stiffness=1e12)
+    forces = turned(np.array([[tension, 0.0, 0.0]]), speed / 150.0)
+    lines = bowed_lines(forces, 0 * forces, STILL, WINDOW, cable=cable, nodes=40)
+    pressure = cable.air_density * cable.drag * cable.diameter * speed**2
+    shorter = 9 / 14 * 150.0 * (pressure * 150.0 / (24 * tension)) ** 2
+    assert 150.0 - chord(lines) == pytest.approx(shorter, rel=0.01)
+
+
+def test_lines_that_turn_with_their_load_are_in_equilibrium_as_nodes_of_the_plant(monkeypatch):
+    monkeypatch.setattr(bowed_line, "_PASSES", 12)
+    rate, wind = 0.5, np.array([0.0, 0.0, 1.0])
+    forces = turned(np.column_stack([5 * SQUARE[:, :2], np.full(4, 24.5)]), rate)
+    lines = bowed_lines(forces, turned(SQUARE, rate), wind, WINDOW, cable=CABLE, nodes=6)
+    ends, end_rates, *_ = WINDOW.at_present(lines.ends)
+    moving = [WINDOW.at_present(node) for node in lines.nodes]
+    places, velocities, accelerations = (np.stack([m[i] for m in moving]) for i in range(3))
+    load_state = np.eye(13)[0]
+    load_state[9] = rate
+    plant = lumped_cables(
+        np.concatenate([places.ravel(), velocities.ravel()]),
+        load_state,
+        np.concatenate([ends.ravel(), end_rates.ravel()]),
+        np.tile(wind, 4),
+        wind,
+        attachments=SQUARE,
+        cable=CABLE,
+        max_damping_ratio=0.0,
+    )
+    made = plant.rates[places.size :].reshape(places.shape)
+    assert accelerations == pytest.approx(-(rate**2) * places * [1, 1, 0], abs=1e-4)
+    assert made == pytest.approx(accelerations, abs=1e-4)
+    assert plant.load_forces == pytest.approx(WINDOW.at_present(forces)[0], abs=1e-6)
+    assert plant.carrier_forces == pytest.approx(WINDOW.at_present(lines.forces)[0], abs=1e-6)
+
+
+def test_forces_over_a_window_have_the_rates_that_other_formulas_give():
+    random = np.random.default_rng(3)
+    reference, higher = random.normal(size=LOAD_REFERENCE_SIZE) / 3, np.zeros(6)
+    higher[3:] = random.normal(size=3)
+    LoadReference.view(reference).quaternion[:] = [0.9, 0.1, -0.2, 0.3]
+    planned = np.array([0.4, 0.6, 3.0, 0.05, 0.1, 0.02, 0.1, 0.05])
+    load = RigidLoad(
+        mass=10.0, inertia=np.diag([5.0, 6, 11]), drag=0.6, angular_drag=0.1, gravity=9.81
+    )
+    geometry = {
+        "pseudo_inverse": np.linalg.pinv(grasp_matrix(SQUARE)),
+        "basis": elliptic_carousel(
+            SQUARE,
+            phase_turns=2,
+            radial=1.0,
+            tangential=1.4,
+            vertical=1.5,
+            second_harmonic=0.0,
+            second_harmonic_direction=0.0,
+        ),
+    }
+    pattern = {"phases": np.array([0, -np.pi / 2] * 2), "orders": np.array([1, 1, 2, 2])}
+    rates = planned_internal_force(PlannedParameters.view(planned), **pattern)
+    turn = rotation_matrix(LoadReference.view(reference).quaternion)
+    omega = turn.T @ LoadReference.view(reference).angular_velocity
+    of_load = wrenches_along(load, reference, STILL)
+    torque, force = np.split(of_load[0], 2)
+    torque_rate, force_rate = np.split(of_load[1], 2)
+    wrench = np.concatenate([turn @ torque, turn @ force])
+    wrench_rate = np.concatenate(
+        [
+            turn @ (torque_rate + np.cross(omega, torque)),
+            turn @ (force_rate + np.cross(omega, force)),
+        ]
+    )
+    forces, force_rates = cable_forces_and_rates(
+        reference[:13],
+        wrench,
+        wrench_rate,
+        np.concatenate(rates[:2]),
+        offset=np.ones(12),
+        **geometry,
+    )
+    second, _ = second_and_third_force_rates(
+        load, reference, forces, force_rates, np.concatenate(rates[2:]), STILL, higher, **geometry
+    )
+    over_window, attachments = motion_over_window(
+        load,
+        reference,
+        higher,
+        planned,
+        forces,
+        force_rates,
+        STILL,
+        WINDOW,
+        attachments=SQUARE,
+        offset=np.ones(12),
+        **geometry,
+        **pattern,
+    )
+    # The feedback is nothing: the forces are those along the reference.
+    for made, known in zip(
+        WINDOW.at_present(over_window), (forces, force_rates, second), strict=False
+    ):
+        assert made == pytest.approx(known, abs=1e-3)
+    motion = carrier_motion(
+        reference, *[np.ones((4, 3))] * 4, attachments=SQUARE, rest_length=0.0, compliance=0.0
+    )
+    for made, known in zip(WINDOW.at_present(attachments)[:3], motion, strict=False):
+        assert made == pytest.approx(known, abs=1e-4)
