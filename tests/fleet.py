@@ -131,6 +131,13 @@ DRAWN: dict[str, tuple[str, list[str]]] = {
         "aircraft_rest",
         ["simulation_duration=2", "carrier_dynamics=JsbsimCarriers"],
     ),
+    "with_bowed_cables": (
+        "aircraft_rest",
+        [
+            *("simulation_duration=2", "cables=!LumpedCables {nodes: 2}"),
+            "carrier_trajectory=!BowedCarrierTrajectory {nodes: 2}",
+        ],
+    ),
     "that_falls": (
         "quintic",
         [

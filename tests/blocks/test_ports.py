@@ -153,6 +153,8 @@ _FLIGHT = (
     "desired_cable_forces",
     "desired_cable_force_rates",
     "wind_estimate",
+    "cable_drag_and_weight",
+    "cable_drag_and_weight_rates",
 )
 
 DISTRIBUTION = (
@@ -285,7 +287,7 @@ BLOCKS = {
         ],
     ),
     FixedWingController: (
-        [*_FLIGHT, "carrier_acceleration"],
+        [*_FLIGHT[:-2], "carrier_acceleration", *_FLIGHT[-2:]],
         ["aircraft_command", "command_saturation"],
         [(s, t) for s in _FLIGHT for t in ("aircraft_command", "command_saturation")],
     ),

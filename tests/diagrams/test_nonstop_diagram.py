@@ -63,6 +63,11 @@ def sampled_figure():
 NOT_BY_DEFAULT = {
     "load_trajectory": ("reference_delay",),
     "optimization_layer": ("missed_limits",),
+    "carrier_trajectory": (
+        "cable_drag_and_weight",
+        "cable_drag_and_weight_rates",
+        "cable_reference",
+    ),
     "carrier_controller": ("aircraft_command", "command_saturation"),
     "carrier_dynamics": ("aircraft_state", "carrier_acceleration"),
     "wind_estimator": ("wind_variance",),
@@ -157,6 +162,9 @@ def test_sizes_follow_from_the_numbers_of_carriers_and_coordinates():
         "carrier_reference": 30,
         "carrier_reference_acceleration": 15,
         "carrier_reference_jerk": 15,
+        "cable_drag_and_weight": 15,
+        "cable_drag_and_weight_rates": 15,
+        "cable_reference": 15 * 2 * MOST_NODES,
     }
     assert BOXES["internal_force"].sizes(5, 3) == {
         "internal_force": 6,
