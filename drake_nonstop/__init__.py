@@ -33,4 +33,5 @@ else:  # what type checkers must not see: with it any name would do
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
     def __dir__() -> list[str]:
-        return [*globals(), *__getattr__("__all__")]
+        own = globals().keys() - {"Any", "TYPE_CHECKING", "importlib"}
+        return [*own, *__getattr__("__all__")]

@@ -167,6 +167,7 @@ from drake_nonstop.systems.energy import LoopDiagram as _LoopDiagram
 from drake_nonstop.visualization import rich_display as _rich_display
 
 for _shown, _html in (
+    (Scenario, _rich_display.scenario_html),
     (Run, _rich_display.run_html),
     (Sweep, _rich_display.sweep_html),
     (_LoopDiagram, _rich_display.diagram_html),

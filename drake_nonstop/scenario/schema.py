@@ -164,6 +164,11 @@ class Scenario(_Boxes):
             return NotImplemented
         return bool(comparable(self) == comparable(other))
 
+    def __repr__(self) -> str:
+        """One line; `dump_scenario` tells all."""
+        carriers, layer = len(self.system.attachments), type(self.optimization_layer).__name__
+        return f"<Scenario {self.name}: {carriers} carriers, {self.simulation_duration} s, {layer}>"
+
     def _rewrite_yaml_dump_attr_name(self, name: str) -> str:
         """Drake's `yaml_dump_typed` asks for the attribute that a field's value is in.
 

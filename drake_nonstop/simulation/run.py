@@ -1,5 +1,6 @@
 """Result of a simulation, and how it may end."""
 
+import importlib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -14,9 +15,11 @@ from pydrake.systems.framework import Context, Diagram
 from drake_nonstop.optimization.diagnostics import Diagnostics
 from drake_nonstop.scenario.schema import DIAGRAM, Scenario
 from drake_nonstop.simulation.signal_table import SignalTable
-from drake_nonstop.validation import require
+from drake_nonstop.validation import require, warn_user
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from drake_nonstop.simulation.recording import LogSignals
 
 WALL_TIME = "solve_time"  # port; its values differ from run to run: `Run.signals` is without it
@@ -43,6 +46,9 @@ class Run(SignalTable):
     integrator, s; `unresolved` has a sentence for each metric that this step does not resolve, and
     `half_step` what `verify_step` found. `replacements` are the arguments of `simulate` that made
     the loop or its blocks in place of the scenario's; None: `simulate` did not make the run.
+
+    A run can be pickled, and so comes back from another process, where its `replacements` can be.
+    Its diagram is left out, and is built again when it is first asked for.
     """
 
     scenario: Scenario
@@ -63,6 +69,32 @@ class Run(SignalTable):
         end = f"{self.time[-1]:g} s" if len(self.time) else "no samples"
         why = f", stopped: {self.stopped}" if self.stopped else ""
         return f"<Run of {self.scenario.name}: {end}, {len(self.signals)} signals{why}>"
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in vars(self).items() if name != "diagram"}
+
+    if not TYPE_CHECKING:  # with it type checkers would take any name
+
+        def __getattr__(self, name: str) -> Any:
+            """The diagram of a run that was pickled."""
+            if name != "diagram" or "scenario" not in vars(self):
+                raise AttributeError(f"a Run has no {name}", name=name, obj=self)
+            self.diagram = built_again(self.scenario, self.replacements, repr(self))
+            return self.diagram
+
+    def plot(self, *names: str) -> "Figure":
+        """Draws a figure of the run, or signals over time; the figure can be changed and saved.
+
+        Args:
+            names: one of the figures that `drake-nonstop run` writes, such as "tensions" or
+                "carrier_paths_from_above"; or signals as of `columns`, a panel for each quantity.
+
+        Raises:
+            ScenarioError: there is no such figure or signal.
+        """
+        # By its name: figures are drawn in a room above that of runs.
+        figures = importlib.import_module("drake_nonstop.visualization.run_figures")
+        return figures.plotted(self, names)
 
     @classmethod
     def from_logs(
@@ -139,6 +171,20 @@ class Run(SignalTable):
         return load_run(folder, trust=trust)
 
 
+def built_again(scenario: Scenario, replacements: dict[str, Any] | None, run: object) -> Diagram:
+    """The loop's diagram of a run; a ScenarioWarning tells where it may be another one."""
+    from drake_nonstop.diagrams.nonstop import make_nonstop
+    from drake_nonstop.simulation.flight import without_warnings
+    from drake_nonstop.simulation.preparation import loop_of
+
+    if replacements is None:
+        text = f"run = {run}: blocks that its scenario does not name were in the loop; its "
+        warn_user(f"{text}diagram is that of the scenario")
+    given = {"make_loop": make_nonstop, **(replacements or {})}
+    with without_warnings():  # they were told before it flew
+        return loop_of(given.pop("make_loop"), scenario, given)
+
+
 def solve_times_of(steps: Mapping[str, NDArray]) -> NDArray:
     """Returns the wall times (updates,), s, of the optimization layer's updates made in Python."""
     if "diagnostics" not in steps or WALL_TIME not in steps:
@@ -171,6 +217,9 @@ class RunStopped(RuntimeError):  # noqa: N818 - the end of a run; its message ha
         super().__init__(message)
         self.run = run
 
+    def __reduce__(self) -> Any:
+        return type(self), (*self.args, self.run)
+
 
 class RunInterrupted(KeyboardInterrupt):
     """A run was interrupted from the keyboard; `run` holds the signals up to there."""
@@ -178,6 +227,9 @@ class RunInterrupted(KeyboardInterrupt):
     def __init__(self, run: Run):
         super().__init__(run.stopped)
         self.run = run
+
+    def __reduce__(self) -> Any:
+        return type(self), (self.run,)
 
 
 class RunsInterrupted(KeyboardInterrupt):

@@ -20,15 +20,13 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.mechanics.signal_layouts import Entry
 from drake_nonstop.mechanics.signals import SIGNAL_PERIOD
 from drake_nonstop.scenario.loading import parse_scenario
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.simulation.flight import without_warnings
 from drake_nonstop.simulation.monitor import AT_INSTANT
 from drake_nonstop.simulation.recording import EVERY_STEP, RUN_SIGNALS, recorded_sizes
-from drake_nonstop.simulation.run import Run, solve_times_of
+from drake_nonstop.simulation.run import Run, built_again, solve_times_of
 from drake_nonstop.simulation.signal_table import SignalTable
 from drake_nonstop.validation import (
     ScenarioError,
@@ -36,7 +34,6 @@ from drake_nonstop.validation import (
     one_line,
     read_text,
     require,
-    warn_user,
 )
 
 SCENARIO, SIGNALS, STEPS = "scenario.yaml", "signals.npz", "steps.npz"
@@ -120,11 +117,8 @@ def load_run(folder: Path | str, *, trust: bool = False) -> Run:
     n = len(scenario.system.attachments)
     _check_sizes(path, steps, {k: v for k, v in _contract(n).items() if k in EVERY_STEP})
     has_own_blocks = facts.pop(_OWN_BLOCKS)
-    if has_own_blocks:
-        text = f"run = {folder}: blocks that its scenario does not name were in the loop; its "
-        warn_user(f"{text}diagram is that of the scenario")
-    with without_warnings():  # they were told before it flew
-        diagram = make_nonstop(scenario)
+    replacements: dict[str, Any] | None = None if has_own_blocks else {}
+    diagram = built_again(scenario, replacements, folder)
     if not has_own_blocks:
         for file, values, sizes in zip(
             (SIGNALS, STEPS), (table.signals, steps), recorded_sizes(diagram), strict=True
@@ -138,7 +132,7 @@ def load_run(folder: Path | str, *, trust: bool = False) -> Run:
         diagram=diagram,
         steps=steps,
         solve_times=solve_times_of(steps),
-        replacements=None if has_own_blocks else {},
+        replacements=replacements,
         **vars(table),
         **facts,
     )

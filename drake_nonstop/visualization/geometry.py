@@ -140,12 +140,13 @@ class NonstopGeometry(DiagramBlock):
         self.cable_frames: list[tuple[FrameId, FrameId]] = []
         length = _HALF_CABLE * system.cable_length
         cylinder = Cylinder(scene.cable_radius, length)
-        half = Part(name="half", shape=cylinder, pose=RigidTransform([0, 0, length / 2]))
-        sphere = Part(name="sphere", shape=Sphere(scene.wing_span / 2))
+        centre, ball = RigidTransform([0, 0, length / 2]), Sphere(scene.wing_span / 2)
         cable_colour = scene.cable_colour(scene.weight_share)
         filters = CollisionFilterDeclaration()
         for i, colour in enumerate(scene.carrier_colours):
             aircraft = [_instance(part, colour) for part in carrier_parts(scene.wing_span)]
+            sphere = Part(name=f"carrier {i + 1}", shape=ball)
+            half = Part(name=f"cable {i + 1}", shape=cylinder, pose=centre)
             aircraft.append(_instance(sphere, is_solid=True))
             carrier = add(f"carriers::{i}", aircraft, next(labels))
             label = next(labels)

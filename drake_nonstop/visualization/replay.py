@@ -40,7 +40,17 @@ _COMMAND = re.compile(
 _LARGE = 100_000  # characters of a command
 
 
-def record_replay(run: Run, *, frame_rate: float | None = None) -> str:
+class Replay(str):
+    """A page in HTML, which a notebook shows in a frame where it is the result of a cell."""
+
+    def _repr_html_(self) -> str:
+        return (
+            f'<iframe title="Replay" loading="lazy" srcdoc="{html.escape(self)}" '
+            'style="width: 100%; height: 28em; border: 0"></iframe>'
+        )
+
+
+def record_replay(run: Run, *, frame_rate: float | None = None) -> Replay:
     """The run as a Meshcat recording (see `Scene`) in an HTML page that loads nothing else.
 
     The recording ends before the first sample that is not finite.
@@ -64,10 +74,10 @@ def record_replay(run: Run, *, frame_rate: float | None = None) -> str:
     snapshots = _snapshots(run, frame_rate)
     page = _COMMAND.sub(_compressed, _recorded(scene, snapshots, frame_rate))
     if not snapshots:
-        return page
+        return Replay(page)
     body, end = page.rsplit("</body>", 1)
     overlay = _overlay(run, scene.config, snapshots, frame_rate)
-    return f"{body}{overlay}</body>{end}"
+    return Replay(f"{body}{overlay}</body>{end}")
 
 
 def _recorded(scene: Scene, snapshots: list[Snapshot], frame_rate: float) -> str:

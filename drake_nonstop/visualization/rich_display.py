@@ -1,4 +1,4 @@
-"""How runs, sweeps and loops are shown in notebooks; `drake_nonstop.public` assigns it."""
+"""How notebooks show scenarios, runs, sweeps and loops; `drake_nonstop.public` assigns it."""
 
 import base64
 import html
@@ -7,17 +7,18 @@ from typing import Any
 
 from pydrake.systems.framework import Diagram
 
+from drake_nonstop.scenario.loading import dump_scenario
+from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.metrics import compute_metrics, metrics_table
 from drake_nonstop.simulation.run import Run
 from drake_nonstop.visualization.drawing import draw_diagram
-from drake_nonstop.visualization.replay import record_replay
 from drake_nonstop.visualization.run_figures import make_figure
 
 _FIGURE = "carrier_speeds"
 
 
 def run_html(run: Run) -> str:
-    """A run's table of metrics, the figure of its carriers' speeds, and its replay."""
+    """A run's table of metrics, and the figure of its carriers' speeds."""
     if len(run.time) == 0:
         return _preformatted(repr(run))
     table = metrics_table(compute_metrics(run))
@@ -27,9 +28,14 @@ def run_html(run: Run) -> str:
     return (
         f"{_preformatted(repr(run))}{_preformatted(table)}"
         f'<img alt="Carrier speeds" src="data:image/png;base64,{picture}"/>'
-        f'<iframe title="Replay" loading="lazy" srcdoc="{html.escape(record_replay(run))}" '
-        'style="width: 100%; height: 28em; border: 0"></iframe>'
+        f"{_preformatted('record_replay(run) shows it move; run.plot(...) draws more')}"
     )
+
+
+def scenario_html(scenario: Scenario) -> str:
+    """A scenario in a line, which opens to its YAML."""
+    text = _preformatted(dump_scenario(scenario))
+    return f"<details><summary>{html.escape(repr(scenario))}</summary>{text}</details>"
 
 
 def diagram_html(diagram: Diagram) -> str:

@@ -46,6 +46,16 @@ def make_figure(run: Run, name: str) -> Figure:
     return _FIGURES[FIGURE_NAMES.index(name)](run)
 
 
+def plotted(run: Run, names: Sequence[str]) -> Figure:
+    """A figure of the run, or its signals; see `Run.plot`."""
+    if len(names) == 1 and names[0] in FIGURE_NAMES:
+        has = ", ".join(figure_names(run))
+        require(names[0] in figure_names(run), "figure", names[0], f"this run has {has}")
+        return make_figure(run, names[0])
+    require(len(names) > 0, "names", "none", f"give one of {', '.join(FIGURE_NAMES)}, or signals")
+    return make_signal_figure({run.scenario.name: run}, names)
+
+
 def _draw_load_reference(run: Run) -> Figure:
     references = run.signal("reference")
     shown = extreme_samples(references[:, :13])

@@ -157,6 +157,17 @@ def add_meshcat(builder, scene_graph):
     return meshcat
 
 
+def test_shapes_that_collide_are_named_after_their_bodies():
+    made = Loop(irregular(3))
+    name = made.scene_graph.model_inspector().GetName
+    geometry = made.geometry
+    for i, (frame, halves) in enumerate(
+        zip(geometry.carrier_frames, geometry.cable_frames, strict=True), 1
+    ):
+        assert name(made.solid(frame)) == f"carrier {i}"
+        assert [name(made.solid(half)) for half in halves] == [f"cable {i}"] * 2
+
+
 @pytest.mark.parametrize("attachments", [irregular(3), spatial(4), spatial(7)])
 def test_distances_between_carriers_are_those_of_their_spheres(attachments):
     made = Loop(attachments)

@@ -5,19 +5,38 @@ import re
 
 import pytest
 
-from drake_nonstop import SweepSpec, load_scenario, make_nonstop, record_replay, simulate, sweep
+from drake_nonstop import (
+    SweepSpec,
+    load_scenario,
+    make_nonstop,
+    parse_scenario,
+    record_replay,
+    simulate,
+    sweep,
+)
 from drake_nonstop.studies.run_all import SerialExecutor
 
 BRIEF = ["simulation_duration=0.2"]
 
 
-def test_a_run_shows_its_metrics_a_figure_and_its_replay():
+def test_a_run_shows_its_metrics_and_a_figure_and_its_replay_where_it_is_asked_for():
     run = simulate(load_scenario("quintic", BRIEF))
     shown = run._repr_html_()
     assert "&lt;Run of quintic: 0.2 s, 30 signals&gt;" in shown
     assert "carrier speed" in shown
     assert re.search(r'src="data:image/png;base64,[A-Za-z0-9+/]{5000,}', shown)
-    assert html.unescape(re.search(r'srcdoc="([^"]*)"', shown)[1]) == record_replay(run)
+    assert len(shown) < 100_000
+    replay = record_replay(run)
+    assert html.unescape(re.search(r'srcdoc="([^"]*)"', replay._repr_html_())[1]) == replay
+
+
+def test_a_scenario_is_a_line_that_opens_to_its_yaml():
+    scenario = load_scenario("quintic")
+    line = "<Scenario quintic: 4 carriers, 15.0 s, RecedingHorizonOptimizerConfig>"
+    assert repr(scenario) == line
+    shown = html.unescape(scenario._repr_html_())
+    assert line in shown
+    assert parse_scenario(re.search("<pre[^>]*>(.*)</pre>", shown, re.DOTALL)[1]) == scenario
 
 
 def test_a_loop_shows_its_drawing():
