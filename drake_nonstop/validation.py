@@ -298,6 +298,12 @@ def optional_part(kind: Any) -> Any:
     return part if part is not kind and dataclasses.is_dataclass(part) else None
 
 
+def parts_of(kind: Any) -> tuple[type, ...]:
+    """The dataclasses that a value of this type is one of; none where it may be anything else."""
+    parts = typing.get_args(kind)
+    return parts if all(map(dataclasses.is_dataclass, parts)) else ()
+
+
 def fields_of(schema: Any) -> Sequence[Any]:
     """The fields of a dataclass, or of one of Drake's, each with a `name` and a `type`."""
     is_own = dataclasses.is_dataclass(schema)
@@ -328,6 +334,10 @@ def require_type(field: str, value: Any, kind: Any) -> None:
         require(isinstance(value, str), field, value, "give a text, in quotes")
         is_text = not any("\ud800" <= character <= "\udfff" for character in value)
         require(is_text, field, value, "give a text that can be written as UTF-8")
+    elif parts := parts_of(kind):
+        names = " and ".join(f"!{part.__name__.removesuffix('Config')}" for part in parts)
+        require(isinstance(value, parts), field, value, f"give one of {names}")
+        require_fields(field, value)
     elif dataclasses.is_dataclass(kind) and isinstance(value, kind):  # type: ignore[arg-type]
         require_fields(field, value)
 

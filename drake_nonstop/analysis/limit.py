@@ -20,7 +20,7 @@ class RunOutcome(str, Enum):
     STOPPED = "stopped"  # it diverged, a block failed, or it was ended before its time
     STALLED = "stalled"  # an aircraft's wing stalled
     LOAD_LOST = "load_lost"  # the load did not follow its reference
-    COLLISION = "collision"  # carriers or cables came too close to each other
+    COLLISION = "collision"  # carriers or cables came too close to each other, or to an obstacle
     CABLES_SLACK = "cables_slack"
     BOUND_MISSED = "bound_missed"  # a carrier was below ε
     LIMIT_MISSED = "limit_missed"  # another limit that a block was asked for was not kept
@@ -33,7 +33,7 @@ class Limit:
     """A limit of a scenario: what it bounds, and what is said of a run beyond it."""
 
     path: str  # in the scenario; one without such a field, or without a number there, has no limit
-    sentence: str  # with {} for the quantity
+    sentence: str | Callable[[Any], str]  # with {} for the quantity; or what makes it of a run
     unit: str
     measure: Callable[[Any], float | None]  # of a run's quantities; None: unknown
     share_of: Callable[[Any], float] = lambda run: 1.0  # what the limit is a share of
@@ -58,7 +58,8 @@ class Limit:
             return None
         shown, bound = _told_apart(value, limit)
         unit = f" {self.unit}" if self.unit else ""
-        sentence = self.sentence.format(f"{shown}{unit}")
+        sentence = self.sentence if isinstance(self.sentence, str) else self.sentence(run)
+        sentence = sentence.format(f"{shown}{unit}")
         is_share = self.whole and stated is not None and math.isfinite(limit)
         share = f"{stated:g} of {self.whole}, " if is_share else ""
         return f"{sentence} ({self.path}: {share}{bound}{unit})"
@@ -101,11 +102,19 @@ DISTANCE_LIMITS = (
         whole="the distance of their attachments",
         is_least=True,
     ),
+    Limit(
+        path="limits.clearance",
+        outcome=RunOutcome.COLLISION,
+        sentence=lambda run: run.approaches[0].sentence,
+        unit="m",
+        measure=lambda run: run.obstacle_distance(),
+        is_least=True,
+    ),
 )
 
 
 def find_collisions(motion: Spacing) -> list[str]:
-    """A sentence about carriers, and one about cables, that come too close to each other."""
+    """A sentence about carriers, one about cables, and one about an obstacle, too close."""
     found = (limit.complaint(motion) for limit in DISTANCE_LIMITS)
     return [sentence for sentence in found if sentence is not None]
 

@@ -4,6 +4,7 @@ import contextlib
 import dataclasses
 import math
 from functools import cached_property
+from operator import attrgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -65,16 +66,13 @@ class PlannedMotion(Spacing):
         scenario: of the task.
         task: what is flown.
         plan: of ξ and A; None: the nominal ones are flown.
-
-    Attributes:
-        times: of the instants (k,), s; between two of them all move along straight lines.
     """
 
     def __init__(self, scenario: Scenario, task: Task, plan: Plan | None = None):
         self.scenario, self._model = scenario, task.flown
         fastest = task.limits.frequency * (1 if plan is None else plan.coefficients[0].max())
         turns = task.duration * fastest / (2 * math.pi)
-        self.times = times = np.linspace(0, task.duration, math.ceil(_PER_TURN * (1 + turns)))
+        self._time = times = np.linspace(0, task.duration, math.ceil(_PER_TURN * (1 + turns)))
         planned = task.planned(plan, times)
         references = np.array([task.reference(time) for time in times])
         terms = orbit_terms(task.flown, references, [task.wind_at(time) for time in times])
@@ -82,6 +80,7 @@ class PlannedMotion(Spacing):
         loads = LoadReference.view(references)
         R_LW = rotation_matrix(loads.quaternion).swapaxes(1, 2)
         self._forces = motion.forces @ R_LW  # (k, n, 3), N, in W
+        self._load_positions = loads.position
         self._attachments = loads.position[:, None] + self._model.attachments @ R_LW
         self._carriers = self._attachments + motion.cables @ R_LW
 
@@ -89,6 +88,16 @@ class PlannedMotion(Spacing):
     def system(self) -> SystemParameters:
         """The simulated load, cables and carriers."""
         return self._model.system
+
+    @property
+    def time(self) -> NDArray:
+        """The instants (k,), s."""
+        return self._time
+
+    @property
+    def load_positions(self) -> NDArray:
+        """(k, 3), in W, m."""
+        return self._load_positions
 
     @property
     def attachment_positions(self) -> NDArray:
@@ -117,7 +126,7 @@ class PlannedMotion(Spacing):
         instant, cable = np.unravel_index(np.argmin(vertical), vertical.shape)
         force, model = self._forces[instant, cable], self._model
         return LeastLoad(
-            time=float(self.times[instant]),
+            time=float(self.time[instant]),
             cable=int(cable) + 1,
             share=float(force[2] * model.n / (model.load_mass * model.gravity)),
             elevation=math.atan2(force[2], math.hypot(*force[:2])),
@@ -130,7 +139,7 @@ class PlannedMotion(Spacing):
         between, apart = self.closest_cables_for_attachments
         ends, carriers = self.attachment_positions, self.carrier_positions
         of_carriers, of_cables = (
-            f"t = {self.times[np.argmin(distances)]:.2f} s"
+            f"t = {self.time[np.argmin(distances)]:.2f} s"
             for distances in (closest_carriers(carriers), closest_cables(ends, carriers))
         )
         return [
@@ -139,6 +148,14 @@ class PlannedMotion(Spacing):
                 "least distance of two cables",
                 f"{between:.3g} m",
                 f"{of_cables}, attached {apart:.3g} m apart",
+            ),
+            *(
+                (
+                    f"least distance of {each.obstacle} from {each.nearest.body}",
+                    f"{each.distance:.3g} m",
+                    f"t = {each.nearest.time:.2f} s",
+                )
+                for each in self.approaches
             ),
         ]
 
@@ -152,6 +169,7 @@ class PlannedMotion(Spacing):
             "collisions": self.collisions,
             "carriers_min_m": self.carrier_separation,
             "cables_min_m": between,
+            "obstacles": [*map(attrgetter("dictionary"), self.approaches)],
             "attachments_of_these_cables_m": attachments,
             "least_share": least.share,
             "least_share_at_s": least.time,

@@ -4,11 +4,13 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from functools import cached_property
 from itertools import combinations
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from drake_nonstop.analysis.obstacle_distances import Approach, Bodies, closest_approach
 from drake_nonstop.model.system import SystemParameters
 from drake_nonstop.scenario.schema import Scenario
 
@@ -42,6 +44,50 @@ class Spacing(ABC):
     @abstractmethod
     def attachment_positions(self) -> NDArray:
         """Where the cables are attached to the load at each step (k, n, 3), in W, m."""
+
+    @property
+    @abstractmethod
+    def load_positions(self) -> NDArray:
+        """Of the load's centre of mass at each step (k, 3), in W, m."""
+
+    @property
+    @abstractmethod
+    def time(self) -> NDArray:
+        """The instants (k,) of the steps, s; between two of them all move along straight lines."""
+
+    @property
+    def cable_points(self) -> NDArray:
+        """The points that cables are straight between, from the load on, (points, k, n, 3), m."""
+        return np.stack([self.attachment_positions, self.carrier_positions])
+
+    @cached_property
+    def approaches(self) -> list[Approach]:
+        """How near load, cables and carriers come to each obstacle, the worst first.
+
+        The load is the frame between its attachments and its centre of mass.
+        """
+        obstacles = self.scenario.obstacles
+        if not obstacles:
+            return []
+        load = np.concatenate([self.attachment_positions, self.load_positions[:, None]], axis=1)
+        edges = load[:, np.stack(np.triu_indices(load.shape[1], 1), axis=1)]
+        points, carriers = self.cable_points, self.carrier_positions
+        cables = np.stack([points[:-1], points[1:]], axis=-2).swapaxes(0, 1).swapaxes(1, 2)
+        moved = (
+            Bodies("load", edges[:, None]),
+            Bodies("cable", cables),
+            Bodies("carrier", np.stack([carriers, carriers], axis=-2)[:, :, None]),
+        )
+        found = [
+            closest_approach(obstacle.name, obstacle.shape(), bodies, self.time)
+            for obstacle in obstacles
+            for bodies in moved
+        ]
+        return sorted(found, key=attrgetter("order"))
+
+    def obstacle_distance(self, kind: str = "") -> float | None:
+        """The least distance from an obstacle, of bodies of a kind, m; None: there are none."""
+        return min((a.distance for a in self.approaches if kind in ("", a.kind)), default=None)
 
     @property
     def reach(self) -> float:

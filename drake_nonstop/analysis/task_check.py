@@ -272,9 +272,11 @@ class TaskCheck:
         if motion.collisions:
             met = "; ".join(motion.collisions)
             return f"planned motion = too close: {met}; {_of_remedies(self.motion_remedies)}"
+        nearest = motion.approaches[:1]
         return (
             f"carriers stay {motion.carrier_separation:.3g} m apart, and cables "
             f"{motion.closest_cables_for_attachments[0]:.3g} m"
+            + "".join(f", {a.nearest.body} from {a.obstacle} {a.distance:.3g} m" for a in nearest)
         )
 
 

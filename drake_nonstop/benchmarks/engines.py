@@ -13,11 +13,11 @@ from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.scenario.schema import COMPILED, DIAGRAM, Scenario
 from drake_nonstop.simulation.compiled_run import recorded_loop
 from drake_nonstop.simulation.flight import without_warnings
-from drake_nonstop.simulation.metrics import versions
 from drake_nonstop.simulation.preparation import with_chosen_step
 from drake_nonstop.simulation.recording import LogSignals
 from drake_nonstop.simulation.run import Run, StepCheck
 from drake_nonstop.simulation.simulate import simulate
+from drake_nonstop.simulation.versions import versions
 from drake_nonstop.systems.compilation import compiler
 
 _WAYS = {

@@ -15,9 +15,11 @@ from pydrake.systems.analysis import SimulatorConfig
 
 from drake_nonstop.loop.box import import_path
 from drake_nonstop.scenario.loading import scenario_names
+from drake_nonstop.scenario.obstacles import OBSTACLES
 from drake_nonstop.scenario.schema import CHOICES, Scenario
 from drake_nonstop.scenario.tree import block_name
 from drake_nonstop.systems.documentation import meanings
+from drake_nonstop.validation import parts_of
 
 _PLAIN = {float: "number", int: "integer", bool: "boolean", str: "string"}
 _DISTRIBUTION = {"type": "object"}  # a tag with a mapping, in the place of a number
@@ -52,12 +54,13 @@ def scenario_schema(scenarios: Iterable[Scenario] = ()) -> Schema:
 def custom_tags(scenarios: Iterable[Scenario] = ()) -> list[str]:
     """The tags of blocks, as the setting `yaml.customTags` of YAML's language server takes them."""
     configs = {config for choices in _choices(scenarios).values() for config in choices}
+    configs |= {*OBSTACLES}
     return sorted(f"!{_tag(config)} mapping" for config in configs)
 
 
 def _tag(config: type) -> str:
     """The name by which scenarios have a block: that of one's own has its module before it."""
-    is_known = any(config in choices for choices in CHOICES.values())
+    is_known = any(config in choices for choices in (*CHOICES.values(), OBSTACLES))
     return block_name(config) if is_known else import_path(config)
 
 
@@ -127,6 +130,8 @@ def _of(kind: Any) -> Schema:
     arguments = typing.get_args(kind)
     if typing.get_origin(kind) is list:
         return {"anyOf": [{"type": "array", "items": _of(arguments[0])}, _DISTRIBUTION]}
+    if parts := parts_of(kind):
+        return _box(parts)
     if typing.get_origin(kind) in (typing.Union, types.UnionType):
         return {"anyOf": [_of(argument) for argument in arguments]}
     return {}  # mappings

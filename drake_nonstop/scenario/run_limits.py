@@ -34,6 +34,7 @@ class RunLimits(StrictFields):
         lambda share: 0 <= share < 1,
         "give a share from 0 (no limit) to less than 1: cables are as close as their attachments",
     )
+    clearance: float = non_negative(0.0)  # m, of load, cables and carriers from obstacles
     slack_time: float = _limit(0.0)  # s, for which a cable may be slack
     time_below_bound: float = _limit(0.0)  # s, for which a carrier may be below ε
     saturated_share: float = _limit(0.1)  # of the time with a command of an aircraft at its limit

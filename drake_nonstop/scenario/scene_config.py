@@ -62,6 +62,8 @@ class SceneConfig(StrictFields):
     tension_range: float = positive(2.0)  # of a cable's share of the load's weight
     slack_colour: str = _colour("#ff00c8")
     wind_colour: str = _colour("#8c510a")
+    obstacle_colour: str = _colour("#a08c72")
+    obstacle_opacity: float = _share(0.6)
     background_colour: str = _colour("#f7f7fa")
     wing_span: float = positive(0.2)  # of the reach
     cable_radius: float = positive(0.0035)  # of the reach

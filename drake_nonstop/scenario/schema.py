@@ -30,6 +30,12 @@ from drake_nonstop.model.pattern import (
 from drake_nonstop.model.system import SystemOverrides, SystemParameters, aircraft_in
 from drake_nonstop.optimization.problem_config import stated_speed_bound
 from drake_nonstop.scenario import distributions
+from drake_nonstop.scenario.obstacles import (
+    BoxConfig,
+    GroundConfig,
+    SphereConfig,
+    require_obstacles,
+)
 from drake_nonstop.scenario.run_limits import RunLimits
 from drake_nonstop.scenario.scene_config import SceneConfig
 from drake_nonstop.validation import (
@@ -92,6 +98,8 @@ class _Common(StrictFields):
     reference_governor: ReferenceGovernorConfig | None = None
     # What the run is held against: beyond which figures it is not ok, or not plausible.
     limits: RunLimits = field(default_factory=RunLimits)
+    # What load, cables and carriers keep clear of: a list of !Sphere, !Box and !Ground.
+    obstacles: list[SphereConfig | BoxConfig | GroundConfig] = field(default_factory=list)
     # Of Drake's Simulator: max_step_size in s, and the rest as in SimulatorConfig.
     simulator_config: SimulatorConfig = field(
         default_factory=lambda: SimulatorConfig(
@@ -309,6 +317,7 @@ def check(scenario: Scenario) -> None:
     is_seed = 0 <= seed <= _LARGEST_SEED
     require(is_seed, f"{scenario.name}.random_seed", seed, f"give 0 to {_LARGEST_SEED}")
     require_ranges("limits", scenario.limits)
+    require_obstacles("obstacles", scenario.obstacles)
     remedy = f"give {', '.join(ENGINES[:-1])} or {ENGINES[-1]}"
     require(scenario.engine in ENGINES, "engine", scenario.engine, remedy)
     owner, config = "simulator_config", scenario.simulator_config

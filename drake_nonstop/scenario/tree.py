@@ -25,12 +25,14 @@ from drake_nonstop.scenario.schema import (
     check_name,
     require_current,
 )
+from drake_nonstop.scenario.yaml_text import dump_plain
 from drake_nonstop.validation import (
     ScenarioError,
     fields_of,
     of_given,
     one_line,
     optional_part,
+    parts_of,
     plain_value,
     require,
     require_known,
@@ -150,11 +152,18 @@ def _typed(path: str, tree: Any, kind: Any, default: Any) -> Any:
         distribution = distributions.from_entry(path, tree)
         require_type(path, distributions.mean(path, distribution, kind), kind)
         return distribution
+    if parts := parts_of(kind):
+        tags = {f"!{block_name(part)}": part for part in parts}
+        fields = {**tree} if isinstance(tree, dict) else {}
+        tag = fields.pop("_tag", None)
+        require(tag in tags, path, dump_plain(tree, path), f"give one of {', '.join(tags)}")
+        return filled(path, fields, tags[tag]())
     part: Any = kind if dataclasses.is_dataclass(kind) else optional_part(kind)
     if part is not None:
         return None if tree is None else filled(path, tree, part() if default is None else default)
-    if isinstance(tree, list) and _is_plain(kind) and typing.get_origin(of_given(kind)) is list:
-        item = distributions.item_kind(kind)
+    item = distributions.item_kind(kind)
+    is_list = isinstance(tree, list) and typing.get_origin(of_given(kind)) is list
+    if is_list and (_is_plain(kind) or parts_of(item)):
         return [_typed(f"{path}[{i}]", value, item, None) for i, value in enumerate(tree)]
     require_type(path, tree, kind)
     if _is_plain(kind):
@@ -179,7 +188,8 @@ def _plain(value: Any, kind: Any) -> Any:
         return distributions.to_entry(value)
     if dataclasses.is_dataclass(value) or isinstance(value, SimulatorConfig):
         fields = [(f, getattr(value, f.name)) for f in fields_of(type(value))]
-        return {f.name: _plain(part, f.type) for f, part in fields if part is not None}
+        plain = {f.name: _plain(part, f.type) for f, part in fields if part is not None}
+        return plain | ({"_tag": f"!{block_name(type(value))}"} if parts_of(kind) else {})
     if isinstance(value, list):
         return [_plain(item, distributions.item_kind(kind)) for item in value]
     is_number = of_given(kind) is float and isinstance(value, int)

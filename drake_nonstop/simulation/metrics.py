@@ -7,9 +7,7 @@ claims.
 
 import functools
 import math
-import sys
 from collections.abc import Callable, Mapping, Sequence
-from importlib.metadata import PackageNotFoundError, version
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,8 +17,8 @@ from drake_nonstop.optimization.limits import LIMITS
 from drake_nonstop.simulation.outcome import find_warnings, judge
 from drake_nonstop.simulation.run import Run
 from drake_nonstop.simulation.run_quantities import RunQuantities
+from drake_nonstop.simulation.versions import versions
 from drake_nonstop.validation import finite
-from drake_nonstop.version import __version__
 
 _MOST_SENTENCES = 3  # of a list, in what is printed
 _NAME_WIDTH = 24  # characters, of a line's name in the table of a run
@@ -39,15 +37,17 @@ def compute_metrics(run: Run) -> dict[str, Any]:
     reference. What was not measured, such as the solve times of a layer that solves nothing or the
     delay of a reference without a governor, is None, and so is what is not finite, as of a run
     that a block's NaN ended. The group `aircraft` is that of the simulated
-    aircraft, see `RunQuantities`, and is missing where there are none. `outcome` is a
-    `RunOutcome`, `reasons` and `warnings` are sentences.
+    aircraft, see `RunQuantities`, and is missing where there are none, as is the group `obstacles`.
+    `outcome` is a `RunOutcome`, `reasons` and `warnings` are sentences.
     """
     quantities = RunQuantities(run)
     values: dict[str, Any] = {"scenario": run.scenario.name, "is_steered": run.is_steered}
+    is_there = {"aircraft": quantities.has_aircraft, "obstacles": run.scenario.obstacles}
+    absent = [group for group, has_any in is_there.items() if not has_any]
     for metric in METRICS:
-        if metric.is_of_aircraft and not quantities.has_aircraft:
-            continue
         *groups, name = metric.path.split(".")
+        if groups and groups[0] in absent:
+            continue
         group = values
         for key in groups:
             group = group.setdefault(key, {})
@@ -57,21 +57,6 @@ def compute_metrics(run: Run) -> dict[str, Any]:
     # None is found where own code has changed sys.path.
     values["versions"] = {k: v or "unknown" for k, v in versions("drake", "numpy").items()}
     return values
-
-
-def versions(*packages: str) -> dict[str, str | None]:
-    """The versions of this package and of others, by their names; None: not installed."""
-    found: dict[str, str | None] = {"drake_nonstop": __version__}
-    return found | {package: _installed(package, *sys.path) for package in packages}
-
-
-@functools.cache
-def _installed(package: str, *path: str) -> str | None:
-    """The version of a package that is found on a path: to read it takes milliseconds."""
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return None
 
 
 def flattened(metrics: Mapping[str, Any]) -> dict[str, Any]:
@@ -155,9 +140,9 @@ class Metric(NamedTuple):
         return f"{label} ({unit})" if unit else label
 
     @property
-    def is_of_aircraft(self) -> bool:
-        """Whether it is left out of metrics.json where a run has none."""
-        return self.path.startswith("aircraft.")
+    def may_be_left_out(self) -> bool:
+        """Whether it is left out of metrics.json where a run has no aircraft, or no obstacles."""
+        return self.path.startswith(("aircraft.", "obstacles."))
 
     def value(self, metrics: Mapping[str, Any] | None) -> Any:
         """The stored value in the metrics of a run; None where there is none."""
@@ -319,6 +304,19 @@ _ROWS: dict[str, Metric] = {
         RunText("closest", "cables {:g} {unit}", decimals=3),
         TableColumn("apart (m)", "cables"),
     ),
+    "obstacles.approaches": Metric(
+        lambda run: [approach.text for approach in run.approaches],
+        Quantity("nearest obstacles"),
+        RunText("obstacles", "{}"),
+        is_list=True,
+    ),
+    **{
+        f"obstacles.{kind}_distance_min_m": Metric(
+            functools.partial(RunQuantities.obstacle_distance, kind=kind),
+            Quantity(f"least distance of obstacles from {bodies}", "m", better=HIGHER),
+        )
+        for kind, bodies in (("load", "the load"), ("cable", "cables"), ("carrier", "carriers"))
+    },
     "aircraft.lift_share_max": Metric(
         lambda run: run.ranges.lift_share[1],
         Quantity("largest share of the lift", better=LOWER),

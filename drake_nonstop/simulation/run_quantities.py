@@ -343,6 +343,11 @@ class RunQuantities(Spacing):
         return _in_chunks(lambda states: attachment_positions(self.run, states), load_states)
 
     @property
+    def load_positions(self) -> NDArray:
+        """The load's centre of mass (k, 3), in W, m."""
+        return Pose.view(self.run.steps["load_state"]).position
+
+    @property
     def predicted_margin(self) -> float | None:
         """The margin on ε, m/s, that was computed for the optimization layer; None: none was."""
         margin = getattr(self.run.diagram, "speed_margin", None)

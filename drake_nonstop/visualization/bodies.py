@@ -7,16 +7,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.geometry import Box, Capsule, Ellipsoid, Shape, Sphere
-from pydrake.math import RigidTransform
+from pydrake.math import RigidTransform, RotationMatrix
 
 from drake_nonstop.mechanics.aircraft import Aircraft, angle_of_attack
 from drake_nonstop.mechanics.rotation import cross
 from drake_nonstop.mechanics.signal_layouts import SIGNALS
 from drake_nonstop.mechanics.signals import AircraftState, CarrierStates, Pose
+from drake_nonstop.scenario.obstacles import GroundConfig, Obstacle, SphereConfig
 
 Colour = tuple[float, float, float]  # red, green and blue, from 0 to 1
 
 SMALL = 1e-6  # m, m/s: a shorter vector has no direction
+_PLATE = 1e-4  # of its width: how thick the ground is
 SHADES = 33  # in which marks and cables change their colour
 X_AXIS, Z_AXIS = np.eye(3)[[0, 2]]
 
@@ -196,6 +198,18 @@ def carrier_parts(span: float) -> list[Part]:
             ("fin", Box(0.1 * span, 0.02 * span, 0.18 * span), [-0.38, 0.0, 0.1]),
         )
     ]
+
+
+def obstacle_part(obstacle: Obstacle, width: float) -> Part:
+    """An obstacle in W; the ground is a plate of that width, m."""
+    shape = obstacle.shape()
+    size = np.where(np.isinf(shape.upper), width, 2 * shape.upper)
+    pose = RigidTransform(RotationMatrix(shape.rotation), shape.position)
+    if isinstance(obstacle, GroundConfig):
+        size[2] = _PLATE * width
+        pose = RigidTransform(shape.position - [0.0, 0.0, size[2] / 2])
+    solid = Sphere(shape.radius) if isinstance(obstacle, SphereConfig) else Box(*size)
+    return Part(name=obstacle.name, shape=solid, pose=pose)
 
 
 def rgb(colour: str) -> Colour:

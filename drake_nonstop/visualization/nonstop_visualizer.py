@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,7 @@ from pydrake.systems.framework import Context, Diagram, DiagramBuilder, EventSta
 
 from drake_nonstop.mechanics.signals import Pose
 from drake_nonstop.model.system import Model, SystemParameters, overridden
+from drake_nonstop.scenario.obstacles import Obstacle
 from drake_nonstop.scenario.scene_config import SceneConfig
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.systems.block import LeafBlock
@@ -40,6 +41,7 @@ class NonstopVisualizer(LeafBlock):
         system: the load, attachments and cables that are shown.
         meshcat: the Meshcat to show them in, in place of those of another visualizer of the path.
         config: colours and sizes.
+        obstacles: of the scenario.
         reference_path: (k, 3) in m, future positions of the reference, which the camera will have
             in view; without it the camera is set for the start.
         speed_bound: ε in m/s, where that port is not connected.
@@ -64,6 +66,7 @@ class NonstopVisualizer(LeafBlock):
         meshcat: Meshcat,
         config: SceneConfig | None = None,
         *,
+        obstacles: Sequence[Obstacle] = (),
         reference_path: NDArray | None = None,
         speed_bound: float = 0.0,
         frame_rate: float = FRAME_RATE,
@@ -76,7 +79,7 @@ class NonstopVisualizer(LeafBlock):
             frame_rate,
             "give a finite number greater than zero",
         )
-        self.scene = Scene(system, config, root=path)
+        self.scene = Scene(system, config, obstacles, root=path)
         self._meshcat = meshcat
         self._path = path
         self._reference_path = reference_path
@@ -120,6 +123,7 @@ class NonstopVisualizer(LeafBlock):
                 overridden(scenario.system, scenario.simulated),
                 meshcat,
                 scenario.scene,
+                obstacles=scenario.obstacles,
                 reference_path=_reference_path(nonstop, scenario.simulation_duration),
                 speed_bound=scenario.speed_bound,
                 frame_rate=frame_rate,

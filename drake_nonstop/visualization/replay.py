@@ -65,7 +65,7 @@ def record_replay(run: Run, *, frame_rate: float | None = None) -> Replay:
         ScenarioError: a field of the scenario's scene is out of range.
     """
     system = simulated_system(run)
-    scene = Scene(system, run.scenario.scene)
+    scene = Scene(system, run.scenario.scene, run.scenario.obstacles)
     if frame_rate is None:  # a whole part of the signals'
         most = max(_MOST_POSES // (len(system.attachments) + 1), 1)
         stride = max(round(1 / (SIGNAL_PERIOD * _FRAME_RATE)), math.ceil(len(run.time) / most))

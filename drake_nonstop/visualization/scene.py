@@ -2,6 +2,7 @@
 
 import itertools
 import re
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,7 @@ from drake_nonstop.mechanics.aircraft import Aircraft, stall_speed
 from drake_nonstop.mechanics.rotation import rotation_matrix
 from drake_nonstop.mechanics.signals import AircraftState
 from drake_nonstop.model.system import Model, SystemParameters, aircraft_in
+from drake_nonstop.scenario.obstacles import GroundConfig, Obstacle
 from drake_nonstop.scenario.scene_config import SceneConfig
 from drake_nonstop.validation import require, require_ranges
 from drake_nonstop.visualization.bodies import (
@@ -25,6 +27,7 @@ from drake_nonstop.visualization.bodies import (
     cylinder_poses,
     load_parts,
     make_shades,
+    obstacle_part,
     pick_shade,
     rgb,
     stack_poses,
@@ -44,6 +47,7 @@ _ARROW_RADIUS = 0.006  # reaches
 _FOLLOWING_EXTENT = 1.5  # reaches; along a longer path the camera follows the reference
 _FARTHEST_CARRIER = 3.0  # reaches from the reference; one farther away may be out of view
 _GROUND_CLEARANCE = 0.3  # reaches, from the lowest point to the grid
+_GROUND_WIDTH = 200.0  # reaches
 _GRID_OPACITY = 0.2
 _SIX_DIRECTIONS = np.vstack([np.eye(3), -np.eye(3)])
 _HEAD_LENGTH, _HEAD_RADIUS = 10.0, 3.0  # of the arrow's radius
@@ -58,6 +62,7 @@ class Scene:
       away from the cable.
     - The mark around a carrier turns from green to red as its speed decreases to ε.
     - Trails show the past paths of load and carriers.
+    - Obstacles stand still.
 
     Where the system has aircraft, the carriers have an attitude: along the air that they meet, with
     bank and angle of attack. Then there are no marks; the wings turn from green to red towards the
@@ -66,6 +71,7 @@ class Scene:
     Args:
         system: attachments, cable length, load mass and gravity of what is shown.
         config: colours and sizes.
+        obstacles: of the scenario.
         root: what the objects' paths in Meshcat begin with.
 
     Raises:
@@ -76,6 +82,7 @@ class Scene:
         self,
         system: SystemParameters | Model,
         config: SceneConfig | None = None,
+        obstacles: Sequence[Obstacle] = (),
         *,
         root: str = ROOT,
     ):
@@ -86,6 +93,7 @@ class Scene:
         self._root = root
         self.config = config or SceneConfig()
         require_ranges("scene", self.config)
+        self._obstacles = obstacles
         self._attachments = np.array(system.attachments)
         self._n = len(self._attachments)
         self.radius = float(np.max(np.linalg.norm(self._attachments, axis=1)))  # m, of the load
@@ -136,6 +144,9 @@ class Scene:
         )
         _draw(meshcat, f"{root}/load", load, Rgba(*self.load_colour))
         _draw(meshcat, f"{root}/reference", reference, translucent)
+        solid = Rgba(*rgb(config.obstacle_colour), config.obstacle_opacity)
+        parts = [obstacle_part(each, _GROUND_WIDTH * self.reach) for each in self._obstacles]
+        _draw(meshcat, f"{root}/obstacles", parts, solid)
         for i, colour in enumerate(self.carrier_colours):
             _draw(meshcat, f"{root}/carriers/{i}", carrier_parts(span), Rgba(*colour))
             # Marks and trails start translucent: Meshcat prepares a material for that only here.
@@ -192,6 +203,8 @@ class Scene:
         look(meshcat, eye, target, rgb(self.config.background_colour))
         middle = (path.min(axis=0) + path.max(axis=0)) / 2
         lowest = points[..., 2].min() - _GROUND_CLEARANCE * self.reach
+        grounds = [each.height for each in self._obstacles if isinstance(each, GroundConfig)]
+        lowest = max([lowest, *grounds])
         floor = np.array([*middle[:2], lowest])
         scale = 10.0 ** np.round(np.log10(self.reach / 2))  # 1: squares of 0.5 m
         meshcat.SetTransform("/Grid", RigidTransform(floor))

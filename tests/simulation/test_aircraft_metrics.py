@@ -22,7 +22,7 @@ from drake_nonstop.visualization.nonstop_visualizer import show_in
 from drake_nonstop.visualization.replay import record_replay
 from drake_nonstop.visualization.run_figures import FIGURE_NAMES, figure_names, make_figure
 
-PATHS = {metric.path for metric in METRICS if metric.is_of_aircraft}
+PATHS = {metric.path for metric in METRICS if metric.path.startswith("aircraft.")}
 TURN = 2 * np.pi / FREQUENCY
 
 

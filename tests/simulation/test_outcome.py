@@ -32,6 +32,7 @@ from drake_nonstop.optimization.limits import LIMITS as ASKED
 from drake_nonstop.optimization.limits import Of, limits_of
 from drake_nonstop.optimization.problem_config import LimitsConfig
 from drake_nonstop.scenario.loading import dump_scenario
+from drake_nonstop.scenario.obstacles import GroundConfig, SphereConfig
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.outcome import LIMITS
 from drake_nonstop.simulation.run import Run
@@ -73,6 +74,7 @@ class MadeUpRun:
                 attachments=attachments.tolist(), cable_length=self.cable_length
             ),
             limits=RunLimits(),
+            obstacles=[GroundConfig(height=-1e3)],
         )
         self.scenario.optimization_layer.speed_bound = self.bound
 
@@ -137,6 +139,11 @@ def cables_cross(made):
     made.positions[when, [i, j]] = made.positions[when, [j, i]]
 
 
+def tower_hit(made):
+    place = made.load[made.some_time().start, 4:7]
+    made.scenario.obstacles.append(SphereConfig(name="tower", position=place, radius=1e-3))
+
+
 def cable_slack(made):
     made.tensions[made.some_time(), made.rng.integers(made.n)] = 0
 
@@ -163,6 +170,7 @@ FAULTS = {
     load_turned: RunOutcome.LOAD_LOST,
     carriers_meet: RunOutcome.COLLISION,
     cables_cross: RunOutcome.COLLISION,
+    tower_hit: RunOutcome.COLLISION,
     cable_slack: RunOutcome.CABLES_SLACK,
     carrier_slow: RunOutcome.BOUND_MISSED,
     commands_saturated: RunOutcome.LIMIT_MISSED,
@@ -174,6 +182,7 @@ SENTENCES = {
     load_turned: " rad from its reference (limits.orientation_error: ",
     carriers_meet: "two carriers came within ",
     cables_cross: "two cables came within ",
+    tower_hit: " hit tower at t = ",
     cable_slack: "a cable was slack for ",
     carrier_slow: "a carrier was below the bound for ",
     commands_saturated: "commands of aircraft were at their limits for ",
@@ -215,7 +224,7 @@ def test_the_outcome_is_the_worst_of_all_faults_and_each_is_said(seed, n, size, 
 
 @pytest.mark.parametrize(
     "fault",
-    [fault for fault in FAULTS if fault not in (unresolved, stopped)],
+    [fault for fault in FAULTS if fault not in (tower_hit, unresolved, stopped)],
 )
 def test_a_fault_within_wider_limits_is_none(fault):
     rng = np.random.default_rng(3)
