@@ -18,12 +18,14 @@ from drake_nonstop.mechanics.bowed_line import TimeWindow, bowed_lines, motion_o
 from drake_nonstop.mechanics.cable import compliance_of
 from drake_nonstop.mechanics.carrier import carrier_motion, motion_after, shifted_reference
 from drake_nonstop.mechanics.grasp import second_and_third_force_rates
+from drake_nonstop.mechanics.lumped_cable import CableMaterial
 from drake_nonstop.mechanics.signal_layouts import SAMPLE_TIME, Layout, nodes_layout
 from drake_nonstop.model.block import LOAD, Block, BlockParameters, rigid_load
 from drake_nonstop.model.descriptions import CarrierReferences, described
 from drake_nonstop.model.system import OFFSET, Model
 from drake_nonstop.systems.requirements import LoopBlocks
 from drake_nonstop.systems.traced_block import BetweenSamples
+from drake_nonstop.systems.tracing import for_each
 from drake_nonstop.systems.wiring import WiringError
 from drake_nonstop.validation import (
     StrictFields,
@@ -389,11 +391,23 @@ class BowedCarrierTrajectory(_TrajectoryAboveReference):
             offset=numbers.get(OFFSET, np.zeros(1)),
             **{name: numbers[name] for name in _GEOMETRY},
         )
-        material = cable_material(numbers)
-        lines = bowed_lines(*over_window, wind, window, cable=material, nodes=nodes)
-        position, velocity, acceleration, jerk = window.at_present(lines.ends)
-        pull, pull_rate, *_ = window.at_present(lines.forces)
-        moving = [window.at_present(node)[:2] for node in lines.nodes]
+
+        def carried_line(force: NDArray, attachment: NDArray, wind: NDArray, material: NDArray):
+            """Motion and pull of a carrier, and motion of its nodes, (6 + 2 N, 3)."""
+            over_window, cable = (
+                (force[:, None], attachment[:, None]),
+                CableMaterial(*material[:, None]),
+            )
+            lines = bowed_lines(*over_window, wind, window, cable=cable, nodes=nodes)
+            found = [*window.at_present(lines.ends), *window.at_present(lines.forces)[:2]]
+            return np.concatenate(
+                [*found, *(part for node in lines.nodes for part in window.at_present(node)[:2])]
+            )
+
+        material = np.concatenate([np.ravel(number) for number in cable_material(numbers)])
+        own = [values.swapaxes(0, 1) for values in over_window]
+        found = for_each(carried_line, own, [wind, material]).swapaxes(0, 1)
+        position, velocity, acceleration, jerk, pull, pull_rate, *moving = found
         return (
             shift_rate,
             np.concatenate([position, velocity]),
@@ -401,7 +415,7 @@ class BowedCarrierTrajectory(_TrajectoryAboveReference):
             jerk,
             pull.ravel() - forces,
             pull_rate.ravel() - rates,
-            np.concatenate([part.ravel() for parts in zip(*moving, strict=True) for part in parts]),
+            np.concatenate([*moving[::2], *moving[1::2]]).ravel(),
         )
 
 

@@ -5,6 +5,7 @@ evaluated by CasADi's virtual machine, about ten times faster than NumPy on arra
 this size. CasADi is used here and nowhere else.
 """
 
+import math
 import threading
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
@@ -282,6 +283,31 @@ def _traced(
 def object_array(symbol: casadi.SX) -> NDArray:
     """A flat NumPy object array of the symbol's scalar entries."""
     return np.fromiter(map(_entry, symbol.elements()), dtype=object, count=symbol.numel())
+
+
+def for_each(
+    function: Callable[..., NDArray], own: Sequence[NDArray], shared: Sequence[NDArray]
+) -> NDArray:
+    """What a function makes (n, ...) of the rows of arrays (n, ...), and of `shared` ones.
+
+    In a trace it is one function that is called n times: traced once, and once in the C.
+    """
+    if not any(isinstance(entry, casadi.SX) for array in own for entry in array.flat):
+        return np.stack([function(*entries, *shared) for entries in zip(*own, strict=True)])
+    shapes = [*(array.shape[1:] for array in own), *(array.shape for array in shared)]
+    symbols = [casadi.SX.sym("own", math.prod(shape)) for shape in shapes]
+    made = function(
+        *(object_array(s).reshape(shape) for s, shape in zip(symbols, shapes, strict=True))
+    )
+    results = casadi.cse([casadi.densify(casadi.SX(casadi.vertcat(*made.ravel())))])
+    called = casadi.Function(
+        function.__name__, [casadi.vertcat(*symbols)], results, {"never_inline": True}
+    )
+    rest = [array.ravel() for array in shared]
+    each = [np.concatenate([*(e.ravel() for e in own), *rest]) for own in zip(*own, strict=True)]
+    return np.stack([object_array(called(casadi.vertcat(*e))) for e in each]).reshape(
+        -1, *made.shape
+    )
 
 
 def to_symbols(values: NDArray) -> NDArray:

@@ -31,6 +31,7 @@ from drake_nonstop.blocks.load_trajectory import (
 )
 from drake_nonstop.blocks.optimization_layer import ConstantParametersConfig
 from drake_nonstop.diagrams.nonstop import make_nonstop
+from drake_nonstop.loop.compiled_loop import CompiledLoop
 from drake_nonstop.mechanics.carrier import carrier_motion
 from drake_nonstop.model.pattern import (
     CarouselConfig,
@@ -41,6 +42,8 @@ from drake_nonstop.model.pattern import (
 from drake_nonstop.model.system import SystemParameters
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.simulation.run import StepCheck
+from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.systems.wiring import WiringError, connections, input_names
 from drake_nonstop.validation import ScenarioError, ScenarioWarning
 
@@ -469,3 +472,33 @@ def test_what_the_derivatives_need_may_be_left_unconnected(rng):
     assert len(output(block, context, "carrier_reference")) == 24
     with pytest.raises(RuntimeError, match="internal_force_higher_rates"):
         output(block, context, DERIVATIVES[0])
+
+
+AIRCRAFT = ["simulation_duration=0.2", "carrier_trajectory=!BowedCarrierTrajectory {nodes: 2}"]
+
+
+def test_references_on_lines_without_mass_and_drag_are_straight():
+    """At the start of a turning load, and of one that is carried."""
+    for name, allowed in (("aircraft_co_rotating", 1e-8), ("aircraft_transfer", 2e-4)):
+        found = []
+        for changes in ([], [AIRCRAFT[1], "system.cable_diameter=0"]):
+            diagram = make_nonstop(load_scenario(name, changes))
+            context = diagram.CreateDefaultContext()
+            found.append([output(diagram, context, n) for n in ("carrier_reference", *DERIVATIVES)])
+        for straight, bowed, factor in zip(*found, (1, 10, 100), strict=True):
+            np.testing.assert_allclose(bowed, straight, rtol=0, atol=factor * allowed)
+
+
+def test_bowed_references_fly_alike_as_a_diagram_and_as_one_function():
+    scenario = load_scenario("aircraft_rest", [*AIRCRAFT, "cables=!LumpedCables {nodes: 2}"])
+    run = simulate(scenario, check_step=StepCheck.NOTHING, engine="diagram")
+    loop = CompiledLoop(
+        *(make_nonstop(run.scenario), run.scenario.simulator_config, 0.04),
+        signal_period=0.01,
+        compiles=False,
+    )
+    _, rows = loop.run(loop.diagram.CreateDefaultContext(), 0.2)
+    for name in ("carrier_state", "carrier_reference", "cable_drag_and_weight"):
+        np.testing.assert_allclose(run.signal(name), rows[name], rtol=1e-12, atol=1e-9)
+    drag = rows["cable_drag_and_weight"].reshape(-1, 4, 3) @ [0, 0, -1]
+    assert drag == pytest.approx(np.full(drag.shape, 1.1), abs=0.4)  # N: the weight, and lift

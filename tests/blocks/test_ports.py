@@ -32,6 +32,8 @@ from drake_nonstop.blocks.carrier_dynamics import (
     LoadedCarrierDynamics,
 )
 from drake_nonstop.blocks.carrier_trajectory import (
+    BowedCarrierTrajectory,
+    BowedCarrierTrajectoryConfig,
     CarrierTrajectory,
     CarrierTrajectoryConfig,
     InextensibleCarrierTrajectory,
@@ -182,6 +184,10 @@ def lumped_cables(made):
     return LumpedCables(made, LumpedCablesConfig(nodes=1))
 
 
+def bowed_trajectory(made):
+    return BowedCarrierTrajectory(made, BowedCarrierTrajectoryConfig(nodes=1))
+
+
 # block: (inputs, outputs, direct feedthrough), for continuous controllers
 BLOCKS = {
     moving_reference: ([], _REFERENCES, []),
@@ -204,6 +210,13 @@ BLOCKS = {
                 *((source, target) for source in (*_PULLED, *_ORBIT) for target in _DERIVATIVES),
             ],
         ),
+    ),
+    bowed_trajectory: everything(
+        [*_PULLED, "planned", "wind_estimate", "reference_higher_rates"],
+        [
+            *("carrier_reference", *_DERIVATIVES),
+            *("cable_drag_and_weight", "cable_drag_and_weight_rates", "cable_reference"),
+        ],
     ),
     MeasuredCarrierTrajectory: everything(
         ["measured_load_state", "desired_cable_forces", "desired_cable_force_rates"],
@@ -353,6 +366,7 @@ SAMPLED = {
         "carrier_reference",
         "carrier_reference_acceleration",
     ),
+    bowed_trajectory: ("sample_time", "carrier_reference", "carrier_reference_acceleration"),
     first_order_trajectory: ("sample_time", "carrier_reference"),
     MeasuredCarrierTrajectory: ("sample_time", "carrier_reference"),
 }

@@ -7,7 +7,7 @@ import pytest
 from pydrake.autodiffutils import ExtractGradient, InitializeAutoDiff
 
 from drake_nonstop.systems.elementwise import ElementwiseFunction, RowsFunction
-from drake_nonstop.systems.tracing import NotFiniteError, TracedFunction
+from drake_nonstop.systems.tracing import NotFiniteError, TracedFunction, for_each
 
 
 def equations(a, b):
@@ -216,3 +216,24 @@ def test_rows_that_are_not_finite_are_told():
     rows[1] = np.nan
     with pytest.raises(NotFiniteError, match="some_block was given a value"):
         quotient(rows)
+
+
+def test_a_function_for_each_is_traced_once_and_has_the_values_and_derivatives_of_calls(rng):
+    calls = []
+
+    def scaled(matrix, vector, shared):
+        calls.append(0)
+        return matrix @ vector * np.sin(shared) + vector[:2]
+
+    def each(matrices, vectors, shared):
+        return for_each(scaled, [matrices.reshape(4, 2, 3), vectors.reshape(4, 3)], [shared])
+
+    inputs = [rng.normal(size=size) for size in (24, 12, 2)]
+    traced = TracedFunction(each, [24, 12, 2], name=lambda: "some_block", jacobian_of=2)
+    assert len(calls) == 1
+    values, slopes = traced(*inputs)
+    matrices, vectors = inputs[0].reshape(4, 2, 3), inputs[1].reshape(4, 3)
+    expected = (matrices @ vectors[..., None])[..., 0] * np.sin(inputs[2]) + vectors[:, :2]
+    assert values == pytest.approx(expected.ravel(), rel=1e-14)
+    assert slopes[0, 0] == pytest.approx((expected[0, 0] - inputs[1][0]) / np.tan(inputs[2][0]))
+    assert each(*inputs).ravel() == pytest.approx(values, rel=1e-14)
