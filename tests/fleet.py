@@ -14,11 +14,12 @@ import multiprocessing
 import os
 import pickle
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor
 from pathlib import Path
 
 import numpy as np
+import pytest
 from helpers import irregular, regular, spatial
 from memory import begin_forked, free_memory
 
@@ -168,6 +169,13 @@ BY_BOTH_ENGINES = (
     *("seven_gusty", "that_stalls", "that_diverges"),
 )
 FLEET = (*scenario_names(), *DRAWN)
+LONG = tuple(name for name in scenario_names() if "_cables" in name)
+
+
+def long_ones_nightly(names: Iterable[str]) -> list:
+    """Flights, as cases of a test, of which the long ones are for `make nightly`."""
+    marks = {True: pytest.mark.nightly("flights"), False: ()}
+    return [pytest.param(name, marks=marks[name in LONG]) for name in names]
 
 
 def scenario_of(name: str) -> Scenario:

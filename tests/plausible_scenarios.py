@@ -137,7 +137,8 @@ def draw(seed: int) -> tuple[str, list[str]]:
 def draw_aircraft(seed: int) -> tuple[str, list[str]]:
     """A shipped scenario of aircraft, in a wind, with disturbances and errors of the model."""
     rng = np.random.default_rng([18, seed])
-    name = str(rng.choice([name for name in scenario_names() if name.startswith("aircraft_")]))
+    shipped = [name for name in scenario_names() if "_cables" not in name]
+    name = str(rng.choice([name for name in shipped if name.startswith("aircraft_")]))
     velocity = [*rng.uniform(-3, 3, 2).round(3).tolist(), 0.0]
     wind, law = (
         ("StillAir", {}),

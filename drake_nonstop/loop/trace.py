@@ -6,6 +6,7 @@ updates, `steps` takes the steps of the third-order Runge-Kutta method and shows
 end of them, before the next updates.
 """
 
+import functools
 import itertools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cached_property
@@ -383,11 +384,18 @@ class LoopTrace:
         stacked = casadi.vertcat(state, *others, *own.symbols.values())
         function = casadi.Function("part", [stacked], casadi.cse(results))
 
+        @functools.cache
+        def apart() -> list[casadi.Function]:
+            # What calls functions has only those whose results are read.
+            return [casadi.Function("part", [stacked], [casadi.cse(each)]) for each in results]
+
         def part(now: casadi.SX, offset: float, symbols: Symbols) -> list[casadi.SX]:
             read = own.symbols.items()
             _, parameters, time, *_ = symbols.arguments or self.arguments
             outside = [symbols.of(r._replace(offset=offset), s.numel()) for r, s in read]
             inputs = casadi.vertcat(now, parameters, time + offset, *itertools.chain(*outside))
+            if symbols.arguments:
+                return [each(inputs) for each in apart()]
             return function.call([inputs])
 
         return part

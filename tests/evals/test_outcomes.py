@@ -1,7 +1,7 @@
 """The outcome of each flight of the fleet, and the words that say why."""
 
 import pytest
-from fleet import FLEET
+from fleet import FLEET, long_ones_nightly
 
 OK = ("ok", "")
 BELOW = "a carrier was below the bound for {} s (limits.time_below_bound: 0 s)"
@@ -47,7 +47,7 @@ WARNED = {
 }
 
 
-@pytest.mark.parametrize("name", FLEET)
+@pytest.mark.parametrize("name", long_ones_nightly(FLEET))
 def test_outcome_of_a_flight(fleet, name):
     run, metrics = fleet.evaluated(name)
     outcome, reason = OUTCOMES.get(name, OK)

@@ -1,6 +1,7 @@
 """Flights have their golden numbers; a change of any is found."""
 
 import pytest
+from fleet import long_ones_nightly
 
 from golden.numbers import (
     Golden,
@@ -17,7 +18,7 @@ from golden.numbers import (
 TABLE = read_table()
 
 
-@pytest.mark.parametrize("name", flights())
+@pytest.mark.parametrize("name", long_ones_nightly(flights()))
 def test_a_flight_has_its_golden_numbers(name, fleet):
     found = differences(TABLE[name], numbers_of_flight(name, fleet))
     assert not found, "\n".join(found.values())
