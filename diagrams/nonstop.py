@@ -167,8 +167,9 @@ BOXES: dict[str, Box] = {
     ),
     "wind_estimator": Box(
         variants=wind_estimator.VARIANTS,
-        makes=("wind_estimate", "wind_variance"),
-        optional={"wind_variance": "WindObserver"},
+        makes=("wind_estimate", "wind_variance", "carrier_gust_estimate"),
+        optional=dict.fromkeys(("wind_variance", "carrier_gust_estimate"), "WindObserver"),
+        recorded_where_read=("carrier_gust_estimate",),
         place=Place(2, 4, 1, Kind.ADDITION),
     ),
     "load_plant": Box(

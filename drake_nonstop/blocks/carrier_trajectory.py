@@ -45,6 +45,7 @@ _FORCE_RATES = "internal_force_higher_rates"
 _FOR_DERIVATIVES = (_FORCE_RATES, "wind_estimate")
 _HIGHER_RATES = "reference_higher_rates"
 _MEASURED = "measured_load_state"
+_GUSTS = "carrier_gust_estimate"
 _GEOMETRY = ("attachments", "pseudo_inverse", "basis", "phases", "orders")
 
 
@@ -312,7 +313,8 @@ class BowedCarrierTrajectory(_TrajectoryAboveReference):
     desired force on the load up to where the carrier has to be, and pull. The nodes' motion is that
     over a window of time in which the load follows its reference and the pattern its plan, while
     what the feedback adds to the desired forces changes at a constant rate, see
-    `mechanics.bowed_line`. The air moves with `wind_estimate`.
+    `mechanics.bowed_line`. The air moves with `wind_estimate`,
+    and towards a carrier more and more with `carrier_gust_estimate`, where that is made.
 
     `cable_drag_and_weight` is what carriers pull with beyond the desired forces, `cable_reference`
     the motion of the nodes. With a diameter of 0 the references are those of `CarrierTrajectory`.
@@ -328,9 +330,11 @@ class BowedCarrierTrajectory(_TrajectoryAboveReference):
         "planned",
         "wind_estimate",
         _HIGHER_RATES,
+        _GUSTS,
         _MEASURED,
         SAMPLE_TIME,
     )
+    optional_inputs = (_HIGHER_RATES, _GUSTS)
     makes = (
         *_TrajectoryAboveReference.makes,
         "cable_drag_and_weight",
@@ -367,6 +371,7 @@ class BowedCarrierTrajectory(_TrajectoryAboveReference):
         planned: NDArray,
         wind: NDArray,
         reference_higher_rates: NDArray,
+        gusts: NDArray,
         load_state: NDArray | None = None,
         *,
         correction_rates: NDArray,
@@ -392,20 +397,24 @@ class BowedCarrierTrajectory(_TrajectoryAboveReference):
             **{name: numbers[name] for name in _GEOMETRY},
         )
 
-        def carried_line(force: NDArray, attachment: NDArray, wind: NDArray, material: NDArray):
+        def carried_line(
+            force: NDArray, attachment: NDArray, gust: NDArray, wind: NDArray, material: NDArray
+        ) -> NDArray:
             """Motion and pull of a carrier, and motion of its nodes, (6 + 2 N, 3)."""
             over_window, cable = (
                 (force[:, None], attachment[:, None]),
                 CableMaterial(*material[:, None]),
             )
-            lines = bowed_lines(*over_window, wind, window, cable=cable, nodes=nodes)
+            lines = bowed_lines(
+                *over_window, wind, window, cable=cable, nodes=nodes, gusts=gust[None]
+            )
             found = [*window.at_present(lines.ends), *window.at_present(lines.forces)[:2]]
             return np.concatenate(
                 [*found, *(part for node in lines.nodes for part in window.at_present(node)[:2])]
             )
 
         material = np.concatenate([np.ravel(number) for number in cable_material(numbers)])
-        own = [values.swapaxes(0, 1) for values in over_window]
+        own = [*(values.swapaxes(0, 1) for values in over_window), gusts.reshape(-1, 3)]
         found = for_each(carried_line, own, [wind, material]).swapaxes(0, 1)
         position, velocity, acceleration, jerk, pull, pull_rate, *moving = found
         return (

@@ -98,6 +98,7 @@ class WindObserverConfig(StrictFields):
     """The observer's time constant, its instruments, and the gusts that it reckons with."""
 
     time_constant: float = positive(3.0)  # s, of the estimate
+    carrier_time_constant: float = positive(2.0)  # s, of that of each carrier's own wind
     airspeed_noise: float = non_negative(0.3)  # m/s, white, of each sample on each axis
     airspeed_error: float = fulfilling(  # share of the airspeed, the same for all carriers
         0.0, lambda share: abs(share) < 1, "give a number between -1 and 1"
@@ -133,12 +134,16 @@ class WindObserver(Block):
     With the default values that is (0.24 m/s)² without noise, where a Kalman filter that knows σ, τ
     and q comes to (0.20 m/s)², and lets half of a gust through at once.
 
+    `carrier_gust_estimate` is what each carrier's own wind is beyond that estimate, by another
+    first-order observer for each: gusts are not the same at all carriers, nor at the load, whose
+    wind `wind_estimate` stands for.
+
     Raises:
         ScenarioError: a field is out of range.
     """
 
     reads = ("wind", "carrier_state")
-    makes = ("wind_estimate", "wind_variance")
+    makes = ("wind_estimate", "wind_variance", "carrier_gust_estimate")
     is_sampled = True
 
     @staticmethod
@@ -151,6 +156,7 @@ class WindObserver(Block):
         n: int,
         sample: float,
         time_constant: NDArray,
+        carrier_time_constant: NDArray,
         airspeed_noise: NDArray,
         airspeed_error: NDArray,
         heading_error: NDArray,
@@ -158,15 +164,21 @@ class WindObserver(Block):
         gust_time: NDArray,
         coherence: NDArray,
         drift: NDArray,
-    ) -> tuple[NDArray, NDArray, NDArray]:
-        """The state is the estimate (3,), and parts of the variance for S, q and ν of 1."""
-        estimate, parts = state[:WIND_SIZE], state[WIND_SIZE:]
+    ) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+        """The state has the estimate (3,), parts of the variance for S, q and ν of 1, winds (3n,).
+
+        The noise is that of the mean (3,), and what each carrier has beside it (3n,).
+        """
+        estimate, parts, winds = np.split(state, np.cumsum([WIND_SIZE, len(_START)]))
         velocities = CarrierStates.view(carrier_state).velocities
         x, y, z = (velocities - wind.reshape(n, WIND_SIZE)).T
         cosine, sine = np.cos(heading_error), np.sin(heading_error)
         turned = np.stack([cosine * x - sine * y, sine * x + cosine * y, z], axis=-1)
-        measured = (velocities - (1 + airspeed_error) * turned).sum(axis=0) / n
-        measured = measured + airspeed_noise / np.sqrt(n) * noise
+        own = velocities - (1 + airspeed_error) * turned
+        mean = own.sum(axis=0) / n
+        measured = mean + airspeed_noise / np.sqrt(n) * noise[:WIND_SIZE]
+        others = noise[WIND_SIZE:].reshape(n, WIND_SIZE)
+        own = own + measured - mean + airspeed_noise * (others - others.sum(axis=0) / n)
         correlated, of_gusts, of_drift, of_noise = np.split(parts, len(_START))
         share = 1 / time_constant
         rates = [
@@ -180,7 +192,9 @@ class WindObserver(Block):
             + drift**2 * of_drift
             + airspeed_noise**2 / n * of_noise
         )
-        return np.concatenate([share * (measured - estimate), *rates]), estimate, variance
+        rates = [share * (measured - estimate), *rates, (own.ravel() - winds) / carrier_time_constant]
+        gusts = (winds.reshape(n, WIND_SIZE) - estimate).ravel()
+        return np.concatenate(rates), estimate, variance, gusts
 
     @classmethod
     def check(cls, model: Model, config: WindObserverConfig) -> None:
@@ -193,28 +207,29 @@ class WindObserver(Block):
         return self.parameters_of(model, config, [name for name in vars(config) if name != "seed"])
 
     def state(self, model: Model) -> NDArray:
-        return np.append(np.zeros(WIND_SIZE), _START)
+        return np.concatenate([np.zeros(WIND_SIZE), _START, np.zeros(WIND_SIZE * model.n)])
 
     def start(self) -> Start:
         return Start(_mean_of_carriers, ("wind",))
 
     def quantities(self, model: Model) -> Mapping[str, int]:
-        return {"noise": WIND_SIZE}
+        return {"noise": WIND_SIZE * (1 + model.n)}
 
     def precomputed_inputs(self, names: Sequence[str], times: NDArray) -> list[NDArray]:
-        """Noise (k, 3) of variance 1, held for a sample, at times (k,) in s."""
+        """Noise (k, 3 + 3n) of variance 1, held for a sample, at times (k,) in s."""
         period = self.model.control_period or _NOISE_PERIOD
-        return [held_noise(self.config.seed, times, period, WIND_SIZE) for _ in names]
+        size = WIND_SIZE * (1 + self.model.n)
+        return [held_noise(self.config.seed, times, period, size) for _ in names]
 
     def precomputed_input_rates(self, names: Sequence[str], times: NDArray) -> list[NDArray]:
         """Its rates, 0."""
-        return [np.zeros((len(times), WIND_SIZE)) for _ in names]
+        return [np.zeros((len(times), WIND_SIZE * (1 + self.model.n))) for _ in names]
 
 
 def _mean_of_carriers(wind: NDArray) -> NDArray:
     """The observer's state at the start."""
     winds = wind.reshape(-1, WIND_SIZE)
-    return np.concatenate([winds.sum(axis=0) / len(winds), _START])
+    return np.concatenate([winds.sum(axis=0) / len(winds), _START, wind])
 
 
 VARIANTS = (KnownWind, NoWind, AssumedWind, WindObserver)

@@ -53,7 +53,7 @@ from drake_nonstop.systems.tracing import LARGEST
 from drake_nonstop.systems.wiring import require_context
 from drake_nonstop.validation import ScenarioError, require, require_known
 
-_MAX_STEPS = 64  # in a sample: all of them are in one function of C
+_MAX_STEPS = 128  # in a sample: all of them are in one function of C
 _MOST_OPERATIONS = 50_000  # of a sample's steps, a rate each, beyond which C calls functions
 _ROUNDING = 1e-9  # s, of a duration
 _STRETCH = 1.01  # of the longest step: a last one that is as much longer is one step

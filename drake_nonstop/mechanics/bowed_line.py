@@ -106,30 +106,33 @@ def bowed_lines(
     *,
     cable: CableMaterial,
     nodes: int,
+    gusts: NDArray | float = 0.0,
 ) -> BowedLines:
     """The lines that pull with these forces, over the instants of a window.
 
     Args:
         forces: f (k, n, 3), N, on the load, in W.
         attachments: (k, n, 3), m, in W.
-        wind: (3,), m/s, in W.
+        wind: (3,), m/s, in W, at the load.
         window: the k instants.
         cable: what the lines are made of; their damping is not counted.
         nodes: N, at least 1.
+        gusts: (n, 3), m/s, in W, of the carriers beyond that wind, less and less towards the load.
     """
     shares, mass = segment_shares(nodes)[:, 0, 0], cable.mass / nodes
     point, force, change, bend = attachments, forces, 0.0 * forces, 0.0 * forces
     segment = _segment(force, shares[0], cable)
     found = []
-    for below, above in itertools.pairwise(shares):
+    for place, (below, above) in zip(np.cumsum(shares), itertools.pairwise(shares), strict=False):
         point = point + segment
         found.append(point)
         velocity, acceleration = window.rates(point)
+        past = wind + place * gusts - velocity
         without_drag = force + mass * (acceleration + cable.gravity * _UP)
         next_force = force + change + bend
         for _ in range(_PASSES):
             upper = _segment(next_force, above, cable)
-            drag = node_drag(wind - velocity, segment, upper, above / below, cable, nodes)
+            drag = node_drag(past, segment, upper, above / below, cable, nodes)
             next_force = without_drag - drag
         last_change, change, force = change, next_force - force, next_force
         # The first change has none before it to be compared with.

@@ -283,4 +283,5 @@ SIGNALS: dict[str, Layout | None] = {
     "mean_wind": Layout(Part("", "3", "m/s", "W", "at the load, without gusts")),
     "wind_estimate": Layout(Part("", "3", "m/s", "W", "what the controllers believe")),
     "wind_variance": Layout(Part("", "1", "m²/s²", "", "of the estimate, on each axis")),
+    "carrier_gust_estimate": Layout(Part("", "3n", "m/s", "W", "at carriers, beyond their mean")),
 }

@@ -246,7 +246,12 @@ class _Expressions:
             read = casadi.vertcat(*[self._inputs[i] for i in reads] or [casadi.SX.sym("nothing")])
             stacked = casadi.vertcat(*[self._outputs[i] for i in makes])
             made = [stacked, casadi.densify(casadi.sumsqr(stacked))]
-            self._parts[reads, makes] = casadi.Function("mechanics", [read], made)
+            function = casadi.Function("mechanics", [read], made, {"allow_free": True})
+            if function.has_free():  # what is given to a function that is called, for other outputs
+                unread = function.free_sx()
+                made = casadi.substitute(made, unread, [casadi.SX(0)] * len(unread))
+                function = casadi.Function("mechanics", [read], made)
+            self._parts[reads, makes] = function
         return self._parts[reads, makes]
 
 
@@ -300,9 +305,7 @@ def for_each(
         *(object_array(s).reshape(shape) for s, shape in zip(symbols, shapes, strict=True))
     )
     results = casadi.cse([casadi.densify(casadi.SX(casadi.vertcat(*made.ravel())))])
-    called = casadi.Function(
-        function.__name__, [casadi.vertcat(*symbols)], results, {"never_inline": True}
-    )
+    called = casadi.Function("each", [casadi.vertcat(*symbols)], results, {"never_inline": True})
     rest = [array.ravel() for array in shared]
     each = [np.concatenate([*(e.ravel() for e in own), *rest]) for own in zip(*own, strict=True)]
     return np.stack([object_array(called(casadi.vertcat(*e))) for e in each]).reshape(

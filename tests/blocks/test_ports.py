@@ -185,7 +185,7 @@ def lumped_cables(made):
 
 
 def bowed_trajectory(made):
-    return BowedCarrierTrajectory(made, BowedCarrierTrajectoryConfig(nodes=1))
+    return BowedCarrierTrajectory(made, BowedCarrierTrajectoryConfig(nodes=2))
 
 
 # block: (inputs, outputs, direct feedthrough), for continuous controllers
@@ -212,7 +212,7 @@ BLOCKS = {
         ),
     ),
     bowed_trajectory: everything(
-        [*_PULLED, "planned", "wind_estimate", "reference_higher_rates"],
+        [*_PULLED, "planned", "wind_estimate", "reference_higher_rates", "carrier_gust_estimate"],
         [
             *("carrier_reference", *_DERIVATIVES),
             *("cable_drag_and_weight", "cable_drag_and_weight_rates", "cable_reference"),
@@ -353,7 +353,11 @@ BLOCKS = {
     ),
     KnownWind: everything(["mean_wind"], ["wind_estimate"]),
     **dict.fromkeys((NoWind, AssumedWind), ([], ["wind_estimate"], [])),
-    WindObserver: (["wind", "carrier_state"], ["wind_estimate", "wind_variance"], []),
+    WindObserver: (
+        ["wind", "carrier_state"],
+        ["wind_estimate", "wind_variance", "carrier_gust_estimate"],
+        [],
+    ),
     LoadPlant: (["cable_forces", "disturbance_wrench", "load_wind"], ["load_state"], []),
 }
 

@@ -70,7 +70,7 @@ NOT_BY_DEFAULT = {
     ),
     "carrier_controller": ("aircraft_command", "command_saturation"),
     "carrier_dynamics": ("aircraft_state", "carrier_acceleration"),
-    "wind_estimator": ("wind_variance",),
+    "wind_estimator": ("wind_variance", "carrier_gust_estimate"),
     "cables": ("cable_state",),
 }
 

@@ -7,7 +7,7 @@ import pytest
 from pydrake.autodiffutils import ExtractGradient, InitializeAutoDiff
 
 from drake_nonstop.systems.elementwise import ElementwiseFunction, RowsFunction
-from drake_nonstop.systems.tracing import NotFiniteError, TracedFunction, for_each
+from drake_nonstop.systems.tracing import NotFiniteError, Trace, TracedFunction, for_each
 
 
 def equations(a, b):
@@ -237,3 +237,14 @@ def test_a_function_for_each_is_traced_once_and_has_the_values_and_derivatives_o
     assert values == pytest.approx(expected.ravel(), rel=1e-14)
     assert slopes[0, 0] == pytest.approx((expected[0, 0] - inputs[1][0]) / np.tan(inputs[2][0]))
     assert each(*inputs).ravel() == pytest.approx(values, rel=1e-14)
+
+
+def test_a_part_takes_what_it_depends_on_though_the_function_that_it_calls_takes_more():
+    def both(a, b):
+        made = for_each(lambda a, b: np.concatenate([np.sin(a), a * b]), [a[:, None]], [b])
+        return made[:, 0], made[:, 1]
+
+    trace = Trace(both, [2, 1])
+    assert trace.dependence == [{0}, {0, 1}]
+    sines = trace.evaluator([0], [0], float, lambda: "some_block")([np.array([0.3, 0.4])])
+    assert sines == pytest.approx(np.sin([0.3, 0.4]))
