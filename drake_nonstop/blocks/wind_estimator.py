@@ -192,7 +192,11 @@ class WindObserver(Block):
             + drift**2 * of_drift
             + airspeed_noise**2 / n * of_noise
         )
-        rates = [share * (measured - estimate), *rates, (own.ravel() - winds) / carrier_time_constant]
+        rates = [
+            share * (measured - estimate),
+            *rates,
+            (own.ravel() - winds) / carrier_time_constant,
+        ]
         gusts = (winds.reshape(n, WIND_SIZE) - estimate).ravel()
         return np.concatenate(rates), estimate, variance, gusts
 

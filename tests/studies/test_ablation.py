@@ -139,7 +139,9 @@ class TestGrids:
         assert "\n" not in str(raised.value)
 
     def test_there_is_no_such_grid_or_file(self, tmp_path):
-        with pytest.raises(ScenarioError, match="one of airspeed, departures, foresight, paper"):
+        with pytest.raises(
+            ScenarioError, match="one of airspeed, cables, departures, foresight, paper"
+        ):
             read_grid("papers")
         with pytest.raises(ScenarioError, match="a file that can be read"):
             read_grid(tmp_path / "none.yaml")
@@ -154,13 +156,14 @@ class TestGrids:
     def test_what_comes_with_the_package_applies_to_its_scenario(self, name, is_built):
         grid = read_grid(name)
         assert grid.description
-        scenario = load_scenario("aircraft_transfer" if name == "airspeed" else "line")
+        of_aircraft = name in ("airspeed", "cables")
+        scenario = load_scenario("aircraft_transfer" if of_aircraft else "line")
         for overrides in grid.variants.values():
             variant = changed(scenario, overrides)
             assert variant != scenario
             check(variant)
             if is_built:
-                make_nonstop(variant, at_equilibrium=name != "airspeed")
+                make_nonstop(variant, at_equilibrium=not of_aircraft)
 
 
 def a_row(name, error=None, below=0.0, ending=COMPLETED, message=""):
@@ -421,7 +424,7 @@ def test_changes_are_marked_as_better_or_worse(tmp_path):
         ([], "--grid, --swap = none: give at least one"),
         (
             ["--grid", "none"],
-            "--grid = none: give a .yaml file or one of airspeed, departures, foresight, paper",
+            "--grid = none: give a .yaml file or one of airspeed, cables, departures, foresight, paper",
         ),
         (["--swap", "PaperPhase"], "--swap = PaperPhase: give BOX=BLOCK"),
         (["--swap", "phase=Nope"], "phase = !Nope: give one of"),
