@@ -424,7 +424,8 @@ def test_changes_are_marked_as_better_or_worse(tmp_path):
         ([], "--grid, --swap = none: give at least one"),
         (
             ["--grid", "none"],
-            "--grid = none: give a .yaml file or one of airspeed, cables, departures, foresight, paper",
+            "--grid = none: give a .yaml file or one of airspeed, cables, departures, foresight, "
+            "paper",
         ),
         (["--swap", "PaperPhase"], "--swap = PaperPhase: give BOX=BLOCK"),
         (["--swap", "phase=Nope"], "phase = !Nope: give one of"),
