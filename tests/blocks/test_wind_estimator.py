@@ -55,6 +55,24 @@ def test_an_estimate_follows_a_jump_of_the_wind_by_its_time_constant():
     np.testing.assert_allclose(estimates, shares * [3.0, -1.0, 0.5], atol=0.03)
 
 
+def test_each_carriers_wind_is_followed_beside_the_mean():
+    """Of gusts (1 − exp(−t/T_i)) and of their mean (1 − exp(−t/T)), from calm air on."""
+    block = WindObserver(
+        model(3, PERIOD), WindObserverConfig(time_constant=4.0, carrier_time_constant=1.0, **QUIET)
+    )
+    simulator = Simulator(block)
+    context = simulator.get_mutable_context()
+    fix(block, context, wind=np.zeros(9), carrier_state=np.zeros(18))
+    simulator.Initialize()
+    winds = np.array([[3.0, 0, 0], [0, 1.0, 0], [0, 0, -1.0]])
+    fix(block, context, wind=winds.ravel())
+    simulator.AdvanceTo(2.0)
+    mean = (1 - np.exp(-2 / 4)) * winds.mean(axis=0)
+    np.testing.assert_allclose(output(block, context, "wind_estimate"), mean, atol=0.02)
+    gusts = output(block, context, "carrier_gust_estimate").reshape(3, 3)
+    np.testing.assert_allclose(gusts, (1 - np.exp(-2)) * winds - mean, atol=0.03)
+
+
 def test_errors_of_instruments_average_out_over_a_turn_but_in_the_wind_itself():
     """(1 + ε) R_z(ψ) turns and stretches the mean airspeed, −w, alone."""
     fields = {"heading_error": 0.1, "airspeed_error": 0.05, **QUIET}

@@ -100,7 +100,10 @@ def test_lines_that_turn_with_their_load_are_in_equilibrium_as_nodes_of_the_plan
     monkeypatch.setattr(bowed_line, "_PASSES", 12)
     rate, wind = 0.5, np.array([0.0, 0.0, 1.0])
     forces = turned(np.column_stack([5 * SQUARE[:, :2], np.full(4, 24.5)]), rate)
-    lines = bowed_lines(forces, turned(SQUARE, rate), wind, WINDOW, cable=CABLE, nodes=6)
+    gusts = np.outer([0.0, 0.5, -0.5, 2.0], [0.0, 0.0, 1.0])
+    lines = bowed_lines(
+        forces, turned(SQUARE, rate), wind, WINDOW, cable=CABLE, nodes=6, gusts=gusts
+    )
     ends, end_rates, *_ = WINDOW.at_present(lines.ends)
     moving = [WINDOW.at_present(node) for node in lines.nodes]
     places, velocities, accelerations = (np.stack([m[i] for m in moving]) for i in range(3))
@@ -110,7 +113,7 @@ def test_lines_that_turn_with_their_load_are_in_equilibrium_as_nodes_of_the_plan
         np.concatenate([places.ravel(), velocities.ravel()]),
         load_state,
         np.concatenate([ends.ravel(), end_rates.ravel()]),
-        np.tile(wind, 4),
+        (wind + gusts).ravel(),
         wind,
         attachments=SQUARE,
         cable=CABLE,
