@@ -8,6 +8,7 @@ import atexit
 import html
 import inspect
 import os
+import pkgutil
 import re
 import shutil
 import tempfile
@@ -18,6 +19,7 @@ from typing import Any
 from urllib.parse import unquote
 
 import drake_nonstop
+import drake_nonstop.mechanics
 from drake_nonstop.blocks.reference_governor import ReferenceGovernorConfig
 from drake_nonstop.diagrams.nonstop import BOXES, SIGNALS, make_nonstop
 from drake_nonstop.model.aircraft import AircraftParameters
@@ -27,6 +29,9 @@ from drake_nonstop.scenario.run_limits import RunLimits
 from drake_nonstop.scenario.scene_config import SceneConfig
 from drake_nonstop.scenario.schema import CHOICES, Scenario
 from drake_nonstop.visualization.drawing import draw_diagram
+
+# The modules with the equations.
+MECHANICS = sorted(module.name for module in pkgutil.iter_modules(drake_nonstop.mechanics.__path__))
 
 
 def on_startup(command: str, dirty: bool) -> None:
@@ -48,6 +53,7 @@ def on_files(files: Any, config: Any) -> Any:
         "blocks.md": blocks_page(),
         "signals.md": signals_page(),
         "reference.md": reference_page(),
+        "mechanics.md": mechanics_page(),
     }
     for name, text in pages.items():
         files.append(File.generated(config, name, content=text))
@@ -55,21 +61,31 @@ def on_files(files: Any, config: Any) -> Any:
 
 
 def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
-    """Shows the equations' indices as such: p_i, u_{i-1}, G_0."""
-    if page.file.src_uri != "theory.md":
-        return markdown
-    parts = re.split(r"(```.*?```|`[^`]*`|\[[^]]*\]\([^)]*\))", markdown, flags=re.DOTALL)
-    for k in range(0, len(parts), 2):
-        parts[k] = re.sub(r"_(?:\{([^}]*)\}|([0-9A-Za-zα-ω]+))", r"<sub>\1\2</sub>", parts[k])
-        parts[k] = re.sub(r"\^(?:\{([^}]*)\}|([0-9A-Za-zα-ω]+|∨))", r"<sup>\1\2</sup>", parts[k])
-    head, *rest = "".join(parts).partition("\n\n")
-    return f'{head}\n\n<div class="equations" markdown>\n{"".join(rest)}\n</div>\n'
+    """Has the names of functions in the text of the equations lead to the reference."""
+    return linked_functions(markdown) if page.file.src_uri == "theory.md" else markdown
+
+
+def linked_functions(markdown: str) -> str:
+    """A text whose `module.function` of `drake_nonstop.mechanics` are links, by mkdocstrings."""
+
+    def linked(match: re.Match[str]) -> str:
+        if match[1] not in MECHANICS:
+            return match[0]
+        return f"[{match[0]}][drake_nonstop.mechanics.{match[1]}.{match[2]}]"
+
+    return re.sub(r"`(\w+)\.(\w+)`", linked, markdown)
 
 
 def on_post_page(output: str, page: Any, config: Any) -> str:
-    """Has notebooks' links to other pages lead to what is built of these."""
+    """Has notebooks' links to other pages lead to what is built of these, and formulas typeset."""
     if page.file.src_uri.endswith(".ipynb"):
-        return re.sub(r'href="((?:\.\./)?\w+)\.md(["#])', r'href="\1.html\2', output)
+        output = re.sub(r'href="((?:\.\./)?\w+)\.md(["#])', r'href="\1.html\2', output)
+    if 'class="arithmatex"' in output:
+        folder = "../" * page.url.count("/") + "katex/"
+        style = f'<link rel="stylesheet" href="{folder}katex.min.css">'
+        scripts = (f'<script src="{folder}{name}.js"></script>' for name in ("katex.min", "render"))
+        output = output.replace("</head>", f"{style}</head>")
+        output = output.replace("</body>", f"{''.join(scripts)}</body>")
     return output
 
 
@@ -266,6 +282,20 @@ def reference_page() -> str:
             lines += ["", f"::: {module}.{name}"]
         else:
             lines += ["", f"### {name}", "", _escaped(inspect.getdoc(value) or "")]
+    return "\n".join([*lines, ""])
+
+
+def mechanics_page() -> str:
+    """Every function of the room with the equations, by its docstring."""
+    lines = [
+        "# Functions of the equations",
+        "",
+        "`drake_nonstop.mechanics`: plain functions of arrays, module by module. What they compute",
+        "is derived in [The equations](theory.md).",
+    ]
+    for name in MECHANICS:
+        lines += ["", f"## {name}", "", f"::: drake_nonstop.mechanics.{name}"]
+        lines += ["    options: {show_root_heading: false, show_root_toc_entry: false}"]
     return "\n".join([*lines, ""])
 
 

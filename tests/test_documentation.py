@@ -2,7 +2,10 @@
 
 import dataclasses
 import importlib
+import json
 import re
+import shutil
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -96,10 +99,48 @@ def test_the_theory_names_functions_that_exist_of_every_module_with_equations():
     assert modules - algebra == {module for module, _ in named}
 
 
+def test_every_equation_of_the_theory_names_what_computes_it():
+    """Below each one that counts is a line of the functions and blocks, and the paper's number."""
+    text = (DOCS / "theory.md").read_text(encoding="utf-8")
+    lines = re.findall(r"((?:.+\n)+)\{: \.computed-by \}", text)
+    assert len(lines) == len(re.findall(r"(?m)^(?:By|Eqs?\.) .*`", text)) > 30
+    numbers = set()
+    for line in lines:
+        names = re.findall(r"`([\w.]+)`", line)
+        blocks = [name for name in names if name[0].isupper()]
+        assert names
+        assert set(blocks) <= set(drake_nonstop.__all__), blocks
+        for first, last in re.findall(r"(\d+)(?: to (\d+))?", line.partition(":")[0]):
+            numbers |= set(range(int(first), int(last or first) + 1))
+    assert numbers == set(range(1, 27))
+
+
+def test_formulas_can_be_typeset():
+    node = shutil.which("node")
+    if node is None:
+        pytest.skip("install Node.js, which reads formulas as browsers do")
+    pages = {path.name: path.read_text(encoding="utf-8") for path in DOCS.glob("*.md")}
+    found = {
+        name: [a or b for a, b in re.findall(r"(?s)\$\$(.*?)\$\$|\$([^\s$][^$\n]*)\$", text)]
+        for name, text in pages.items()
+        if "$$" in text
+    }
+    assert len(found["theory.md"]) > 100
+    script = """
+        const katex = require(process.argv[1]);
+        for (const text of JSON.parse(process.argv[2]))
+            katex.renderToString(text, { strict: "error" });
+    """
+    formulas = json.dumps([text.replace("\n", " ") for own in found.values() for text in own])
+    call = [node, "-e", script, str(DOCS / "katex" / "katex.min.js"), formulas]
+    done = subprocess.run(call, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr[-600:]
+
+
 def test_every_page_is_in_the_navigation():
     text = (DOCS.parent / "mkdocs.yml").read_text(encoding="utf-8")
     named = set(re.findall(r": ([\w/]+\.(?:md|ipynb))$", text, re.MULTILINE))
-    made = {"figure.md", "blocks.md", "signals.md", "reference.md"}
+    made = {"figure.md", "blocks.md", "signals.md", "reference.md", "mechanics.md"}
     pages = {path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md")}
     notebooks = {path.relative_to(DOCS).as_posix() for path in DOCS.glob("notebooks/*.ipynb")}
     assert named == pages | notebooks | made
