@@ -8,7 +8,6 @@ import atexit
 import html
 import inspect
 import os
-import pkgutil
 import re
 import shutil
 import tempfile
@@ -19,7 +18,6 @@ from typing import Any
 from urllib.parse import unquote
 
 import drake_nonstop
-import drake_nonstop.mechanics
 from drake_nonstop.blocks.reference_governor import ReferenceGovernorConfig
 from drake_nonstop.diagrams.nonstop import BOXES, SIGNALS, make_nonstop
 from drake_nonstop.model.aircraft import AircraftParameters
@@ -29,9 +27,6 @@ from drake_nonstop.scenario.run_limits import RunLimits
 from drake_nonstop.scenario.scene_config import SceneConfig
 from drake_nonstop.scenario.schema import CHOICES, Scenario
 from drake_nonstop.visualization.drawing import draw_diagram
-
-# The modules with the equations.
-MECHANICS = sorted(module.name for module in pkgutil.iter_modules(drake_nonstop.mechanics.__path__))
 
 
 def on_startup(command: str, dirty: bool) -> None:
@@ -53,39 +48,16 @@ def on_files(files: Any, config: Any) -> Any:
         "blocks.md": blocks_page(),
         "signals.md": signals_page(),
         "reference.md": reference_page(),
-        "mechanics.md": mechanics_page(),
     }
     for name, text in pages.items():
         files.append(File.generated(config, name, content=text))
     return files
 
 
-def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
-    """Has the names of functions in the text of the equations lead to the reference."""
-    return linked_functions(markdown) if page.file.src_uri == "theory.md" else markdown
-
-
-def linked_functions(markdown: str) -> str:
-    """A text whose `module.function` of `drake_nonstop.mechanics` are links, by mkdocstrings."""
-
-    def linked(match: re.Match[str]) -> str:
-        if match[1] not in MECHANICS:
-            return match[0]
-        return f"[{match[0]}][drake_nonstop.mechanics.{match[1]}.{match[2]}]"
-
-    return re.sub(r"`(\w+)\.(\w+)`", linked, markdown)
-
-
 def on_post_page(output: str, page: Any, config: Any) -> str:
-    """Has notebooks' links to other pages lead to what is built of these, and formulas typeset."""
+    """Has notebooks' links to other pages lead to what is built of these."""
     if page.file.src_uri.endswith(".ipynb"):
-        output = re.sub(r'href="((?:\.\./)?\w+)\.md(["#])', r'href="\1.html\2', output)
-    if 'class="arithmatex"' in output:
-        folder = "../" * page.url.count("/") + "katex/"
-        style = f'<link rel="stylesheet" href="{folder}katex.min.css">'
-        scripts = (f'<script src="{folder}{name}.js"></script>' for name in ("katex.min", "render"))
-        output = output.replace("</head>", f"{style}</head>")
-        output = output.replace("</body>", f"{''.join(scripts)}</body>")
+        return re.sub(r'href="((?:\.\./)?\w+)\.md(["#])', r'href="\1.html\2', output)
     return output
 
 
@@ -282,20 +254,6 @@ def reference_page() -> str:
             lines += ["", f"::: {module}.{name}"]
         else:
             lines += ["", f"### {name}", "", _escaped(inspect.getdoc(value) or "")]
-    return "\n".join([*lines, ""])
-
-
-def mechanics_page() -> str:
-    """Every function of the room with the equations, by its docstring."""
-    lines = [
-        "# Functions of the equations",
-        "",
-        "`drake_nonstop.mechanics`: plain functions of arrays, module by module. What they compute",
-        "is derived in [The equations](theory.md).",
-    ]
-    for name in MECHANICS:
-        lines += ["", f"## {name}", "", f"::: drake_nonstop.mechanics.{name}"]
-        lines += ["    options: {show_root_heading: false, show_root_toc_entry: false}"]
     return "\n".join([*lines, ""])
 
 
