@@ -124,6 +124,7 @@ clean:
 .PHONY: docs
 docs: $(VENV)/.installed-docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
+	cd tests && ../$(BIN)/python -m site_pages ../site
 
 $(VENV)/.installed-docs: pyproject.toml | $(VENV)/bin/python
 	$(BIN)/pip install --quiet --editable '.[docs]'

@@ -10,14 +10,6 @@ import drake_nonstop.mechanics
 MECHANICS = sorted(module.name for module in pkgutil.iter_modules(drake_nonstop.mechanics.__path__))
 
 
-def on_files(files: Any, config: Any) -> Any:
-    """Adds the page of the functions."""
-    from mkdocs.structure.files import File
-
-    files.append(File.generated(config, "mechanics.md", content=mechanics_page()))
-    return files
-
-
 def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
     """Has the names of functions in the text of the equations lead to the reference."""
     return linked_functions(markdown) if page.file.src_uri == "theory.md" else markdown
@@ -43,17 +35,3 @@ def linked_functions(markdown: str) -> str:
         return f"[{match[0]}][drake_nonstop.mechanics.{match[1]}.{match[2]}]"
 
     return re.sub(r"`(\w+)\.(\w+)`", linked, markdown)
-
-
-def mechanics_page() -> str:
-    """Every function of the room with the equations, by its docstring."""
-    lines = [
-        "# Functions of the equations",
-        "",
-        "`drake_nonstop.mechanics`: plain functions of arrays, module by module. What they compute",
-        "is derived in [The equations](theory.md).",
-    ]
-    for name in MECHANICS:
-        lines += ["", f"## {name}", "", f"::: drake_nonstop.mechanics.{name}"]
-        lines += ["    options: {show_root_heading: false, show_root_toc_entry: false}"]
-    return "\n".join([*lines, ""])

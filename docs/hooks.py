@@ -1,7 +1,7 @@
-"""Pages that are made from the code: the figure, its blocks and signals, and the reference.
+"""Pages that are made from the code: the figure, its blocks and signals.
 
-At the end all links of the built pages are checked, also those that MkDocs does not know: in
-notebooks and in the drawing.
+What is built is checked by `tests/site_pages.py`, also links that MkDocs does not know, as in
+notebooks.
 """
 
 import atexit
@@ -12,10 +12,8 @@ import re
 import shutil
 import tempfile
 import typing
-from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
-from urllib.parse import unquote
 
 import drake_nonstop
 from drake_nonstop.blocks.reference_governor import ReferenceGovernorConfig
@@ -47,7 +45,6 @@ def on_files(files: Any, config: Any) -> Any:
         "figure.md": figure_page(),
         "blocks.md": blocks_page(),
         "signals.md": signals_page(),
-        "reference.md": reference_page(),
     }
     for name, text in pages.items():
         files.append(File.generated(config, name, content=text))
@@ -61,51 +58,6 @@ def on_post_page(output: str, page: Any, config: Any) -> str:
     return output
 
 
-def on_post_build(config: Any) -> None:
-    """Ends the build where a link within the pages leads nowhere."""
-    from mkdocs.exceptions import PluginError
-
-    broken = broken_links(Path(config["site_dir"]))
-    if broken:
-        raise PluginError("broken links:\n" + "\n".join(broken))
-
-
-class _Page(HTMLParser):
-    """The places and the links of a page."""
-
-    def __init__(self, text: str):
-        super().__init__()
-        self.places: set[str] = set()
-        self.links: set[str] = set()
-        self.feed(text)
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        for name, value in attrs:
-            if value and (name == "id" or (name == "name" and tag == "a")):
-                self.places.add(value)
-            elif value and name in ("href", "src"):
-                self.links.add(value)
-
-
-def broken_links(site: Path) -> list[str]:
-    """The links within a folder of pages that lead nowhere, "page: link"."""
-    pages = {path: _Page(path.read_text(encoding="utf-8")) for path in site.rglob("*.html")}
-    broken = []
-    for path, page in pages.items():
-        for link in sorted(page.links):
-            target, _, place = link.partition("#")
-            if re.match(r"[a-z]+:|//", link) or link.startswith("/") or path.name == "404.html":
-                continue  # elsewhere: not checked
-            file = (path.parent / unquote(target)).resolve() if target else path
-            known = pages.get(file)
-            is_there = file.is_file() or (file / "index.html").is_file()
-            if place and known is not None:
-                is_there = unquote(place) in known.places or place == "__skip"
-            if not is_there:
-                broken.append(f"{path.relative_to(site)}: {link}")
-    return broken
-
-
 def figure_page() -> str:
     """The figure as it is drawn from the built diagram; each box leads to its blocks."""
     drawing = draw_diagram(make_nonstop(drake_nonstop.load_scenario("quintic")))
@@ -113,7 +65,7 @@ def figure_page() -> str:
 
     def linked(match: re.Match[str]) -> str:
         name = match[2]
-        hold = "reference.html#drake_nonstop.blocks.sample_and_hold.SampleAndHold"
+        hold = "reference/room_blocks.html#drake_nonstop.blocks.sample_and_hold.SampleAndHold"
         place = f"blocks.html#{name}" if name in BOXES else hold
         return f'<a href="{place}">{match[0]}</a>'
 
@@ -233,27 +185,6 @@ def signals_page() -> str:
             f"| {part.name} | {part.size} | {part.unit} | {part.frame} | {_cell(part.meaning)} |"
             for part in layout.parts
         ]
-    return "\n".join([*lines, ""])
-
-
-def reference_page() -> str:
-    """Every public name, by its docstring."""
-    lines = [
-        "# Reference",
-        "",
-        "Every name that `import drake_nonstop` offers, in the order of the figure.",
-    ]
-    for name in drake_nonstop.__all__:
-        value = getattr(drake_nonstop, name)
-        module = getattr(value, "__module__", None)
-        if name.startswith("__") or module is None:
-            continue
-        if getattr(value, "__name__", name) != name:
-            lines += ["", f"### {name}", "", f"Another name of `{value.__name__}`."]
-        elif inspect.isclass(value) or inspect.isfunction(value):
-            lines += ["", f"::: {module}.{name}"]
-        else:
-            lines += ["", f"### {name}", "", _escaped(inspect.getdoc(value) or "")]
     return "\n".join([*lines, ""])
 
 

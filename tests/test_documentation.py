@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from site_pages import LARGEST_PAGE, MOST_WORDS, faults
 
 import drake_nonstop
 from drake_nonstop import AircraftParameters, RunLimits, Scenario, SceneConfig, SystemParameters
@@ -18,11 +19,15 @@ from drake_nonstop.diagrams.nonstop import BOXES, SIGNALS
 DOCS = Path(__file__).parents[1] / "docs"
 
 
+def names_of(script):
+    names = {"__name__": script}
+    exec(compile((DOCS / script).read_text(encoding="utf-8"), script, "exec"), names)
+    return names
+
+
 @pytest.fixture(scope="module")
 def hooks():
-    names = {"__name__": "hooks"}
-    exec(compile((DOCS / "hooks.py").read_text(encoding="utf-8"), "hooks.py", "exec"), names)
-    return names
+    return names_of("hooks.py")
 
 
 @pytest.fixture(scope="module")
@@ -30,10 +35,19 @@ def blocks_page(hooks):
     return hooks["blocks_page"]()
 
 
-def test_every_public_name_is_in_the_reference(hooks):
-    page = hooks["reference_page"]()
-    found = set(re.findall(r"(?m)^(?:::: .*\.|### )(\w+)$", page))
-    assert found >= {name for name in drake_nonstop.__all__ if not name.startswith("__")}
+def test_every_public_name_is_once_in_the_reference_and_in_its_index():
+    script = names_of("reference_pages.py")
+    pages = script["reference_pages"]()
+    found = [
+        name
+        for text in pages.values()
+        for name in re.findall(r"(?m)^(?:::: (?!.*mechanics\.\w+$).*\.|## )(\w+)", text)
+    ]
+    public = {name for name in drake_nonstop.__all__ if not name.startswith("__")}
+    assert sorted(found) == sorted(public)
+    linked = dict(re.findall(r"\[`(\w+)`\]\(([\w/]+\.md)", script["index_page"]()))
+    assert {*linked} >= public
+    assert {*linked.values()} == {*pages}
 
 
 def test_every_signal_has_its_layout(hooks):
@@ -62,15 +76,38 @@ def test_every_field_of_a_scenario_has_a_meaning_or_a_place(blocks_page):
             assert f"| `{field.name}` |" in blocks_page, f"{config.__name__}.{field.name}"
 
 
-def test_a_link_that_leads_nowhere_is_found(hooks, tmp_path):
+def test_faults_of_built_pages_are_found(tmp_path):
+    """One page with a fault of each kind, and one without any."""
+    words = "word " * MOST_WORDS
     (tmp_path / "a.html").write_text(
-        '<a href="b.html#here">b</a><a href="b.html#gone">b</a><a href="c.html">c</a>'
-        '<h2 id="top">a</h2><a href="#top">top</a><a href="https://example.org">out</a>'
-        '<img src="no.png"/>'
+        '<a href="b.html#gone">b</a><a href="c.html">c</a><a href="https://example.org">out</a>'
+        '<img alt="" src="large.png"/><script src="https://example.org/x.js"></script>'
+        f'<article><h1>A</h1><h3 id="top">a</h3><a href="#top">top</a><p>{words}</p></article>'
     )
-    (tmp_path / "b.html").write_text('<p id="here"><a href="a.html">a</a></p>')
-    broken = ["a.html: b.html#gone", "a.html: c.html", "a.html: no.png"]
-    assert hooks["broken_links"](tmp_path) == broken
+    (tmp_path / "b.html").write_text(
+        f'<article><h1 id="here">B</h1><pre>{words}</pre><a href="a.html">a</a></article>'
+    )
+    (tmp_path / "large.png").write_bytes(bytes(LARGEST_PAGE))
+    assert faults(tmp_path) == [
+        "a.html: broken link: b.html#gone",
+        "a.html: broken link: c.html",
+        "a.html: no alt text: large.png",
+        "a.html: a heading h3 after h1",
+        f"a.html: {MOST_WORDS + 2} words without a heading",
+        "a.html: loaded from elsewhere: https://example.org/x.js",
+        "a.html: 1.50 MB",
+    ]
+
+
+def test_the_replays_of_the_first_page_share_one_viewer():
+    script = names_of("gallery.py")
+    viewer = "x" * 1_000_001
+    page, taken = script["without_viewer"](f"<body><script>{viewer}</script><script>1</script>")
+    assert (page, taken) == ('<body><script src="viewer.js"></script><script>1</script>', viewer)
+    shown = re.findall(r"\(replays/(\w+)\.html\)", (DOCS / "index.md").read_text(encoding="utf-8"))
+    assert shown == [*script["REPLAYS"]]
+    with pytest.raises(ValueError, match="does not begin with"):
+        script["without_viewer"]("<script>1</script>")
 
 
 def test_the_citation_and_the_changelog_have_the_version():
@@ -140,7 +177,7 @@ def test_formulas_can_be_typeset():
 def test_every_page_is_in_the_navigation():
     text = (DOCS.parent / "mkdocs.yml").read_text(encoding="utf-8")
     named = set(re.findall(r": ([\w/]+\.(?:md|ipynb))$", text, re.MULTILINE))
-    made = {"figure.md", "blocks.md", "signals.md", "reference.md", "mechanics.md"}
+    made = {"figure.md", "blocks.md", "signals.md", "reference.md"}
     pages = {path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md")}
     notebooks = {path.relative_to(DOCS).as_posix() for path in DOCS.glob("notebooks/*.ipynb")}
     assert named == pages | notebooks | made

@@ -1,0 +1,43 @@
+"""The replays of the first page: flown when the pages are built, with one viewer for all."""
+
+import re
+from typing import Any
+
+import drake_nonstop
+
+# Seconds of flight that each shows, and frames per second: the viewer interpolates.
+REPLAYS = {
+    "aircraft_transfer": (50.0, 10.0),
+    "aircraft_three": (40.0, 10.0),
+    "aircraft_co_rotating_gusty": (40.0, 10.0),
+    "line": (20.0, 25.0),
+    "line_without_optimization": (20.0, 25.0),
+    "three_carriers": (15.0, 25.0),
+}
+_LARGEST = 1_000_000  # bytes
+_VIEWER = "replays/viewer.js"
+
+
+def on_files(files: Any, config: Any) -> Any:
+    """Flies and adds the replays."""
+    from mkdocs.structure.files import File
+
+    viewer = ""
+    for name, (duration, rate) in REPLAYS.items():
+        scenario = drake_nonstop.load_scenario(name, [f"simulation_duration={duration}"])
+        run = drake_nonstop.simulate(scenario)
+        page, viewer = without_viewer(drake_nonstop.record_replay(run, frame_rate=rate))
+        if len(page.encode()) > _LARGEST:
+            raise ValueError(f"the replay of {name} has {len(page)} bytes: show less of it")
+        files.append(File.generated(config, f"replays/{name}.html", content=page))
+    files.append(File.generated(config, _VIEWER, content=viewer))
+    return files
+
+
+def without_viewer(replay: str) -> tuple[str, str]:
+    """A replay that loads Meshcat's viewer from the file beside it, and this file's content."""
+    script = re.search(r"<script[^>]*>(.*?)</script>", replay, re.DOTALL)
+    if script is None or len(script[1]) < _LARGEST:
+        raise ValueError("the replay does not begin with Meshcat's viewer")
+    tag = f'<script src="{_VIEWER.rpartition("/")[2]}"></script>'
+    return replay[: script.start()] + tag + replay[script.end() :], script[1]

@@ -1,0 +1,109 @@
+"""The reference: a page per box of the figure, per module of equations, and per other room."""
+
+import importlib
+import inspect
+import pkgutil
+from pathlib import Path
+from typing import Any
+
+import drake_nonstop
+import drake_nonstop.mechanics
+from drake_nonstop.diagrams.nonstop import BOXES
+
+# The modules with the equations.
+MECHANICS = sorted(module.name for module in pkgutil.iter_modules(drake_nonstop.mechanics.__path__))
+
+
+def on_config(config: Any) -> None:
+    """Puts the pages into the navigation, below what lists them all."""
+    groups: dict[str, list[str]] = {"Boxes": [], "Equations": [], "Rooms": []}
+    for name in reference_pages():
+        kind = name.split("/")[1].partition("_")[0]
+        groups[{"box": "Boxes", "equations": "Equations", "room": "Rooms"}[kind]].append(name)
+    own = [{"All names": "reference.md"}, *({k: names} for k, names in groups.items())]
+    config["nav"] = [*config["nav"][:-1], {"Reference": own}]
+
+
+def on_files(files: Any, config: Any) -> Any:
+    """Adds the pages."""
+    from mkdocs.structure.files import File
+
+    for name, text in {"reference.md": index_page(), **reference_pages()}.items():
+        files.append(File.generated(config, name, content=text))
+    return files
+
+
+def names_by_page() -> dict[str, list[str]]:
+    """Every public name, by the page that describes it: that of its box, else that of its room."""
+    boxes = {}
+    for name, box in BOXES.items():
+        for variant, config in zip(box.variants, box.configs, strict=True):
+            boxes |= {variant.__name__: name, config.__name__: name}
+    pages: dict[str, list[str]] = {f"reference/box_{name}.md": [] for name in BOXES}
+    rooms: dict[str, list[str]] = {}
+    for name in drake_nonstop.__all__:
+        module = getattr(getattr(drake_nonstop, name), "__module__", "")
+        if name in boxes:
+            pages[f"reference/box_{boxes[name]}.md"].append(name)
+        elif module:
+            rooms.setdefault(f"reference/room_{module.split('.')[1]}.md", []).append(name)
+    return {**pages, **dict(sorted(rooms.items()))}
+
+
+def reference_pages() -> dict[str, str]:
+    """The pages by the names of their files; mkdocstrings fills in what follows `:::`."""
+    pages = {}
+    for page, names in names_by_page().items():
+        kind, _, name = Path(page).stem.partition("_")
+        if kind == "box":
+            parameters = f"[parameters](../blocks.md#{name})"
+            head = f"The blocks for this box of [the figure](../figure.md), and their {parameters}."
+        else:
+            room = importlib.import_module(f"drake_nonstop.{name}")
+            head = (inspect.getdoc(room) or "").partition("\n\n")[0]
+        parts = [_entry(each) for each in names]
+        pages[page] = "\n\n".join([f"# `{name}`", head, *parts, ""])
+    for name in MECHANICS:
+        entry = f"::: drake_nonstop.mechanics.{name}\n    options: {{show_root_heading: false}}"
+        pages[f"reference/equations_{name}.md"] = f"# `mechanics.{name}`\n\n{entry}\n"
+    return pages
+
+
+def index_page() -> str:
+    """Every public name, with a link to its description."""
+    lines = [
+        "# Reference",
+        "",
+        "Every name that `import drake_nonstop` offers. Blocks are described with their box, all",
+        "else with the package's folder that it comes from. The functions behind the",
+        "[equations](theory.md) have a page for each module of `drake_nonstop.mechanics`.",
+    ]
+    for page, names in names_by_page().items():
+        kind, _, title = Path(page).stem.partition("_")
+        links = ", ".join(f"[`{name}`]({page}#{_place(name)})" for name in names)
+        lines += ["", f"**{kind.capitalize()} [`{title}`]({page})**: {links}."]
+    links = ", ".join(f"[`{name}`](reference/equations_{name}.md)" for name in MECHANICS)
+    return "\n".join([*lines, "", f"**Equations**: {links}.", ""])
+
+
+def _place(name: str) -> str:
+    """Where on its page a name is."""
+    value = getattr(drake_nonstop, name)
+    return f"{value.__module__}.{name}" if _is_documented(name) else name
+
+
+def _is_documented(name: str) -> bool:
+    """Whether mkdocstrings describes it: a class or a function by its own name."""
+    value = getattr(drake_nonstop, name)
+    own = getattr(value, "__name__", name) == name
+    return own and (inspect.isclass(value) or inspect.isfunction(value))
+
+
+def _entry(name: str) -> str:
+    value = getattr(drake_nonstop, name)
+    if _is_documented(name):
+        return f"::: {value.__module__}.{name}"
+    other = getattr(value, "__name__", name)
+    text = f"Another name of `{other}`." if other != name else inspect.getdoc(value) or ""
+    text = text.replace("<", "&lt;")
+    return f"## {name} {{: #{name} }}\n\n{text}"
