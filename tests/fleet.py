@@ -136,6 +136,7 @@ DRAWN: dict[str, tuple[str, list[str]]] = {
         "aircraft_rest",
         [
             *("simulation_duration=2", "cables=!LumpedCables {nodes: 2}"),
+            "simulated.cable_breaking_load=30",
             "carrier_trajectory=!BowedCarrierTrajectory {nodes: 2}",
         ],
     ),

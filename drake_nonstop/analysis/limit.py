@@ -19,6 +19,7 @@ class RunOutcome(str, Enum):
 
     STOPPED = "stopped"  # it diverged, a block failed, or it was ended before its time
     STALLED = "stalled"  # an aircraft's wing stalled
+    CABLE_BROKEN = "cable_broken"  # a cable pulled with more than its breaking load
     LOAD_LOST = "load_lost"  # the load did not follow its reference
     COLLISION = "collision"  # carriers or cables came too close to each other, or to an obstacle
     CABLES_SLACK = "cables_slack"

@@ -35,8 +35,8 @@ from drake_nonstop.validation import (
 
 OFFSET = "pattern_offset"  # N, in L, among the parameters of a block
 AIRCRAFT = "aircraft."  # begins the names of an aircraft's fields among them
-# Pa, of a braid of Dyneema SK78 over its whole section: Marlow's Excel D12 of 4 mm breaks at
-# 2,050 kgf. Dyneema's density is that of DSM's fibre, 970 kg/m³.
+# Pa, of a braid of Dyneema SK78 over its whole section: half of the 3.3 GPa that the fibre has at
+# least (DSM Dyneema, fact sheet of its UHMWPE fibre, CIS YA100, 2010), for its gaps and angles.
 _STRENGTH = 1.6e9
 _MAX_CARRIERS = 100  # whose blocks take ten seconds to trace
 
@@ -208,17 +208,12 @@ class Model:
     @property
     def cable_mass(self) -> float:
         """A cable's mass in kg."""
-        return self.system.cable_density * self._cable_area * self.cable_length
+        return self.system.cable_density * _cable_area(self.system) * self.cable_length
 
     @property
     def cable_breaking_load(self) -> float:
         """Tension in N that a cable breaks at."""
-        given = self.system.cable_breaking_load
-        return _STRENGTH * self._cable_area if given is None else given
-
-    @property
-    def _cable_area(self) -> float:
-        return math.pi / 4 * self.system.cable_diameter**2
+        return breaking_load(self.system)
 
     @property
     def load_mass(self) -> float:
@@ -269,6 +264,17 @@ _READ_WITH = {
     "aircraft": ("aircraft", "cable_length", "cable_diameter", "cable_drag", "gravity"),
     "pattern": (OFFSET,),
 }
+
+
+def breaking_load(system: SystemParameters) -> float:
+    """Tension in N that a cable of a system breaks at; inf: it has no diameter."""
+    if system.cable_breaking_load is not None:
+        return system.cable_breaking_load
+    return _STRENGTH * _cable_area(system) or math.inf
+
+
+def _cable_area(system: SystemParameters) -> float:
+    return math.pi / 4 * system.cable_diameter**2
 
 
 def aircraft_in(system: SystemParameters | Model) -> Aircraft | None:

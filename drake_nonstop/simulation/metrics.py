@@ -37,12 +37,17 @@ def compute_metrics(run: Run) -> dict[str, Any]:
     reference. What was not measured, such as the solve times of a layer that solves nothing or the
     delay of a reference without a governor, is None, and so is what is not finite, as of a run
     that a block's NaN ended. The group `aircraft` is that of the simulated
-    aircraft, see `RunQuantities`, and is missing where there are none, as is the group `obstacles`.
+    aircraft, see `RunQuantities`, and is missing where there are none, as is the group `obstacles`,
+    and `bowed_cables` where cables have no nodes; other tensions are those at the load.
     `outcome` is a `RunOutcome`, `reasons` and `warnings` are sentences.
     """
     quantities = RunQuantities(run)
     values: dict[str, Any] = {"scenario": run.scenario.name, "is_steered": run.is_steered}
-    is_there = {"aircraft": quantities.has_aircraft, "obstacles": run.scenario.obstacles}
+    is_there = {
+        "aircraft": quantities.has_aircraft,
+        "bowed_cables": quantities.has_nodes,
+        "obstacles": run.scenario.obstacles,
+    }
     absent = [group for group, has_any in is_there.items() if not has_any]
     for metric in METRICS:
         *groups, name = metric.path.split(".")
@@ -141,8 +146,8 @@ class Metric(NamedTuple):
 
     @property
     def may_be_left_out(self) -> bool:
-        """Whether it is left out of metrics.json where a run has no aircraft, or no obstacles."""
-        return self.path.startswith(("aircraft.", "obstacles."))
+        """Whether it is left out of metrics.json where a run has no such things."""
+        return self.path.startswith(("aircraft.", "bowed_cables.", "obstacles."))
 
     def value(self, metrics: Mapping[str, Any] | None) -> Any:
         """The stored value in the metrics of a run; None where there is none."""
@@ -297,6 +302,31 @@ _ROWS: dict[str, Metric] = {
         Quantity("slack", "s", better=LOWER),
         RunText("tension", "slack for {:.3g} {unit}"),
         TableColumn("slack", "s"),
+    ),
+    "bowed_cables.bow_max_m": Metric(
+        lambda run: np.max(run.bows_and_chords[0]),
+        Quantity("largest bow", "m"),
+        RunText("bowed cables", "up to {:.3g} {unit} from the chord"),
+    ),
+    "bowed_cables.chord_min_m": Metric(
+        lambda run: np.min(run.bows_and_chords[1]),
+        Quantity("shortest chord", "m"),
+        RunText("bowed cables", "chord {:.5g}"),
+    ),
+    "bowed_cables.chord_max_m": Metric(
+        lambda run: np.max(run.bows_and_chords[1]),
+        Quantity("longest chord", "m"),
+        RunText("bowed cables", "{:.5g} {unit}", " to "),
+    ),
+    "bowed_cables.carrier_tension_min_N": Metric(
+        lambda run: np.min(run.carrier_tensions),
+        Quantity("least tension at a carrier", "N", better=HIGHER),
+        RunText("bowed cables", "tension at carriers {:.3g}"),
+    ),
+    "bowed_cables.carrier_tension_max_N": Metric(
+        lambda run: np.max(run.carrier_tensions),
+        Quantity("largest tension at a carrier", "N"),
+        RunText("bowed cables", "{:.3g} {unit}", " to "),
     ),
     "cables.separation_min_m": Metric(
         lambda run: np.min(run.cable_separations),

@@ -12,6 +12,7 @@ import numpy as np
 
 from drake_nonstop.analysis.limit import DISTANCE_LIMITS, Limit, RunOutcome
 from drake_nonstop.mechanics.aircraft import stall_speed
+from drake_nonstop.model.system import breaking_load
 from drake_nonstop.optimization.limits import LIMITS as ASKED
 from drake_nonstop.optimization.limits import Of, limits_of
 from drake_nonstop.simulation.run_quantities import RunQuantities
@@ -130,6 +131,13 @@ def judge(run: RunQuantities) -> Judgement:
         wrong.append((RunOutcome.STOPPED, run.run.stopped))
     if run.first_stall is not None:
         wrong.append((RunOutcome.STALLED, _told(run)))
+    if run.first_break is not None:
+        broken = (
+            f"cable {run.first_break.cable} broke at t = {run.first_break.time:.3f} s, with "
+            f"{run.first_break.tension:.4g} N: it bears {breaking_load(run.system):.4g} N "
+            "(system.cable_breaking_load); what follows is that of a cable which holds"
+        )
+        wrong.append((RunOutcome.CABLE_BROKEN, broken))
     wrong += [(RunOutcome.UNCONVERGED, sentence) for sentence in run.run.unresolved]
     severity = list(RunOutcome)
     wrong.sort(key=lambda item: severity.index(item[0]))

@@ -23,7 +23,7 @@ from drake_nonstop.mechanics.rotation import (
     rotation_vector,
 )
 from drake_nonstop.mechanics.signals import AircraftState, CarrierStates, LoadReference, Pose
-from drake_nonstop.model.system import SystemParameters, aircraft_in, overridden
+from drake_nonstop.model.system import SystemParameters, aircraft_in, breaking_load, overridden
 from drake_nonstop.optimization.diagnostics import Diagnostics
 from drake_nonstop.optimization.limits import Limit, Of, asked
 from drake_nonstop.simulation.measured_speed_margin import measured_speed_margin
@@ -47,6 +47,14 @@ class Stall(NamedTuple):
     carrier: int  # from 1 on
     lift: float  # C_L with the part of gusts
     airspeed: float  # m/s
+
+
+class Break(NamedTuple):
+    """A cable's first tension beyond its breaking load."""
+
+    time: float  # s
+    cable: int  # from 1 on
+    tension: float  # N
 
 
 class RunQuantities(Spacing):
@@ -330,6 +338,55 @@ class RunQuantities(Spacing):
     def tensions(self) -> NDArray:
         """The tensions of the cables (k, n), N."""
         return self.run.steps["tensions"]
+
+    @cached_property
+    def carrier_tensions(self) -> NDArray:
+        """The tensions (samples, n), N, at the carriers' ends of the cables, at 100 Hz."""
+        try:
+            forces = self.run.signal("carrier_cable_forces")
+        except UnknownSignalError:  # nothing reads it: that at the load's
+            return self.run.signal("tensions")
+        return _in_chunks(lambda rows: _norms(rows.reshape(len(rows), -1, 3)), forces)
+
+    @cached_property
+    def first_break(self) -> Break | None:
+        """The first tension beyond a cable's breaking load, at either end; None: there was none."""
+        ends = [(self.time, self.tensions)]
+        if self.has_nodes:  # other cables pull alike at both ends
+            ends.append((self.run.time, self.carrier_tensions))
+        breaks = []
+        for times, tensions in ends:
+            broken = tensions > breaking_load(self.system)
+            if np.any(broken):
+                k = int(np.argmax(np.any(broken, axis=1)))
+                i = int(np.argmax(tensions[k]))
+                breaks.append(Break(float(times[k]), i + 1, float(tensions[k, i])))
+        return min(breaks, default=None)
+
+    @cached_property
+    def has_nodes(self) -> bool:
+        """Whether the cables have nodes, which the run has the state of."""
+        return any(name.endswith(".cable_state") for name in self.run.signals)
+
+    @cached_property
+    def bows_and_chords(self) -> tuple[NDArray, NDArray]:
+        """Of each cable, (samples, n), at 100 Hz; only where `has_nodes`.
+
+        The largest distance, m, of a node from the line between the cable's ends, and the distance,
+        m, between these.
+        """
+
+        def of_rows(nodes: NDArray, load: NDArray, carriers: NDArray) -> NDArray:
+            low, high = attachment_positions(self.run, load), CarrierStates.view(carriers).positions
+            positions = nodes[:, : nodes.shape[1] // 2].reshape(len(nodes), -1, *low.shape[1:])
+            chords = high - low
+            lengths = _norms(chords)
+            apart = _norms(np.cross(positions - low[:, None], chords[:, None]))
+            return np.stack([apart.max(axis=1) / lengths, lengths], axis=1)
+
+        signals = map(self.run.signal, ("cable_state", "load_state", "carrier_state"))
+        found = _in_chunks(of_rows, *signals)
+        return found[:, 0], found[:, 1]
 
     @cached_property
     def slack_time(self) -> float:

@@ -148,6 +148,12 @@ def cable_slack(made):
     made.tensions[made.some_time(), made.rng.integers(made.n)] = 0
 
 
+def cable_broken(made):
+    breaking_load = 1.6e9 * np.pi / 4 * made.scenario.system.cable_diameter**2
+    tension = breaking_load * made.rng.uniform(1.001, 3)
+    made.tensions[made.some_time(), made.rng.integers(made.n)] = tension
+
+
 def carrier_slow(made):
     made.velocities[made.some_time(), made.rng.integers(made.n)] *= made.rng.uniform(0, 0.66)
 
@@ -171,6 +177,7 @@ FAULTS = {
     carriers_meet: RunOutcome.COLLISION,
     cables_cross: RunOutcome.COLLISION,
     tower_hit: RunOutcome.COLLISION,
+    cable_broken: RunOutcome.CABLE_BROKEN,
     cable_slack: RunOutcome.CABLES_SLACK,
     carrier_slow: RunOutcome.BOUND_MISSED,
     commands_saturated: RunOutcome.LIMIT_MISSED,
@@ -183,6 +190,7 @@ SENTENCES = {
     carriers_meet: "two carriers came within ",
     cables_cross: "two cables came within ",
     tower_hit: " hit tower at t = ",
+    cable_broken: " N: it bears 1257 N (system.cable_breaking_load)",
     cable_slack: "a cable was slack for ",
     carrier_slow: "a carrier was below the bound for ",
     commands_saturated: "commands of aircraft were at their limits for ",
@@ -190,7 +198,15 @@ SENTENCES = {
     stopped: "the run diverged at t = 1.0000 s",
 }
 SEVERITY = (
-    *("stopped", "load_lost", "collision", "cables_slack", "bound_missed", "limit_missed"),
+    *(
+        "stopped",
+        "cable_broken",
+        "load_lost",
+        "collision",
+        "cables_slack",
+        "bound_missed",
+        "limit_missed",
+    ),
     "unconverged",
 )
 
@@ -224,7 +240,7 @@ def test_the_outcome_is_the_worst_of_all_faults_and_each_is_said(seed, n, size, 
 
 @pytest.mark.parametrize(
     "fault",
-    [fault for fault in FAULTS if fault not in (tower_hit, unresolved, stopped)],
+    [fault for fault in FAULTS if fault not in (cable_broken, tower_hit, unresolved, stopped)],
 )
 def test_a_fault_within_wider_limits_is_none(fault):
     rng = np.random.default_rng(3)
@@ -303,6 +319,7 @@ def test_a_limit_that_a_blocks_config_states_has_a_row():
     kept = {f"{box}.{name}" for box in ("optimization_layer", "phase") for name in rates}
     kept.add("optimization_layer.max_iterations")  # a number that is counted
     kept.add("carrier_controller.max_bank")  # of the command, which the bank cannot overshoot
+    kept.add("cables.max_damping_ratio")  # of the model: it damps no more than that
     for name, box in BOXES.items():
         for config in box.configs:
             for field in dataclasses.fields(config):
