@@ -50,6 +50,14 @@ IN_LANES = [
         [[f"simulated.load_mass={9 + m}", f"random_seed={m}"] for m in range(5)],
         {},
     ),
+    (
+        "aircraft_rest",
+        [
+            ["cables=!LumpedCables {nodes: 2}", f"simulated.cable_diameter={d}"]
+            for d in (0.0007, 0.001, 0.0012)
+        ],
+        {},
+    ),
 ]
 
 
