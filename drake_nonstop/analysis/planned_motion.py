@@ -4,7 +4,6 @@ import contextlib
 import dataclasses
 import math
 from functools import cached_property
-from operator import attrgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -72,7 +71,7 @@ class PlannedMotion(Spacing):
         self.scenario, self._model = scenario, task.flown
         fastest = task.limits.frequency * (1 if plan is None else plan.coefficients[0].max())
         turns = task.duration * fastest / (2 * math.pi)
-        self._time = times = np.linspace(0, task.duration, math.ceil(_PER_TURN * (1 + turns)))
+        self.time = times = np.linspace(0, task.duration, math.ceil(_PER_TURN * (1 + turns)))
         planned = task.planned(plan, times)
         references = np.array([task.reference(time) for time in times])
         terms = orbit_terms(task.flown, references, [task.wind_at(time) for time in times])
@@ -80,7 +79,7 @@ class PlannedMotion(Spacing):
         loads = LoadReference.view(references)
         R_LW = rotation_matrix(loads.quaternion).swapaxes(1, 2)
         self._forces = motion.forces @ R_LW  # (k, n, 3), N, in W
-        self._load_positions = loads.position
+        self.load_positions = loads.position
         self._attachments = loads.position[:, None] + self._model.attachments @ R_LW
         self._carriers = self._attachments + motion.cables @ R_LW
 
@@ -88,16 +87,6 @@ class PlannedMotion(Spacing):
     def system(self) -> SystemParameters:
         """The simulated load, cables and carriers."""
         return self._model.system
-
-    @property
-    def time(self) -> NDArray:
-        """The instants (k,), s."""
-        return self._time
-
-    @property
-    def load_positions(self) -> NDArray:
-        """(k, 3), in W, m."""
-        return self._load_positions
 
     @property
     def attachment_positions(self) -> NDArray:
@@ -151,9 +140,9 @@ class PlannedMotion(Spacing):
             ),
             *(
                 (
-                    f"least distance of {each.obstacle} from {each.nearest.body}",
+                    f"least distance of {each.obstacle} from {each.body}",
                     f"{each.distance:.3g} m",
-                    f"t = {each.nearest.time:.2f} s",
+                    f"t = {each.time:.2f} s",
                 )
                 for each in self.approaches
             ),
@@ -169,7 +158,7 @@ class PlannedMotion(Spacing):
             "collisions": self.collisions,
             "carriers_min_m": self.carrier_separation,
             "cables_min_m": between,
-            "obstacles": [*map(attrgetter("dictionary"), self.approaches)],
+            "obstacles": [approach._asdict() for approach in self.approaches],
             "attachments_of_these_cables_m": attachments,
             "least_share": least.share,
             "least_share_at_s": least.time,

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.analysis.obstacle_distances import Approach, Bodies, closest_approach
+from drake_nonstop.analysis.obstacle_distances import Approach, closest_approach
 from drake_nonstop.model.system import SystemParameters
 from drake_nonstop.scenario.schema import Scenario
 
@@ -26,9 +26,13 @@ class Spacing(ABC):
 
     Attributes:
         scenario: whose limits the motion is held against.
+        time: of the steps (k,), s; between two of them all move along straight lines.
+        load_positions: of the load's centre of mass at each step (k, 3), in W, m.
     """
 
     scenario: Scenario
+    time: NDArray
+    load_positions: NDArray
 
     @property
     @abstractmethod
@@ -46,18 +50,8 @@ class Spacing(ABC):
         """Where the cables are attached to the load at each step (k, n, 3), in W, m."""
 
     @property
-    @abstractmethod
-    def load_positions(self) -> NDArray:
-        """Of the load's centre of mass at each step (k, 3), in W, m."""
-
-    @property
-    @abstractmethod
-    def time(self) -> NDArray:
-        """The instants (k,) of the steps, s; between two of them all move along straight lines."""
-
-    @property
     def cable_points(self) -> NDArray:
-        """The points that cables are straight between, from the load on, (points, k, n, 3), m."""
+        """Points that cables are straight between, from the load on, (points, k, n, 3), in W, m."""
         return np.stack([self.attachment_positions, self.carrier_positions])
 
     @cached_property
@@ -66,22 +60,17 @@ class Spacing(ABC):
 
         The load is the frame between its attachments and its centre of mass.
         """
-        obstacles = self.scenario.obstacles
-        if not obstacles:
+        if not self.scenario.obstacles:
             return []
-        load = np.concatenate([self.attachment_positions, self.load_positions[:, None]], axis=1)
-        edges = load[:, np.stack(np.triu_indices(load.shape[1], 1), axis=1)]
-        points, carriers = self.cable_points, self.carrier_positions
-        cables = np.stack([points[:-1], points[1:]], axis=-2).swapaxes(0, 1).swapaxes(1, 2)
-        moved = (
-            Bodies("load", edges[:, None]),
-            Bodies("cable", cables),
-            Bodies("carrier", np.stack([carriers, carriers], axis=-2)[:, :, None]),
-        )
+        corners = np.concatenate([self.attachment_positions, self.load_positions[:, None]], axis=1)
+        edges = corners[:, np.transpose(np.triu_indices(corners.shape[1], 1))]
+        cables = np.stack([self.cable_points[:-1], self.cable_points[1:]], axis=-2)
+        carriers = np.stack(2 * [self.carrier_positions], axis=-2)
+        moved = {"load": edges[:, None], "cable": np.moveaxis(cables, 0, 2)}
         found = [
-            closest_approach(obstacle.name, obstacle.shape(), bodies, self.time)
-            for obstacle in obstacles
-            for bodies in moved
+            closest_approach(kind, bodies, self.time, obstacle.name, obstacle.shape())
+            for obstacle in self.scenario.obstacles
+            for kind, bodies in (moved | {"carrier": carriers[:, :, None]}).items()
         ]
         return sorted(found, key=attrgetter("order"))
 

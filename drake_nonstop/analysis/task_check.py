@@ -276,7 +276,7 @@ class TaskCheck:
         return (
             f"carriers stay {motion.carrier_separation:.3g} m apart, and cables "
             f"{motion.closest_cables_for_attachments[0]:.3g} m"
-            + "".join(f", {a.nearest.body} from {a.obstacle} {a.distance:.3g} m" for a in nearest)
+            + "".join(f", {a.body} from {a.obstacle} {a.distance:.3g} m" for a in nearest)
         )
 
 

@@ -5,69 +5,46 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-_ROUNDING = 1e-12  # of a segment's length and place, by which its ends may be misplaced
+_HALVINGS = 26  # of a segment, in search of its nearest point
 
 
 class RoundedBox(NamedTuple):
     """All points within a radius of a box; one without size is a sphere's centre."""
 
-    position: NDArray  # (3,), of the box's frame O, in W, m
-    rotation: NDArray  # R_WO (3, 3)
-    lower: NDArray  # (3,), of the box, in O, m; may be -inf
-    upper: NDArray  # (3,), likewise; may be inf
+    position: NDArray  # (3,), of the box's centre, the origin of its frame O, in W, m
+    half: NDArray  # (3,), half of its size, m; may be inf
+    rotation: NDArray = np.eye(3)  # R_WO (3, 3)
     radius: float = 0.0  # m
 
 
-class Nearest(NamedTuple):
-    """How near segments are to an obstacle."""
+def nearest_to(box: RoundedBox, segments: NDArray) -> tuple[NDArray, NDArray, NDArray]:
+    """The signed distance (…), m, of the nearest or deepest point (…, 3) of segments (…, 2, 3).
 
-    distances: NDArray  # (…), m; negative inside
-    points: NDArray  # (…, 3), the nearest of each segment, in W, m
-    normals: NDArray  # (…, 3), gradients of the distance there, in W; zero inside
-
-
-def nearest_to(box: RoundedBox, segments: NDArray) -> Nearest:
-    """How near segments (…, 2, 3), in W, m, come to a rounded box.
-
-    The squared distance from the box along a segment is convex and made of parabolas, which meet
-    where the segment crosses planes of the box's faces: its slope is linear from one of these to
-    the next, and zero at the nearest point. Of a segment that goes through the box it is the middle
-    of what is inside, at least half as deep as the deepest.
+    Then that point, and the distance's gradient there; all in W, m. A convex obstacle's signed
+    distance is convex: along a segment its slope changes its sign once, which is found by halving.
     """
     starts = (segments[..., 0, :] - box.position) @ box.rotation
     ways = (segments[..., 1, :] - segments[..., 0, :]) @ box.rotation
-    lower, upper = box.lower, box.upper
-    lengths, far = np.linalg.norm(ways, axis=-1), np.linalg.norm(starts, axis=-1)
-    rounding = (_ROUNDING * lengths * (lengths + far))[..., None]
+    slopes = [(_distances(box, at)[1] * ways).sum(axis=-1) for at in (starts, starts + ways)]
+    shares, part = np.where(slopes[0] >= 0, 0.0, 1.0), 0.5
+    is_between = (slopes[0] < 0) & (slopes[1] > 0)
+    inner, way, share = starts[is_between], ways[is_between], np.full((is_between.sum(), 1), 0.5)
+    for _ in range(_HALVINGS if len(share) else 0):
+        _, gradients = _distances(box, inner + share * way)
+        part /= 2
+        share -= part * np.sign((gradients * way).sum(axis=-1, keepdims=True))
+    shares[is_between] = share[:, 0]
+    points = starts + shares[..., None] * ways
+    distances, gradients = _distances(box, points)
+    return distances, points @ box.rotation.T + box.position, gradients @ box.rotation.T
 
-    def slopes(shares: NDArray) -> NDArray:
-        at = starts[..., None, :] + shares[..., None] * ways[..., None, :]
-        beyond = np.maximum(at - upper, 0) - np.maximum(lower - at, 0)
-        slope = (beyond * ways[..., None, :]).sum(axis=-1)
-        return np.where(np.abs(slope) > rounding, slope, 0.0)
 
-    with np.errstate(divide="ignore", invalid="ignore"):
-        crossings = np.concatenate([(lower - starts) / ways, (upper - starts) / ways], axis=-1)
-    crossings = np.nan_to_num(crossings, nan=0.0).clip(0, 1)
-    slope = slopes(crossings)
-    bounds = np.stack(
-        [
-            np.where(slope <= 0, crossings, 0.0).max(axis=-1),
-            np.where(slope >= 0, crossings, 1.0).min(axis=-1),
-        ],
-        axis=-1,
-    )
-    slope = slopes(bounds)
-    rise = slope[..., 1] - slope[..., 0]
-    share = np.where(rise == 0, 0.5, -slope[..., 0] / np.where(rise == 0, 1.0, rise))
-    share = bounds[..., 0] + share.clip(0, 1) * (bounds[..., 1] - bounds[..., 0])
-    points = starts + share[..., None] * ways
-    gaps = np.maximum(points - upper, lower - points)  # negative between two faces
-    beyond = np.maximum(points - upper, 0) - np.maximum(lower - points, 0)
-    outside = np.linalg.norm(beyond, axis=-1)
-    normals = beyond / np.where(outside == 0, 1.0, outside)[..., None]
-    return Nearest(
-        distances=np.where(outside > 0, outside, gaps.max(axis=-1)) - box.radius,
-        points=points @ box.rotation.T + box.position,
-        normals=normals @ box.rotation.T,
-    )
+def _distances(box: RoundedBox, points: NDArray) -> tuple[NDArray, NDArray]:
+    """Signed distances (…), m, of points (…, 3) in O, and their gradients; inside to a face."""
+    gaps = np.abs(points) - box.half
+    beyond, deepest = gaps.clip(0), gaps.max(axis=-1, keepdims=True)
+    outside = np.sqrt((beyond * beyond).sum(axis=-1, keepdims=True))
+    is_outside = outside > 0
+    directions = np.where(is_outside, beyond / np.where(is_outside, outside, 1), gaps == deepest)
+    distances = np.where(is_outside, outside, deepest)[..., 0] - box.radius
+    return distances, np.copysign(directions, points)

@@ -15,7 +15,7 @@ from pydrake.systems.analysis import SimulatorConfig
 
 from drake_nonstop.loop.box import import_path
 from drake_nonstop.scenario.loading import scenario_names
-from drake_nonstop.scenario.obstacles import OBSTACLES
+from drake_nonstop.scenario.obstacles import Obstacle
 from drake_nonstop.scenario.schema import CHOICES, Scenario
 from drake_nonstop.scenario.tree import block_name
 from drake_nonstop.systems.documentation import meanings
@@ -54,13 +54,13 @@ def scenario_schema(scenarios: Iterable[Scenario] = ()) -> Schema:
 def custom_tags(scenarios: Iterable[Scenario] = ()) -> list[str]:
     """The tags of blocks, as the setting `yaml.customTags` of YAML's language server takes them."""
     configs = {config for choices in _choices(scenarios).values() for config in choices}
-    configs |= {*OBSTACLES}
+    configs |= {*typing.get_args(Obstacle)}
     return sorted(f"!{_tag(config)} mapping" for config in configs)
 
 
 def _tag(config: type) -> str:
     """The name by which scenarios have a block: that of one's own has its module before it."""
-    is_known = any(config in choices for choices in (*CHOICES.values(), OBSTACLES))
+    is_known = any(config in choices for choices in (*CHOICES.values(), typing.get_args(Obstacle)))
     return block_name(config) if is_known else import_path(config)
 
 

@@ -335,7 +335,7 @@ _ROWS: dict[str, Metric] = {
         TableColumn("apart (m)", "cables"),
     ),
     "obstacles.approaches": Metric(
-        lambda run: [approach.text for approach in run.approaches],
+        lambda run: [each.sentence.format(f"{each.distance:.3g} m") for each in run.approaches],
         Quantity("nearest obstacles"),
         RunText("obstacles", "{}"),
         is_list=True,

@@ -69,11 +69,8 @@ class RunQuantities(Spacing):
     def __init__(self, run: Run):
         self.run = run
         self.scenario = run.scenario
-
-    @cached_property
-    def time(self) -> NDArray:
-        """The instants (k,) of the steps, s."""
-        return self.run.steps["time"]
+        self.time = run.steps["time"]
+        self.load_positions = Pose.view(run.steps["load_state"]).position
 
     @cached_property
     def position_error(self) -> NDArray:
@@ -400,9 +397,16 @@ class RunQuantities(Spacing):
         return _in_chunks(lambda states: attachment_positions(self.run, states), load_states)
 
     @property
-    def load_positions(self) -> NDArray:
-        """The load's centre of mass (k, 3), in W, m."""
-        return Pose.view(self.run.steps["load_state"]).position
+    def cable_points(self) -> NDArray:
+        """Those of straight cables; nodes between are known at 100 Hz, and linear in between."""
+        ends = super().cable_points
+        try:
+            nodes = np.split(self.run.signal("cable_state"), 2, axis=1)[0]
+        except UnknownSignalError:
+            return ends
+        columns = [np.interp(self.time, self.run.time, column) for column in nodes.T]
+        positions = np.stack(columns, axis=1).reshape(len(self.time), -1, *ends.shape[2:])
+        return np.concatenate([ends[:1], positions.swapaxes(0, 1), ends[1:]])
 
     @property
     def predicted_margin(self) -> float | None:

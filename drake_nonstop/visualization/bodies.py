@@ -202,13 +202,12 @@ def carrier_parts(span: float) -> list[Part]:
 
 def obstacle_part(obstacle: Obstacle, width: float) -> Part:
     """An obstacle in W; the ground is a plate of that width, m."""
-    shape = obstacle.shape()
-    size = np.where(np.isinf(shape.upper), width, 2 * shape.upper)
-    pose = RigidTransform(RotationMatrix(shape.rotation), shape.position)
+    position, half, rotation, radius = obstacle.shape()
     if isinstance(obstacle, GroundConfig):
-        size[2] = _PLATE * width
-        pose = RigidTransform(shape.position - [0.0, 0.0, size[2] / 2])
-    solid = Sphere(shape.radius) if isinstance(obstacle, SphereConfig) else Box(*size)
+        half = width / 2 * np.array([1.0, 1.0, _PLATE])
+        position = np.array([0.0, 0.0, obstacle.height - half[2]])
+    solid = Sphere(radius) if isinstance(obstacle, SphereConfig) else Box(*(2 * half))
+    pose = RigidTransform(RotationMatrix(rotation), position)
     return Part(name=obstacle.name, shape=solid, pose=pose)
 
 

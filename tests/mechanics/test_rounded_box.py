@@ -80,7 +80,7 @@ def test_distances_are_those_of_drakes_capsules(kind):
         expected = THIN + np.array(
             [query.ComputeSignedDistancePairClosestPoints(solid, c).distance for c in capsules]
         )
-        found = nearest_to(obstacle.shape(), segments).distances
+        found = nearest_to(obstacle.shape(), segments)[0]
         apart = expected > 2 * THIN
         assert apart.sum() > 20
         assert np.all(found[~apart] < 2 * THIN)
@@ -96,17 +96,13 @@ def test_no_point_of_a_segment_is_nearer_by_drakes_distances_of_points(kind):
         obstacle, shape, pose = drawn(kind, rng)
         segments = drawn_segments(rng, 60)
         query, *_ = query_of(shape, pose)
-        found = nearest_to(obstacle.shape(), segments)
+        distances, nearest_points, gradients = nearest_to(obstacle.shape(), segments)
         shares = np.linspace(0, 1, 101)[:, None]
         for k, (start, end) in enumerate(segments):
-            points = [found.points[k], *(start + shares * (end - start))]
+            points = [nearest_points[k], *(start + shares * (end - start))]
             nearest, *others = (query.ComputeSignedDistanceToPoint(p)[0] for p in points)
-            assert nearest.distance == pytest.approx(found.distances[k], abs=1e-12)
+            assert nearest.distance == pytest.approx(distances[k], abs=1e-9)
             least = min(other.distance for other in others)
-            if least >= 0 or kind is SphereConfig:
-                assert nearest.distance <= least + 1e-12
-            else:
-                assert least - np.linalg.norm(end - start) / 200 <= nearest.distance
-                assert nearest.distance <= least / 2 + 1e-12
+            assert nearest.distance <= least + 1e-9
             if nearest.distance > 1e-9:
-                np.testing.assert_allclose(nearest.grad_W, found.normals[k], atol=1e-9)
+                np.testing.assert_allclose(nearest.grad_W, gradients[k], atol=1e-6)
