@@ -1,7 +1,7 @@
 """Whether a task can be flown: its speed bound, its formation, and what would help."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -40,6 +40,7 @@ from drake_nonstop.validation import finite
 # Times as long as the way asks for what is beyond the limits commands may be at them: afterwards
 # feedback makes up for it.
 _AFTERWARDS = 3.0
+_SHARES = (0.2, 0.75, 0.95)  # of the time, when the plan is there, the growth along it, the motion
 
 
 class FlightOfPlan(NamedTuple):
@@ -289,7 +290,11 @@ def _without(instant: FormationInstant) -> str:
 
 
 def check_task(
-    scenario: Scenario, loop: Diagram | None = None, *, tries_remedies: bool = True
+    scenario: Scenario,
+    loop: Diagram | None = None,
+    *,
+    tries_remedies: bool = True,
+    progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> TaskCheck:
     """Whether a scenario's task can be flown, and what would help where it cannot.
 
@@ -297,19 +302,25 @@ def check_task(
         scenario: of the task.
         loop: that was built from it; None: one is, which starts at its equilibrium.
         tries_remedies: whether what would help is looked for, which takes most of the time.
+        progress: called with a description and the share that is done, in which what would help
+            does not count.
 
     Raises:
         ScenarioError: as of `task_of` and `make_nonstop`.
     """
     task = task_of(scenario, loop or make_nonstop(scenario))
+    progress("looking for a plan", 0.0)
     speeds = check_speeds(task)
     plan = speeds.plan
 
+    progress("linearizing on the way", _SHARES[0])
     formation = find_formation(task, plan)
     scenario = scenario.sampled()
+    progress("following the plan", _SHARES[1])
     motion = PlannedMotion(scenario, task, plan)
     least = motion.least_load
     remedies: dict[str, Sequence[Any]] = {}
+    progress("looking for what would help", _SHARES[2])
     if tries_remedies and not speeds.is_feasible:
         remedies["speed_remedies"] = find_speed_remedies(task, speeds)
     elif tries_remedies and speeds.missed:

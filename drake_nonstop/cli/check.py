@@ -18,6 +18,7 @@ from drake_nonstop.studies.files import replacing_files, require_writable, write
 from drake_nonstop.studies.results_folder import default_folder, require_no_other_run
 from drake_nonstop.systems.block import LOOP
 from drake_nonstop.visualization.figure_style import require_drawing
+from drake_nonstop.visualization.progress import TaskProgress
 from drake_nonstop.visualization.task_figures import (
     make_aircraft_margins_figure,
     make_check_figure,
@@ -55,7 +56,8 @@ def _check(options: argparse.Namespace) -> int:
     if scenario.system.aircraft is not None:
         start = loop.CreateDefaultContext()
         aircraft = aircraft_margins_for(scenario.sampled(), loop, start)
-    found = check_task(scenario, loop)
+    with TaskProgress() as progress:
+        found = check_task(scenario, loop, progress=progress)
     report = {
         "scenario": scenario.name,
         "is_sound": found.is_sound,

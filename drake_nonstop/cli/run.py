@@ -28,6 +28,7 @@ from drake_nonstop.simulation.metrics import in_brief, metrics_table
 from drake_nonstop.simulation.moved_metrics import TOLERANCES
 from drake_nonstop.simulation.recording import least_size
 from drake_nonstop.simulation.run import Run, RunInterrupted, RunStopped
+from drake_nonstop.simulation.run_quantities import automatic_gains
 from drake_nonstop.simulation.simulate import simulate, verify_step
 from drake_nonstop.studies.files import require_writable
 from drake_nonstop.studies.journal import own_code_of
@@ -245,7 +246,7 @@ def _write_somewhere(run: Run, folder: Path, own_code: str | None) -> dict[str, 
 
 
 def _report(metrics: dict[str, Any], run: Run, place: str) -> None:
-    print(metrics_table(metrics))
+    print("\n".join(filter(None, (metrics_table(metrics), automatic_gains(run)))))
     if metrics["is_steered"]:
         print("steered while it ran: scenario.yaml alone does not repeat it")
     for warning in metrics["warnings"]:

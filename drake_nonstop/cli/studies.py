@@ -46,12 +46,15 @@ def add_to(commands: Commands) -> None:
         "stability",
         help="Floquet multipliers of the loop around a resting load, and margins",
         description="Linearizes the loop around a resting load at some 60 to 110 settings, in a "
-        "process per core: one or two minutes on two cores. The loop as it is comes first; a "
+        "process per core: one or two minutes on two cores, several where it is unstable. The "
+        "loop as it is comes first, and the blocks that its least stable mode is in; a "
         "setting with which it cannot be built is a row that says so. Interrupted, the same "
         "command continues.",
     )
     parser.set_defaults(action=_stability)
     add_study(parser, "out/stability/NAME")
+    about = "print what is said of the loop as it is, and end: seconds; writes nothing"
+    parser.add_argument("--quick", action="store_true", help=about)
     parser = commands.add_parser(
         "robustness", help="errors that the controllers do not know of, one by one"
     )
@@ -101,19 +104,24 @@ def add_to(commands: Commands) -> None:
 
 def _stability(options: argparse.Namespace) -> int:
     scenario = read_scenario(options)
-    require_drawing()
-    folder = study_folder(options, scenario.name, margins_settings(scenario))
-    require_writable(folder)
-    fine_step = min(_FINE_STEP, scenario.simulator_config.max_step_size)
-    fine = changed(scenario, [f"simulator_config.max_step_size={fine_step}"], trust=options.trust)
+    if not options.quick:
+        require_drawing()
+        folder = study_folder(options, scenario.name, margins_settings(scenario))
+        require_writable(folder)
     with TaskProgress() as progress:
         found = _linearized(scenario, progress)
-    verdict = "stable" if found.is_stable else "unstable"
+    shares = sorted(found.shares.items(), key=lambda item: -item[1])
+    told = ", ".join(f"{name} {share:.0%}" for name, share in shares if share > 0.005)
     print(
         f"largest multiplier     {found.largest:.4g} in a turn of {found.period:.3g} s "
-        f"({found.rate:+.3g} 1/s): {verdict}",
-        flush=True,  # the rest takes a minute
+        f"({found.rate:+.3g} 1/s): {'stable' if found.is_stable else 'unstable'}\n"
+        f"least stable mode      {told}, {found.frequency:.3g} rad/s",
+        flush=True,  # the rest takes a minute, or several
     )
+    if options.quick:
+        return 0
+    fine_step = min(_FINE_STEP, scenario.simulator_config.max_step_size)
+    fine = changed(scenario, [f"simulator_config.max_step_size={fine_step}"], trust=options.trust)
     with TaskProgress() as progress:
         found_finely = _linearized(fine, progress)
         margins = find_margins(scenario, progress, folder=folder, restart=options.restart)
@@ -136,12 +144,6 @@ def _stability(options: argparse.Namespace) -> int:
     )
     if found.is_stable and not found_finely.is_stable:
         print("warning: the loop is stable by the damping of the integrator's step alone")
-    shares = sorted(found.shares.items(), key=lambda item: -item[1])
-    print(
-        "least stable mode      "
-        + ", ".join(f"{name} {share:.0%}" for name, share in shares if share > 0.005)
-        + f", {found.frequency:.3g} rad/s"
-    )
     for margin in margins:
         name = f"{margin.name}, {margin.unit}"
         range_ = _stable_range(margin) if found.is_stable else "unstable here"
@@ -153,9 +155,8 @@ def _stability(options: argparse.Namespace) -> int:
 
 
 def _linearized(scenario: Scenario, progress: Progress) -> Stability:
-    progress("linearizing", 0.0)
     try:
-        return linearize(scenario)
+        return linearize(scenario, progress)
     except (ScenarioError, NotFiniteError) as error:
         raise ScenarioError(f"stability: {message_of(error)}") from None
 

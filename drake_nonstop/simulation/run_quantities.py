@@ -23,12 +23,14 @@ from drake_nonstop.mechanics.rotation import (
     rotation_vector,
 )
 from drake_nonstop.mechanics.signals import AircraftState, CarrierStates, LoadReference, Pose
+from drake_nonstop.model.block import AUTO
 from drake_nonstop.model.system import SystemParameters, aircraft_in, breaking_load, overridden
 from drake_nonstop.optimization.diagnostics import Diagnostics
 from drake_nonstop.optimization.limits import Limit, Of, asked
 from drake_nonstop.simulation.measured_speed_margin import measured_speed_margin
 from drake_nonstop.simulation.run import Run
 from drake_nonstop.simulation.signal_table import UnknownSignalError
+from drake_nonstop.systems.documentation import meanings
 from drake_nonstop.systems.tracing import NotFiniteError
 
 # The entries of the signal `diagnostics` that count updates.
@@ -506,6 +508,19 @@ def _overlapping_chunks(values: NDArray) -> Iterator[NDArray]:
     """Yields the rows in chunks; the last row of one is the first of the next."""
     for start in range(0, max(1, len(values) - 1), _CHUNK):
         yield values[start : start + _CHUNK + 1]
+
+
+def automatic_gains(run: Run) -> str:
+    """The wrench controller's gains where its config has "auto", with symbols and units, or ""."""
+    config, name = run.scenario.wrench_controller, "wrench_controller"
+    automatic = [field for field, value in vars(config).items() if str(value) == AUTO]
+    if not automatic or not run.diagram.HasSubsystemNamed(name):
+        return ""
+    gains, told = getattr(run.diagram.GetSubsystemByName(name), "gains", {}), []
+    for field in (each for each in automatic if each in gains):
+        unit, _, symbol = meanings(type(config))[field].partition(";")[0].partition(", ")
+        told.append(f"{symbol} {gains[field]:.3g} {unit}")
+    return f"gains by auto: {', '.join(told)}" if told else ""
 
 
 def _in_chunks(function: Callable[..., NDArray], *arrays: NDArray) -> NDArray:

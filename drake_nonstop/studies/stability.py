@@ -30,6 +30,7 @@ from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, LoadState
 from drake_nonstop.optimization.problem_config import with_fields_of
 from drake_nonstop.scenario.schema import Scenario, check
 from drake_nonstop.simulation.step_size import stable_config
+from drake_nonstop.studies.run_all import Progress, no_progress
 from drake_nonstop.systems.port_state import PortState, set_state_values, state_values
 from drake_nonstop.validation import require
 
@@ -125,7 +126,7 @@ def _parameters(config: Any, *names: str) -> dict[str, Any]:
     return {name: getattr(config, name) for name in names if hasattr(config, name)}
 
 
-def linearize(scenario: Scenario) -> Stability:
+def linearize(scenario: Scenario, progress: Progress = no_progress) -> Stability:
     """The Floquet multipliers of a scenario's loop around the motion of a resting load.
 
     The loop is simulated as it is, with its sampled controllers, delays and integrator. The map
@@ -133,6 +134,10 @@ def linearize(scenario: Scenario) -> Stability:
     between them; the product of these Jacobians is the map of a whole turn (own derivation).
     The derivatives are exact where the loop can be compiled, and central differences of its
     diagram elsewhere. The phase is left out: its multiplier is 1 in any loop.
+
+    Args:
+        scenario: of the loop.
+        progress: called with a description and the share that is done.
 
     Raises:
         ScenarioError: the scenario cannot be built.
@@ -160,7 +165,9 @@ def linearize(scenario: Scenario) -> Stability:
     delay = getattr(scenario.load_feedback, "delay", 0.0)
     lead = 1 + math.ceil(delay / sample - 1e-9)
     steps = []
-    for phase in 2 * math.pi * np.arange(_PHASES) / _PHASES:
+    for k in range(_PHASES):
+        progress("linearizing", k / _PHASES)
+        phase = 2 * math.pi * k / _PHASES
         _start_orbit(nonstop, context, phase - 2 * math.pi * lead / samples)
         if loop and not loop.blocks_without_derivatives:
             steps.append(_exact_map(states, loop, context, lead))

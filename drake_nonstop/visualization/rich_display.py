@@ -11,6 +11,7 @@ from drake_nonstop.scenario.loading import dump_scenario
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.metrics import compute_metrics, metrics_table
 from drake_nonstop.simulation.run import Run
+from drake_nonstop.simulation.run_quantities import automatic_gains
 from drake_nonstop.visualization.drawing import draw_diagram
 from drake_nonstop.visualization.run_figures import make_figure
 
@@ -21,7 +22,7 @@ def run_html(run: Run) -> str:
     """A run's table of metrics, and the figure of its carriers' speeds."""
     if len(run.time) == 0:
         return _preformatted(repr(run))
-    table = metrics_table(compute_metrics(run))
+    table = "\n".join(filter(None, (metrics_table(compute_metrics(run)), automatic_gains(run))))
     file = io.BytesIO()
     make_figure(run, _FIGURE).savefig(file, format="png", dpi=90)
     picture = base64.b64encode(file.getvalue()).decode()

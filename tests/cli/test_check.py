@@ -1,5 +1,6 @@
 """`drake-nonstop check`, as a user meets it."""
 
+import contextlib
 import json
 import re
 
@@ -81,7 +82,12 @@ def test_a_level_formation_flies_in_wind(tmp_path, capsys):
     assert "cables are simulated as straight: " in report["ranges"]["cables"]["warning"]
 
 
-def test_a_task_without_aircraft_is_told_of_its_bound_and_its_formation(tmp_path, capsys):
+def test_a_task_without_aircraft_is_told_of_its_bound_and_its_formation(
+    tmp_path, capsys, monkeypatch
+):
+    told = {}
+    show = told.__setitem__
+    monkeypatch.setattr(check, "TaskProgress", lambda: contextlib.nullcontext(show))
     arguments = ["check", "quintic", "--out", str(tmp_path), "--set", "simulation_duration=1"]
     assert main(arguments) == 0
     shown = capsys.readouterr().out
@@ -94,6 +100,9 @@ def test_a_task_without_aircraft_is_told_of_its_bound_and_its_formation(tmp_path
     with Image.open(tmp_path / "task.png") as picture:
         assert picture.width > 1000
     assert not (tmp_path / "check.png").exists()
+    shares = [*told.values()]
+    assert shares[0] == 0.0
+    assert shares == sorted(set(shares))
 
 
 @pytest.mark.usefixtures("plain_figures")

@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from drake_nonstop import load_scenario
+from drake_nonstop import load_scenario, simulate
 from drake_nonstop.analysis.separations import (
     closest_cables,
     closest_carriers,
@@ -17,7 +17,7 @@ from drake_nonstop.analysis.separations import (
 from drake_nonstop.simulation import run_quantities
 from drake_nonstop.simulation.metrics import METRICS, compute_metrics, flattened, metrics_table
 from drake_nonstop.simulation.run import Run
-from drake_nonstop.simulation.run_quantities import load_errors
+from drake_nonstop.simulation.run_quantities import automatic_gains, load_errors
 
 KEYS = {
     "": {
@@ -345,6 +345,15 @@ def test_closest_two_take_little_memory():
     most = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert most < 3e6  # the distances of all pairs take 12 MB
+
+
+def test_gains_by_auto_are_told_with_their_units():
+    wanted = ["simulation_duration=0.02", "wrench_controller.velocity_gain=3"]
+    run = simulate(load_scenario("quintic", wanted))
+    told = automatic_gains(run)
+    assert told.startswith("gains by auto: K_p 5 N/m, K_i 0.9 N/(m s), K_R ")  # of 1 kg on 0.8 m
+    assert "K_v" not in told
+    assert automatic_gains(simulate(load_scenario("paper_quintic", wanted[:1]))) == ""
 
 
 def test_the_table_prints_three_reasons_at_most():

@@ -3,12 +3,14 @@
 import functools
 import json
 
+import numpy as np
 from PIL import Image
 
 from drake_nonstop.cli import studies as command
 from drake_nonstop.cli.ending import BAD_INPUT
 from drake_nonstop.cli.main import main
 from drake_nonstop.studies import stability_ranges
+from drake_nonstop.studies.stability import Stability
 from drake_nonstop.validation import ScenarioError
 
 
@@ -50,8 +52,27 @@ def test_the_loop_as_it_is_comes_before_what_is_changed(tmp_path, capsys, monkey
         raise ScenarioError(f"first: {capsys.readouterr().out}")
 
     monkeypatch.setattr(command, "find_margins", interrupted)
-    assert main(["stability", "quintic", "--out", str(tmp_path)]) == BAD_INPUT
-    assert "first: largest multiplier " in capsys.readouterr().err
+    told = []
+    monkeypatch.setattr(command, "linearize", functools.partial(_unstable, told))
+    arguments = ["stability", "quintic", "--out", str(tmp_path / "out")]
+    assert main(arguments) == BAD_INPUT
+    shown = capsys.readouterr().err
+    assert "first: largest multiplier     2 in a turn of 1 s (+0.693 1/s): unstable" in shown
+    assert "least stable mode      cables 90%, phase 10%, 3 rad/s" in shown
+
+    monkeypatch.setattr(command, "require_drawing", None)  # nothing is drawn or written
+    assert main([*arguments[:-1], str(tmp_path / "quick"), "--quick"]) == 0
+    assert len(capsys.readouterr().out.splitlines()) == 2
+    assert told == [0.5] * 3
+    assert not (tmp_path / "quick").exists()
+
+
+def _unstable(told, scenario, progress):
+    progress("linearizing", 0.5)
+    told.append(0.5)
+    return Stability(
+        period=1.0, multipliers=np.array([2.0]), frequency=3.0, shares={"phase": 0.1, "cables": 0.9}
+    )
 
 
 def test_ranges_say_what_lies_beyond_them():
