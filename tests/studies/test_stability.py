@@ -44,6 +44,15 @@ def test_maps_are_exact_however_many_steps_a_sample_has(monkeypatch):
     assert stability.linearize(load_scenario("three_carriers", FINE)).period > 0
 
 
+def test_the_height_of_aircraft_decays_as_its_correction_says():
+    """A load that follows its carriers, whose references move slowly: exp(-0.03 T)."""
+    found = stability.linearize(load_scenario("aircraft_rest"))
+    assert found.largest < 0.95
+    is_real = np.abs(found.multipliers.imag) < 1e-6
+    (height,) = (m.real for m in found.multipliers[is_real] if 0.6 < m.real < 0.8)
+    assert height == pytest.approx(np.exp(-0.03 * found.period), rel=3e-3)
+
+
 class LateFeedback(LeafBlock):
     """The load's state of a sample before, by an update that no trace knows."""
 
