@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from drake_nonstop.scenario.loading import load_scenario
+from drake_nonstop.simulation.run_quantities import RunQuantities
 from drake_nonstop.simulation.simulate import simulate
 
 UNLIMITED = [
@@ -43,3 +44,23 @@ def test_aircraft_without_limits_fly_as_double_integrators_do():
     assert np.ptp(ideal_carriers, axis=0).max() > 10  # m
     np.testing.assert_allclose(carriers, ideal_carriers, atol=5e-3)
     np.testing.assert_allclose(load, ideal_load, atol=5e-3)
+
+
+@pytest.mark.nightly("flights")
+def test_references_bring_a_load_on_shorter_cables_back():
+    """Cables 0.4 m shorter than believed: within 0.1 m from the first minute on."""
+    changes = ["simulated.cable_length=149.6", "simulation_duration=90"]
+    quantities = RunQuantities(simulate(load_scenario("aircraft_rest", changes)))
+    assert quantities.position_error.max() > 0.35
+    assert quantities.position_error[quantities.time >= 60].max() < 0.1
+
+
+@pytest.mark.nightly("flights")
+@pytest.mark.parametrize("scenario", ["aircraft_rest", "aircraft_transfer"])
+def test_aircraft_fly_on_a_noisy_late_position(scenario):
+    """2 cm of noise and 40 ms of delay, at the controllers' rate; attitude as desired."""
+    feedback = "!NoisyFeedback {measures_attitude: false, position_noise: 0.02, delay: 0.04, "
+    run = simulate(load_scenario(scenario, [f"load_feedback={feedback}period: 0.04}}"]))
+    error = RunQuantities(run).position_error
+    assert error.mean() < 0.05
+    assert error.max() < 0.15

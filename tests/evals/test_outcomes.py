@@ -16,7 +16,7 @@ OUTCOMES = {
     "real_scale_cycle": ("collision", "two carriers came within 0 m of each other"),
     "aircraft_transfer_gusty": (
         "limit_missed",
-        "commands of aircraft were at their limits for 11.2 % of the time (limits.saturated_share",
+        "commands of aircraft were at their limits for 11.7 % of the time (limits.saturated_share",
     ),
     "five_tilted_loaded": ("bound_missed", BELOW.format(0.275)),
     "six_noisy": ("bound_missed", BELOW.format(0.03)),
