@@ -52,8 +52,9 @@ def on_files(files: Any, config: Any) -> Any:
 
 
 def on_post_page(output: str, page: Any, config: Any) -> str:
-    """Has notebooks' links to other pages lead to what is built of these."""
+    """Notebooks with links to the built pages, and without views of processes that have ended."""
     if page.file.src_uri.endswith(".ipynb"):
+        output = re.sub(r'<iframe [^>]*src="http://localhost.*?</iframe>', "", output)
         return re.sub(r'href="((?:\.\./)?\w+)\.md(["#])', r'href="\1.html\2', output)
     return output
 
@@ -65,7 +66,7 @@ def figure_page() -> str:
 
     def linked(match: re.Match[str]) -> str:
         name = match[2]
-        hold = "reference/room_blocks.html#drake_nonstop.blocks.sample_and_hold.SampleAndHold"
+        hold = "reference/package_blocks.html#drake_nonstop.blocks.sample_and_hold.SampleAndHold"
         place = f"blocks.html#{name}" if name in BOXES else hold
         return f'<a href="{place}">{match[0]}</a>'
 

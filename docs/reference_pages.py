@@ -1,4 +1,4 @@
-"""The reference: a page per box of the figure, per module of equations, and per other room."""
+"""The reference: a page per box of the figure, per module of equations, and per other package."""
 
 import importlib
 import inspect
@@ -16,10 +16,10 @@ MECHANICS = sorted(module.name for module in pkgutil.iter_modules(drake_nonstop.
 
 def on_config(config: Any) -> None:
     """Puts the pages into the navigation, below what lists them all."""
-    groups: dict[str, list[str]] = {"Boxes": [], "Equations": [], "Rooms": []}
+    groups: dict[str, list[str]] = {"Boxes": [], "Equations": [], "Packages": []}
     for name in reference_pages():
         kind = name.split("/")[1].partition("_")[0]
-        groups[{"box": "Boxes", "equations": "Equations", "room": "Rooms"}[kind]].append(name)
+        groups[{"box": "Boxes", "equations": "Equations", "package": "Packages"}[kind]].append(name)
     own = [{"All names": "reference.md"}, *({k: names} for k, names in groups.items())]
     config["nav"] = [*config["nav"][:-1], {"Reference": own}]
 
@@ -34,20 +34,20 @@ def on_files(files: Any, config: Any) -> Any:
 
 
 def names_by_page() -> dict[str, list[str]]:
-    """Every public name, by the page that describes it: that of its box, else that of its room."""
+    """Every public name, by the page that describes it: of its box, else of its package."""
     boxes = {}
     for name, box in BOXES.items():
         for variant, config in zip(box.variants, box.configs, strict=True):
             boxes |= {variant.__name__: name, config.__name__: name}
     pages: dict[str, list[str]] = {f"reference/box_{name}.md": [] for name in BOXES}
-    rooms: dict[str, list[str]] = {}
+    packages: dict[str, list[str]] = {}
     for name in drake_nonstop.__all__:
         module = getattr(getattr(drake_nonstop, name), "__module__", "")
         if name in boxes:
             pages[f"reference/box_{boxes[name]}.md"].append(name)
         elif module:
-            rooms.setdefault(f"reference/room_{module.split('.')[1]}.md", []).append(name)
-    return {**pages, **dict(sorted(rooms.items()))}
+            packages.setdefault(f"reference/package_{module.split('.')[1]}.md", []).append(name)
+    return {**pages, **dict(sorted(packages.items()))}
 
 
 def reference_pages() -> dict[str, str]:
@@ -59,8 +59,8 @@ def reference_pages() -> dict[str, str]:
             parameters = f"[parameters](../blocks.md#{name})"
             head = f"The blocks for this box of [the figure](../figure.md), and their {parameters}."
         else:
-            room = importlib.import_module(f"drake_nonstop.{name}")
-            head = (inspect.getdoc(room) or "").partition("\n\n")[0]
+            package = importlib.import_module(f"drake_nonstop.{name}")
+            head = (inspect.getdoc(package) or "").partition("\n\n")[0]
         parts = [_entry(each) for each in names]
         pages[page] = "\n\n".join([f"# `{name}`", head, *parts, ""])
     for name in MECHANICS:
@@ -78,12 +78,15 @@ def index_page() -> str:
         "else with the package's folder that it comes from. The functions behind the",
         "[equations](theory.md) have a page for each module of `drake_nonstop.mechanics`.",
     ]
+    kind = ""
     for page, names in names_by_page().items():
-        kind, _, title = Path(page).stem.partition("_")
+        before, (kind, _, title) = kind, Path(page).stem.partition("_")
+        if kind != before:
+            lines += ["", {"box": "## Boxes", "package": "## Packages"}[kind]]
         links = ", ".join(f"[`{name}`]({page}#{_place(name)})" for name in names)
-        lines += ["", f"**{kind.capitalize()} [`{title}`]({page})**: {links}."]
+        lines += ["", f"**[`{title}`]({page})**: {links}."]
     links = ", ".join(f"[`{name}`](reference/equations_{name}.md)" for name in MECHANICS)
-    return "\n".join([*lines, "", f"**Equations**: {links}.", ""])
+    return "\n".join([*lines, "", "## Equations", "", f"{links}.", ""])
 
 
 def _place(name: str) -> str:

@@ -38,7 +38,7 @@ class Page(HTMLParser):
         given = {name: value for name, value in attrs if value}
         self.places |= {given[name] for name in ("id", "name") if name in given and tag != "meta"}
         self.links |= {given[name] for name in ("href", "src") if name in given}
-        if "src" in given:
+        if not given.get("src", "data:").startswith("data:"):
             self.loaded.add(given["src"])
         if tag == "link" and given.get("rel") == "stylesheet":
             self.loaded.add(given["href"])
@@ -99,38 +99,48 @@ def broken_links(path: Path, pages: dict[Path, Page]) -> list[str]:
     return broken
 
 
-# Elements of the page that reach beyond its right edge, and are in nothing that scrolls or is cut.
-_SPILLED = """() => {
+# What reaches beyond the right edge and cannot be scrolled to, nor has to on a desk's screen.
+_CUT_OFF = """() => {
   const wide = document.documentElement.clientWidth;
-  const spilled = (element) => {
+  const scrolls = (element) => /auto|scroll/.test(getComputedStyle(element).overflowX);
+  const spills = (element) => {
     if (element.getBoundingClientRect().right <= wide + 1) return false;
-    for (let each = element; each && each !== document.body; each = each.parentElement)
-      if (getComputedStyle(each).overflowX !== "visible") return false;
+    for (let each = element; each; each = each.parentElement)
+      if (scrolls(each)) return false;
     return true;
   };
-  const found = [...document.querySelectorAll("article *")].filter(spilled);
-  const names = found.slice(0, 3).map((e) => e.tagName + " " + e.textContent.slice(0, 40).trim());
+  const isCut = (element) =>
+    wide > 1000 && scrolls(element) && element.scrollWidth > element.clientWidth + 1;
+  const found = [...document.querySelectorAll("article *")].filter(
+    (e) => e instanceof HTMLElement && (spills(e) || isCut(e)));
+  const names = found.map((e) => `cut off: ${e.tagName} ${e.textContent.trim().slice(0, 60)}`);
   if (document.documentElement.scrollWidth > wide) names.push("the page scrolls sideways");
   return names;
 }"""
 
 
 def faults_in_browser(site: Path, pictures: Path | None) -> list[str]:
-    """What reaches beyond a page's edge, and errors of its scripts; pictures of all pages."""
+    """What is cut off, what a page asks the network for, and errors of scripts; takes pictures."""
     from benchmarks.browser import open_browser
 
     found: list[str] = []
     pages = [p for p in sorted(site.rglob("*.html")) if p.parent.name != "replays"]
     for width in WIDTHS:
         with open_browser(width, 900) as page:
+            noted: list[str] = []
+            page.on("pageerror", lambda error, noted=noted: noted.append(str(error)))
+            page.on("request", lambda request, noted=noted: noted.append(request.url))
             for path in pages:
-                name = f"{path.relative_to(site)} at {width} px"
-                errors: list[str] = []
-                page.on("pageerror", lambda error, errors=errors: errors.append(str(error)))
+                name = path.relative_to(site)
+                if name.name == "404.html":
+                    continue
+                noted.clear()
                 page.goto(path.resolve().as_uri())
-                found += [f"{name}: {fault}" for fault in (*page.evaluate(_SPILLED), *errors)]
+                cut = page.evaluate(_CUT_OFF)
+                wrong = [text for text in noted if not re.match("(file|data|blob):", text)]
+                found += [f"{name} at {width} px: {fault}" for fault in (*wrong, *cut)]
                 if pictures:
-                    file = "_".join(path.relative_to(site).with_suffix("").parts)
+                    file = "_".join(name.with_suffix("").parts)
                     page.screenshot(path=pictures / f"{file}_{width}.png", full_page=True)
     return found
 
