@@ -66,7 +66,7 @@ BOXES: dict[str, Box] = {
     "wrench_controller": Box(
         variants=wrench_controller.VARIANTS,
         makes=("wrench", "wrench_rate", "tracking_error"),
-        optional={"tracking_error": ""},
+        optional={"wrench_rate": "", "tracking_error": ""},  # a WrenchRate makes the first
         place=Place(2, 2, 1, Kind.WRENCH),
     ),
     "optimization_layer": Box(

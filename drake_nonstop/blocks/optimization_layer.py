@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydrake.systems.framework import BasicVector, Context
 
-from drake_nonstop.blocks.nlp_layer import LayerInputs, NlpLayer, NlpLayerConfig
+from drake_nonstop.blocks.nlp_layer import NlpLayer, NlpLayerConfig
 from drake_nonstop.blocks.receding_horizon import (
     RecedingHorizonOptimizer,
     RecedingHorizonOptimizerConfig,
@@ -384,7 +384,6 @@ __all__ = [
     "TurnRateOptimizerConfig",
     "NlpLayer",
     "NlpLayerConfig",
-    "LayerInputs",
     "ConstantParameters",
     "ConstantParametersConfig",
 ]

@@ -9,11 +9,12 @@ from numpy.typing import NDArray
 
 from drake_nonstop.mechanics import wrench
 from drake_nonstop.mechanics.rigid_load import RigidLoad
-from drake_nonstop.mechanics.signals import TrackingError
+from drake_nonstop.mechanics.signals import WRENCH_SIZE, TrackingError
 from drake_nonstop.mechanics.tuning import load_gains, pid_gains
 from drake_nonstop.model.block import AUTO, LOAD, Block, BlockParameters, rigid_load
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import number
+from drake_nonstop.systems.traced_block import Start
 from drake_nonstop.validation import (
     StrictFields,
     checked,
@@ -270,6 +271,40 @@ class TunedWrenchController(_WrenchPid):
                 getattr(config, f"{name}_damping"),
                 "the load's drag alone damps more; give more damping or a higher frequency",
             )
+
+
+@dataclass(kw_only=True)
+class WrenchRateConfig(StrictFields):
+    """The filter."""
+
+    time_constant: float = positive(0.05)  # s, by which the rate lags
+
+
+class WrenchRate(Block):
+    """The rate of a wrench whose controller does not make one: (w − x)/T with ẋ = (w − x)/T.
+
+    It is in a loop where no block makes `wrench_rate`. Of a controller of sampled inputs it is a
+    filtered difference of samples. It lags by T, zero at the start, and has of noise what the
+    wrench has over T; a controller that makes a `wrench_rate` of its equations has neither.
+    """
+
+    reads = ("wrench",)
+    makes = ("wrench_rate",)
+    is_sampled = True
+    is_held = True  # of the state before the sample's update, which takes the wrench in
+
+    @staticmethod
+    def equations(
+        state: NDArray, wrench: NDArray, *, time_constant: NDArray
+    ) -> tuple[NDArray, NDArray]:
+        rate = (wrench - state) / time_constant
+        return rate, rate
+
+    def state(self, model: Model) -> NDArray:
+        return np.zeros(WRENCH_SIZE)
+
+    def start(self) -> Start:
+        return Start(np.copy, ("wrench",))
 
 
 VARIANTS = (WrenchController, PaperWrenchController, GeometricPd, TunedWrenchController)

@@ -14,6 +14,7 @@ from pydrake.systems.framework import Diagram, DiagramBuilder, System
 
 from drake_nonstop.blocks.reference_governor import ReferenceGovernorConfig, governed
 from drake_nonstop.blocks.sample_and_hold import SAMPLE_AND_HOLD, hold_of
+from drake_nonstop.blocks.wrench_controller import WrenchRate
 from drake_nonstop.loop.box import Box, block_class, block_of, import_path, kept_parameters
 from drake_nonstop.loop.loop_response import speed_margin_for, warn_of_margin
 from drake_nonstop.mechanics.signals import LoadReference
@@ -122,6 +123,9 @@ def make_parts(
         in_place = {signal: size for signal, size in sizes.items() if signal in others_made}
         wiring.check_outputs(name, block, in_place, {})
     blocks = {name: blocks[name] for name in [*boxes, *blocks] if name in blocks}
+    made_by_all = {signal for block in blocks.values() for signal in wiring.output_names(block)}
+    if "wrench" in made_by_all and "wrench_rate" not in made_by_all:
+        blocks["wrench_rate"] = WrenchRate(believed)
     loop = LoopBlocks(blocks, believed, simulated)
     _require_motion(loop)
     told = [*loop.check(), *_unread(boxes, loop)]

@@ -7,7 +7,6 @@ phase that is a number, results have the shape (n, ...) of n carriers; for phase
 (k, n, ...).
 """
 
-from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -22,6 +21,7 @@ from drake_nonstop.mechanics.planned_orbit import (
     pattern_directions,
 )
 from drake_nonstop.mechanics.rigid_load import STILL_AIR
+from drake_nonstop.mechanics.rotation import norm
 from drake_nonstop.model.system import Model
 
 
@@ -35,9 +35,9 @@ def carrier_motion(
     theta: Any,
     wind: NDArray = STILL_AIR,
 ) -> OrbitMotion:
-    """The forces of the cables and the carriers' motion relative to the air, in L.
+    """The cables' forces and the carriers' motion through the air, in L, at constant ξ and A.
 
-    At constant ξ, A, `wind` (3,), m/s, in W, and rate of the wrench.
+    `wind` (3,) is that of the air, m/s, in W; it and the wrench's rate are taken as constant.
     """
     angle, pattern = as_vector(theta), model.pattern
     terms = flight_terms(
@@ -57,24 +57,20 @@ def carrier_motion(
 
 
 def carrier_speeds(*arguments: Any, **named: Any) -> NDArray:
-    """The carriers' speeds, m/s: ‖v_i‖ of eq. 22, through the air."""
-    return _norms(carrier_motion(*arguments, **named).velocities)
+    """The carriers' speeds ‖v_i‖ (eq. 22), m/s, through the air."""
+    return norm(carrier_motion(*arguments, **named).velocities)[..., 0]
 
 
 def cable_tensions(*arguments: Any, **named: Any) -> NDArray:
     """The tensions of the cables, N."""
-    return _norms(carrier_motion(*arguments, **named).forces)
+    return norm(carrier_motion(*arguments, **named).forces)[..., 0]
 
 
 def carrier_distances(model: Model, *arguments: Any, **named: Any) -> NDArray:
     """The distances of carriers, m, in the order of pairs (1, 2), (1, 3) … (n − 1, n)."""
     places = model.attachments + carrier_motion(model, *arguments, **named).cables
-    first, second = np.transpose([*combinations(range(model.n), 2)])
-    return _norms(places[..., first, :] - places[..., second, :])
-
-
-def _norms(vectors: NDArray) -> NDArray:
-    return np.sqrt((vectors * vectors).sum(axis=-1))
+    first, second = np.triu_indices(model.n, 1)
+    return norm(places[..., first, :] - places[..., second, :])[..., 0]
 
 
 def as_vector(value: Any) -> NDArray:

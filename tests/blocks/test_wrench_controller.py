@@ -4,9 +4,10 @@ import dataclasses
 
 import numpy as np
 import pytest
-from helpers import INERTIA, Motion, fix, model, output, outputs
+from helpers import INERTIA, Motion, fix, model, nightly_beyond, output, outputs
 from pydrake.systems.analysis import Simulator
 
+from drake_nonstop import compute_metrics, load_scenario, simulate
 from drake_nonstop.blocks.wrench_controller import (
     GeometricPd,
     GeometricPdConfig,
@@ -16,6 +17,8 @@ from drake_nonstop.blocks.wrench_controller import (
     TunedWrenchControllerConfig,
     WrenchController,
     WrenchControllerConfig,
+    WrenchRate,
+    WrenchRateConfig,
 )
 from drake_nonstop.loop.box import config_class
 from drake_nonstop.mechanics.rigid_load import RigidLoad
@@ -217,3 +220,42 @@ def test_tuned_rotation_answers_alike_about_all_axes():
 def test_parameters_out_of_range_are_named(make, config, message):
     with pytest.raises(ScenarioError, match=message):
         make(model(), config)
+
+
+class OwnController(WrenchController):
+    """The shipped controller's wrench, without the rate."""
+
+    makes = ("wrench", "tracking_error")
+
+    @staticmethod
+    def equations(*signals, **numbers):
+        rate, wrench, _, error = WrenchController.equations(*signals, **numbers)
+        return rate, wrench, error
+
+
+def test_a_filtered_difference_lags_and_is_the_rate_of_what_grows_steadily():
+    block = WrenchRate(model(4, 0.01), WrenchRateConfig(time_constant=0.02))
+    simulator = Simulator(block)
+    context = simulator.get_mutable_context()
+    for k in range(40):
+        fix(block, context, wrench=np.full(6, 3.0 + 0.2 * k * 0.01))
+        simulator.AdvanceTo(k * 0.01)
+        if k == 0:
+            np.testing.assert_allclose(output(block, context, "wrench_rate"), 0, atol=1e-12)
+    np.testing.assert_allclose(output(block, context, "wrench_rate"), 0.2, rtol=1e-6)
+
+
+@pytest.mark.parametrize("engine", nightly_beyond(1, "studies", ["compiled", "diagram"]))
+def test_a_controller_of_ones_own_gets_the_rate_of_its_wrench(engine):
+    """It is the shipped controller's exact one, but for the lag of the filter and of a sample."""
+    changes = ["simulation_duration=3", "load_trajectory.move_time=3"]
+    scenario = load_scenario("quintic", [*changes, "optimization_layer=ConstantParameters"])
+    exact = simulate(scenario, engine=engine)
+    own = simulate(scenario, engine=engine, wrench_controller=OwnController)
+    expected = exact.signal("wrench_rate")
+    lag = WrenchRateConfig().time_constant + scenario.control_period
+    fastest = np.abs(np.diff(expected, axis=0)).max() / np.diff(exact.time[:2])[0]
+    error = np.abs(own.signal("wrench_rate") - expected)[20:]
+    assert np.abs(expected).max() > 5 * lag * fastest  # which a rate of zero would not pass
+    assert error.max() < lag * fastest
+    assert compute_metrics(own)["load"]["position_error_max_m"] < 1e-3

@@ -153,7 +153,7 @@ def test_contract_asks_for_what_is_read_and_for_tensions_and_wind():
     either |= {"internal_force.internal_force_higher_rates", "phase.planned"}
     either |= {"carrier_trajectory.carrier_reference_acceleration"}
     either |= {"load_trajectory.reference_preview", "optimization_layer.plan"}
-    either |= {"load_trajectory.reference_higher_rates"}
+    either |= {"load_trajectory.reference_higher_rates", "wrench_controller.wrench_rate"}
     assert asked | either == {wire.split(" -> ")[0] for wire in figure_wires()} | unread | either
 
 
@@ -341,8 +341,8 @@ LAYER = (
         ),
         (
             "wrench_controller",
-            {"wrench": 6},
-            "wrench (6): expected wrench (6), wrench_rate (6), optional tracking_error (12)",
+            {"force": 3},
+            "force (3): expected wrench (6), optional wrench_rate (6), tracking_error (12)",
         ),
     ],
 )

@@ -1,0 +1,185 @@
+"""The layer of a cost and constraints of one's own, and what carriers do, to write them with."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from helpers import fix, model
+from nonstop_cases import (
+    START,
+    cables,
+    moving,
+    speed_bound_above,
+    update_data,
+    update_solver,
+)
+from nonstop_cases import carrier_speeds as speeds_by_differences
+from pydrake.autodiffutils import ExtractGradient, ExtractValue, InitializeAutoDiff
+from pydrake.symbolic import Evaluate, Expression, Variable
+
+from drake_nonstop import cable_tensions, carrier_distances, carrier_speeds
+from drake_nonstop.blocks.nlp_layer import NlpLayer, NlpLayerConfig
+from drake_nonstop.optimization.diagnostics import Diagnostics, Outcome
+from drake_nonstop.validation import ScenarioError
+
+PAPER = {"orbit_points": 1, "look_ahead_time": 0.0, "tightening": 0.01}
+
+
+def on_its_reference(seed):
+    """Inputs of a load whose state is that of its reference."""
+    inputs = moving(seed)
+    return inputs | {"measured_load_state": inputs["reference"][:13]}
+
+
+def arguments(inputs):
+    return model(), inputs["reference"], inputs["wrench"], inputs["wrench_rate"]
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_what_carriers_do_is_that_of_first_principles(seed):
+    inputs, x = on_its_reference(seed), START + np.array([0.3, -0.2])
+    given = (*arguments(inputs), *x, inputs["phase"][0])
+    positions, tensions = cables(x, inputs)
+    apart = [np.linalg.norm(positions[i] - positions[j]) for i in range(4) for j in range(i + 1, 4)]
+    np.testing.assert_allclose(carrier_speeds(*given), speeds_by_differences(x, inputs), rtol=1e-7)
+    np.testing.assert_allclose(cable_tensions(*given), tensions[:, 0], rtol=1e-12)
+    np.testing.assert_allclose(carrier_distances(*given), apart, rtol=1e-12)
+
+
+@pytest.mark.parametrize("quantity", [carrier_speeds, cable_tensions, carrier_distances])
+def test_they_are_the_same_of_all_scalar_types_and_of_several_phases(quantity):
+    inputs, phases = on_its_reference(4), np.array([0.2, 1.7])
+    given = arguments(inputs)
+    expected = np.stack([quantity(*given, *START, phase) for phase in phases])
+    np.testing.assert_allclose(quantity(*given, *START, phases), expected, rtol=1e-14)
+    x = InitializeAutoDiff(START)[:, 0]
+    found = quantity(*given, *x, 1.7)
+    np.testing.assert_allclose(ExtractValue(found)[:, 0], expected[1], rtol=1e-14)
+    step = 1e-6 * np.eye(2)
+    by_steps = [
+        (quantity(*given, *(START + h), 1.7) - quantity(*given, *(START - h), 1.7)) / 2e-6
+        for h in step
+    ]
+    np.testing.assert_allclose(ExtractGradient(found).T, by_steps, atol=1e-8)
+    xi, amplitude = Variable("xi"), Variable("amplitude")
+    with np.errstate(invalid="ignore"):  # Expression raises the flag without a cause
+        symbols = quantity(*given, Expression(xi), Expression(amplitude), 1.7)
+    values = Evaluate(symbols, {xi: START[0], amplitude: START[1]})
+    np.testing.assert_allclose(values[:, 0], expected[1], rtol=1e-12)
+
+
+def updated(kind, inputs, **fields):
+    """The states after an update of a layer that begins with `START`."""
+    block = kind(model(), NlpLayerConfig(**fields))
+    context = block.CreateDefaultContext()
+    fix(block, context, **inputs)
+    states = block.updated(context)
+    return states["parameters"], Diagnostics.view(states["diagnostics"])
+
+
+@pytest.mark.parametrize("solver", ["snopt", "ipopt", "nlopt"])
+@pytest.mark.parametrize("seed", [1, 5])
+def test_it_finds_the_optimum_of_the_exact_search(seed, solver):
+    inputs = on_its_reference(seed)
+    bound = speed_bound_above(inputs, 0.1)
+    one_instant = update_solver(look_ahead_points=1)
+    expected, outcome, slowest = one_instant.solve(update_data(inputs, bound, updates=one_instant))
+    assert outcome == Outcome.SOLVED
+    parameters, told = updated(NlpLayer, inputs, speed_bound=bound, solver=solver, **PAPER)
+    assert (told.outcome, told.updates, told.solved) == (Outcome.SOLVED, 1, 1)
+    np.testing.assert_allclose(parameters, expected, atol=2e-4)
+    assert told.speed_margin == pytest.approx(slowest - bound, abs=1e-5)
+
+
+def test_what_keeps_the_constraints_and_costs_nothing_is_kept():
+    inputs = on_its_reference(1)
+    bound = speed_bound_above(inputs, -0.1)
+    parameters, told = updated(NlpLayer, inputs, speed_bound=bound, **PAPER)
+    np.testing.assert_array_equal(parameters, START)
+    assert told.kept == 1
+
+
+class Impossible(NlpLayer):
+    """No x is fast enough."""
+
+    def constraints(self, x, now):
+        return self.predicted_speeds(x, now) - 1e3
+
+
+def test_where_nothing_keeps_the_constraints_the_last_parameters_stay_and_are_counted():
+    parameters, told = updated(Impossible, on_its_reference(1), **PAPER)
+    np.testing.assert_array_equal(parameters, START)
+    assert (told.outcome, told.held, told.solved) == (Outcome.HELD, 1, 0)
+
+
+@dataclass(kw_only=True)
+class LightConfig(NlpLayerConfig):
+    """A field of its own."""
+
+    largest: float = 2.6  # N
+
+
+class Light(NlpLayer):
+    """Of a signal more, and a cost that the last x does not make zero."""
+
+    reads = (*NlpLayer.reads, "carrier_state")
+
+    def cost(self, x, now):
+        return (x[0] - 2.5) ** 2 + (now.carrier_state[0] * x[1] - 1.0) ** 2
+
+    def constraints(self, x, now):
+        given = self.model, now.reference, now.wrench, now.wrench_rate
+        return self.config.largest - cable_tensions(*given, x[0], x[1], now.phase[0])
+
+
+def test_a_cost_and_constraints_of_ones_own_with_a_signal_more():
+    inputs = on_its_reference(1) | {"carrier_state": np.full(24, 0.5)}
+    block = Light(model(), LightConfig(largest=10.0, **PAPER))
+    context = block.CreateDefaultContext()
+    fix(block, context, **inputs)
+    np.testing.assert_allclose(block.updated(context)["parameters"], [2.5, 2.0], atol=1e-5)
+    tight = Light(model(), LightConfig(largest=2.8, **PAPER))
+    context = tight.CreateDefaultContext()
+    fix(tight, context, **inputs)
+    x = tight.updated(context)["parameters"]
+    tensions = cable_tensions(*arguments(inputs), *x, inputs["phase"][0])
+    assert tensions.max() == pytest.approx(2.8, abs=1e-5)
+
+
+def member(name, function):
+    return type("Wrong", (NlpLayer,), {"__module__": __name__, name: function})
+
+
+@pytest.mark.parametrize(
+    ("name", "function", "said"),
+    [
+        ("cost", lambda self, x, now: x, r"Wrong.cost = 2 numbers: return one number"),
+        ("cost", lambda self, x, now: None, r"Wrong.cost = .*compute numbers by arithmetic"),
+        ("constraints", lambda self, x, now: [], r"Wrong.constraints = 0 numbers: return an array"),
+        (
+            "constraints",
+            lambda self, x, now: now.reference - x,
+            "without branches",
+        ),
+        ("constraints", lambda self, x, now: x >= 1.0, "without branches"),
+        ("cost", lambda self, x, now: np.nan * x[0], r"Wrong.cost = not finite at xi = 2 rad/s"),
+        ("constraints", lambda self, x, now: np.log(x - 5), "Wrong.constraints = not finite at xi"),
+    ],
+)
+def test_what_is_no_cost_or_constraint_is_said_in_a_sentence(name, function, said):
+    with pytest.raises(ScenarioError, match=said):
+        updated(member(name, function), on_its_reference(1), **PAPER)
+
+
+def test_an_unknown_solver_is_refused():
+    with pytest.raises(ScenarioError, match=r"solver = gurobi: give one of snopt, ipopt, nlopt"):
+        NlpLayer(model(), NlpLayerConfig(solver="gurobi"))
+
+
+def test_by_snopt_it_keeps_the_bound_of_the_quintic_task(fleet):
+    run, metrics = fleet.evaluated("quintic_nlp")
+    assert run.scenario.optimization_layer.solver == "snopt"
+    assert metrics["outcome"] == "ok"
+    assert metrics["carriers"]["speed_min_m_s"] > 0.55
+    assert metrics["optimizer"]["solved"] > 50
+    assert metrics["optimizer"]["relaxed"] == metrics["optimizer"]["held"] == 0
