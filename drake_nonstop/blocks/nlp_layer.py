@@ -158,6 +158,7 @@ class NlpLayer(PeriodicLayer):
                 remedy = "compute numbers by arithmetic of arrays, without branches"
                 raise ScenarioError(f"{said} = {one_line(error)}: {remedy}") from error
             remedy = "return one number" if most == 1 else "return an array of at least one"
+            remedy += "; add arrays to slices, such as now.phase[:1], not to one entry of an array"
             require(1 <= count <= most and count == len(made), said, f"{count} numbers", remedy)
             return made
 
