@@ -91,7 +91,7 @@ def shared_simulate(fleet, monkeypatch):
 
 def file_name(code):
     """The name of the file that a block is, by its first line; empty: it is a script."""
-    match = re.match(r"# (\w+\.py)\n", code)
+    match = re.match(r"# (\w+\.(?:py|yaml))\n", code)
     return match[1] if match else ""
 
 
@@ -120,7 +120,7 @@ def test_code_of_a_page_runs(page, capsys, monkeypatch, tmp_path):
     names = {"__name__": "__main__"}
     for code in scripts:
         exec(compile(code, page, "exec"), names)
-    if scripts:
+    if any("print(" in code for code in scripts):
         assert capsys.readouterr().out
     for module in set(sys.modules) - modules:
         if (tmp_path / f"{module}.py").exists():
@@ -139,6 +139,64 @@ def test_commands_of_a_page_are_commands(page):
                 named = getattr(options, "scenario", None)
                 if named and Path(named).suffix == "":
                     assert named in drake_nonstop.scenario_names(), line
+
+
+# What is added to a command so that it takes seconds, and the exit codes that tell of results.
+SHORTER = {
+    "run": ("--no-figures --no-replay --set simulation_duration=0.5", {0, 3}),
+    "ablate": ("--no-replay --set simulation_duration=0.5", {0}),
+    "sweep": ("--set simulation_duration=0.5", {0}),
+    "check": ("", {0, 1}),
+    "design": ("--set carriers=[3] kinds=[co_rotating] starts=1 speed=0", {0}),
+    "bench": ("--repeats 1 --set simulation_duration=0.5", {0}),
+}
+SERVED = ("--live", "view")  # until they are ended: tests/visualization/test_live_page.py
+
+
+@pytest.mark.nightly("examples")
+@pytest.mark.parametrize("page", [name for name, found in COMMANDS.items() if found])
+def test_commands_of_a_page_run(page, capfd, monkeypatch, tmp_path):
+    """In a reader's order, with the page's code in between, and with files saved first."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
+    blocks = re.findall(r"(?s)```(python|sh|yaml)\n(.*?)```", PAGES[page])
+    for _, code in blocks:
+        if file_name(code):
+            (tmp_path / file_name(code)).write_text(code.replace("runs: 1000", "runs: 9"))
+    names = {"__name__": "__main__"}
+    for kind, code in blocks:
+        if kind == "python" and not file_name(code) and "out/" in code:
+            exec(compile(code, page, "exec"), names)
+        for line in code.replace("\\\n", " ").splitlines() if kind == "sh" else ():
+            run_line(line, capfd)
+    for module in (*sys.modules,):
+        if (tmp_path / f"{module}.py").exists():
+            del sys.modules[module]
+
+
+def run_line(line, capfd):
+    """A line of a page as its reader calls it, but shorter; that of other programs is looked up."""
+    line, _, target = line.replace("make demo", "drake-nonstop run quintic").partition(" > ")
+    words = shlex.split(line, comments=True)
+    if not words or {*SERVED} & {*words}:
+        return
+    if words[0] == "drake-nonstop":
+        addition, codes = SHORTER.get(words[1], ("", {0}))
+        if "--print-request" in words or "--run" in words:
+            addition = addition.partition("--set")[0]
+        capfd.readouterr()
+        assert main([*words[1:], *shlex.split(addition)]) in codes, (line, capfd.readouterr())
+        if target:
+            Path(shlex.split(target, comments=True)[0]).write_text(capfd.readouterr().out)
+    elif words[0] == "make":
+        assert re.search(rf"(?m)^{words[1]}:", (ROOT / "Makefile").read_text()), line
+    elif words[:3] == ["python", "-m", "tests.benchmarks"]:
+        call = [sys.executable, *words[1:4], "--help"]
+        assert subprocess.run(call, cwd=ROOT, capture_output=True).returncode == 0, line
+    elif words[0] == "python":
+        assert (ROOT / words[1]).is_file(), line
+    else:
+        assert words[0].endswith("pip"), f"{line}: how is it tried?"
 
 
 @pytest.mark.nightly("examples")
