@@ -71,8 +71,16 @@ class RunQuantities(Spacing):
     def __init__(self, run: Run):
         self.run = run
         self.scenario = run.scenario
-        self.time = run.steps["time"]
-        self.load_positions = Pose.view(run.steps["load_state"]).position
+
+    @cached_property
+    def time(self) -> NDArray:
+        """The times (k,) of the steps, s."""
+        return self.run.steps["time"]
+
+    @cached_property
+    def load_positions(self) -> NDArray:
+        """The load's positions (k, 3) at the steps, m."""
+        return Pose.view(self.run.steps["load_state"]).position
 
     @cached_property
     def position_error(self) -> NDArray:
