@@ -73,12 +73,12 @@ class RunQuantities(Spacing):
         self.scenario = run.scenario
 
     @cached_property
-    def time(self) -> NDArray:
+    def time(self) -> NDArray:  # type: ignore[override] # is settable
         """The times (k,) of the steps, s."""
         return self.run.steps["time"]
 
     @cached_property
-    def load_positions(self) -> NDArray:
+    def load_positions(self) -> NDArray:  # type: ignore[override] # is settable
         """The load's positions (k, 3) at the steps, m."""
         return Pose.view(self.run.steps["load_state"]).position
 
