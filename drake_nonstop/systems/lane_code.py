@@ -9,11 +9,14 @@ from collections.abc import Iterator
 
 import casadi
 
-from drake_nonstop.systems.compilation import CompilationError
+from drake_nonstop.systems.compilation import FAST_TO_COMPILE, CompilationError
 
-_BEGIN = """\
+_BEGIN = (
+    f"""\
 #include <math.h>
-#pragma GCC optimize("no-tree-pre", "ira-region=one") /* compiles in half the time */
+{FAST_TO_COMPILE}
+"""
+    """\
 #ifdef __AVX512F__
 enum { W = 8 };
 #define COPIES(c) {c, c, c, c, c, c, c, c}
@@ -34,6 +37,7 @@ static inline int is_same(lanes x) {
 }
 static double sign(double x) { return x < 0 ? -1 : x > 0 ? 1 : x; }
 """
+)
 _BY_LANE = """\
 static inline lanes {name}_by_lane({arguments}) {{
   lanes z;
