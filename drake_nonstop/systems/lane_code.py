@@ -5,7 +5,9 @@ lane gets the very bits of the function's C for one: no operation is contracted 
 order, comparisons give 1 or 0, and what has no vector instruction is called lane by lane.
 """
 
+import itertools
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import casadi
 
@@ -34,6 +36,9 @@ static inline int is_same(lanes x) {
   long long found = 0;
   for (int i = 1; i < W; i++) found |= is_other[i];
   return !found;
+}
+static void copy(lanes *to, const lanes *of, int count) {
+  for (int i = 0; i < count; i++) to[i] = of[i];
 }
 static double sign(double x) { return x < 0 ? -1 : x > 0 ? 1 : x; }
 """
@@ -83,29 +88,27 @@ _FORMS = _OPERATORS | {
 _FORMS[casadi.OP_CONSTPOW] = _FORMS[casadi.OP_POW]
 
 
+class _Called(NamedTuple):
+    """A function that another one calls, and its name in C."""
+
+    name: str
+    function: casadi.Function
+
+
 def side_by_side(function: casadi.Function, *, shares_angles: bool = False) -> str:
-    """The C text of `side_by_side(input, results)` for a function of SX with one argument.
+    """The C text of `side_by_side(input, results)` for a function with one argument.
 
     Both are arrays of `lanes`; the results follow each other.
 
     Args:
-        function: it.
+        function: of SX, or of MX; it may call others of one argument.
         shares_angles: an argument that is the same in all lanes is likely, and looked for.
 
     Raises:
         CompilationError: an operation is none of those known here.
     """
-    names = ", ".join(f"a{k}" for k in range(function.sz_w()))
-    return "\n".join(
-        [
-            _BEGIN,
-            *_by_lane(shares_angles),
-            "static void side_by_side(const lanes *restrict input, lanes *restrict results) {",
-            f"lanes {names};",
-            *_statements(function),
-            "}",
-        ]
-    )
+    written = _written(_Called("side_by_side", function), {})
+    return "\n".join([_BEGIN, *_by_lane(shares_angles), *written])
 
 
 def _by_lane(shares: bool) -> Iterator[str]:
@@ -117,10 +120,47 @@ def _by_lane(shares: bool) -> Iterator[str]:
             yield _BY_LANE.format(name=name, arguments=arguments, entries=entries, same=same)
 
 
-def _statements(function: casadi.Function) -> Iterator[str]:
-    """An assignment for each instruction."""
-    results = [function.nnz_out(k) for k in range(function.n_out())]
-    starts = [sum(results[:k]) for k in range(len(results))]
+def _written(own: _Called, names: dict[casadi.Function, str]) -> Iterator[str]:
+    """A function, behind those which it calls and which have no entry in `names` yet."""
+    name, function = own
+    called = {}
+    for k, other in _calls(function).items():
+        if other not in names:
+            names[other] = f"called_{len(names)}"
+            yield from _written(_Called(names[other], other), names)
+        called[k] = _Called(names[other], other)
+    yield f"static void {name}(const lanes *restrict input, lanes *restrict results) {{"
+    yield from (_of_vectors if function.is_a("MXFunction") else _statements)(function, called)
+    yield "}"
+
+
+def _calls(function: casadi.Function) -> dict[int, casadi.Function]:
+    """The functions that are called, by the numbers of the instructions."""
+    numbers = range(function.n_instructions())
+    calls = [k for k in numbers if function.instruction_id(k) == casadi.OP_CALL]
+    if function.is_a("MXFunction"):
+        return {k: function.instruction_MX(k).which_function() for k in calls}
+    instructions = function.instructions_sx() if calls else []
+    return {k: instructions[k].which_function() for k in calls}
+
+
+def _starts(function: casadi.Function) -> list[int]:
+    """Where each of a function's results begins, and the end of the last one."""
+    sizes = [function.nnz_out(k) for k in range(function.n_out())]
+    return [0, *itertools.accumulate(sizes)]
+
+
+def _form(code: int, *operands: str) -> str:
+    """An operation in C."""
+    if code not in _FORMS:
+        raise CompilationError(f"there are no lanes for CasADi's operation {code}")
+    return _FORMS[code].format(*operands)
+
+
+def _statements(function: casadi.Function, called: dict[int, _Called]) -> Iterator[str]:
+    """An assignment for each instruction of a function of SX."""
+    yield f"lanes {', '.join(f'a{k}' for k in range(function.sz_w()))};"
+    starts = _starts(function)
     for k in range(function.n_instructions()):
         code = function.instruction_id(k)
         inputs, outputs = function.instruction_input(k), function.instruction_output(k)
@@ -130,10 +170,66 @@ def _statements(function: casadi.Function) -> Iterator[str]:
             yield f"a{outputs[0]} = input[{inputs[1]}];"
         elif code == casadi.OP_CONST:
             yield f"a{outputs[0]} = all({_number(function.instruction_constant(k))});"
-        elif code in _FORMS:
-            yield f"a{outputs[0]} = {_FORMS[code].format(*(f'a{i}' for i in inputs))};"
+        elif code == casadi.OP_CALL:
+            given = ", ".join(f"a{i}" for i in inputs)
+            taken = " ".join(f"a{i} = y[{j}];" for j, i in enumerate(outputs) if i >= 0)
+            call = f"{called[k].name}(x, y);"
+            yield f"{{ lanes x[] = {{{given}}}, y[{len(outputs)}]; {call} {taken} }}"
         else:
-            raise CompilationError(f"there are no lanes for CasADi's operation {code}")
+            yield f"a{outputs[0]} = {_form(code, *(f'a{i}' for i in inputs))};"
+
+
+def _of_vectors(function: casadi.Function, called: dict[int, _Called]) -> list[str]:
+    """Copies, loops and calls for the instructions of a function of MX, between vectors."""
+    places = _starts(function)  # of what comes next of each result
+    sizes: dict[int, int] = {}  # of the vectors as they are
+    room: dict[int, int] = {}  # that they need
+    made = []
+    for k in range(function.n_instructions()):
+        code = function.instruction_id(k)
+        inputs, outputs = function.instruction_input(k), function.instruction_output(k)
+        if code == casadi.OP_OUTPUT:
+            made.append(f"copy(results + {places[outputs[0]]}, w{inputs[0]}, {sizes[inputs[0]]});")
+            places[outputs[0]] += sizes[inputs[0]]
+            continue
+        lengths = [max((sizes.get(i, 0) for i in inputs), default=0)]
+        if code == casadi.OP_INPUT:
+            lengths = [function.nnz_in(0)]
+            made.append(f"copy(w{outputs[0]}, input, {lengths[0]});")
+        elif code == casadi.OP_CONST:
+            numbers = function.instruction_MX(k).to_DM().nonzeros()
+            lengths = [len(numbers)]
+            made += [f"w{outputs[0]}[{i}] = all({_number(v)});" for i, v in enumerate(numbers)]
+        elif code == casadi.OP_VERTCAT:
+            starts = [0, *itertools.accumulate(sizes[i] for i in inputs)]
+            lengths = starts[-1:]
+            pairs = zip(inputs, starts, strict=False)
+            made += [f"copy(w{outputs[0]} + {start}, w{i}, {sizes[i]});" for i, start in pairs]
+        elif code in (casadi.OP_VERTSPLIT, casadi.OP_CALL):
+            source, starts = f"w{inputs[0]}", function.instruction_MX(k).info().get("offset")
+            if code == casadi.OP_CALL:
+                source, starts = "y", _starts(called[k].function)
+                made.append(f"{{ lanes y[{starts[-1] + 1}]; {called[k].name}(w{inputs[0]}, y);")
+            lengths = [end - start for start, end in itertools.pairwise(starts)]
+            parts = [part for part in zip(outputs, starts, lengths, strict=False) if part[0] >= 0]
+            made += [f"copy(w{i}, {source} + {start}, {count});" for i, start, count in parts]
+            made += ["}"] if code == casadi.OP_CALL else []
+        elif code == casadi.OP_DOT:
+            lengths = [1]
+            product = _form(casadi.OP_MUL, *(f"w{i}[i]" for i in inputs))
+            made.append(f"w{outputs[0]}[0] = all(0.0);")
+            made.append(
+                f"for (int i = 0; i < {sizes[inputs[0]]}; i++) w{outputs[0]}[0] += {product};"
+            )
+        else:
+            operands = (f"w{i}[{'i' if sizes[i] > 1 else 0}]" for i in inputs)
+            value = _form(code, *operands)
+            made.append(f"for (int i = 0; i < {lengths[0]}; i++) w{outputs[0]}[i] = {value};")
+        for i, size in zip(outputs, lengths, strict=False):
+            sizes[i], room[i] = size, max(size, room.get(i, 1))
+    room.pop(-1, None)  # of what is not read
+    # In memory of the thread, whose stack may have too little for them.
+    return [*(f"static _Thread_local lanes w{i}[{size}];" for i, size in room.items()), *made]
 
 
 def _number(value: float) -> str:

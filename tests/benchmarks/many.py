@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from pydrake.systems.framework import DiagramBuilder
 
+from drake_nonstop import load_scenario
 from drake_nonstop.benchmarks.running import PACKAGES
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.loop.functions import Evaluation
@@ -46,6 +47,7 @@ _SUCCESS: dict[str, Any] = {  # as examples/success_study.yaml has it
     },
 }
 _CONSTANT = "optimization_layer=ConstantParameters"
+_OTHERS_IN_LANES = "aircraft_transfer", "aircraft_transfer_cables"  # the last calls functions
 _PREPARED = 16  # runs whose preparation is timed
 
 
@@ -86,7 +88,8 @@ def benchmark_many(
     }
     constant = changed(scenario, [_CONSTANT])
     if compiler() is not None:
-        found["lanes"] = lanes_ratio(constant, repeats=repeats)
+        others = [load_scenario(name) for name in _OTHERS_IN_LANES]
+        found["lanes"] = [lanes_ratio(each, repeats=repeats) for each in (constant, *others)]
     if importlib.util.find_spec("gymnasium") is not None:
         found["environment"] = environment_ratio(constant, repeats=repeats)
     return found
@@ -133,11 +136,11 @@ def table(results: dict[str, Any]) -> str:
                 f"{name:>9} layer, {what:<11}  {1e3 * many:8.1f} ms of {1e3 * one:8.1f} ms by the "
                 f"diagram, 1/{1 / ratio:.0f}"
             )
-    if "lanes" in results:
-        one, many = results["lanes"]["us_per_sample"].values()
-        ratio = results["lanes"]["ratio"]
+    for found in results.get("lanes", []):
+        one, many = found["us_per_sample"].values()
         rows.append(
-            f"lanes: {many:.2f} µs a sample, of {one:.2f} by C one by one, {ratio:.1f} times"
+            f"lanes, {found['scenario']}: {many:.2f} µs a sample, of {one:.2f} by C one by one, "
+            f"{found['ratio']:.1f} times"
         )
     if "environment" in results:
         found = results["environment"]

@@ -6,6 +6,7 @@ import pytest
 
 from drake_nonstop.loop.lane_functions import LaneFunction, LaneInputs, lanes_code
 from drake_nonstop.systems.compilation import CompilationError, compiled_for_processor, compiler
+from drake_nonstop.systems.tracing import for_each, object_array
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
 BINARY = [
@@ -88,6 +89,40 @@ def test_a_flight_stops_before_an_update_or_a_limit_and_others_take_its_lane():
     np.testing.assert_array_equal(states, np.repeat(flown, 2).reshape(-1, 2))
     for k, count in enumerate(flown):
         np.testing.assert_array_equal(signals[9 * k : 9 * k + count, 0], np.arange(count))
+
+
+@needs_compiler
+def test_functions_that_call_others_give_the_same_bits():
+    """As a loop of cables: steps in vectors call rates, which call a function for each cable."""
+
+    def each(row, shared):
+        return np.array([np.sin(row[0]) * shared[0], row[1] / row[0] + 0.1])
+
+    own = casadi.SX.sym("own", 3)
+    state, shared = np.split(object_array(own), [2])
+    made = for_each(each, [np.stack([state, state[::-1]])], [shared])
+    rates = casadi.Function("rates", [own], [casadi.vertcat(*made.sum(axis=0)), own[0]])
+    argument = casadi.MX.sym("x", sum(SIZES) + 1)
+    now, _, time, _, outside = casadi.vertsplit(argument, [0, *np.cumsum([*SIZES, 1]).tolist()])
+    signals = []
+    for length in (0.1, 0.2):
+        rate, shown = rates(casadi.vertcat(now, outside))
+        now = now - length * rate
+        signals += [shown, casadi.MX([0.5, -2.0]) * now]
+    steps, read = casadi.vertcat(now, time), casadi.MX(0, 1)
+    results = [now, casadi.vertcat(*signals), steps, read, casadi.MX(0, 1), casadi.dot(now, now)]
+    function = casadi.Function("loop", [argument], results)
+    each_input = drawn(np.random.default_rng(5), 4)
+    flown, states, signals, steps = lanes_of(function).fly([each_input] * 3)
+    assert flown == [4] * 3
+    now = each_input.state
+    for k in range(4):
+        rows = [now, each_input.parameters, [each_input.times[k]], [0.0], each_input.outside[k]]
+        now, expected, stepped, *_ = (np.array(v).ravel() for v in function(np.concatenate(rows)))
+        for flight in range(3):
+            np.testing.assert_array_equal(signals[4 * flight + k], expected)
+            np.testing.assert_array_equal(steps[4 * flight + k], stepped)
+    np.testing.assert_array_equal(states, [now] * 3)
 
 
 def test_an_operation_without_a_form_is_told():

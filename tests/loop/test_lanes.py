@@ -58,6 +58,14 @@ IN_LANES = [
         ],
         {},
     ),
+    (
+        "aircraft_rest_cables",  # calls functions
+        [
+            [f"simulated.cable_drag={drag}", "simulator_config.max_step_size=0.002"]
+            for drag in (0.9, 1.0, 1.1, 1.2, 1.3)
+        ],
+        {"signals": ["load_state"]},
+    ),
 ]
 
 
