@@ -120,15 +120,16 @@ def _by_lane(shares: bool) -> Iterator[str]:
             yield _BY_LANE.format(name=name, arguments=arguments, entries=entries, same=same)
 
 
-def _written(own: _Called, names: dict[casadi.Function, str]) -> Iterator[str]:
-    """A function, behind those which it calls and which have no entry in `names` yet."""
+def _written(own: _Called, names: dict[int, str]) -> Iterator[str]:
+    """A function, behind those which it calls and whose hashes are not among the `names` yet."""
     name, function = own
     called = {}
     for k, other in _calls(function).items():
-        if other not in names:
-            names[other] = f"called_{len(names)}"
-            yield from _written(_Called(names[other], other), names)
-        called[k] = _Called(names[other], other)
+        key = hash(other)  # of its node: each call gives another object of Python's
+        if key not in names:
+            names[key] = f"called_{len(names)}"
+            yield from _written(_Called(names[key], other), names)
+        called[k] = _Called(names[key], other)
     yield f"static void {name}(const lanes *restrict input, lanes *restrict results) {{"
     yield from (_of_vectors if function.is_a("MXFunction") else _statements)(function, called)
     yield "}"

@@ -112,6 +112,7 @@ def test_functions_that_call_others_give_the_same_bits():
     steps, read = casadi.vertcat(now, time), casadi.MX(0, 1)
     results = [now, casadi.vertcat(*signals), steps, read, casadi.MX(0, 1), casadi.dot(now, now)]
     function = casadi.Function("loop", [argument], results)
+    assert lanes_code(function, SIZES).count("static void called_") == 2  # each one once
     each_input = drawn(np.random.default_rng(5), 4)
     flown, states, signals, steps = lanes_of(function).fly([each_input] * 3)
     assert flown == [4] * 3
