@@ -59,9 +59,9 @@ def snapshot(time=0.0, n=4, speed_bound=0.5, **fields):
     return Snapshot(time=time, speed_bound=speed_bound, **(values | fields))
 
 
-def shown(*snapshots, n=4, config=None):
+def shown(*snapshots, n=4, config=None, nodes=0):
     canvas = ListCanvas()
-    made = Scene(system(n), config)
+    made = Scene(system(n), config, nodes=nodes)
     for each in snapshots:
         made.show(canvas, each)
     return canvas

@@ -45,6 +45,7 @@ class Snapshot:
     aircraft_state: NDArray | None = None  # (4n,)
     wind: NDArray | None = None  # (3n,), m/s, at the carriers
     load_wind: NDArray | None = None  # (3,), m/s
+    cable_state: NDArray | None = None  # (6Nn,), of cables with N nodes, see `LumpedCables`
 
     @classmethod
     def from_signals(

@@ -46,6 +46,7 @@ class NonstopVisualizer(LeafBlock):
             in view; without it the camera is set for the start.
         speed_bound: ε in m/s, where that port is not connected.
         frame_rate: the most frames per second of wall time.
+        nodes: of each cable, which have a `cable_state`; 0: cables are straight.
         path: what the objects' paths in the Meshcat begin with. With another one than the
             default, as the second of two loops in one Meshcat needs it, the camera, its light, the
             background and the grid are left as they are.
@@ -56,7 +57,7 @@ class NonstopVisualizer(LeafBlock):
 
     reads = (
         *("load_state", "reference", "carrier_state", "tensions"),
-        *("speed_bound", "aircraft_state", "wind", "load_wind"),
+        *("speed_bound", "aircraft_state", "wind", "load_wind", "cable_state"),
     )
     optional_inputs = reads[4:]
 
@@ -70,6 +71,7 @@ class NonstopVisualizer(LeafBlock):
         reference_path: NDArray | None = None,
         speed_bound: float = 0.0,
         frame_rate: float = FRAME_RATE,
+        nodes: int = 0,
         path: str = ROOT,
     ):
         super().__init__()
@@ -79,7 +81,7 @@ class NonstopVisualizer(LeafBlock):
             frame_rate,
             "give a finite number greater than zero",
         )
-        self.scene = Scene(system, config, obstacles, root=path)
+        self.scene = Scene(system, config, obstacles, nodes=nodes, root=path)
         self._meshcat = meshcat
         self._path = path
         self._reference_path = reference_path
@@ -88,7 +90,10 @@ class NonstopVisualizer(LeafBlock):
         self._canvas = LiveCanvas(meshcat, path)
         self._last_time = math.inf  # s, of the instant shown
         self._next_frame = -math.inf  # s of wall time, when it is due
-        sizes = signal_sizes(self.reads, len(system.attachments))
+        reads = self.reads if nodes else self.reads[:-1]
+        sizes = signal_sizes(reads, n := len(system.attachments))
+        if nodes:
+            sizes["cable_state"] = 6 * nodes * n
         self._ports = {k: self.DeclareVectorInputPort(k, size) for k, size in sizes.items()}
         if self.scalar is float:
             self.DeclarePerStepPublishEvent(self._publish)
@@ -118,6 +123,8 @@ class NonstopVisualizer(LeafBlock):
         Raises:
             ScenarioError: as the class.
         """
+        has_nodes = nonstop.HasOutputPort("cable_state")
+        size = nonstop.GetOutputPort("cable_state").size() if has_nodes else 0
         visualizer = builder.AddSystem(
             NonstopVisualizer(
                 overridden(scenario.system, scenario.simulated),
@@ -127,6 +134,7 @@ class NonstopVisualizer(LeafBlock):
                 reference_path=_reference_path(nonstop, scenario.simulation_duration),
                 speed_bound=scenario.speed_bound,
                 frame_rate=frame_rate,
+                nodes=size // (6 * len(scenario.system.attachments)),
                 path=path,
             )
         )

@@ -31,7 +31,7 @@ from drake_nonstop.visualization.nonstop_visualizer import NonstopVisualizer
 from drake_nonstop.visualization.scene import COLOURED_FROM, Scene, stall_shares
 
 _FRAME_RATE = 25.0  # 1/s
-_MOST_POSES = 45_000  # of carriers and loads in all frames: below 20 MB
+_MOST_POSES = 45_000  # in all frames, half of those of carriers, cables and loads: below 20 MB
 # How Meshcat writes what the page tells the viewer.
 _COMMAND = re.compile(
     r'fetch\("data:application/octet-binary;base64,([\w+/=]+)"\)'
@@ -65,9 +65,11 @@ def record_replay(run: Run, *, frame_rate: float | None = None) -> Replay:
         ScenarioError: a field of the scenario's scene is out of range.
     """
     system = simulated_system(run)
-    scene = Scene(system, run.scenario.scene, run.scenario.obstacles)
+    n = len(system.attachments)
+    nodes = run.signal("cable_state").shape[1] // (6 * n) if RunQuantities(run).has_nodes else 0
+    scene = Scene(system, run.scenario.scene, run.scenario.obstacles, nodes=nodes)
     if frame_rate is None:  # a whole part of the signals'
-        most = max(_MOST_POSES // (len(system.attachments) + 1), 1)
+        most = max(_MOST_POSES // (n * (1 + scene.pieces) // 2 + 1), 1)
         stride = max(round(1 / (SIGNAL_PERIOD * _FRAME_RATE)), math.ceil(len(run.time) / most))
         frame_rate = 1 / (SIGNAL_PERIOD * stride)
     frame_rate = min(frame_rate, 1 / SIGNAL_PERIOD)

@@ -11,6 +11,7 @@ from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RollPitchYaw
 
 from drake_nonstop.mechanics.aircraft import stall_speed, thrust_limits
+from drake_nonstop.mechanics.lumped_cable import nodes_of
 from drake_nonstop.mechanics.signals import CarrierStates, LoadState
 from drake_nonstop.simulation.run import Run
 from drake_nonstop.simulation.run_quantities import (
@@ -194,8 +195,11 @@ def _draw_from_above(run: Run, axes: Axes, shown: NDArray) -> None:
     corners = attachment_positions(run, load_states[shown[-1:]])[0]
     axes.plot(*np.vstack([corners, corners[:1]])[:, :2].T, "--", color="black", linewidth=0.9)
     axes.plot(*load[-1, :2], "+", color="black")
-    for corner, carrier in zip(corners, carriers[-1], strict=True):
-        axes.plot(*np.stack([corner, carrier])[:, :2].T, color="black", linewidth=0.7)
+    lines = np.stack([corners, carriers[-1]])
+    if RunQuantities(run).has_nodes:
+        nodes, _ = nodes_of(run.signal("cable_state")[shown[-1]], len(corners))
+        lines = np.concatenate([lines[:1], nodes, lines[1:]])
+    axes.plot(lines[..., 0], lines[..., 1], color="black", linewidth=0.7)
     axes.set_aspect("equal", adjustable="datalim")
     axes.legend(fontsize="small", loc="upper left", bbox_to_anchor=(1.0, 1.0))
 

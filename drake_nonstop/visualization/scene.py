@@ -10,6 +10,7 @@ from pydrake.geometry import Cylinder, Meshcat, MeshcatCone, Rgba, Sphere
 from pydrake.math import RigidTransform
 
 from drake_nonstop.mechanics.aircraft import Aircraft, stall_speed
+from drake_nonstop.mechanics.lumped_cable import nodes_of
 from drake_nonstop.mechanics.rotation import rotation_matrix
 from drake_nonstop.mechanics.signals import AircraftState
 from drake_nonstop.model.system import Model, SystemParameters, aircraft_in
@@ -49,6 +50,7 @@ _FARTHEST_CARRIER = 3.0  # reaches from the reference; one farther away may be o
 _GROUND_CLEARANCE = 0.3  # reaches, from the lowest point to the grid
 _GROUND_WIDTH = 200.0  # reaches
 _GRID_OPACITY = 0.2
+_MOST_PIECES = 6  # of a cable with nodes: more would make recordings large
 _SIX_DIRECTIONS = np.vstack([np.eye(3), -np.eye(3)])
 _HEAD_LENGTH, _HEAD_RADIUS = 10.0, 3.0  # of the arrow's radius
 
@@ -57,7 +59,8 @@ class Scene:
     """The objects of a run, which `draw` makes and `show` moves.
 
     - The load is a frame around its attachments. Its reference is a translucent copy of it.
-    - Cables darken with their tension; slack ones have a colour of their own.
+    - Cables darken with their tension; slack ones have a colour of their own. Those with nodes are
+      lines through some of them, of six pieces at most, evenly chosen.
     - Carriers have no attitude in the model: they are drawn along their velocity, with their top
       away from the cable.
     - The mark around a carrier turns from green to red as its speed decreases to ε.
@@ -72,6 +75,7 @@ class Scene:
         system: attachments, cable length, load mass and gravity of what is shown.
         config: colours and sizes.
         obstacles: of the scenario.
+        nodes: of each cable, which a snapshot's `cable_state` has; 0: cables are straight.
         root: what the objects' paths in Meshcat begin with.
 
     Raises:
@@ -84,6 +88,7 @@ class Scene:
         config: SceneConfig | None = None,
         obstacles: Sequence[Obstacle] = (),
         *,
+        nodes: int = 0,
         root: str = ROOT,
     ):
         is_path = isinstance(root, str) and re.fullmatch(r"(/[\w.-]+)+", root)
@@ -94,6 +99,9 @@ class Scene:
         self.config = config or SceneConfig()
         require_ranges("scene", self.config)
         self._obstacles = obstacles
+        # Indices of a cable's ends and nodes between which it is drawn.
+        pieces = min(nodes + 1, _MOST_PIECES)
+        self._joints = np.linspace(0, nodes + 1, pieces + 1).round().astype(int)
         self._attachments = np.array(system.attachments)
         self._n = len(self._attachments)
         self.radius = float(np.max(np.linalg.norm(self._attachments, axis=1)))  # m, of the load
@@ -154,7 +162,8 @@ class Scene:
             if self._aircraft is None:
                 meshcat.SetObject(f"{root}/carriers/{i}/mark", Sphere(_MARK_RADIUS * span), mark)
             unit = Cylinder(self.cable_radius, 1.0)  # m, to be scaled
-            meshcat.SetObject(f"{root}/cables/{i}", unit, Rgba(*self._cable_colours[0]))
+            for path in self._cable_paths(i):
+                meshcat.SetObject(path, unit, Rgba(*self._cable_colours[0]))
         if self._aircraft is not None:
             shaft, head = (Rgba(*self._wind_colour, 0.0) for _ in range(2))
             radius = _ARROW_RADIUS * self.reach
@@ -224,7 +233,7 @@ class Scene:
             canvas.follow(snapshot.reference_position, self._camera)
         p_WA = self._attachments @ X_WL[:3, :3].T + X_WL[:3, 3]
         p_WC = snapshot.carriers
-        cables, lengths = cylinder_poses(p_WA, p_WC)
+        self._show_cables(canvas, p_WA, snapshot)
         speeds = np.sqrt((snapshot.velocities**2).sum(axis=1))
         self._headings = unit_vectors(snapshot.velocities, otherwise=self._headings)
         rotations = carrier_rotations(
@@ -244,15 +253,34 @@ class Scene:
             at_load = winds.reshape(-1, 3).mean(axis=0) if at_load is None else at_load
             self._show_wind(canvas, snapshot.reference_position, at_load)
         carriers = stack_poses(rotations, p_WC)
-        tensions = snapshot.tensions.tolist()
-        for i, (speed, length) in enumerate(zip(speeds.tolist(), lengths.tolist(), strict=True)):
-            canvas.place(f"{self._root}/cables/{i}", cables[i], length)
-            canvas.paint(f"{self._root}/cables/{i}", self.cable_colour(tensions[i]), 1.0)
+        for i, speed in enumerate(speeds.tolist()):
             canvas.place(f"{self._root}/carriers/{i}", carriers[i])
             if self._aircraft is None:
                 colour = self.mark_colour(speed, snapshot.speed_bound)
                 canvas.paint(f"{self._root}/carriers/{i}/mark", colour, self.config.mark_opacity)
         self._extend_trails(canvas, snapshot.time, np.vstack([snapshot.load_position, p_WC]))
+
+    @property
+    def pieces(self) -> int:
+        """The number of cylinders that a cable is drawn as."""
+        return len(self._joints) - 1
+
+    def _cable_paths(self, i: int) -> list[str]:
+        """The paths of a cable's pieces, from the load on."""
+        path = f"{self._root}/cables/{i}"
+        return [path] if self.pieces == 1 else [f"{path}/{k}" for k in range(self.pieces)]
+
+    def _show_cables(self, canvas: Canvas, attachments: NDArray, snapshot: Snapshot) -> None:
+        """Cables from the attachments (n, 3), m, in W, through their nodes, to the carriers."""
+        points = np.stack([attachments, snapshot.carriers])
+        if self.pieces > 1 and snapshot.cable_state is not None:
+            nodes, _ = nodes_of(snapshot.cable_state, self._n)
+            points = np.concatenate([points[:1], nodes, points[1:]])[self._joints]
+        for i, tension in enumerate(snapshot.tensions.tolist()):
+            poses, lengths = cylinder_poses(points[:-1, i], points[1:, i])
+            for path, pose, length in zip(self._cable_paths(i), poses, lengths, strict=True):
+                canvas.place(path, pose, float(length))
+                canvas.paint(path, self.cable_colour(tension), 1.0)
 
     def mark_colour(self, speed: float, speed_bound: float) -> Colour:
         """The colour of the mark around a carrier; both speeds in m/s."""

@@ -136,6 +136,13 @@ def test_it_shows_any_scenario(meshcat, name):
     assert not meshcat.HasPath(f"{ROOT}/carriers/{n}")
 
 
+def test_it_shows_cables_with_nodes(meshcat):
+    changes = ["cables=LumpedCables", "cables.nodes=2", "simulation_duration=0.01"]
+    simulate(load_scenario("aircraft_rest", changes), viewers=[show_in(meshcat)])
+    assert meshcat.HasPath(f"{ROOT}/cables/3/2")
+    assert not meshcat.HasPath(f"{ROOT}/cables/3/3")
+
+
 def test_aircraft_and_wind_may_come_from_ports(meshcat):
     run = aircraft_run(0.1, wind=(2.0, 0.0, 0.0))
     instants = []

@@ -28,6 +28,28 @@ def test_cables_end_at_attachments_and_carriers(n):
         np.testing.assert_allclose(end, instant.carriers[i], atol=1e-12)
 
 
+@pytest.mark.parametrize(("nodes", "pieces"), [(1, 2), (5, 6), (12, 6)])
+def test_cables_with_nodes_are_lines_through_them(nodes, pieces):
+    instant = snapshot(0.7, 3)
+    shares = np.linspace(0, 1, nodes + 2)[1:-1, None, None]
+    points = shares * instant.carriers + [0.0, 0.3, -0.1] * shares * (1 - shares)
+    instant.cable_state = np.concatenate([points.ravel(), np.full(points.size, 9.0)])
+    canvas = shown(instant, n=3, nodes=nodes)
+    assert "/cables/0" not in canvas.poses
+    for i, attachment in enumerate(polygon(3)):
+        ends = [canvas.poses["/load"][0] @ attachment]
+        for k in range(pieces):
+            path = f"/cables/{i}/{k}"
+            pose, length = canvas.poses[path][0], canvas.lengths[path][0]
+            low, high = (pose @ np.array([0, 0, side * length / 2]) for side in (-1, 1))
+            np.testing.assert_allclose(low, ends[-1], atol=1e-12)
+            ends.append(high)
+        np.testing.assert_allclose(ends[-1], instant.carriers[i], atol=1e-12)
+        for end in ends[1:-1]:
+            assert np.abs(points[:, i] - end).max(axis=1).min() < 1e-12
+    assert f"/cables/0/{pieces}" not in canvas.poses
+
+
 def test_carriers_fly_along_their_velocity_with_their_top_away_from_the_cable():
     instant = snapshot(0.7)
     canvas = shown(instant)
