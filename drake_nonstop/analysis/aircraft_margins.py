@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.framework import Context, Diagram, System
 
+from drake_nonstop.analysis.bowed_carriers import BowedMotion, bowed_motion
 from drake_nonstop.analysis.carriers_along import resting_carriers
 from drake_nonstop.analysis.flight_envelope import (
     ROWS,
@@ -35,9 +36,10 @@ from drake_nonstop.mechanics.aircraft import (
     thrust_limits,
     thrust_power,
 )
-from drake_nonstop.mechanics.planned_orbit import PlannedOrbit
-from drake_nonstop.mechanics.signals import LoadReference, Parameters, Pose
+from drake_nonstop.mechanics.planned_orbit import OrbitMotion, PlannedOrbit, turned_motions
+from drake_nonstop.mechanics.signals import PLANNED_SIZE, LoadReference, Parameters, Pose
 from drake_nonstop.mechanics.wind import MeanWind
+from drake_nonstop.model.descriptions import CableShape
 from drake_nonstop.model.system import Model
 from drake_nonstop.scenario.schema import Scenario, check
 from drake_nonstop.validation import require
@@ -67,7 +69,7 @@ class AircraftMargins:
         needs: (k, n) each, at these phases.
         thrust_limits: the least and the largest thrust at their airspeeds (k, n), N.
         ranges: of these.
-        cables: what straight ones leave out.
+        cables: how drag bows them.
         limits: what they are held against.
         carrier_distance: (k,) m, of the closest two there.
         cable_distance: (k,) m, of the closest two there.
@@ -167,7 +169,7 @@ def margins_table(found: AircraftMargins) -> str:
         )
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
-    told = [*found.ranges.lines, ("real cables", found.cables.text)]
+    told = [*found.ranges.lines, (found.cables.name, found.cables.text)]
     lines += [f"{name:{widths[0]}}  {text}" for name, text in told]
     power = f"{found.propulsive_power:.0f} W of thrust, {found.drawn_power:.0f} W drawn"
     lines.append(f"{'mean power of each':{widths[0]}}  {power}")
@@ -216,6 +218,7 @@ def aircraft_margins_for(
         believed=task.carried,
         wind=task.air.mean,
         limits=flight_envelope_of(scenario),
+        shape=task.response.references.shape,
         name=scenario.name,
     )
 
@@ -228,6 +231,7 @@ def margins_at_rest(
     believed: Model | None = None,
     wind: MeanWind = _STILL_AIR,
     limits: FlightEnvelope = _ENVELOPE,
+    shape: CableShape | None = None,
     name: str = "unnamed",
 ) -> AircraftMargins:
     """The margins on the orbit above a load that rests, or turns about the vertical.
@@ -242,12 +246,13 @@ def margins_at_rest(
         believed: what the controllers believe in place of it, whose orbit is flown; None: the same.
         wind: the steady wind.
         limits: what they are held against.
+        shape: of the cables of references that know of their bow; None: straight ones.
         name: of the scenario.
 
     Raises:
         ScenarioError: there are no aircraft, or the load turns about a horizontal axis.
     """
-    orbit = _Orbit(model, believed or model, reference, parameters, limits)
+    orbit = _Orbit(model, believed or model, reference, parameters, limits, shape)
     found = _margins(orbit, wind, name)
     if found.is_flyable or not np.any(wind.velocity):
         return found
@@ -271,6 +276,7 @@ class _Orbit:
         reference: NDArray,
         parameters: NDArray,
         limits: FlightEnvelope,
+        shape: CableShape | None,
     ):
         turning = LoadReference.view(reference).angular_velocity
         require(
@@ -284,7 +290,7 @@ class _Orbit:
         require(model.aircraft is not None, "system.aircraft", None, remedy)
         self.model, self.believed = model, believed
         self.aircraft = typing.cast(Aircraft, model.aircraft)
-        self._reference, self._parameters = reference, parameters
+        self._reference, self._parameters, self._shape = reference, parameters, shape
         self._yaw_rate = float(turning[2])
         (frequency,), (amplitude,) = Parameters.view(parameters)
         rates = [abs(self._yaw_rate)] if self._yaw_rate else []
@@ -294,8 +300,13 @@ class _Orbit:
         self.turns = Fraction(rates[-1] / self.rate).limit_denominator(_MOST_TURNS).denominator
         self.limits = limits
 
-    def at(self, phases: NDArray, wind: MeanWind) -> tuple[FlightNeeds, list[LimitAlong], NDArray]:
-        """Needs at phases (k,), rad, all that has limits, and cable forces, N."""
+    def at(
+        self, phases: NDArray, wind: MeanWind
+    ) -> tuple[FlightNeeds, list[LimitAlong], OrbitMotion, BowedMotion | None]:
+        """Needs at phases (k,), rad, all that has limits, and the motion, on straight cables.
+
+        Where cables bow that on these, too.
+        """
         model, position = self.model, Pose.view(self._reference).position
         frequency, amplitude = self._parameters
         times = phases / self.rate
@@ -307,12 +318,29 @@ class _Orbit:
             yaw_rate=self._yaw_rate,
             load_wind=wind.at(position),
         )
-        motion = carriers.motion(PlannedOrbit.constant(frequency * times, frequency, amplitude))
+        orbit = PlannedOrbit.constant(frequency * times, frequency, amplitude)
+        straight = motion = carriers.motion(orbit)
         places = self.believed.attachments + motion.cables
-        winds = wind.at(position + places @ R_WL.swapaxes(1, 2)) @ R_WL
-        needs = carriers.needs(motion._replace(velocities=motion.velocities - winds))
+        winds = wind.at(position + places @ R_WL.swapaxes(1, 2))
+        motion, bowed = motion._replace(velocities=motion.velocities - winds @ R_WL), None
+        if self._shape is not None:
+            planned = np.zeros((len(phases), PLANNED_SIZE))
+            planned[:, :3] = np.stack([orbit.angle, orbit.frequency, orbit.amplitude], axis=1)
+            load_winds = np.broadcast_to(wind.at(position), (len(phases), 3))
+            bowed = bowed_motion(
+                self._shape,
+                self.believed,
+                carriers.load,
+                turned_motions(self._reference, self._yaw_rate + 0 * times, self._yaw_rate * times),
+                planned,
+                load_winds,
+                winds,
+                straight,
+            )
+            places = self.believed.attachments + bowed.motion.cables
+        needs = carriers.needs(motion, bowed)
         of_each = limits_along(self.aircraft, needs, self.limits, phases)
-        return needs, [*of_each, *self._of_pairs(places, phases)], motion.forces
+        return needs, [*of_each, *self._of_pairs(places, phases)], straight, bowed
 
     def _of_pairs(self, places: NDArray, phases: NDArray) -> Iterator[LimitAlong]:
         """The distances of carriers at `places` (k, n, 3), in L, and of their cables."""
@@ -334,7 +362,7 @@ def _margins(orbit: _Orbit, wind: MeanWind, name: str) -> AircraftMargins:
     """The margins in a wind, whatever they are."""
     count = _INSTANTS * orbit.turns
     phases = 2 * np.pi / _INSTANTS * np.arange(count)
-    needs, quantities, forces = orbit.at(phases, wind)
+    needs, quantities, motion, bowed = orbit.at(phases, wind)
     margins = [quantity.worst_margin() for quantity in quantities]
     *_, carriers, cables = (quantity.values.min(axis=1) for quantity in quantities)
     step = phases[1]
@@ -342,7 +370,7 @@ def _margins(orbit: _Orbit, wind: MeanWind, name: str) -> AircraftMargins:
         step /= _PARTS
         around = step * np.arange(1 - _PARTS, _PARTS)
         near = np.unique([margin.phase + around for margin in margins])
-        _, quantities, _ = orbit.at(near, wind)
+        _, quantities, *_ = orbit.at(near, wind)
         found = [quantity.worst_margin() for quantity in quantities]
         margins = [min(pair, key=lambda m: m.margin) for pair in zip(margins, found, strict=True)]
     aircraft = orbit.aircraft
@@ -356,7 +384,7 @@ def _margins(orbit: _Orbit, wind: MeanWind, name: str) -> AircraftMargins:
         needs=needs,
         thrust_limits=thrust_limits(aircraft, needs.airspeed),
         ranges=FlightRanges.of(aircraft, needs),
-        cables=BowedCables.of(aircraft, needs.airspeed, forces, orbit.model.attachments),
+        cables=BowedCables.of(orbit.model, needs.airspeed, motion.forces, bowed),
         limits=orbit.limits,
         carrier_distance=carriers,
         cable_distance=cables,

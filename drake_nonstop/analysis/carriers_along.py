@@ -7,8 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from drake_nonstop.analysis.bowed_carriers import BowedMotion, bowed_motion
 from drake_nonstop.analysis.task import Task
-from drake_nonstop.mechanics.aircraft import FlightNeeds
+from drake_nonstop.mechanics.aircraft import FlightNeeds, flown_aircraft
 from drake_nonstop.mechanics.cable import forces_under_other_wrench, wrenches_of
 from drake_nonstop.mechanics.planned_orbit import (
     FlightTerms,
@@ -74,6 +75,7 @@ class CarriersAlong(NamedTuple):
 
     believed: Model
     plant: Model
+    load: RigidLoad  # that moves so
     terms: FlightTerms
     held: FlightTerms  # of the simulated load
 
@@ -82,8 +84,10 @@ class CarriersAlong(NamedTuple):
         cls, believed: Model, plant: Model, terms: Callable[[Model, RigidLoad], FlightTerms]
     ) -> "CarriersAlong":
         """Returns the carriers with the `terms` of a model, and of what moves so."""
-        flown = terms(believed, replace(believed.load, drag=plant.load.drag))
-        return cls(believed, plant, flown, flown if believed is plant else terms(plant, plant.load))
+        load = replace(believed.load, drag=plant.load.drag)
+        flown = terms(believed, load)
+        held = flown if believed is plant else terms(plant, plant.load)
+        return cls(believed, plant, load, flown, held)
 
     def motion(self, orbit: PlannedOrbit) -> OrbitMotion:
         """The carriers' motion, and the forces of the simulated cables."""
@@ -99,10 +103,12 @@ class CarriersAlong(NamedTuple):
         )
         return motion._replace(forces=forces)
 
-    def needs(self, motion: OrbitMotion) -> FlightNeeds:
-        """Needs of the simulated aircraft for this motion, (k, n) each."""
+    def needs(self, motion: OrbitMotion, bowed: BowedMotion | None = None) -> FlightNeeds:
+        """Needs of the simulated aircraft (k, n) for this motion, or for that on bowed cables."""
         assert self.plant.aircraft is not None
-        return needs_of_motion(self.plant.aircraft, motion, self.terms.up[:, None])
+        aircraft = flown_aircraft(self.plant.aircraft, bears_cable_drag=bowed is None)
+        motion = motion if bowed is None else bowed.motion
+        return needs_of_motion(aircraft, motion, self.terms.up[:, None])
 
 
 def carriers_along(task: Task, times: NDArray) -> CarriersAlong:
@@ -112,6 +118,33 @@ def carriers_along(task: Task, times: NDArray) -> CarriersAlong:
     references = [task.reference(time) for time in times]
     return CarriersAlong.of(
         task.carried, task.flown, lambda model, load: orbit_terms(model, references, winds, load)
+    )
+
+
+def bowed_along(
+    task: Task, times: NDArray, planned: NDArray, straight: OrbitMotion
+) -> BowedMotion | None:
+    """The motion of a task's carriers on cables that bow; None: its references are straight.
+
+    Args:
+        task: of load and carriers.
+        times: (k,), s.
+        planned: (k, 8), θ, ξ, A and their rates.
+        straight: their motion on straight cables.
+    """
+    shape = task.response.references.shape
+    if shape is None:
+        return None
+    above = _height_of_carriers(task.carried)
+    return bowed_motion(
+        shape,
+        task.carried,
+        replace(task.carried.load, drag=task.flown.load.drag),
+        np.array([task.reference(time) for time in times]),
+        planned,
+        np.array([task.wind_at(time) for time in times]),
+        np.array([task.wind_at(time, above) for time in times])[:, None],
+        straight,
     )
 
 

@@ -10,7 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from drake_nonstop.analysis.bowed_carriers import BowedMotion
 from drake_nonstop.blocks.fixed_wing_controller import FixedWingControllerConfig
+from drake_nonstop.blocks.lumped_cables import material_of
 from drake_nonstop.mechanics.aircraft import (
     Aircraft,
     FlightNeeds,
@@ -19,10 +21,11 @@ from drake_nonstop.mechanics.aircraft import (
     thrust_limits,
     thrust_share,
 )
-from drake_nonstop.model.aircraft import CABLE_DENSITY
+from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.limits import LIMITS, Limit, Of
 from drake_nonstop.scenario.run_limits import RunLimits
 from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.validation import finite
 
 _NEARLY = 0.04  # of a limit
 _LEAST_TENSION = 1e-3  # N, of a cable that is all but slack
@@ -186,13 +189,14 @@ class LimitAlong(NamedTuple):
 
 
 class BowedCables(NamedTuple):
-    """How drag would bow the cables of aircraft, which are simulated as straight.
+    """How drag bows the cables of aircraft, or would if they were not flown as straight.
 
-    The figures are those of a still load: the air moves past a cable as fast as its aircraft at its
-    upper end, and not at the lower one. So the drag on its length, w_d = ½ ρ C_D d V² at the upper
-    end, grows with the square of the place: of a tension T and a length L the cable bows farthest
-    by w_d L²/(16 ∛4 T), at 0.63 of L, and its chord is shorter by 9/14 L (w_d L/(12 T))². Own
-    derivation, for small bows.
+    Where the references know of it the figures are those of their cables. Elsewhere they are those
+    of a still load: the air moves past a cable as fast as its aircraft at its upper end, and not at
+    the lower one. So the drag on its length, w_d = ½ ρ C_D d V² at the upper end, grows with the
+    square of the place: of a tension T and a length L the cable bows farthest by w_d L²/(16 ∛4 T),
+    at 0.63 of L, and its chord is shorter by 9/14 L (w_d L/(12 T))². Own derivation, for small
+    bows.
     """
 
     bow: float  # m, the largest
@@ -200,52 +204,90 @@ class BowedCables(NamedTuple):
     difference: float  # m, of the shortenings of two cables at one instant, the largest
     mass: float  # kg, of a cable
     load_width: float  # m, the largest distance of two attachments
+    chord: tuple[float, float]  # m, from end to end
+    tension: tuple[float, float]  # N, at the load
+    carrier_tension: tuple[float, float]  # N
+    breaking_load: float  # N
+    are_flown: bool  # whether references count it
 
     @classmethod
     def of(
-        cls, aircraft: Aircraft, airspeeds: NDArray, cable_forces: NDArray, attachments: NDArray
+        cls,
+        model: Model,
+        airspeeds: NDArray,
+        cable_forces: NDArray,
+        bowed: BowedMotion | None = None,
     ) -> "BowedCables":
         """Returns those of n aircraft at airspeeds (k, n), m/s, with cable forces (k, n, 3), N.
 
-        Args:
-            aircraft: its cable_diameter, cable_drag, cable_length and air_density count.
-            airspeeds: m/s.
-            cable_forces: N.
-            attachments: (n, 3), m.
+        The forces are those on the load. `bowed` is the motion of references that know of the bow.
         """
         taut = np.maximum(np.linalg.norm(cable_forces, axis=-1), _LEAST_TENSION)
-        size = aircraft.air_density / 2 * aircraft.cable_drag * aircraft.cable_diameter
-        drag, length = size * airspeeds**2, aircraft.cable_length
-        sag = drag * length / taut
-        shorter = 9 / 14 * length * (sag / 12) ** 2
+        length, pulls = model.cable_length + model.cable_compliance * taut, taut
+        if bowed is None:
+            cable = material_of(model)
+            drag = cable.air_density / 2 * cable.drag * cable.diameter * airspeeds**2
+            sag = drag * model.cable_length / taut
+            bow = float(np.max(sag) * model.cable_length) / (16 * 4 ** (1 / 3))
+            shorter = 9 / 14 * model.cable_length * (sag / 12) ** 2
+        else:
+            bow = float(np.max(bowed.bows))
+            shorter = length - np.linalg.norm(bowed.motion.cables, axis=-1)
+            pulls = np.linalg.norm(bowed.motion.forces, axis=-1)
+        apart = (float(np.linalg.norm(a - b)) for a, b in combinations(model.attachments, 2))
         return cls(
-            bow=float(np.max(sag) * length) / (16 * 4 ** (1 / 3)),
-            shortening=(float(np.min(shorter)), float(np.max(shorter))),
+            bow=bow,
+            shortening=_range(shorter),
             difference=float(np.max(np.ptp(shorter, axis=1))),
-            mass=float(CABLE_DENSITY * math.pi / 4 * aircraft.cable_diameter**2 * length),
-            load_width=max(float(np.linalg.norm(a - b)) for a, b in combinations(attachments, 2)),
+            mass=model.cable_mass,
+            load_width=max(apart),
+            chord=_range(length - shorter),
+            tension=_range(taut),
+            carrier_tension=_range(pulls),
+            breaking_load=model.cable_breaking_load,
+            are_flown=bowed is not None,
         )
+
+    @property
+    def name(self) -> str:
+        """Of its line in a table."""
+        return "cables" if self.are_flown else "real cables"
+
+    @property
+    def safety(self) -> float:
+        """The breaking load over the largest tension."""
+        return self.breaking_load / max(self.tension[1], self.carrier_tension[1])
 
     @property
     def text(self) -> str:
         """All of it in a line."""
-        least, most = self.shortening
-        return (
+        (least, most), (low, high) = self.shortening, self.tension
+        said = (
             f"bow by up to {self.bow:.2g} m and are {least:.2g} to {most:.2g} m shorter, "
             f"two of them by up to {self.difference:.2g} m differently; {self.mass:.2g} kg each"
         )
+        if self.are_flown:
+            below, above = self.carrier_tension
+            said += (
+                f"; chords of {self.chord[0]:.2f} to {self.chord[1]:.2f} m, {low:.3g} to "
+                f"{high:.3g} N at the load and {below:.3g} to {above:.3g} N at the carriers"
+            )
+        if math.isfinite(self.safety):
+            said += f"; they break at {self.safety:.2g} times the largest tension"
+        return said
 
     @property
     def warning(self) -> str:
-        """A sentence on what to expect of a real flight; "" where the cables stay alike."""
+        """A sentence on what to expect of a real flight; "" where it is counted, or little."""
         allowed = _SHARE_OF_WIDTH * self.load_width
-        if self.difference <= allowed:
+        if self.are_flown or self.difference <= allowed:
             return ""
         return (
             f"cables are simulated as straight: drag would shorten two of them by up to "
             f"{self.difference:.2g} m differently, more than a hundredth of the load's width "
             f"({allowed:.2g} m), which turns and moves the load; give thinner cables "
-            "(cable_diameter) or more tension, or expect a flight that differs"
+            "(cable_diameter) or more tension, carrier_trajectory=BowedCarrierTrajectory with "
+            "cables=LumpedCables, or expect a flight that differs"
         )
 
     @property
@@ -255,6 +297,11 @@ class BowedCables(NamedTuple):
             "bow_m": self.bow,
             "shortening_m": list(self.shortening),
             "shortening_difference_m": self.difference,
+            "chord_m": list(self.chord),
+            "tension_N": list(self.tension),
+            "carrier_tension_N": list(self.carrier_tension),
+            "breaking_load_N": finite(self.breaking_load),
+            "are_flown": self.are_flown,
             "mass_kg": self.mass,
             "load_width_m": self.load_width,
             "warning": self.warning,

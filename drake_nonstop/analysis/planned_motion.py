@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.analysis.carriers_along import motion_above, orbit_terms
+from drake_nonstop.analysis.carriers_along import bowed_along, motion_above, orbit_terms
 from drake_nonstop.analysis.limit import find_collisions
 from drake_nonstop.analysis.separations import Spacing, closest_cables, closest_carriers
 from drake_nonstop.analysis.task import Task
@@ -81,7 +81,11 @@ class PlannedMotion(Spacing):
         self._forces = motion.forces @ R_LW  # (k, n, 3), N, in W
         self.load_positions = loads.position
         self._attachments = loads.position[:, None] + self._model.attachments @ R_LW
-        self._carriers = self._attachments + motion.cables @ R_LW
+        bowed = bowed_along(task, times, planned, motion)
+        cables = motion.cables if bowed is None else bowed.motion.cables
+        nodes = [] if bowed is None else self._attachments + bowed.nodes @ R_LW
+        self._carriers = self._attachments + cables @ R_LW
+        self._points = np.stack([self._attachments, *nodes, self._carriers])
 
     @property
     def system(self) -> SystemParameters:
@@ -97,6 +101,11 @@ class PlannedMotion(Spacing):
     def carrier_positions(self) -> NDArray:
         """(k, n, 3), in W, m."""
         return self._carriers
+
+    @property
+    def cable_points(self) -> NDArray:
+        """Those of bowed cables, where references know of them."""
+        return self._points
 
     @cached_property
     def collisions(self) -> list[str]:

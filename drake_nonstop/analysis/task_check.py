@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from pydrake.systems.framework import Diagram
 
-from drake_nonstop.analysis.carriers_along import carriers_along
+from drake_nonstop.analysis.carriers_along import bowed_along, carriers_along
 from drake_nonstop.analysis.flight_envelope import (
     BowedCables,
     FlightEnvelope,
@@ -49,7 +49,7 @@ class FlightOfPlan(NamedTuple):
     margins: tuple[FlightMargin, ...]  # phases are the plan's θ, from 0 to 2π
     times: tuple[float, ...]  # s, of each
     ranges: FlightRanges  # of what they need
-    cables: BowedCables  # what straight ones leave out
+    cables: BowedCables  # how drag bows them
     missed_share: float  # of the time, in which an aircraft needs more than its limits allow
     largest_share: float  # up to which that can be flown: `limits.saturated_share` of the run
     gust: float = 0.0  # m/s, standard deviation of the wind at a carrier, which is left out
@@ -124,7 +124,8 @@ def flight_of_plan(task: Task, speeds: SpeedCheck, limits: FlightEnvelope) -> Fl
     planned = task.planned(speeds.plan, times)
     carriers = carriers_along(task, times)
     motion = carriers.motion(PlannedOrbit.of_planned(planned))
-    needs = carriers.needs(motion)
+    bowed = bowed_along(task, times, planned, motion)
+    needs = carriers.needs(motion, bowed)
     quantities = [*limits_along(aircraft, needs, limits, times)]
     angles = planned[:, 0] % (2 * math.pi)
     missed = [np.any(quantity.left.round(9) < 0, axis=1) for quantity in quantities]
@@ -132,7 +133,7 @@ def flight_of_plan(task: Task, speeds: SpeedCheck, limits: FlightEnvelope) -> Fl
         tuple(quantity.worst_margin(angles) for quantity in quantities),
         tuple(quantity.time for quantity in quantities),
         FlightRanges.of(aircraft, needs),
-        BowedCables.of(aircraft, needs.airspeed, motion.forces, task.flown.attachments),
+        BowedCables.of(task.flown, needs.airspeed, motion.forces, bowed),
         float(np.mean(np.any(missed, axis=0))),
         limits.saturated_share,
         task.air.gust,
@@ -390,7 +391,10 @@ def task_table(found: TaskCheck) -> str:
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
     if found.flight is not None:
-        of_flight = [*found.flight.ranges.lines, ("real cables", found.flight.cables.text)]
+        of_flight = [
+            *found.flight.ranges.lines,
+            (found.flight.cables.name, found.flight.cables.text),
+        ]
         lines += [f"{name + ', on the way':{widths[0]}}  {text}" for name, text in of_flight]
     return "\n".join(lines)
 

@@ -21,7 +21,7 @@ from drake_nonstop.mechanics.grasp import second_and_third_force_rates
 from drake_nonstop.mechanics.lumped_cable import CableMaterial
 from drake_nonstop.mechanics.signal_layouts import SAMPLE_TIME, Layout, nodes_layout
 from drake_nonstop.model.block import LOAD, Block, BlockParameters, rigid_load
-from drake_nonstop.model.descriptions import CarrierReferences, described
+from drake_nonstop.model.descriptions import CableShape, CarrierReferences, described
 from drake_nonstop.model.system import OFFSET, Model
 from drake_nonstop.systems.requirements import LoopBlocks
 from drake_nonstop.systems.traced_block import BetweenSamples
@@ -306,6 +306,10 @@ class BowedCarrierTrajectoryConfig(_Hold):
     window: float = positive(0.75)  # s, before and after the present, in which their motion counts
 
 
+def _shape_of(config: BowedCarrierTrajectoryConfig) -> CableShape:
+    return CableShape(config.nodes, TimeWindow.of(config.window, _INSTANTS))
+
+
 class BowedCarrierTrajectory(_TrajectoryAboveReference):
     """Carriers at the ends of cables that bow under their drag, weight and inertia.
 
@@ -347,8 +351,12 @@ class BowedCarrierTrajectory(_TrajectoryAboveReference):
     bears_drag = True  # of the cables, which aircraft then do not
 
     def constants(self, model: Model, config: Any) -> dict[str, Any]:
-        own = {"nodes": config.nodes, "window": TimeWindow.of(config.window, _INSTANTS)}
+        own = _shape_of(config)._asdict()
         return super().constants(model, config) | own | air_density_where_unsaid(model)
+
+    def describe_response(self) -> CarrierReferences:
+        shape = _shape_of(self.config) if self.model.system.cable_diameter > 0 else None
+        return super().describe_response()._replace(shape=shape)
 
     def block_parameters(self, model: Model, config: Any) -> BlockParameters:
         return self.parameters_of(

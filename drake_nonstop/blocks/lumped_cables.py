@@ -193,3 +193,10 @@ class LumpedCables(Block):
 def cable_material(numbers: dict[str, Any]) -> CableMaterial:
     """The cables of a block's numbers, by the names of its parameters and constants."""
     return CableMaterial._make(numbers[name] for name in (*CABLE_MATERIAL, _OF_AIR, "gravity"))
+
+
+def material_of(model: Model) -> CableMaterial:
+    """The cables of a model."""
+    names = (*CABLE_MATERIAL, "gravity", *air_density_name(model))
+    numbers = {name: model.number(name) for name in names}
+    return cable_material(numbers | air_density_where_unsaid(model))

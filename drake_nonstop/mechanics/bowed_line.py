@@ -146,8 +146,8 @@ def motion_over_window(
     reference: NDArray,
     reference_higher_rates: NDArray,
     planned: NDArray,
-    forces: NDArray,
-    rates: NDArray,
+    forces: NDArray | None,
+    rates: NDArray | None,
     wind: NDArray,
     window: TimeWindow,
     *,
@@ -169,7 +169,7 @@ def motion_over_window(
         reference: (22,), the present one.
         reference_higher_rates: (6,), [angular jerk; snap].
         planned: (8,), `PlannedParameters`.
-        forces: f (n, 3), N, the present desired ones on the load, in W.
+        forces: f (n, 3), N, the present desired ones on the load, in W; None: those of the motion.
         rates: ḟ (n, 3), N/s.
         wind: (3,), m/s, in W, steady.
         window: the k instants.
@@ -198,9 +198,12 @@ def motion_over_window(
     values = amplitude * np.cos(orders * angle + phases)
     of_motion = wrench @ pseudo_inverse.T + offset + values @ basis.T
     along = of_motion.reshape(len(t), -1, 3) @ R_WL.swapaxes(-1, -2)
+    ends = position[:, None] + attachments @ R_WL.swapaxes(-1, -2)
+    if forces is None or rates is None:
+        return along, ends
     present, present_rate, *_ = window.at_present(along)
     of_feedback = (forces - present) + t[:, :, None] * (rates - present_rate)
-    return along + of_feedback, position[:, None] + attachments @ R_WL.swapaxes(-1, -2)
+    return along + of_feedback, ends
 
 
 def _series(time: NDArray, *rates: NDArray) -> NDArray:

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from drake_nonstop.mechanics.bowed_line import TimeWindow
 from drake_nonstop.mechanics.signals import TRACKING_ERROR_SIZE
 from drake_nonstop.mechanics.wind import MeanWind, risen_share
 from drake_nonstop.systems.block import has_own
@@ -43,6 +44,13 @@ class CarrierMotion(NamedTuple):
     bears_cables: bool = False  # whether weight and cables pull at the carriers, too
 
 
+class CableShape(NamedTuple):
+    """How finely bowed references resolve their cables; see `mechanics.bowed_line`."""
+
+    nodes: int  # of each cable
+    window: TimeWindow  # in which their motion counts
+
+
 class CarrierReferences(NamedTuple):
     """The references of a `carrier_trajectory`."""
 
@@ -50,6 +58,7 @@ class CarrierReferences(NamedTuple):
     # they are continuous; None: it is not known.
     hold: int | None
     is_above_load: bool = False  # whether they follow the measured load instead of its reference
+    shape: CableShape | None = None  # of cables that bow; None: they are straight
 
 
 class PseudoInverse(NamedTuple):

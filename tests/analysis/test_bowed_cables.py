@@ -2,18 +2,28 @@
 
 import numpy as np
 import pytest
+from golden.numbers import read_table
+from helpers import nightly_beyond
 
+from drake_nonstop import load_scenario
+from drake_nonstop.analysis.aircraft_margins import aircraft_margins
 from drake_nonstop.analysis.flight_envelope import BowedCables
-from drake_nonstop.model.aircraft import AircraftParameters, make_aircraft
+from drake_nonstop.model.aircraft import AircraftParameters
+from drake_nonstop.model.pattern import HamiltonianCycleConfig
+from drake_nonstop.model.system import Model, SystemParameters
 
 LENGTH, SPEED, TENSION = 150.0, 15.3, 25.0
 
 
 def cables(diameter):
-    parameters = AircraftParameters(model="rascal_110")
-    aircraft = make_aircraft(parameters, cable_length=LENGTH, gravity=9.81, cable_diameter=diameter)
-    one = np.ones((1, 1))
-    return aircraft, BowedCables.of(aircraft, SPEED * one, TENSION * one[..., None], np.eye(2))
+    system = SystemParameters(
+        aircraft=AircraftParameters(model="rascal_110"),
+        cable_length=LENGTH,
+        cable_diameter=diameter,
+        cable_drag=1.1,
+    )
+    model, one = Model(system, HamiltonianCycleConfig()), np.ones((1, 4))
+    return model, BowedCables.of(model, SPEED * one, TENSION * one[..., None] * [0.0, 0.0, 1.0])
 
 
 @pytest.mark.parametrize(
@@ -30,8 +40,8 @@ def test_bow_shortening_and_mass_of_an_independent_derivation(diameter, bow, sho
 
 def test_a_bowed_cable_is_that_of_its_differential_equation():
     """T y'' = -w_d (s/L)^2 with y = 0 at both ends; the arc is longer by the sum of y'^2/2."""
-    aircraft, found = cables(1e-3)
-    drag = aircraft.air_density / 2 * aircraft.cable_drag * 1e-3 * SPEED**2
+    model, found = cables(1e-3)
+    drag = model.aircraft.air_density / 2 * 1.1 * 1e-3 * SPEED**2
     s = np.linspace(0, LENGTH, 20001)
     step = s[1]
     bent = -drag / TENSION * (s / LENGTH) ** 2
@@ -41,3 +51,29 @@ def test_a_bowed_cable_is_that_of_its_differential_equation():
     assert found.bow == pytest.approx(y.max(), rel=1e-6)
     longer = np.sum((slope[1:] ** 2 + slope[:-1] ** 2) / 4) * step
     assert found.shortening[0] == pytest.approx(longer, rel=1e-6)
+    assert found.safety == pytest.approx(1600e6 * np.pi / 4 * 1e-6 / TENSION)
+    assert f"break at {found.safety:.2g} times the largest tension" in found.text
+
+
+@pytest.mark.parametrize(
+    "name",
+    nightly_beyond(1, "flights", ["aircraft_rest_cables", "aircraft_co_rotating_cables"]),
+)
+def test_what_is_told_of_bowed_cables_is_what_is_flown(name):
+    """Of flights of `LumpedCables`, whose load is up to 10 mm off its place."""
+    found, flown = aircraft_margins(load_scenario(name)), read_table()[name]
+    value = {margin.name: margin.value for margin in found.margins}
+    for told, quantity, tolerance in (
+        (value["bank"], "aircraft.bank_max_rad", 0.002),
+        (value["C_L / C_Lmax"], "aircraft.lift_share_max", 0.004),
+        (value["carriers apart"], "carriers.separation_min_m", 0.02),
+        (found.ranges.airspeed[0], "aircraft.airspeed_min_m_s", 0.01),
+        (found.ranges.thrust[1], "aircraft.thrust_max_N", 0.1),
+        (found.ranges.thrust[0], "aircraft.thrust_min_N", 0.1),
+        (found.propulsive_power, "aircraft.power_mean_W", 0.5),
+        (found.cables.tension[0], "cables.tension_min_N", 0.3),
+    ):
+        assert told == pytest.approx(float(flown[quantity].value), abs=tolerance), quantity
+    assert found.cables.are_flown
+    assert "N at the carriers" in found.cables.text
+    assert not found.cables.warning
