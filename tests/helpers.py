@@ -16,6 +16,7 @@ from pydrake.systems.framework import Context, LeafSystem, System
 from drake_nonstop.analysis.carriers_along import resting_carriers
 from drake_nonstop.blocks.optimization_layer import NonstopOptimizerConfig
 from drake_nonstop.mechanics.planned_orbit import PlannedOrbit
+from drake_nonstop.mechanics.rotation import rotation_matrix
 from drake_nonstop.model.pattern import HamiltonianCycleConfig
 from drake_nonstop.model.system import Model, SystemParameters
 from drake_nonstop.scenario.schema import Scenario
@@ -157,9 +158,8 @@ def resting_orbits(
     load_wind: NDArray,
 ) -> WorldOrbits:
     """The motion of `resting_carriers` at times (k,), s, with the phase θ = ξ t, in W."""
-    carriers, R_WL = resting_carriers(
-        model, model, pose, times, yaw_rate=yaw_rate, load_wind=load_wind
-    )
+    carriers = resting_carriers(model, model, pose, times, yaw_rate=yaw_rate, load_wind=load_wind)
+    R_WL = rotation_matrix(carriers.references[:, :4])
     frequency, amplitude = parameters
     motion = carriers.motion(PlannedOrbit.constant(frequency * times, frequency, amplitude))
     forces, cables, velocities, accelerations = (part @ R_WL.swapaxes(1, 2) for part in motion)

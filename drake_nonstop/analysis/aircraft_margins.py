@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.framework import Context, Diagram, System
 
-from drake_nonstop.analysis.bowed_carriers import BowedMotion, bowed_motion
-from drake_nonstop.analysis.carriers_along import resting_carriers
+from drake_nonstop.analysis.carriers_along import BowedMotion, resting_carriers
 from drake_nonstop.analysis.flight_envelope import (
     ROWS,
     BowedCables,
@@ -36,8 +35,9 @@ from drake_nonstop.mechanics.aircraft import (
     thrust_limits,
     thrust_power,
 )
-from drake_nonstop.mechanics.planned_orbit import OrbitMotion, PlannedOrbit, turned_motions
-from drake_nonstop.mechanics.signals import PLANNED_SIZE, LoadReference, Parameters, Pose
+from drake_nonstop.mechanics.planned_orbit import PlannedOrbit
+from drake_nonstop.mechanics.rotation import rotation_matrix
+from drake_nonstop.mechanics.signals import LoadReference, Parameters, Pose
 from drake_nonstop.mechanics.wind import MeanWind
 from drake_nonstop.model.descriptions import CableShape
 from drake_nonstop.model.system import Model
@@ -302,45 +302,32 @@ class _Orbit:
 
     def at(
         self, phases: NDArray, wind: MeanWind
-    ) -> tuple[FlightNeeds, list[LimitAlong], OrbitMotion, BowedMotion | None]:
-        """Needs at phases (k,), rad, all that has limits, and the motion, on straight cables.
-
-        Where cables bow that on these, too.
-        """
+    ) -> tuple[FlightNeeds, list[LimitAlong], NDArray, BowedMotion | None]:
+        """Needs at phases (k,), rad, all that has limits, forces on the load, N, and the bow."""
         model, position = self.model, Pose.view(self._reference).position
         frequency, amplitude = self._parameters
         times = phases / self.rate
-        carriers, R_WL = resting_carriers(
+        carriers = resting_carriers(
             self.believed,
             model,
             self._reference,
             times,
             yaw_rate=self._yaw_rate,
             load_wind=wind.at(position),
+            shape=self._shape,
         )
+        R_WL = rotation_matrix(LoadReference.view(carriers.references).quaternion)
         orbit = PlannedOrbit.constant(frequency * times, frequency, amplitude)
-        straight = motion = carriers.motion(orbit)
+        motion = carriers.motion(orbit)
         places = self.believed.attachments + motion.cables
         winds = wind.at(position + places @ R_WL.swapaxes(1, 2))
-        motion, bowed = motion._replace(velocities=motion.velocities - winds @ R_WL), None
-        if self._shape is not None:
-            planned = np.zeros((len(phases), PLANNED_SIZE))
-            planned[:, :3] = np.stack([orbit.angle, orbit.frequency, orbit.amplitude], axis=1)
-            load_winds = np.broadcast_to(wind.at(position), (len(phases), 3))
-            bowed = bowed_motion(
-                self._shape,
-                self.believed,
-                carriers.load,
-                turned_motions(self._reference, self._yaw_rate + 0 * times, self._yaw_rate * times),
-                planned,
-                load_winds,
-                winds,
-                straight,
-            )
-            places = self.believed.attachments + bowed.motion.cables
+        bowed = carriers.bowed(orbit, motion, winds)
+        motion = motion._replace(velocities=motion.velocities - winds @ R_WL)
         needs = carriers.needs(motion, bowed)
+        if bowed is not None:
+            places = self.believed.attachments + bowed.motion.cables
         of_each = limits_along(self.aircraft, needs, self.limits, phases)
-        return needs, [*of_each, *self._of_pairs(places, phases)], straight, bowed
+        return needs, [*of_each, *self._of_pairs(places, phases)], motion.forces, bowed
 
     def _of_pairs(self, places: NDArray, phases: NDArray) -> Iterator[LimitAlong]:
         """The distances of carriers at `places` (k, n, 3), in L, and of their cables."""
@@ -362,7 +349,7 @@ def _margins(orbit: _Orbit, wind: MeanWind, name: str) -> AircraftMargins:
     """The margins in a wind, whatever they are."""
     count = _INSTANTS * orbit.turns
     phases = 2 * np.pi / _INSTANTS * np.arange(count)
-    needs, quantities, motion, bowed = orbit.at(phases, wind)
+    needs, quantities, forces, bowed = orbit.at(phases, wind)
     margins = [quantity.worst_margin() for quantity in quantities]
     *_, carriers, cables = (quantity.values.min(axis=1) for quantity in quantities)
     step = phases[1]
@@ -384,7 +371,7 @@ def _margins(orbit: _Orbit, wind: MeanWind, name: str) -> AircraftMargins:
         needs=needs,
         thrust_limits=thrust_limits(aircraft, needs.airspeed),
         ranges=FlightRanges.of(aircraft, needs),
-        cables=BowedCables.of(orbit.model, needs.airspeed, motion.forces, bowed),
+        cables=BowedCables.of(orbit.model, needs.airspeed, forces, bowed),
         limits=orbit.limits,
         carrier_distance=carriers,
         cable_distance=cables,

@@ -7,9 +7,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.analysis.bowed_carriers import BowedMotion, bowed_motion
 from drake_nonstop.analysis.task import Task
+from drake_nonstop.blocks.lumped_cables import material_of
 from drake_nonstop.mechanics.aircraft import FlightNeeds, flown_aircraft
+from drake_nonstop.mechanics.bowed_line import bowed_lines, motion_over_window
 from drake_nonstop.mechanics.cable import forces_under_other_wrench, wrenches_of
 from drake_nonstop.mechanics.planned_orbit import (
     FlightTerms,
@@ -24,15 +25,22 @@ from drake_nonstop.mechanics.planned_orbit import (
 )
 from drake_nonstop.mechanics.rigid_load import STILL_AIR, RigidLoad
 from drake_nonstop.mechanics.rotation import rotation_matrix
-from drake_nonstop.mechanics.signals import LoadReference, Pose, resting_reference
+from drake_nonstop.mechanics.signals import (
+    PLANNED_SIZE,
+    LoadReference,
+    PlannedParameters,
+    Pose,
+    resting_reference,
+)
 from drake_nonstop.mechanics.wrench import feedforward_wrench
+from drake_nonstop.model.descriptions import CableShape
 from drake_nonstop.model.system import Model
 
 
 def orbit_terms(
     model: Model,
     references: Sequence[NDArray] | NDArray,
-    winds: Sequence[NDArray],
+    winds: Sequence[NDArray] | NDArray,
     load: RigidLoad | None = None,
 ) -> FlightTerms:
     """Data of orbits besides the plan, at k references (22,) with their winds (3,).
@@ -65,6 +73,20 @@ def motion_above(model: Model, terms: FlightTerms, orbit: PlannedOrbit) -> Orbit
     )
 
 
+class BowedMotion(NamedTuple):
+    """Carriers at the upper ends of bowed cables, and these, at k instants, in L."""
+
+    motion: OrbitMotion  # its forces are those that carriers pull with
+    nodes: NDArray  # (N, k, n, 3), m, from the attachments
+
+    @property
+    def bows(self) -> NDArray:
+        """The largest distances (k, n), m, of nodes from the line between a cable's ends."""
+        chords = self.motion.cables
+        apart = np.linalg.norm(np.cross(self.nodes, chords), axis=-1).max(axis=0)
+        return apart / np.linalg.norm(chords, axis=-1)
+
+
 class CarriersAlong(NamedTuple):
     """Carriers that fly the orbits which the controllers believe in exactly, at k instants.
 
@@ -76,18 +98,29 @@ class CarriersAlong(NamedTuple):
     believed: Model
     plant: Model
     load: RigidLoad  # that moves so
+    references: NDArray  # (k, 22), of the load
+    load_winds: NDArray  # (k, 3), m/s, in W, at the load
+    winds: NDArray  # (k, 3), m/s, in W, at the carriers' mean height
+    shape: CableShape | None  # of bowed cables; None: the references' cables are straight
     terms: FlightTerms
     held: FlightTerms  # of the simulated load
 
     @classmethod
     def of(
-        cls, believed: Model, plant: Model, terms: Callable[[Model, RigidLoad], FlightTerms]
+        cls,
+        believed: Model,
+        plant: Model,
+        references: NDArray,
+        load_winds: NDArray,
+        winds: NDArray,
+        shape: CableShape | None,
+        terms: Callable[[Model, RigidLoad], FlightTerms],
     ) -> "CarriersAlong":
         """Returns the carriers with the `terms` of a model, and of what moves so."""
         load = replace(believed.load, drag=plant.load.drag)
         flown = terms(believed, load)
         held = flown if believed is plant else terms(plant, plant.load)
-        return cls(believed, plant, load, flown, held)
+        return cls(believed, plant, load, references, load_winds, winds, shape, flown, held)
 
     def motion(self, orbit: PlannedOrbit) -> OrbitMotion:
         """The carriers' motion, and the forces of the simulated cables."""
@@ -110,41 +143,76 @@ class CarriersAlong(NamedTuple):
         motion = motion if bowed is None else bowed.motion
         return needs_of_motion(aircraft, motion, self.terms.up[:, None])
 
+    def bowed(
+        self, orbit: PlannedOrbit, straight: OrbitMotion, winds: NDArray | None = None
+    ) -> BowedMotion | None:
+        """The carriers' motion where `BowedCarrierTrajectory` has them; None: cables are straight.
+
+        Rates of ξ and A that `orbit` does not have, and the references' angular jerk and snap, are
+        taken as zero. Where the simulated cables pull with other forces at the load than those of
+        the model, carriers pull with as much more.
+
+        Args:
+            orbit: at the instants.
+            straight: their `motion`.
+            winds: (k, n, 3), m/s, in W, at the carriers; None: those at their mean height.
+        """
+        if self.shape is None:
+            return None
+        winds = self.winds[:, None] if winds is None else winds
+        window, model, pattern = self.shape.window, self.believed, self.believed.pattern
+        planned = np.zeros((len(self.references), PLANNED_SIZE))
+        for name, values in orbit._asdict().items():
+            getattr(PlannedParameters.view(planned), name)[:, 0] = values
+        over_window = [
+            motion_over_window(
+                *(self.load, reference, np.zeros(6), plan, None, None, wind, window),
+                attachments=model.attachments,
+                pseudo_inverse=model.pseudo_inverse,
+                offset=pattern.offset,
+                basis=pattern.basis,
+                phases=pattern.phases,
+                orders=pattern.orders,
+            )
+            for reference, plan, wind in zip(self.references, planned, self.load_winds, strict=True)
+        ]
+        forces, ends = (np.stack(parts, axis=1) for parts in zip(*over_window, strict=True))
+        now, size = len(window.times) // 2, forces.shape[1:]
+        at_load = np.broadcast_to(self.load_winds[:, None], size)
+        lines = bowed_lines(
+            forces.reshape(len(window.times), -1, 3),
+            ends.reshape(len(window.times), -1, 3),
+            at_load.reshape(-1, 3),
+            window,
+            cable=material_of(model),
+            nodes=self.shape.nodes,
+            gusts=(winds - at_load).reshape(-1, 3),
+        )
+        R_WL = rotation_matrix(LoadReference.view(self.references).quaternion)
+        position, velocity, acceleration = (
+            rate.reshape(size) for rate in window.at_present(lines.ends)[:3]
+        )
+        pulls = (lines.forces[now].reshape(size) - forces[now]) @ R_WL + straight.forces
+        at_ends = position - ends[now], velocity - winds, acceleration
+        nodes = lines.nodes[:, now].reshape(-1, *size) - ends[now]
+        return BowedMotion(OrbitMotion(pulls, *(part @ R_WL for part in at_ends)), nodes @ R_WL)
+
 
 def carriers_along(task: Task, times: NDArray) -> CarriersAlong:
     """Returns a task's carriers at times (k,), s, in the mean wind at their mean height."""
     above = _height_of_carriers(task.carried)
-    winds = [task.wind_at(time, above) for time in times]
-    references = [task.reference(time) for time in times]
-    return CarriersAlong.of(
-        task.carried, task.flown, lambda model, load: orbit_terms(model, references, winds, load)
+    at_load, winds = (
+        np.array([task.wind_at(time, height) for time in times]) for height in (0.0, above)
     )
-
-
-def bowed_along(
-    task: Task, times: NDArray, planned: NDArray, straight: OrbitMotion
-) -> BowedMotion | None:
-    """The motion of a task's carriers on cables that bow; None: its references are straight.
-
-    Args:
-        task: of load and carriers.
-        times: (k,), s.
-        planned: (k, 8), θ, ξ, A and their rates.
-        straight: their motion on straight cables.
-    """
-    shape = task.response.references.shape
-    if shape is None:
-        return None
-    above = _height_of_carriers(task.carried)
-    return bowed_motion(
-        shape,
+    references = np.array([task.reference(time) for time in times])
+    return CarriersAlong.of(
         task.carried,
-        replace(task.carried.load, drag=task.flown.load.drag),
-        np.array([task.reference(time) for time in times]),
-        planned,
-        np.array([task.wind_at(time) for time in times]),
-        np.array([task.wind_at(time, above) for time in times])[:, None],
-        straight,
+        task.flown,
+        references,
+        at_load,
+        winds,
+        task.response.references.shape,
+        lambda model, load: orbit_terms(model, references, winds, load),
     )
 
 
@@ -156,13 +224,14 @@ def resting_carriers(
     *,
     yaw_rate: float,
     load_wind: NDArray,
-) -> tuple[CarriersAlong, NDArray]:
-    """Carriers above a load that rests, but for a steady turn about the vertical; R_WL (k, 3, 3).
+    shape: CableShape | None = None,
+) -> CarriersAlong:
+    """Carriers above a load that rests, but for a steady turn about the vertical.
 
     With w the wind at the load, the cables hold it against its weight and the wind's drag,
     F = m g e₃ − B_L w, and turn it by the torque ω × J ω + C_L ω in L. Their velocities are those
     in still air. The pose (7,) is that in W at t = 0, the times (k,) are in s, the `yaw_rate` in
-    rad/s, and the wind (3,) in m/s, in W.
+    rad/s, and the wind (3,) in m/s, in W. The `shape` is that of bowed cables.
     """
     rest = resting_reference()
     own = LoadReference.view(rest)
@@ -180,8 +249,9 @@ def resting_carriers(
             attachments=model.attachments,
         )
 
-    R_WL = rotation_matrix(turned_motions(rest, *turn)[:, :4])
-    return CarriersAlong.of(believed, plant, terms), R_WL
+    load_winds = np.tile(load_wind, (len(times), 1))
+    turned = turned_motions(rest, *turn)
+    return CarriersAlong.of(believed, plant, turned, load_winds, load_winds, shape, terms)
 
 
 def _height_of_carriers(model: Model) -> float:

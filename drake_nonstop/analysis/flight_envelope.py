@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.analysis.bowed_carriers import BowedMotion
+from drake_nonstop.analysis.carriers_along import BowedMotion
 from drake_nonstop.blocks.fixed_wing_controller import FixedWingControllerConfig
 from drake_nonstop.blocks.lumped_cables import material_of
 from drake_nonstop.mechanics.aircraft import (

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.analysis.carriers_along import bowed_along, motion_above, orbit_terms
+from drake_nonstop.analysis.carriers_along import carriers_along, motion_above, orbit_terms
 from drake_nonstop.analysis.limit import find_collisions
 from drake_nonstop.analysis.separations import Spacing, closest_cables, closest_carriers
 from drake_nonstop.analysis.task import Task
@@ -72,16 +72,17 @@ class PlannedMotion(Spacing):
         fastest = task.limits.frequency * (1 if plan is None else plan.coefficients[0].max())
         turns = task.duration * fastest / (2 * math.pi)
         self.time = times = np.linspace(0, task.duration, math.ceil(_PER_TURN * (1 + turns)))
-        planned = task.planned(plan, times)
+        orbit = PlannedOrbit.of_planned(task.planned(plan, times))
         references = np.array([task.reference(time) for time in times])
         terms = orbit_terms(task.flown, references, [task.wind_at(time) for time in times])
-        motion = motion_above(task.flown, terms, PlannedOrbit.of_planned(planned))
+        motion = motion_above(task.flown, terms, orbit)
         loads = LoadReference.view(references)
         R_LW = rotation_matrix(loads.quaternion).swapaxes(1, 2)
         self._forces = motion.forces @ R_LW  # (k, n, 3), N, in W
         self.load_positions = loads.position
         self._attachments = loads.position[:, None] + self._model.attachments @ R_LW
-        bowed = bowed_along(task, times, planned, motion)
+        has_bow = task.response.references.shape is not None
+        bowed = carriers_along(task, times).bowed(orbit, motion) if has_bow else None
         cables = motion.cables if bowed is None else bowed.motion.cables
         nodes = [] if bowed is None else self._attachments + bowed.nodes @ R_LW
         self._carriers = self._attachments + cables @ R_LW

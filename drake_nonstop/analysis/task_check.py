@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from pydrake.systems.framework import Diagram
 
-from drake_nonstop.analysis.carriers_along import bowed_along, carriers_along
+from drake_nonstop.analysis.carriers_along import carriers_along
 from drake_nonstop.analysis.flight_envelope import (
     BowedCables,
     FlightEnvelope,
@@ -123,8 +123,9 @@ def flight_of_plan(task: Task, speeds: SpeedCheck, limits: FlightEnvelope) -> Fl
     times = speeds.plan_times
     planned = task.planned(speeds.plan, times)
     carriers = carriers_along(task, times)
-    motion = carriers.motion(PlannedOrbit.of_planned(planned))
-    bowed = bowed_along(task, times, planned, motion)
+    orbit = PlannedOrbit.of_planned(planned)
+    motion = carriers.motion(orbit)
+    bowed = carriers.bowed(orbit, motion)
     needs = carriers.needs(motion, bowed)
     quantities = [*limits_along(aircraft, needs, limits, times)]
     angles = planned[:, 0] % (2 * math.pi)

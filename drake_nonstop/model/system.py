@@ -273,6 +273,11 @@ def breaking_load(system: SystemParameters) -> float:
     return _STRENGTH * _cable_area(system) or math.inf
 
 
+def diameter_of(breaking: Any) -> Any:
+    """Diameter in m of a cable that breaks at so many N, a number or an array."""
+    return np.sqrt(4 / math.pi / _STRENGTH * breaking)
+
+
 def _cable_area(system: SystemParameters) -> float:
     return math.pi / 4 * system.cable_diameter**2
 

@@ -33,6 +33,7 @@ from drake_nonstop.mechanics.formation_orbit import (
     carrier_orbit,
 )
 from drake_nonstop.mechanics.planned_orbit import OrbitMotion
+from drake_nonstop.model.system import diameter_of
 from drake_nonstop.optimization.limits import Limit
 from drake_nonstop.systems.tracing import TracedFunction
 
@@ -100,6 +101,16 @@ class DesignLimits(NamedTuple):
     asked: tuple[tuple[Limit, float], ...] = ()  # rows of the table of limits, with their values
 
 
+class CableDesign(NamedTuple):
+    """How cables follow from a formation."""
+
+    safety: float = 0.0  # breaking load over the largest tension; 0: their diameter is given
+    density: float = 0.0  # kg/m³; 0: their mass does not count
+
+
+_GIVEN = CableDesign()
+
+
 @dataclass(frozen=True, kw_only=True)
 class FormationTask:
     """Task that a formation is designed for.
@@ -112,6 +123,7 @@ class FormationTask:
         limits: and margins.
         gust: m/s, along the flight, which may take so much of an airspeed before the aircraft's
             answer; lift and airspeed are then within their own limits.
+        cables: how they follow.
     """
 
     aircraft: Aircraft
@@ -120,6 +132,7 @@ class FormationTask:
     motions: tuple[LoadMotion, ...]
     limits: DesignLimits
     gust: float = 0.0
+    cables: CableDesign = _GIVEN
 
     def with_motions(self, count: int) -> "FormationTask":
         """The same with the first motions only."""
@@ -135,6 +148,43 @@ class FormationTask:
     def share(self, x: FormationVariables) -> Any:
         """f₀, N."""
         return x.mass * self.load.gravity / self.load.carriers
+
+    def flown_by(self, x: FormationVariables) -> Aircraft:
+        """The aircraft, with the drag of its cable in the polar.
+
+        The cable's diameter follows from no less than the largest tension: with the largest force
+        of the pattern in each direction, and the largest sideward force on the load.
+        """
+        diameter = self.aircraft.cable_diameter
+        if self.cables.safety > 0:
+            load, (fastest, steepest) = (
+                self.load,
+                (
+                    max(float(np.linalg.norm(motion[order])) for motion in self.motions)
+                    for order in range(2)
+                ),
+            )
+            moved = x.mass * steepest * x.speed * x.speed
+            aside = moved + load.drag * (fastest * x.speed + x.wind)
+            level = x.spread + x.radial + aside / (load.carriers * self.share(x))
+            squares = level * level + x.tangential * x.tangential + (1 + x.vertical) ** 2
+            diameter = diameter_of(self.cables.safety * self.share(x) * np.sqrt(squares))
+        return self.aircraft._replace(cable_length=x.cable_length, cable_diameter=diameter)
+
+    def built(self, x: FormationVariables) -> "FormationTask":
+        """The task of the cables that a formation has, whatever becomes of it."""
+        cables = self.cables._replace(safety=0.0)
+        return dataclasses.replace(self, aircraft=self.flown_by(x), cables=cables)
+
+    def needed_force(self, aircraft: Aircraft, motion: OrbitMotion) -> NDArray:
+        """The `needed_force` (k, 3), N, of an aircraft `flown_by` the formation.
+
+        It bears its cable's weight, and the inertia of one whose end at the load is at rest.
+        """
+        area = np.pi / 4 * aircraft.cable_diameter * aircraft.cable_diameter
+        mass = self.cables.density * area * aircraft.cable_length
+        of_cable = mass * (motion.accelerations / 2 + aircraft.gravity * np.eye(3)[2])
+        return needed_force(aircraft, motion.accelerations, motion.forces + of_cable)
 
     def orbit(
         self, kind: str, x: FormationVariables, angles: NDArray, load_motion: LoadMotion
@@ -208,6 +258,7 @@ class _Formation:
         task, limits = self.task, self.task.limits
         asked = [(limit.field, value) for limit, value in limits.asked]
         key = function.__name__, self.kind, task.aircraft, task.load, task.wind, task.gust
+        of_cables = task.cables, task.motions if task.cables.safety > 0 else ()
         # The search tries speeds of km/s, too: any finite number will do.
         return TracedFunction(
             function,
@@ -215,17 +266,17 @@ class _Formation:
             name=lambda: "design",
             largest=1e100,
             jacobian_of=0,
-            key=(*key, limits._replace(asked=()), asked),
+            key=(*key, *of_cables, limits._replace(asked=()), asked),
         )
 
     def of_carrier(self, values: NDArray, angles: NDArray, motion: NDArray) -> NDArray:
         """The rows of one carrier, and its power, W, at [azimuth, phase] and a `LoadMotion`."""
         x = _variables(values)
         moved = LoadMotion(*(motion[i : i + 3] for i in range(0, _MOTION_SIZE, 3)))
-        aircraft = self.task.aircraft._replace(cable_length=x.cable_length)
+        aircraft = self.task.flown_by(x)
         orbit = self.task.orbit(self.kind, x, angles, moved.at(x.speed))
         velocity = orbit.velocities
-        force = needed_force(aircraft, orbit.accelerations, orbit.forces)
+        force = self.task.needed_force(aircraft, orbit)
         needed = flight_needs(aircraft, force, velocity)
         airspeed, thrust = needed.airspeed, needed.thrust
         least, most = thrust_limits(aircraft, airspeed)

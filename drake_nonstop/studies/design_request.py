@@ -42,6 +42,7 @@ _WAY_TIMES = (1.0, 36000.0)  # s, the way's length by the largest speed
 _MOST_CARRIERS = 12
 _LIMITS = FlightEnvelope()
 MARGIN, POWER = "margin", "power"
+STRAIGHT, LUMPED = "straight", "lumped"
 
 
 def _within(low: float, high: float, unit: str) -> Callable[[str, Any], None]:
@@ -75,6 +76,10 @@ class _Asked(StrictFields):
     load_drag: float = checked(0.6, _within(0.0, 1e4, "N s/m"))  # N s/m
     cable_length: list[float] = field(default_factory=lambda: [60.0, 200.0])  # m, least and largest
     cable_diameter: float = checked(CABLE_DIAMETER, _within(0.0, 0.1, "m"))  # m
+    # breaking load over the largest tension, from which the diameter follows; 0: that is given
+    cable_safety: float = checked(0.0, _within(0.0, 100.0, ""))
+    # straight, or lumped: with mass, drag, and references that know of their bow
+    cables: str = checked(STRAIGHT, one_of((STRAIGHT, LUMPED), f"give {STRAIGHT} or {LUMPED}"))
     cable_stiffness: float = checked(120.0, _within(1e-2, 1e7, "N/m"))  # N/m
     cable_damping: float = checked(2.0, _within(0.0, 1e6, "N s/m"))  # N s/m
     # m/s, in W

@@ -17,16 +17,18 @@ from drake_nonstop.analysis.flight_envelope import BowedCables, FlightEnvelope, 
 from drake_nonstop.mechanics.aircraft import (
     FlightNeeds,
     drawn_power,
+    flight_needs,
     stall_speed,
     thrust_limits,
 )
 from drake_nonstop.mechanics.formation_orbit import CarriedLoad
-from drake_nonstop.mechanics.planned_orbit import needs_of_motion
+from drake_nonstop.model.aircraft import CABLE_DENSITY
 from drake_nonstop.optimization.formation_program import (
     AIRSPEED_IN_GUSTS,
     ASKED_MARGIN,
     LEANING,
     LIFT_IN_GUSTS,
+    CableDesign,
     DesignLimits,
     FlightMargins,
     FormationProgram,
@@ -38,7 +40,7 @@ from drake_nonstop.optimization.limits import Of, asked
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.scenario.overrides import as_override
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.studies.design_request import GRAVITY, DesignRequest
+from drake_nonstop.studies.design_request import GRAVITY, LUMPED, DesignRequest
 
 PEAK = 2.1875  # the largest speed of a septic move, over its mean
 MOST_RESERVE = 2.0  # that is looked for
@@ -146,6 +148,9 @@ def design_task(request: DesignRequest, carriers: int, count: int = KEY_INSTANTS
             asked=tuple(asked(request, Of.FLIGHT)),
         ),
         gust=_GUSTS * request.gust,
+        cables=CableDesign(
+            request.cable_safety, CABLE_DENSITY if request.cables == LUMPED else 0.0
+        ),
     )
 
 
@@ -167,10 +172,11 @@ def formation_needs(
     task: FormationTask, kind: str, x: FormationVariables, phases: int = _FINE
 ) -> Iterator[FlightNeeds]:
     """Needs of all aircraft at phases of a turn, for each motion."""
-    aircraft = task.aircraft._replace(cable_length=x.cable_length)
+    aircraft = task.flown_by(x)
     angles = task.angles(kind, phases)
     for motion in task.motions:
-        yield needs_of_motion(aircraft, task.orbit(kind, x, angles, motion.at(x.speed)))
+        orbit = task.orbit(kind, x, angles, motion.at(x.speed))
+        yield flight_needs(aircraft, task.needed_force(aircraft, orbit), orbit.velocities)
 
 
 def flight_of(
@@ -353,7 +359,7 @@ class DesignedFormation(_Found):
 
     flight: FlightExtremes  # at rest and on the way
     distances: tuple[float, float]  # m, the least of two carriers and of two cables, at rest
-    cables: BowedCables  # what its straight cables leave out, at rest
+    cables: BowedCables  # how drag bows them, at rest
     growth: float  # 1/s, of a deviation of the load, the largest at rest and on the way
     breaks: tuple[Break, ...]  # as wind, load and speed grow
     scenario: Scenario  # that flies it
@@ -441,7 +447,9 @@ def formation_scenario(
         "system.attachments": (ring.round(9) + 0.0).tolist(),
         "system.cable_length": _rounded(x.cable_length),
         "system.cable_stiffness": request.cable_stiffness,
-        "system.cable_diameter": request.cable_diameter,
+        "system.cable_diameter": _rounded(
+            float(design_task(request, carriers, INSTANTS).flown_by(x).cable_diameter)
+        ),
         "system.cable_damping": request.cable_damping,
         "system.aircraft": aircraft,
         "pattern": pattern,
@@ -455,6 +463,9 @@ def formation_scenario(
         },
         "carrier_controller.frequency": 1.8 if kind == LEANING else 1.5,
     }
+    if request.cables == LUMPED:
+        fields["cables"] = {"_tag": "!LumpedCables"}
+        fields["carrier_trajectory"] = {"_tag": "!BowedCarrierTrajectory"}
     if request.gust > 0:
         gusts = {"gust": request.gust, "load_gust": request.gust}
         airspeed = round(sum(flight.ranges.airspeed) / 2, 1)

@@ -15,9 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.analysis.aircraft_margins import aircraft_margins
+from drake_nonstop.analysis.flight_envelope import flight_envelope_of
 from drake_nonstop.analysis.formation import find_formation
 from drake_nonstop.analysis.limit import RunOutcome
+from drake_nonstop.analysis.speed_check import check_speeds
 from drake_nonstop.analysis.task import task_of
+from drake_nonstop.analysis.task_check import flight_of_plan
 from drake_nonstop.mechanics.aircraft import stall_speed
 from drake_nonstop.mechanics.signals import POSE_SIZE
 from drake_nonstop.model.pattern import EllipticCarouselConfig
@@ -32,7 +35,7 @@ from drake_nonstop.simulation.outcome import judge
 from drake_nonstop.simulation.run import RunStopped, StepCheck
 from drake_nonstop.simulation.run_quantities import RunQuantities
 from drake_nonstop.simulation.simulate import simulate
-from drake_nonstop.studies.design_request import DesignRequest
+from drake_nonstop.studies.design_request import LUMPED, DesignRequest
 from drake_nonstop.studies.designed_formation import (
     INSTANTS,
     KEY_INSTANTS,
@@ -211,7 +214,13 @@ class FormationSearch:
         margins = aircraft_margins(scenario)
         if not margins.is_flyable:
             return self._refusal(values, ", ".join(margin.sentence for margin in margins.missed))
-        formation = find_formation(task_of(scenario), count=4)
+        task = task_of(scenario)
+        if self.request.cables == LUMPED:
+            limits = flight_envelope_of(scenario)
+            on_way = flight_of_plan(task, check_speeds(task), limits)
+            if on_way is not None and not on_way.is_flyable:
+                return self._refusal(values, f"on bowed cables {on_way.verdict}")
+        formation = find_formation(task, count=4)
         if not formation.is_stable:
             rate = formation.worst.rate
             return self._refusal(values, f"a deviation of the load grows by {rate:.2g} 1/s")
@@ -230,7 +239,7 @@ class FormationSearch:
             distances=distances,
             cables=margins.cables,
             growth=max(instant.rate for instant in formation.instants),
-            breaks=tuple(breaking_points(self.way, self.kind, x, self.turns)),
+            breaks=tuple(breaking_points(self.way.built(x), self.kind, x, self.turns)),
             scenario=steadied,
         )
 
