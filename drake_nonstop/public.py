@@ -135,6 +135,7 @@ from drake_nonstop.scenario.scene_config import SceneConfig as SceneConfig
 from drake_nonstop.visualization.meshcat_server import start_meshcat as start_meshcat
 from drake_nonstop.visualization.live import run_live as run_live
 from drake_nonstop.visualization.replay import record_replay as record_replay
+from drake_nonstop.visualization.video import record_video as record_video
 from drake_nonstop.visualization.progress import (
     RunProgress as RunProgress,
     TaskProgress as TaskProgress,

@@ -4,9 +4,9 @@ import contextlib
 import os
 
 import pytest
-from benchmarks.browser import open_browser
 
 from drake_nonstop.validation import ScenarioError
+from drake_nonstop.visualization.browser import open_browser
 
 
 class WatchedPage:

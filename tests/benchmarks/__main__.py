@@ -19,7 +19,6 @@ from benchmarks import (  # noqa: E402
     viewer,
     whole_tasks,
 )
-from benchmarks.browser import find_browser  # noqa: E402
 from drake_nonstop.cli.arguments import (  # noqa: E402
     Commands,
     add_repeats,
@@ -41,6 +40,7 @@ from drake_nonstop.validation import (  # noqa: E402
     require_whole,
     show_warning,
 )
+from drake_nonstop.visualization.browser import open_browser  # noqa: E402
 from drake_nonstop.visualization.figure_style import require_drawing  # noqa: E402
 from drake_nonstop.visualization.progress import TaskProgress  # noqa: E402
 
@@ -189,13 +189,18 @@ def _pictures(options: argparse.Namespace) -> int:
     require_drawing()
     from benchmarks.pictures import FILES, make_pictures
 
-    find_browser()
+    _require_browser()
     require_writable(options.out, FILES)
     with TaskProgress() as progress:
         paths = make_pictures(options.out, progress=progress)
     for path in paths:
         print(path)
     return 0
+
+
+def _require_browser() -> None:
+    with open_browser(64, 64):
+        pass
 
 
 def _add_report(commands: Commands) -> None:
@@ -230,7 +235,7 @@ def _report(options: argparse.Namespace) -> int:
         require_drawing()
         from benchmarks.pictures import FILES, make_pictures
 
-        find_browser()
+        _require_browser()
         files += FILES
     require_writable(options.out, files)
     with TaskProgress() as progress:

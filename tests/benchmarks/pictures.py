@@ -1,7 +1,6 @@
 """The README's pictures: the line task with and without optimization, patterns, aircraft."""
 
 import io
-import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -11,9 +10,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from PIL import Image
 
-from benchmarks.browser import open_browser
 from drake_nonstop.analysis.aircraft_margins import aircraft_margins
 from drake_nonstop.analysis.separations import closest_cables, closest_carriers
 from drake_nonstop.mechanics.signals import CarrierStates
@@ -26,9 +23,10 @@ from drake_nonstop.simulation.run_quantities import (
 )
 from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.studies.files import replacing_file
+from drake_nonstop.visualization.browser import open_browser
 from drake_nonstop.visualization.figure_style import new_figure
-from drake_nonstop.visualization.replay import record_replay
 from drake_nonstop.visualization.task_figures import make_aircraft_margins_figure
+from drake_nonstop.visualization.video import encode_gif, replay_pictures
 
 STILL, ANIMATION, PATTERNS = "line.png", "line.gif", "real_scale.png"
 AIRCRAFT, ORBIT = "aircraft.png", "aircraft_check.png"
@@ -67,19 +65,8 @@ def make_pictures(folder: Path, progress: Callable[[str, float], None]) -> list[
     figures = [_figure(runs, list(pair), time) for time, *pair in zip(times, *views, strict=True)]
     with replacing_file(folder / STILL) as file:
         file.write(_png(figures[0], dpi=150))
-    frames = [Image.open(io.BytesIO(_png(figure, dpi=80))).convert("RGB") for figure in figures[1:]]
-    several = np.concatenate([np.asarray(frame) for frame in frames[:: len(frames) // 6]])
-    palette = Image.fromarray(several).quantize(256)  # one for all, or colours would flicker
-    frames = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
     with replacing_file(folder / ANIMATION) as file:
-        frames[0].save(
-            file,
-            format="GIF",
-            save_all=True,
-            append_images=frames[1:],
-            duration=round(1000 / _FRAME_RATE),
-            loop=0,
-        )
+        file.write(encode_gif([_png(figure, dpi=80) for figure in figures[1:]], _FRAME_RATE))
     with replacing_file(folder / PATTERNS) as file:
         file.write(_png(_encounters_figure(_patterns()), dpi=110))
     with replacing_file(folder / AIRCRAFT) as file:
@@ -115,23 +102,8 @@ def _runs() -> list[Run]:
 
 def _views(page: Any, run: Run, times: list[float]) -> Iterator[NDArray]:
     """Pictures of the run's replay at some times."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "replay.html"
-        path.write_text(record_replay(run), encoding="utf-8")
-        page.goto(path.as_uri())
-        page.wait_for_function("viewer.animator.actions.length > 0")
-        page.evaluate(
-            """() => {
-              viewer.animator.pause();
-              viewer.gui.domElement.style.display = "none";
-              document.getElementById("overlay").style.display = "none";
-              document.getElementById("meshcat-pane").style.height = "100vh";
-              window.dispatchEvent(new Event("resize"));
-            }"""
-        )
-        for time in times:
-            page.evaluate("(time) => { viewer.animator.seek(time); viewer.render(); }", time)
-            yield matplotlib.image.imread(io.BytesIO(page.screenshot()))
+    for picture in replay_pictures(page, run, times):
+        yield matplotlib.image.imread(io.BytesIO(picture))
 
 
 def _figure(runs: list[Run], views: list[NDArray], time: float) -> Figure:

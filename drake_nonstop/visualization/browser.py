@@ -1,4 +1,4 @@
-"""A browser without a window, for pictures of pages and tests of them."""
+"""A browser without a window, which takes pictures of replays and other pages."""
 
 import contextlib
 import os
@@ -11,27 +11,19 @@ from drake_nonstop.validation import ScenarioError, require_installed
 _NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 
 
-def find_browser() -> str:
-    """The path of Chromium; raises ScenarioError where it or Playwright is not installed."""
-    require_installed("browser", playwright="playwright")
-    path = next(filter(None, map(shutil.which, _NAMES)), None)
-    if path is None:
-        raise ScenarioError(
-            f"browser = none: install Chromium, so that one of {', '.join(_NAMES)} can be found"
-        )
-    return path
-
-
 @contextlib.contextmanager
 def open_browser(width: int, height: int) -> Iterator[Any]:
-    """A page (Playwright's) of a headless Chromium that renders 3D without a GPU.
+    """A page (Playwright's), in pixels, of a headless Chromium that renders 3D without a GPU.
+
+    It is the machine's, or where there is none the one that Playwright has installed.
 
     Raises:
         ScenarioError: Playwright or Chromium is not installed, or does not start.
     """
-    path = find_browser()
+    require_installed("browser", playwright="drake-nonstop[video]")
     from playwright.sync_api import Error, sync_playwright
 
+    path = next(filter(None, map(shutil.which, _NAMES)), None)
     options = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
     if hasattr(os, "geteuid") and os.geteuid() == 0:
         options.append("--no-sandbox")  # it does not run as root with one
@@ -39,8 +31,9 @@ def open_browser(width: int, height: int) -> Iterator[Any]:
         try:
             browser = playwright.chromium.launch(executable_path=path, args=options)
         except Error as error:
+            remedy = "install one that starts, `playwright install chromium`"
             cause = error.message.splitlines()[0]
-            raise ScenarioError(f"browser = {path}: install one that starts ({cause})") from None
+            raise ScenarioError(f"browser = {path or 'none'}: {remedy} ({cause})") from None
         try:
             yield browser.new_page(viewport={"width": width, "height": height})
         finally:
