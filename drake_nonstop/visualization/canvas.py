@@ -128,7 +128,7 @@ class RecordingCanvas:
         Meshcat plays back colours of an object's material only, which is below its path.
         """
         path += "/<object>"
-        self._write(path, "material.color", list(colour))
+        self._write(path, "material.color", [*colour])
         self._write(path, "material.opacity", opacity, holds=not fades)
 
     def finish(self) -> None:
@@ -138,7 +138,7 @@ class RecordingCanvas:
                 self._record(self.frame, path, name, value)
 
     def _place(self, path: str, pose: NDArray) -> None:
-        self._write(path, "transform", tuple(pose.ravel().tolist()))
+        self._write(path, "transform", pose[:3].tobytes())
 
     def _write(self, path: str, name: str, value: Any, *, holds: bool = True) -> None:
         frame, previous = self._tracks.get((path, name), (self.frame, None))
@@ -151,7 +151,8 @@ class RecordingCanvas:
     def _record(self, frame: int, path: str, name: str, value: Any) -> None:
         self._tracks[path, name] = frame, value
         if name == "transform":
-            self.animation.SetTransform(frame, path, RigidTransform(np.reshape(value, (4, 4))))
+            pose = RigidTransform.MakeUnchecked(np.frombuffer(value).reshape(3, 4))
+            self.animation.SetTransform(frame, path, pose)
         else:
             self.animation.SetProperty(frame, path, name, value)
 

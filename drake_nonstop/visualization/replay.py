@@ -4,7 +4,6 @@ import base64
 import contextlib
 import gzip
 import html
-import itertools
 import math
 import re
 from importlib import resources
@@ -14,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.geometry import MeshcatAnimation
 
-from drake_nonstop.mechanics.signals import SIGNAL_PERIOD, AircraftState
+from drake_nonstop.mechanics.signals import POSE_SIZE, SIGNAL_PERIOD, AircraftState, Pose
 from drake_nonstop.scenario.scene_config import SceneConfig
 from drake_nonstop.simulation.run import Run
 from drake_nonstop.simulation.run_quantities import (
@@ -32,6 +31,7 @@ from drake_nonstop.visualization.scene import COLOURED_FROM, Scene, stall_shares
 
 _FRAME_RATE = 25.0  # 1/s
 _MOST_POSES = 45_000  # in all frames, half of those of carriers, cables and loads: below 20 MB
+_MOST_FRAMES = 3_000  # of a page that is written in a few seconds
 # How Meshcat writes what the page tells the viewer.
 _COMMAND = re.compile(
     r'fetch\("data:application/octet-binary;base64,([\w+/=]+)"\)'
@@ -58,8 +58,8 @@ def record_replay(run: Run, *, frame_rate: float | None = None) -> Replay:
     Args:
         run: returned by `simulate`, or carried by a RunStopped or RunInterrupted.
         frame_rate: frames per second of simulated time, at most those of the signals; the page
-            interpolates between them. Without it 25, or fewer where the page would be larger
-            than 20 MB, which it then says.
+            interpolates between them. Without it 25, or fewer beyond two minutes and where the
+            page would be larger than 20 MB, which it then says.
 
     Raises:
         ScenarioError: a field of the scenario's scene is out of range.
@@ -69,7 +69,8 @@ def record_replay(run: Run, *, frame_rate: float | None = None) -> Replay:
     nodes = run.signal("cable_state").shape[1] // (6 * n) if RunQuantities(run).has_nodes else 0
     scene = Scene(system, run.scenario.scene, run.scenario.obstacles, nodes=nodes)
     if frame_rate is None:  # a whole part of the signals'
-        most = max(_MOST_POSES // (n * (1 + scene.pieces) // 2 + 1), 1)
+        poses = n * (1 + scene.pieces) // 2 + 1
+        most = max(min(_MOST_POSES // poses, _MOST_FRAMES), 1)
         stride = max(round(1 / (SIGNAL_PERIOD * _FRAME_RATE)), math.ceil(len(run.time) / most))
         frame_rate = 1 / (SIGNAL_PERIOD * stride)
     frame_rate = min(frame_rate, 1 / SIGNAL_PERIOD)
@@ -116,13 +117,19 @@ def _snapshots(run: Run, frame_rate: float) -> list[Snapshot]:
     for name in NonstopVisualizer.reads:
         with contextlib.suppress(UnknownSignalError):
             signals[name] = run.signal(name)[frames]
-    snapshots = (
+    usable = np.ones(len(frames), dtype=bool)
+    for name, values in signals.items():
+        if name in ("load_state", "reference"):  # of which the pose is shown
+            values = values[:, :POSE_SIZE]
+            usable &= Pose.view(values).quaternion.any(axis=1)
+        usable &= np.isfinite(values).all(axis=1)
+    count = len(frames) if usable.all() else int(usable.argmin())
+    return [
         Snapshot.from_signals(
             run.time[frame], **{name: values[k] for name, values in signals.items()}
         )
-        for k, frame in enumerate(frames)
-    )
-    return list(itertools.takewhile(lambda snapshot: snapshot.is_finite, snapshots))
+        for k, frame in enumerate(frames[:count])
+    ]
 
 
 def legend(config: SceneConfig, *, has_aircraft: bool = False) -> str:

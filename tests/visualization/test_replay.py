@@ -97,6 +97,13 @@ def test_a_long_replay_has_fewer_frames_and_stays_below_twenty_megabytes(n, monk
     assert slowest[:, 1].argmin() == np.flatnonzero(slowest[:, 0] == 50.03)[0]
 
 
+def test_a_flight_of_minutes_has_fewer_frames(monkeypatch):
+    monkeypatch.setattr(replay, "_MOST_FRAMES", 20)
+    html = record_replay(circling_run(duration=1.99))  # 200 samples
+    assert "a long run: 10 frames per second" in html
+    np.testing.assert_allclose(np.diff(polyline(html, 0)[:, 0]), 0.1)
+
+
 def test_page_compares_the_slowest_carrier_with_the_bound(simulated):
     html = record_replay(simulated)
     frames = slice(None, None, 4)  # 25 Hz of 100
