@@ -106,6 +106,24 @@ def cylinder_poses(starts: NDArray, ends: NDArray) -> tuple[NDArray, NDArray]:
     return stack_poses(rotations, (starts + ends) / 2), lengths
 
 
+def tube(path: NDArray, radius: float) -> tuple[NDArray, NDArray]:
+    """Vertices (3, v) and triangles (3, f) of square bars along a path (k, 3), m."""
+    path = path if len(path) > 1 else path[[0, 0]]
+    poses, lengths = cylinder_poses(path[:-1], path[1:])
+    ring = radius * np.array([[1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]])
+    halves = lengths[:, None, None] / 2 * Z_AXIS
+    corners = np.concatenate([ring - halves, ring + halves], axis=1)  # (k - 1, 8, 3), in the bars
+    vertices = corners @ poses[:, :3, :3].swapaxes(1, 2) + poses[:, None, :3, 3]
+    side = np.arange(4)
+    after = (side + 1) % 4
+    sides = np.concatenate([[side, after, side + 4], [after, after + 4, side + 4]], axis=1)
+    faces = sides[:, None] + 8 * np.arange(len(poses))[:, None]
+    return (
+        np.asfortranarray(vertices.reshape(-1, 3).T),
+        np.asfortranarray(faces.reshape(3, -1), dtype=np.int32),
+    )
+
+
 def attitudes(headings: NDArray, up: NDArray) -> NDArray:
     """Rotation matrices (k, 3, 3) with x along unit vectors `headings` and z towards `up`."""
     across = up - (up * headings).sum(axis=1, keepdims=True) * headings

@@ -12,7 +12,7 @@ from drake_nonstop.visualization.bodies import Colour, stack_poses
 
 ROOT = "/nonstop"  # of the objects' paths in Meshcat
 VERTICAL_FIELD_OF_VIEW = 40.0  # degrees
-ASPECT_RATIO = 1.5  # of the narrowest window that has everything in view
+ASPECT_RATIO = 1.5  # of a window that has everything in view
 ELEVATION = 25.0  # degrees, of the camera above the horizon
 YAW = 20.0  # degrees, from looking across the load's path towards looking along it
 DISTANCE_MARGIN = 1.15  # of the least distance from which everything is in view
@@ -195,10 +195,11 @@ def look(meshcat: Meshcat, eye: NDArray, target: NDArray, background: Colour) ->
     meshcat.SetProperty("/Lights/AmbientLight/<object>", "intensity", _AMBIENT_INTENSITY)
 
 
-def fit_view(points: NDArray, *, path: NDArray) -> tuple[NDArray, NDArray]:
+def fit_view(points: NDArray, *, path: NDArray) -> tuple[NDArray, NDArray, float]:
     """Where a camera stands and what it looks at (3,) in m, with the points (k, 3) just in view.
 
-    It looks across the path (k, 3) of the load, whose direction leads to the right.
+    It looks across the path (k, 3) of the load, whose direction leads to the right. The third is
+    the aspect ratio of the narrowest window that has the points in view.
     """
     displacements = path - path[0]
     displacement = displacements[np.argmax(np.linalg.norm(displacements, axis=1))]
@@ -210,4 +211,5 @@ def fit_view(points: NDArray, *, path: NDArray) -> tuple[NDArray, NDArray]:
     slope = np.tan(np.radians(VERTICAL_FIELD_OF_VIEW) / 2)
     spread = np.maximum(np.abs(right) / ASPECT_RATIO, np.abs(up))
     distance = DISTANCE_MARGIN * np.max(spread / slope - ahead)
-    return R_WC @ (middle - [0.0, distance, 0.0]), R_WC @ middle
+    aspect = DISTANCE_MARGIN * np.max(np.abs(right) / (distance + ahead)) / slope
+    return R_WC @ (middle - [0.0, distance, 0.0]), R_WC @ middle, float(min(aspect, ASPECT_RATIO))

@@ -32,11 +32,15 @@ from drake_nonstop.visualization.bodies import (
     pick_shade,
     rgb,
     stack_poses,
+    tube,
     unit_vectors,
 )
 from drake_nonstop.visualization.canvas import ROOT, Canvas, FollowingCamera, fit_view, look
 
 _REFERENCE_BAR_RATIO = 1.7  # to the load's bars, which the reference's enclose: both are seen
+_GOAL_BAR_RATIO = 0.4  # to the load's bars, which hide the goal's once the load is there
+_FLOWN_RATIO, _DESIRED_RATIO = 0.5, 3.0  # to trails' radius: the desired path encloses the flown
+_PATH_POINTS = 300
 _MARK_RADIUS = 0.42  # of the wing span
 _MESHCATS_OWN = "Background", "Lights", "Grid", "Axes", "Cameras"  # first parts of paths
 _TRAIL_OPACITIES = 8  # different ones, of a trail's pieces
@@ -175,6 +179,20 @@ class Scene:
             for piece in range(config.trail_pieces):
                 meshcat.SetObject(f"{root}/trails/{body}/{piece}", unit, Rgba(*colour, 0.0))
 
+    def draw_task(self, meshcat: Meshcat, flown: NDArray, desired: NDArray, goal: NDArray) -> None:
+        """Draws paths of the load (k, 3), m, that stand still, and a frame at its goal (4, 4)."""
+        config, thin = self.config, self.config.trail_radius * self.reach
+        reference = rgb(config.reference_colour)
+        for name, path, radius, rgba in (
+            ("flown", flown, _FLOWN_RATIO * thin, Rgba(*self.load_colour)),
+            ("desired", desired, _DESIRED_RATIO * thin, Rgba(*reference, config.reference_opacity)),
+        ):
+            chosen = np.linspace(0, len(path) - 1, min(len(path), _PATH_POINTS)).astype(int)
+            meshcat.SetTriangleMesh(f"{self._root}/paths/{name}", *tube(path[chosen], radius), rgba)
+        parts = load_parts(self._attachments, _GOAL_BAR_RATIO * self.bar_radius)
+        _draw(meshcat, f"{self._root}/goal", parts, Rgba(*reference))
+        meshcat.SetTransform(f"{self._root}/goal", goal)
+
     def set_stage(
         self,
         meshcat: Meshcat,
@@ -182,7 +200,7 @@ class Scene:
         carriers: NDArray | None = None,
         *,
         may_follow: bool = True,
-    ) -> None:
+    ) -> float:
         """Sets a plain background, a camera that sees everything, its light and a grid below.
 
         Along a long path the camera follows the reference where it may; else it stands still.
@@ -193,6 +211,9 @@ class Scene:
             carriers: (k, n, 3), m, at the same instants, where they are known. Those far from
                 the load may be out of view.
             may_follow: whether the camera may move.
+
+        Returns:
+            The aspect ratio (width to height) of the narrowest window in which it sees everything.
         """
         if carriers is None:
             carriers = path[:, None] + self.reach * _SIX_DIRECTIONS[:5]  # all but straight below
@@ -208,7 +229,7 @@ class Scene:
         )
         moved = path - path[0] if follows else np.zeros(path.shape)  # the camera
         seen = (points - np.concatenate([moved[at[0]], moved])[:, None]).reshape(-1, 3)
-        eye, target = fit_view(seen, path=path)
+        eye, target, aspect = fit_view(seen, path=path)
         look(meshcat, eye, target, rgb(self.config.background_colour))
         middle = (path.min(axis=0) + path.max(axis=0)) / 2
         lowest = points[..., 2].min() - _GROUND_CLEARANCE * self.reach
@@ -221,6 +242,7 @@ class Scene:
         meshcat.SetProperty("/Grid/<object>", "opacity", _GRID_OPACITY)
         camera = FollowingCamera(origin=path[0], target=target, floor=floor)
         self._camera = camera if follows else None
+        return aspect
 
     def show(self, canvas: Canvas, snapshot: Snapshot) -> None:
         """Moves the objects to an instant, which has to be later than the one shown before."""

@@ -30,7 +30,6 @@ _PREPARE = """(has_strip) => {
   viewer.gui.domElement.style.display = "none";
   if (!has_strip) {
     document.getElementById("overlay").style.display = "none";
-    document.getElementById("meshcat-pane").style.height = "100vh";
   }
   window.dispatchEvent(new Event("resize"));
 }"""

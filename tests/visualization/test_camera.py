@@ -13,7 +13,7 @@ from drake_nonstop.visualization.scene import Scene
 def test_camera_sees_all(size):
     path = np.column_stack([np.linspace(0, size, 30), np.zeros((30, 2))])
     points = np.concatenate([path + size * direction for direction in np.eye(3)])
-    eye, target = camera.fit_view(points, path=path)
+    eye, target, aspect = camera.fit_view(points, path=path)
     ahead = (target - eye) / np.linalg.norm(target - eye)
     right = np.cross(ahead, [0, 0, 1]) / np.linalg.norm(np.cross(ahead, [0, 0, 1]))
     up = np.cross(right, ahead)
@@ -21,6 +21,8 @@ def test_camera_sees_all(size):
     slope = np.tan(np.radians(camera.VERTICAL_FIELD_OF_VIEW / 2))
     fill = np.max([np.abs(side) / camera.ASPECT_RATIO, np.abs(height)], axis=0) / depth / slope
     assert 0.7 < np.max(fill) < 1.0
+    width = np.max(np.abs(side) / depth) / slope
+    assert 1.1 < aspect / width < 1.2  # a window that is as narrow has all in view
     assert right[0] > 0.9  # the load moves along +x, to the right
 
 

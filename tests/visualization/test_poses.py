@@ -3,7 +3,7 @@
 import numpy as np
 from pydrake.math import RigidTransform, RotationMatrix
 
-from drake_nonstop.visualization.bodies import attitudes, cylinder_poses
+from drake_nonstop.visualization.bodies import attitudes, cylinder_poses, tube
 
 
 def test_degenerate_poses():
@@ -20,3 +20,17 @@ def test_degenerate_poses():
         for tops in (heading, -heading, np.array([2e-6, 0, 60.0])):
             attitude = RotationMatrix(attitudes(heading[None], up=tops[None])[0])
             np.testing.assert_allclose(attitude.matrix()[:, 0], heading, atol=1e-9)
+
+
+def test_a_tube_encloses_its_path(rng):
+    path = np.cumsum(rng.normal(size=(6, 3)), axis=0)
+    vertices, faces = tube(path, 0.1)
+    bars = vertices.T.reshape(5, 2, 4, 3)
+    ends = np.stack([path[:-1], path[1:]], axis=1)
+    np.testing.assert_allclose(np.linalg.norm(bars - ends[:, :, None], axis=-1), 0.1)
+    np.testing.assert_allclose(bars.mean(axis=2), ends, atol=1e-12)
+    a, b, c = vertices.T[faces]
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2
+    length = np.linalg.norm(np.diff(path, axis=0), axis=1).sum()
+    np.testing.assert_allclose(area, 4 * np.sqrt(2) * 0.1 * length)
+    assert np.isfinite(tube(path[:1], 0.1)[0]).all()

@@ -115,6 +115,30 @@ def test_page_compares_the_slowest_carrier_with_the_bound(simulated):
     np.testing.assert_allclose(slowest[:, 1], speeds, rtol=1e-3)
 
 
+def test_page_tells_the_least_margin_and_when_it_was(simulated):
+    text = re.search(r"least margin (\S+) m/s at (\S+) s", record_replay(simulated))
+    velocities = simulated.signal("carrier_state")[:49, 12:].reshape(-1, 4, 3)  # to the last frame
+    speeds = np.linalg.norm(velocities, axis=2).min(axis=1)
+    assert float(text[1]) == pytest.approx(speeds.min() - 0.55, rel=5e-3)
+    assert float(text[2]) == pytest.approx(simulated.time[speeds.argmin()])
+
+
+def test_the_scale_has_a_few_round_numbers_where_the_values_are(rng):
+    for low, high in [(0.0, 0.0), (3.0, 3.0), *np.sort(rng.lognormal(0, 3, (30, 2)))]:
+        ticks, bottom, top = replay._scale(np.array([low, high]))
+        assert bottom <= low <= high <= top
+        assert 1 <= len(ticks) <= 5
+        assert bottom <= ticks[0] <= ticks[-1] <= top
+        for step in np.diff(ticks):
+            assert step == pytest.approx(float(f"{step:.0e}"), rel=1e-9)  # of one digit
+
+
+def test_page_shows_the_paths_and_the_goal(simulated):
+    for part in (b"/nonstop/paths/flown", b"/nonstop/paths/desired", b"/nonstop/goal/bar0"):
+        drawn = [text for text in commands(record_replay(simulated)) if part in text]
+        assert any(b"set_object" in text for text in drawn), part
+
+
 def test_name_and_colours_are_escaped_and_shown():
     run = circling_run()
     run.scenario.name = "<b>&"

@@ -125,3 +125,31 @@ def test_the_play_bar_pauses_seeks_and_plays(watched, replay):
     page.get_by_label("play or pause").click()
     page.wait_for_function("document.getElementById('clock').textContent > '1.25 s'")
     assert watched.errors == []
+
+
+SEEN = """() => {
+  viewer.camera.updateMatrixWorld(true);
+  return viewer.scene_tree.find(["nonstop", "carriers"]).object.children.map((carrier) => {
+    carrier.updateWorldMatrix(true, true);
+    return carrier.position.clone().setFromMatrixPosition(carrier.matrixWorld)
+      .project(viewer.camera).toArray();
+  });
+}"""
+
+
+@pytest.mark.parametrize(("width", "height"), [(390, 844), (1360, 900)])
+def test_all_carriers_are_in_view_in_any_window(watched, replay, width, height):
+    watched.page.set_viewport_size({"width": width, "height": height})
+    page = opened(watched, replay[0])
+    page.evaluate("viewer.animator.pause()")
+    for time in (0.0, 1.0, 2.0):
+        seek(page, time)
+        page.wait_for_function(f"document.getElementById('clock').textContent === '{time:.2f} s'")
+        across, up, _ = np.transpose(page.evaluate(SEEN))
+        assert np.abs([across, up]).max() < 1
+        assert np.ptp(across) > 0.3  # of 2
+    boxes = {name: page.locator(name).bounding_box() for name in ("#meshcat-pane", "#overlay")}
+    assert boxes["#meshcat-pane"]["height"] + boxes["#overlay"]["height"] == pytest.approx(height)
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    assert page.locator("#margin").text_content().startswith("margin 0.")
+    assert watched.errors == []
