@@ -2,17 +2,7 @@
 
 import argparse
 
-from drake_nonstop.cli import (
-    bench,
-    check,
-    design,
-    run,
-    scenarios,
-    signals,
-    studies,
-    video,
-    view,
-)
+from drake_nonstop.cli import bench, check, design, run, scenarios, signals, studies, video, view
 from drake_nonstop.cli.arguments import add_moved
 from drake_nonstop.version import __version__
 

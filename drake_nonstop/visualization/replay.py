@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.geometry import MeshcatAnimation
 
-from drake_nonstop.mechanics.rotation import rotation_matrix
 from drake_nonstop.mechanics.signals import POSE_SIZE, SIGNAL_PERIOD, AircraftState, Pose
 from drake_nonstop.scenario.scene_config import SceneConfig
 from drake_nonstop.simulation.run import Run
@@ -23,8 +22,8 @@ from drake_nonstop.simulation.run_quantities import (
     simulated_system,
 )
 from drake_nonstop.simulation.signal_table import UnknownSignalError
-from drake_nonstop.visualization.bodies import Snapshot, stack_poses
-from drake_nonstop.visualization.canvas import ASPECT_RATIO, RecordingCanvas
+from drake_nonstop.visualization.bodies import Snapshot
+from drake_nonstop.visualization.canvas import RecordingCanvas
 from drake_nonstop.visualization.figure_style import MOST_POINTS, extreme_samples
 from drake_nonstop.visualization.meshcat_server import start_hidden_meshcat
 from drake_nonstop.visualization.nonstop_visualizer import NonstopVisualizer
@@ -76,36 +75,30 @@ def record_replay(run: Run, *, frame_rate: float | None = None) -> Replay:
         frame_rate = 1 / (SIGNAL_PERIOD * stride)
     frame_rate = min(frame_rate, 1 / SIGNAL_PERIOD)
     snapshots = _snapshots(run, frame_rate)
-    page, aspect = _recorded(scene, snapshots, frame_rate)
-    page = _COMMAND.sub(_compressed, page)
+    page = _COMMAND.sub(_compressed, _recorded(scene, snapshots, frame_rate))
     if not snapshots:
         return Replay(page)
     body, end = page.rsplit("</body>", 1)
-    overlay = _overlay(run, scene.config, snapshots, frame_rate, aspect)
+    overlay = _overlay(run, scene, snapshots, frame_rate)
     return Replay(f"{body}{overlay}</body>{end}")
 
 
-def _recorded(scene: Scene, snapshots: list[Snapshot], frame_rate: float) -> tuple[str, float]:
-    """Meshcat's page of the recording, and the least aspect ratio that has everything in view."""
+def _recorded(scene: Scene, snapshots: list[Snapshot], frame_rate: float) -> str:
+    """Meshcat's page of the recording."""
     meshcat, _ = start_hidden_meshcat()
-    aspect = ASPECT_RATIO
     if snapshots:
         path = np.array([snapshot.reference_position for snapshot in snapshots])
-        aspect = scene.set_stage(
-            meshcat, path, np.array([snapshot.carriers for snapshot in snapshots])
-        )
+        scene.set_stage(meshcat, path, np.array([snapshot.carriers for snapshot in snapshots]))
         scene.draw(meshcat)
         flown = np.array([snapshot.load_position for snapshot in snapshots])
-        end = snapshots[-1]
-        goal = stack_poses(rotation_matrix(end.reference_quaternion), path[-1:])
-        scene.draw_task(meshcat, flown, path, goal[0])
+        scene.draw_task(meshcat, flown, path, snapshots[-1])
         canvas = RecordingCanvas(MeshcatAnimation(frame_rate))
         for frame, snapshot in enumerate(snapshots):
             canvas.frame = frame
             scene.show(canvas, snapshot)
         canvas.finish()
         meshcat.SetAnimation(canvas.animation)
-    return meshcat.StaticHtml(), aspect
+    return meshcat.StaticHtml()
 
 
 def _compressed(command: re.Match[str]) -> str:
@@ -160,13 +153,10 @@ def legend(config: SceneConfig, *, has_aircraft: bool = False) -> str:
     return "".join(swatch.format(",".join(names), text) + "</span>" for names, text in colours)
 
 
-def _overlay(
-    run: Run, config: SceneConfig, snapshots: list[Snapshot], frame_rate: float, aspect: float
-) -> str:
+def _overlay(run: Run, scene: Scene, snapshots: list[Snapshot], frame_rate: float) -> str:
     """The HTML below the scene: a time bar, a legend, and what a run is judged by with its bound.
 
     That is the slowest carrier's speed with ε, or how near the nearest aircraft is to its stall.
-    A window narrower than the `aspect` (width to height) shows all that this one shows.
     """
     start = snapshots[0].time
     duration = snapshots[-1].time - start
@@ -192,7 +182,7 @@ def _overlay(
         shown = np.searchsorted(run.time[:end], [snapshot.time for snapshot in snapshots])
     margins = sign * (values - np.interp(run.time[:end] - start, times, bounds))
     least = int(np.nanargmin(margins))
-    least_text = f"least margin {margins[least]:.3g}{unit} at {run.time[least]:.2f} s"
+    judged += f"; least margin {margins[least]:.3g}{unit} at {run.time[least]:.2f} s"
     ticks, bottom, top = _scale(np.concatenate([values[shown], bounds]))
     labels = [f'<span class="tick" style="top: {{}}%">{tick:g}</span>' for tick in ticks]
     labels += [f'<span class="bound" style="top: {{}}%">{name} {bounds[-1]:.3g}</span>']
@@ -201,18 +191,18 @@ def _overlay(
     page = resources.files("drake_nonstop.visualization").joinpath("replay_overlay.html")
     return Template(page.read_text(encoding="utf-8")).substitute(
         title=html.escape(run.scenario.name),
-        legend=legend(config, has_aircraft=quantities.has_aircraft),
+        legend=legend(scene.config, has_aircraft=quantities.has_aircraft),
         duration=f"{duration:g}",
         top=f"{top:g}",
         bottom=f"{bottom:g}",
         range=f"{top - bottom:g}",
         labels="".join(map(str.format, labels, map("{:.1f}".format, heights))),
         lines="".join(lines),
-        judged=_polyline(run.time[shown] - start, values[shown]),
-        meaning=f"{judged}; {least_text}",
+        values=_polyline(run.time[shown] - start, values[shown]),
+        meaning=judged,
         bound=_polyline(times, bounds),
         rate=f"; a long run: {frame_rate:.3g} frames per second" if is_reduced else "",
-        aspect=f"{aspect:.3g}",
+        aspect=f"{scene.aspect_ratio:.3g}",
         sign=sign,
         unit=unit,
     )
@@ -221,7 +211,7 @@ def _overlay(
 def _scale(values: NDArray) -> tuple[NDArray, float, float]:
     """Round values of an axis with these values, and the axis's lower and upper end."""
     low, high = float(values.min()), float(values.max())
-    room = max(high - low, 1e-3 * abs(high), 1e-3)
+    room = max(high - low, 0.01 * abs(high), 1e-3)
     decade = 10 ** math.floor(math.log10(room))
     step = next(size * decade for size in (0.2, 0.5, 1, 2, 5) if size * decade >= room / 4)
     bottom, top = low - 0.05 * room, low + 1.05 * room

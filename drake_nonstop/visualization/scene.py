@@ -131,6 +131,7 @@ class Scene:
         ages = np.flatnonzero(np.diff(opacities, prepend=2.0))  # where it changes
         self._trail_opacities = {int(age): float(opacities[age]) for age in ages}
         self._camera: FollowingCamera | None = None
+        self.aspect_ratio = 1.0  # of the narrowest window with all in view, once the stage is set
         self._reset()
 
     def _reset(self) -> None:
@@ -179,8 +180,8 @@ class Scene:
             for piece in range(config.trail_pieces):
                 meshcat.SetObject(f"{root}/trails/{body}/{piece}", unit, Rgba(*colour, 0.0))
 
-    def draw_task(self, meshcat: Meshcat, flown: NDArray, desired: NDArray, goal: NDArray) -> None:
-        """Draws paths of the load (k, 3), m, that stand still, and a frame at its goal (4, 4)."""
+    def draw_task(self, meshcat: Meshcat, flown: NDArray, desired: NDArray, end: Snapshot) -> None:
+        """Draws paths (k, 3) of the load in m, and a frame at its goal, the reference's end."""
         config, thin = self.config, self.config.trail_radius * self.reach
         reference = rgb(config.reference_colour)
         for name, path, radius, rgba in (
@@ -191,6 +192,7 @@ class Scene:
             meshcat.SetTriangleMesh(f"{self._root}/paths/{name}", *tube(path[chosen], radius), rgba)
         parts = load_parts(self._attachments, _GOAL_BAR_RATIO * self.bar_radius)
         _draw(meshcat, f"{self._root}/goal", parts, Rgba(*reference))
+        (goal,) = stack_poses(rotation_matrix(end.reference_quaternion), desired[-1:])
         meshcat.SetTransform(f"{self._root}/goal", goal)
 
     def set_stage(
@@ -200,7 +202,7 @@ class Scene:
         carriers: NDArray | None = None,
         *,
         may_follow: bool = True,
-    ) -> float:
+    ) -> None:
         """Sets a plain background, a camera that sees everything, its light and a grid below.
 
         Along a long path the camera follows the reference where it may; else it stands still.
@@ -211,9 +213,6 @@ class Scene:
             carriers: (k, n, 3), m, at the same instants, where they are known. Those far from
                 the load may be out of view.
             may_follow: whether the camera may move.
-
-        Returns:
-            The aspect ratio (width to height) of the narrowest window in which it sees everything.
         """
         if carriers is None:
             carriers = path[:, None] + self.reach * _SIX_DIRECTIONS[:5]  # all but straight below
@@ -229,7 +228,7 @@ class Scene:
         )
         moved = path - path[0] if follows else np.zeros(path.shape)  # the camera
         seen = (points - np.concatenate([moved[at[0]], moved])[:, None]).reshape(-1, 3)
-        eye, target, aspect = fit_view(seen, path=path)
+        eye, target, self.aspect_ratio = fit_view(seen, path=path)
         look(meshcat, eye, target, rgb(self.config.background_colour))
         middle = (path.min(axis=0) + path.max(axis=0)) / 2
         lowest = points[..., 2].min() - _GROUND_CLEARANCE * self.reach
@@ -242,7 +241,6 @@ class Scene:
         meshcat.SetProperty("/Grid/<object>", "opacity", _GRID_OPACITY)
         camera = FollowingCamera(origin=path[0], target=target, floor=floor)
         self._camera = camera if follows else None
-        return aspect
 
     def show(self, canvas: Canvas, snapshot: Snapshot) -> None:
         """Moves the objects to an instant, which has to be later than the one shown before."""

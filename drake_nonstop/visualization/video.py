@@ -1,7 +1,6 @@
 """Moving pictures of a run: its replay, taken frame by frame by a browser."""
 
 import io
-import math
 import shutil
 import subprocess
 import tempfile
@@ -10,27 +9,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drake_nonstop.simulation.run import Run
 from drake_nonstop.validation import ScenarioError, require, require_positive, require_whole
 from drake_nonstop.visualization.browser import open_browser
 from drake_nonstop.visualization.replay import record_replay
 
-FORMATS = ("gif", "mp4")
-FRAME_RATE = 20.0  # 1/s of the video
+FRAME_RATE, SIZE = 20.0, (640, 480)  # 1/s of the video; pixels
 _MOST_RATE = {"gif": 50.0, "mp4": 120.0}  # 1/s; browsers slow down faster GIFs
-SIZE = 640, 480  # pixels
-_LEAST_SIZE, _MOST_SIZE = 64, 4096  # pixels
 _PALETTE_FRAMES = 6  # whose colours a GIF has
 
-# A replay without its controls, in the time of the run; at most the strip stays below the scene.
 _PREPARE = """(has_strip) => {
   viewer.animator.pause();
   viewer.gui.domElement.style.display = "none";
-  if (!has_strip) {
-    document.getElementById("overlay").style.display = "none";
-  }
+  if (!has_strip) document.getElementById("overlay").style.display = "none";
   window.dispatchEvent(new Event("resize"));
 }"""
 # The viewer draws in the next frame of the page, before what is called here.
@@ -86,39 +78,31 @@ def record_video(
     Raises:
         ScenarioError: an argument is out of range, or Chromium, Playwright or ffmpeg is missing.
     """
-    times = _frame_times(run, kind, start, stop, speed, frame_rate)
+    require(kind in _MOST_RATE, "kind", kind, f"give {' or '.join(_MOST_RATE)}")
+    require_positive("speed", speed)
+    require_positive("frame_rate", frame_rate)
+    most = _MOST_RATE[kind]
+    require(frame_rate <= most, "frame_rate", frame_rate, f"give at most {most:g} for {kind}")
     for name, pixels in zip(("width", "height"), size, strict=True):
-        require_whole(name, pixels, _LEAST_SIZE, _MOST_SIZE)
+        require_whole(name, pixels, 64, 4096)
         require(kind == "gif" or pixels % 2 == 0, name, pixels, "give an even number for an mp4")
+    require(len(run.time) > 0, "run", run, "give one that has flown")
+    first, last = float(run.time[0]), float(run.time[-1])
+    start, stop = first if start is None else start, last if stop is None else stop
+    span = f"give times from {first:g} s to {last:g} s, which the run has"
+    require(first <= start < last, "start", start, span)
+    require(start < stop <= last, "stop", stop, f"{span}, later than the start")
     encode = encode_gif if kind == "gif" else encode_mp4
     if kind == "mp4":
         _find_ffmpeg()
-    pictures = []
+    times = np.arange(start, stop + 1e-6, speed / frame_rate)
+    pictures: list[bytes] = []
     with open_browser(*size) as page:
         for picture in replay_pictures(page, run, times, has_strip=has_strip):
             pictures.append(picture)
             if progress is not None:
                 progress("video", len(pictures) / len(times))
     return encode(pictures, frame_rate)
-
-
-def _frame_times(
-    run: Run, kind: str, start: float | None, stop: float | None, speed: float, frame_rate: float
-) -> NDArray:
-    """Instants of the frames, s; raises ScenarioError where there can be none."""
-    require(kind in FORMATS, "kind", kind, f"give {' or '.join(FORMATS)}")
-    require_positive("speed", speed)
-    require_positive("frame_rate", frame_rate)
-    most = _MOST_RATE[kind]
-    require(frame_rate <= most, "frame_rate", frame_rate, f"give at most {most:g} for {kind}")
-    require(len(run.time) > 0, "run", run, "give one that has flown")
-    first, last = float(run.time[0]), float(run.time[-1])
-    start, stop = first if start is None else start, last if stop is None else stop
-    within = f"from {first:g} s to {last:g} s, which the run has"
-    require(first <= start < last, "start", start, f"give a time {within}")
-    require(start < stop <= last, "stop", stop, f"give a later time than the start, {within}")
-    count = math.floor((stop - start) * frame_rate / speed + 1e-6) + 1
-    return start + np.arange(count) * speed / frame_rate
 
 
 def encode_gif(pictures: Sequence[bytes], frame_rate: float) -> bytes:
@@ -131,20 +115,13 @@ def encode_gif(pictures: Sequence[bytes], frame_rate: float) -> bytes:
     some = pictures[:: max(len(pictures) // _PALETTE_FRAMES, 1)]
     several = np.concatenate([np.asarray(picture) for picture in opened(some)])
     palette = Image.fromarray(several).quantize(256)  # one for all, or colours would flicker
-    frames = (
-        picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in opened(pictures)
-    )
+    plain = Image.Dither.NONE
+    frames = (picture.quantize(palette=palette, dither=plain) for picture in opened(pictures))
     # A GIF counts in 1/100 s: rounded frame by frame, the video would be too fast or too slow.
     ends = np.round(np.arange(len(pictures) + 1) * 100 / frame_rate).astype(int)
-    file = io.BytesIO()
-    next(frames).save(
-        file,
-        format="GIF",
-        save_all=True,
-        append_images=frames,
-        duration=(10 * np.diff(ends)).tolist(),
-        loop=0,
-    )
+    times = (10 * np.diff(ends)).tolist()  # ms
+    file, options = io.BytesIO(), {"save_all": True, "loop": 0, "duration": times}
+    next(frames).save(file, format="GIF", append_images=frames, **options)
     return file.getvalue()
 
 
@@ -156,19 +133,15 @@ def _find_ffmpeg() -> str:
 
 
 def encode_mp4(pictures: Sequence[bytes], frame_rate: float) -> bytes:
-    """An MP4 (H.264) of pictures in PNG.
-
-    Raises:
-        ScenarioError: there is no ffmpeg, or it has no H.264.
-    """
+    """An MP4 (H.264) of pictures in PNG; raises ScenarioError without an ffmpeg that has H.264."""
+    path = _find_ffmpeg()
+    taken = f"-loglevel error -f image2pipe -c:v png -framerate {frame_rate:g} -i -"
+    made = "-c:v libx264 -pix_fmt yuv420p -movflags +faststart"  # what all players show
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "video.mp4"  # of which a pipe could not be
-        rate = ["-framerate", f"{frame_rate:g}", "-i", "-"]
-        command = [_find_ffmpeg(), "-loglevel", "error", "-f", "image2pipe", "-c:v", "png", *rate]
-        # What all players show.
-        command += ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-movflags", "+faststart", str(path)]
+        video = Path(folder) / "video.mp4"  # of which a pipe could not be
+        command = [path, *taken.split(), *made.split(), str(video)]
         done = subprocess.run(command, input=b"".join(pictures), capture_output=True, check=False)
         if done.returncode != 0:
-            cause = done.stderr.decode(errors="replace").strip().splitlines()[-1:]
-            raise ScenarioError(f"ffmpeg = {command[0]}: install one with libx264 {cause}")
-        return path.read_bytes()
+            cause = done.stderr.decode(errors="replace").strip().rpartition("\n")[2]
+            raise ScenarioError(f"ffmpeg = {path}: install one with libx264 ({cause})")
+        return video.read_bytes()

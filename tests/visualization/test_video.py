@@ -48,9 +48,12 @@ def test_a_gif_has_all_pictures_and_their_time_to_the_rounding_of_a_frame(rate):
     ("given", "said"),
     [
         ({"kind": "avi"}, "kind = avi: give gif or mp4"),
-        ({"start": 0.4, "stop": 0.4}, "stop = 0.4: give a later time than the start"),
-        ({"stop": 9.0}, "stop = 9.0: give a later time than the start, from 0 s to 0.5 s"),
-        ({"start": -1.0}, "start = -1.0: give a time from 0 s to 0.5 s"),
+        (
+            {"start": 0.4, "stop": 0.4},
+            "stop = 0.4: give times from 0 s to 0.5 s, which the run has, later than the start",
+        ),
+        ({"stop": 9.0}, "stop = 9.0: give times from 0 s to 0.5 s, which"),
+        ({"start": -1.0}, "start = -1.0: give times from 0 s to 0.5 s"),
         ({"frame_rate": 60.0}, "frame_rate = 60.0: give at most 50 for gif"),
         ({"speed": 0.0}, "speed = 0.0: give a finite number greater than zero"),
         ({"size": (640, 20)}, "height = 20: give a whole number from 64 to 4096"),
