@@ -37,7 +37,7 @@ _COMMAND = re.compile(
     r'fetch\("data:application/octet-binary;base64,([\w+/=]+)"\)'
     r"\s*\.then\(res => res\.arrayBuffer\(\)\)"
 )
-_LARGE = 100_000  # characters of a command
+_LARGE = 20_000  # characters of a command
 
 
 class Replay(str):
