@@ -184,6 +184,8 @@ def run_line(line, capfd):
         addition, codes = SHORTER.get(words[1], ("", {0}))
         if "--print-request" in words or "--run" in words:
             addition = addition.partition("--set")[0]
+        if "--figures" in words:
+            addition = addition.replace("--no-figures ", "")
         capfd.readouterr()
         assert main([*words[1:], *shlex.split(addition)]) in codes, (line, capfd.readouterr())
         if target:

@@ -9,6 +9,7 @@ from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.studies.files import replacing_file
 from drake_nonstop.studies.results_folder import default_folder
 from drake_nonstop.validation import ScenarioError, require
+from drake_nonstop.visualization.figure_style import WIDTHS
 
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 
@@ -66,6 +67,14 @@ def add_scenario(
     add_trust(parser, "let it import blocks of your own, such as phase=my_blocks.MyPhase")
 
 
+def add_look(parser: argparse.ArgumentParser) -> None:
+    """Adds --width and --style, of figures for papers."""
+    about = "of figures: a column of a paper, or two (single)"
+    parser.add_argument("--width", choices=WIDTHS, help=about)
+    about = "of figures: a style of Matplotlib, by its name or as a file, over this package's"
+    parser.add_argument("--style", help=about)
+
+
 def add_study(parser: argparse.ArgumentParser, folder: str) -> None:
     """Adds the arguments of `add_scenario`, and --restart."""
     add_scenario(parser, folder)
@@ -102,4 +111,4 @@ def read_scenario(options: argparse.Namespace, *, sampled: bool = True) -> Scena
 def write_figure(path: Path, figure: Any) -> None:
     """Writes a Matplotlib figure to a file of the format that its name ends in."""
     with replacing_file(path) as file:
-        figure.savefig(file, format=path.suffix.removeprefix("."), dpi=150)
+        figure.savefig(file, format=path.suffix.removeprefix("."))

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from drake_nonstop.analysis.limit import RunOutcome
-from drake_nonstop.cli.arguments import Commands, add_scenario, read_scenario
+from drake_nonstop.cli.arguments import Commands, add_look, add_scenario, read_scenario
 from drake_nonstop.cli.ending import (
     BAD_INPUT,
     FAILED,
@@ -41,7 +41,7 @@ from drake_nonstop.studies.results_folder import (
 )
 from drake_nonstop.studies.run_all import no_progress
 from drake_nonstop.validation import ScenarioError, one_line, require, show_warning
-from drake_nonstop.visualization.figure_style import require_drawing
+from drake_nonstop.visualization.figure_style import FORMATS, FigureLook
 from drake_nonstop.visualization.live import run_live
 from drake_nonstop.visualization.meshcat_server import start_meshcat
 from drake_nonstop.visualization.progress import RunProgress, TaskProgress
@@ -63,7 +63,11 @@ def add_to(commands: Commands) -> None:
     )
     parser.set_defaults(action=_run)
     add_scenario(parser)
-    parser.add_argument("--no-figures", action="store_true", help="write no figures/")
+    of_figures = parser.add_mutually_exclusive_group()
+    about = f"the format of figures/: {', '.join(FORMATS)} ({FORMATS[0]})"
+    of_figures.add_argument("--figures", choices=FORMATS, default=FORMATS[0], help=about)
+    of_figures.add_argument("--no-figures", action="store_true", help="write no figures/")
+    add_look(parser)
     parser.add_argument("--no-replay", action="store_true", help="write no replay.html")
     parser.add_argument(
         "--live", action="store_true", help="show it in Meshcat while it runs, with controls"
@@ -103,6 +107,9 @@ _NO_OPTIONS = argparse.Namespace(
     live=False,
     realtime=None,
     port=None,
+    style=None,
+    width=None,
+    figures=FORMATS[0],
     no_figures=False,
     no_replay=False,
     verify_step=False,
@@ -120,9 +127,12 @@ def run_into(folder: Path, scenario: Scenario, options: argparse.Namespace = _NO
     Raises:
         ScenarioError: the scenario cannot be built, or the folder not be written.
     """
-    figures, replay, is_quiet = not options.no_figures, not options.no_replay, options.quiet
+    figures = not options.no_figures and options.figures
+    replay, is_quiet = not options.no_replay, options.quiet
+    look = FigureLook(options.style, options.width)
     if figures:
-        require_drawing()
+        with look.applied():
+            pass  # they can be drawn
     is_new = not os.path.lexists(folder)
     own_code = own_code_of(dump_scenario(scenario))  # before somebody edits it
     code = 0
@@ -157,8 +167,8 @@ def run_into(folder: Path, scenario: Scenario, options: argparse.Namespace = _NO
         try:
             with TaskProgress() as task, interruption.patient(0):
                 show = no_progress if is_quiet else task
-                kinds = {"figures": figures, "replay": replay, "may_fork": not options.live}
-                write_pictures(run, place, **kinds, progress=show)
+                kinds: dict[str, Any] = {"figures": figures, "replay": replay, "look": look}
+                write_pictures(run, place, **kinds, progress=show, may_fork=not options.live)
         except KeyboardInterrupt:
             return metrics, place, "without all pictures"
         except Exception as error:  # what was flown is kept

@@ -36,6 +36,7 @@ from drake_nonstop.studies.processes import forked
 from drake_nonstop.studies.run_all import Progress, no_progress
 from drake_nonstop.validation import require, require_flags
 from drake_nonstop.visualization.drawing import draw_diagram
+from drake_nonstop.visualization.figure_style import FORMATS, FigureLook
 from drake_nonstop.visualization.replay import record_replay
 from drake_nonstop.visualization.run_figures import FIGURE_NAMES, figure_names, make_figure
 
@@ -44,7 +45,8 @@ _DATA = (SCENARIO, _METRICS, SIGNALS, STEPS)
 _OWN_CODE = "own_code"  # in metrics.json, beside the versions of packages
 
 _DIAGRAM, _REPLAY = "diagram.svg", "replay.html"
-_PICTURES = (_DIAGRAM, _REPLAY, *(f"figures/{name}.png" for name in FIGURE_NAMES))
+_FIGURES = [f"figures/{name}.{kind}" for kind in FORMATS for name in FIGURE_NAMES]
+_PICTURES = (_DIAGRAM, _REPLAY, *_FIGURES)
 
 # All files that may be written; those that a run does not write are removed.
 RUN_FILES = (*_DATA, *_PICTURES)
@@ -130,7 +132,13 @@ def _metrics_in(folder: Path) -> dict[str, Any]:
 
 
 def write_results(
-    run: Run, folder: Path | str, *, figures: bool = True, replay: bool = True
+    run: Run,
+    folder: Path | str,
+    *,
+    figures: bool | str = True,
+    replay: bool = True,
+    style: str | Path | None = None,
+    width: str | None = None,
 ) -> dict[str, Any]:
     """Writes a run's results to the folder and returns its metrics.
 
@@ -138,13 +146,18 @@ def write_results(
     results once they are written; diagram.svg, replay.html and figures/ follow, one by one.
     Earlier ones that show the same flight stay until then. `Run.load` reads the run back.
 
+    `figures` may also be their format: "png", "pdf" or "svg"; `style` and `width` are as of
+    `Run.plot`.
+
     Raises:
-        ScenarioError: the folder cannot be written, or `figures` or `replay` is no truth value;
-            then all but the pictures is written.
+        ScenarioError: the folder cannot be written, or one of the others is no such value; then
+            all but the pictures is written.
     """
     metrics = write_data(run, folder)
-    require_flags(figures=figures, replay=replay)  # only now: the flight is written
-    write_pictures(run, folder, figures=figures, replay=replay)
+    require_flags(replay=replay)  # only now: the flight is written
+    is_known = isinstance(figures, bool) or (isinstance(figures, str) and figures in FORMATS)
+    require(is_known, "figures", figures, f"give true or false, or {' or '.join(FORMATS)}")
+    write_pictures(run, folder, figures=figures, replay=replay, look=FigureLook(style, width))
     return metrics
 
 
@@ -193,53 +206,54 @@ def write_pictures(
     run: Run,
     folder: Path | str,
     *,
-    figures: bool = True,
+    figures: bool | str = True,
     replay: bool = True,
+    look: FigureLook = FigureLook(),  # noqa: B008 - it is immutable
     progress: Progress = no_progress,
     may_fork: bool = False,
 ) -> None:
     """Writes diagram.svg, replay.html and figures/, each of which appears once it is complete.
 
-    Earlier pictures that are not asked for are removed at the end. With `may_fork`, for a process
-    without threads that may hold a lock, a fork draws most of the figures meanwhile.
+    `figures` is as of `write_results`, and `look` theirs. Earlier pictures that are not asked for
+    are removed at the end. With `may_fork`, for a process without threads that may hold a lock, a
+    fork draws most of the figures meanwhile.
     """
     folder = as_path(folder)
     todo = [_DIAGRAM, _REPLAY] if replay else [_DIAGRAM]
-    drawn = [f"figures/{name}.png" for name in figure_names(run)] if figures else []
+    kind = figures if isinstance(figures, str) else FORMATS[0]
+    drawn = [f"figures/{name}.{kind}" for name in figure_names(run)] if figures else []
+    write = partial(_write_each, run, folder, look)
     if drawn and may_fork and sys.platform == "linux" and len(os.sched_getaffinity(0)) > 1:
         import matplotlib.figure  # noqa: F401 - once, for both processes
 
         most = drawn[len(drawn) // 4 :]
-        with shared([folder]), forked(partial(_write_each, run, folder, most)) as fork:
-            _write_each(run, folder, [*todo, *drawn[: len(drawn) // 4]], progress)
+        with shared([folder]), forked(partial(write, most)) as fork:
+            write([*todo, *drawn[: len(drawn) // 4]], progress)
             fork.join()
         left = most if fork.exitcode else []  # this process tells why
     else:
         left = [*todo, *drawn]
-    _write_each(run, folder, left, progress)
+    write(left, progress)
     _remove(folder, [item for item in _PICTURES if item not in (*todo, *drawn)])
 
 
 def _write_each(
-    run: Run, folder: Path, items: Sequence[str], progress: Progress = no_progress
+    run: Run, folder: Path, look: FigureLook, items: Sequence[str], progress: Progress = no_progress
 ) -> None:
     for k, item in enumerate(items):
         progress("writing", k / len(items))
         with replacing_files(folder, [item]) as new:
             (new / item).parent.mkdir(exist_ok=True)
             with (new / item).open("wb") as file:
-                _write_picture(run, item, file)
+                _write_picture(run, item, look, file)
 
 
-def _write_picture(run: Run, item: str, file: BinaryIO) -> None:
+def _write_picture(run: Run, item: str, look: FigureLook, file: BinaryIO) -> None:
     if item == _DIAGRAM:
         file.write(draw_diagram(run.diagram).encode())
     elif item == _REPLAY:
         file.write(record_replay(run).encode())
     else:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-
-        figure = make_figure(run, Path(item).stem)
-        figure.set_dpi(150)
-        # `savefig` would draw it twice, for the sake of its layout.
-        FigureCanvasAgg(figure).print_png(file, pil_kwargs={"compress_level": 1})
+        name, _, kind = Path(item).name.partition(".")
+        quick = {"pil_kwargs": {"compress_level": 1}} if kind == "png" else {}
+        make_figure(run, name, look).savefig(file, format=kind, **quick)

@@ -24,7 +24,7 @@ def run_html(run: Run) -> str:
         return _preformatted(repr(run))
     table = "\n".join(filter(None, (metrics_table(compute_metrics(run)), automatic_gains(run))))
     file = io.BytesIO()
-    make_figure(run, _FIGURE).savefig(file, format="png", dpi=90)
+    make_figure(run, _FIGURE).savefig(file, format="png", dpi=180)
     picture = base64.b64encode(file.getvalue()).decode()
     return (
         f"{_preformatted(repr(run))}{_preformatted(table)}"

@@ -14,8 +14,8 @@ from drake_nonstop.analysis.speed_check import set_over_time
 from drake_nonstop.analysis.task_check import TaskCheck
 from drake_nonstop.visualization.figure_style import (
     COLOURS,
-    LIMIT,
     legend_below,
+    limit_style,
     new_figure,
     plot_each,
     stacked,
@@ -39,12 +39,12 @@ def make_check_figure(found: TaskCheck) -> Figure:
         _draw_set(axes, found, column)
         plan = speeds.parameters[:, column]
         axes.plot(speeds.plan_times, plan, color=COLOURS[0], label="plan")
-        axes.axhline(found.task.nominal[column], **LIMIT, label="nominal")
+        axes.axhline(found.task.nominal[column], **limit_style(), label="nominal")
         axes.set_ylabel(label)
     xi.legend(fontsize="small")
     if speeds.speed_bound > 0:
         plot_each(ratios, speeds.plan_times, speeds.ratios, linestyle="solid")
-        ratios.axhline(1.0, **LIMIT)
+        ratios.axhline(1.0, **limit_style())
         ratios.set_ylim(0, None)
     ratios.set_ylabel(
         "v / bound along the plan" if speeds.speed_bound > 0 else "v / bound (there is none)"
@@ -55,7 +55,7 @@ def make_check_figure(found: TaskCheck) -> Figure:
         rates["with control"] = [instant.rate for instant in instants]
     for colour, (label, values) in zip(COLOURS[1::-1], rates.items(), strict=False):
         growth.plot(times, values, color=colour, label=label, **_DOTS)
-    growth.axhline(0.0, **LIMIT)
+    growth.axhline(0.0, **limit_style())
     growth.legend(fontsize="small")
     growth.set_ylabel("growth of a deviation (1/s)")
     loads = [instant.loads for instant in instants]
@@ -92,15 +92,15 @@ def _draw_set(axes: Axes, found: TaskCheck, column: int) -> None:
     axes.clabel(lines, fmt={1.0: "bound"}, fontsize="small")
 
 
-def make_limits_figure(limits: Sequence[LimitAlong], title: str) -> Figure:
+def make_limits_figure(limits: Sequence[LimitAlong], title: str = "") -> Figure:
     """Returns a figure of a panel per limit: curves of carriers, cables or pairs; limit dashed."""
     figure, panels = stacked(len(limits))
     for axes, along in zip(panels, limits, strict=True):
         plot_each(axes, along.times, along.values, linestyle="solid")
-        axes.axhline(along.stated, **LIMIT)
+        axes.axhline(along.stated, **limit_style())
         unit = f" ({along.limit.unit})" if along.limit.unit else ""
         axes.set_ylabel(f"{along.limit.words}{unit}")
-    return titled(figure, title)
+    return titled(figure, title) if title else figure
 
 
 def make_aircraft_margins_figure(found: AircraftMargins) -> Figure:
@@ -114,7 +114,7 @@ def make_aircraft_margins_figure(found: AircraftMargins) -> Figure:
         plot_each(axes, phases, values, "carrier", linewidth=1.6)
         for sign in (-1, 1):
             if limit is not None and np.any(sign * values > 0):
-                axes.axhline(sign * limit, **LIMIT)
+                axes.axhline(sign * limit, **limit_style())
         axes.set_ylabel(label)
 
     draw(lift, needs.lift / found.max_lift, "C_L / C_Lmax", limits.lift_share)

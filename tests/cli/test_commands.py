@@ -38,6 +38,7 @@ FIGURES = {
     "carrier_speeds",
     "tensions",
     "internal_force_parameters",
+    "snapshots",
 }
 BRIEF = ["--quiet", "--no-figures", "--no-replay"]
 

@@ -36,13 +36,13 @@ def test_a_panel_for_each_quantity_and_a_line_for_each_entry_and_run(runs):
     figure = make_signal_figure(runs[1], signals)
     labels = [axes.get_ylabel() for axes in figure.axes]
     assert labels == [
-        "tensions\n[N]",
-        "carrier_state.velocities\n[m/s]",
-        "load_state.position\n[m]",
+        "tensions\n(N)",
+        "carrier_state.velocities\n(m/s)",
+        "load_state.position\n(µm)",
     ]
     assert [len(axes.lines) for axes in figure.axes] == [4 + 3, 2 * 3, 2]
     assert figure.axes[0].lines[0].get_label() == "1 quintic"
-    assert figure.axes[-1].get_xlabel() == "time [s]"
+    assert figure.axes[-1].get_xlabel() == "time (s)"
 
 
 def test_all_of_many_runs_can_be_told_apart_and_too_many_are_refused(runs):
@@ -70,9 +70,12 @@ def test_the_command_writes_the_picture_and_refuses_what_it_cannot_draw(runs, tm
     call = ["plot", *places, "--signal", "tensions", "--out"]
     assert main([*call, str(tmp_path / "a.png")]) == 0
     with Image.open(tmp_path / "a.png") as picture:
-        assert picture.width > 800
+        assert picture.width == 3.5 * 300  # a column
+    figure = ["plot", places[0], "--figure", "snapshots", "--out", str(tmp_path / "b.pdf")]
+    assert main(figure) == 0
+    assert (tmp_path / "b.pdf").read_bytes().startswith(b"%PDF")
     assert main([*call, str(tmp_path / "a.txt")]) == 2
     assert "a.txt: give a name in .png, .pdf, .svg" in capsys.readouterr().err
-    assert main(["plot", *places, "--signal", "tension", "--out", str(tmp_path / "b.png")]) == 2
+    assert main(["plot", *places, "--signal", "tension", "--out", str(tmp_path / "c.png")]) == 2
     assert "signal = tension: give a port of the run" in capsys.readouterr().err
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.png"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.png", "b.pdf"]

@@ -19,13 +19,13 @@ def write(monkeypatch, tmp_path):
     monkeypatch.setattr(results_folder, "figure_names", lambda run: ["tensions", "limits"])
     monkeypatch.setattr(os, "sched_getaffinity", lambda process: {0, 1})
 
-    def written(content, error=()):
-        def picture(run, item, file):
+    def written(content, error=(), **options):
+        def picture(run, item, look, file):
             file.write(str(content(item)).encode())
 
         monkeypatch.setattr(results_folder, "_write_picture", picture)
         with contextlib.suppress(error):
-            write_pictures(None, tmp_path, may_fork=True)
+            write_pictures(None, tmp_path, may_fork=True, **options)
         return {file.name: file.read_text() for file in tmp_path.rglob("*") if file.is_file()}
 
     return written
@@ -35,6 +35,13 @@ def test_a_fork_draws_the_figures(write):
     pids = write(lambda item: os.getpid())
     assert pids["diagram.svg"] == pids["replay.html"] == str(os.getpid())
     assert pids["tensions.png"] == pids["limits.png"] != str(os.getpid())
+
+
+def test_figures_have_the_format_that_is_asked_for_and_replace_those_of_another(write):
+    for kind, other in (("png", "pdf"), ("pdf", "svg"), ("svg", "png")):
+        names = write(lambda item: 0, figures=kind)
+        assert {f"tensions.{kind}", f"limits.{kind}"} < set(names)
+        assert f"tensions.{other}" not in names
 
 
 def test_what_a_fork_does_not_draw_is_drawn(write):
