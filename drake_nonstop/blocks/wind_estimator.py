@@ -1,6 +1,7 @@
 """Box "wind_estimator": what the controllers and references believe of the wind.
 
-It is known, assumed, or observed by the carriers. The box is not in the paper's figure.
+It is known, assumed, or measured by the carriers, or by them and the load. The box is not in the
+paper's figure.
 """
 
 from collections.abc import Mapping, Sequence
@@ -93,6 +94,14 @@ class AssumedWind(Block):
         return np.array(self.config.velocity, dtype=float)
 
 
+def _airspeed_error() -> float:
+    return fulfilling(0.0, lambda share: abs(share) < 1, "give a number between -1 and 1")
+
+
+def _heading_error() -> float:
+    return fulfilling(0.0, lambda angle: abs(angle) <= np.pi, "give an angle of at most pi")
+
+
 @dataclass(kw_only=True)
 class WindObserverConfig(StrictFields):
     """The observer's time constant, its instruments, and the gusts that it reckons with."""
@@ -100,12 +109,8 @@ class WindObserverConfig(StrictFields):
     time_constant: float = positive(3.0)  # s, of the estimate
     carrier_time_constant: float = positive(2.0)  # s, of that of each carrier's own wind
     airspeed_noise: float = non_negative(0.3)  # m/s, white, of each sample on each axis
-    airspeed_error: float = fulfilling(  # share of the airspeed, the same for all carriers
-        0.0, lambda share: abs(share) < 1, "give a number between -1 and 1"
-    )
-    heading_error: float = fulfilling(  # rad, the same for all carriers
-        0.0, lambda angle: abs(angle) <= np.pi, "give an angle of at most pi"
-    )
+    airspeed_error: float = _airspeed_error()  # share of it, the same for all carriers
+    heading_error: float = _heading_error()  # rad, the same for all carriers
     gust: float = non_negative(0.5)  # m/s, standard deviation that the variance reckons with
     gust_time: float = positive(15.0)  # s, correlation time of these gusts
     coherence: float = non_negative(  # share of their power that all carriers have in common
@@ -115,7 +120,41 @@ class WindObserverConfig(StrictFields):
     seed: int = checked(0, require_seed)  # of the noise
 
 
-class WindObserver(Block):
+class _WindInstruments(Block):
+    """An estimate of winds by noisy instruments on the load, or of the mean, and on carriers."""
+
+    is_sampled = True
+
+    def block_parameters(self, model: Model, config: Any) -> BlockParameters:
+        return self.parameters_of(model, config, [name for name in vars(config) if name != "seed"])
+
+    def quantities(self, model: Model) -> Mapping[str, int]:
+        return {"noise": WIND_SIZE * (1 + model.n)}
+
+    def precomputed_inputs(self, names: Sequence[str], times: NDArray) -> list[NDArray]:
+        """Noise (k, 3 + 3n) of variance 1, held for a sample, at times (k,) in s."""
+        period = self.model.control_period or _NOISE_PERIOD
+        size = WIND_SIZE * (1 + self.model.n)
+        return [held_noise(self.config.seed, times, period, size) for _ in names]
+
+    def precomputed_input_rates(self, names: Sequence[str], times: NDArray) -> list[NDArray]:
+        """Its rates, 0."""
+        return [np.zeros((len(times), WIND_SIZE * (1 + self.model.n))) for _ in names]
+
+
+def _shown_winds(
+    carrier_state: NDArray, wind: NDArray, airspeed_error: NDArray, heading_error: NDArray
+) -> NDArray:
+    """Winds (n, 3), m/s, in W, that carriers' velocities over ground and airspeeds tell."""
+    velocities = CarrierStates.view(carrier_state).velocities
+    x, y, z = (velocities - wind.reshape(-1, WIND_SIZE)).T
+    cosine, sine = np.cos(heading_error), np.sin(heading_error)
+    turned = np.stack([cosine * x - sine * y, sine * x + cosine * y, z], axis=-1)
+    found: NDArray = velocities - (1 + airspeed_error) * turned
+    return found
+
+
+class WindObserver(_WindInstruments):
     """A mean wind, the same for all carriers, of what their airspeed sensors tell.
 
     A carrier of the velocity v_i over ground measures the velocity a_i through the air: with white
@@ -144,7 +183,6 @@ class WindObserver(Block):
 
     reads = ("wind", "carrier_state")
     makes = ("wind_estimate", "wind_variance", "carrier_gust_estimate")
-    is_sampled = True
 
     @staticmethod
     def equations(
@@ -170,11 +208,7 @@ class WindObserver(Block):
         The noise is that of the mean (3,), and what each carrier has beside it (3n,).
         """
         estimate, parts, winds = np.split(state, np.cumsum([WIND_SIZE, len(_START)]))
-        velocities = CarrierStates.view(carrier_state).velocities
-        x, y, z = (velocities - wind.reshape(n, WIND_SIZE)).T
-        cosine, sine = np.cos(heading_error), np.sin(heading_error)
-        turned = np.stack([cosine * x - sine * y, sine * x + cosine * y, z], axis=-1)
-        own = velocities - (1 + airspeed_error) * turned
+        own = _shown_winds(carrier_state, wind, airspeed_error, heading_error)
         mean = own.sum(axis=0) / n
         measured = mean + airspeed_noise / np.sqrt(n) * noise[:WIND_SIZE]
         others = noise[WIND_SIZE:].reshape(n, WIND_SIZE)
@@ -207,27 +241,11 @@ class WindObserver(Block):
     def constants(self, model: Model, config: WindObserverConfig) -> dict[str, Any]:
         return {"n": model.n, "sample": model.control_period or _NOISE_PERIOD}
 
-    def block_parameters(self, model: Model, config: WindObserverConfig) -> BlockParameters:
-        return self.parameters_of(model, config, [name for name in vars(config) if name != "seed"])
-
     def state(self, model: Model) -> NDArray:
         return np.concatenate([np.zeros(WIND_SIZE), _START, np.zeros(WIND_SIZE * model.n)])
 
     def start(self) -> Start:
         return Start(_mean_of_carriers, ("wind",))
-
-    def quantities(self, model: Model) -> Mapping[str, int]:
-        return {"noise": WIND_SIZE * (1 + model.n)}
-
-    def precomputed_inputs(self, names: Sequence[str], times: NDArray) -> list[NDArray]:
-        """Noise (k, 3 + 3n) of variance 1, held for a sample, at times (k,) in s."""
-        period = self.model.control_period or _NOISE_PERIOD
-        size = WIND_SIZE * (1 + self.model.n)
-        return [held_noise(self.config.seed, times, period, size) for _ in names]
-
-    def precomputed_input_rates(self, names: Sequence[str], times: NDArray) -> list[NDArray]:
-        """Its rates, 0."""
-        return [np.zeros((len(times), WIND_SIZE * (1 + self.model.n))) for _ in names]
 
 
 def _mean_of_carriers(wind: NDArray) -> NDArray:
@@ -236,7 +254,73 @@ def _mean_of_carriers(wind: NDArray) -> NDArray:
     return np.concatenate([winds.sum(axis=0) / len(winds), _START, wind])
 
 
-VARIANTS = (KnownWind, NoWind, AssumedWind, WindObserver)
+@dataclass(kw_only=True)
+class LoadAnemometerConfig(StrictFields):
+    """The time constants of the estimates, and the instruments."""
+
+    time_constant: float = positive(0.4)  # s, of the wind at the load
+    noise: float = non_negative(0.3)  # m/s, white, of each sample of it on each axis
+    carrier_time_constant: float = positive(0.4)  # s, of that of each carrier's own wind
+    airspeed_noise: float = non_negative(0.3)  # m/s, white, of each sample on each axis
+    airspeed_error: float = _airspeed_error()  # share of it, the same for all carriers
+    heading_error: float = _heading_error()  # rad, the same for all carriers
+    seed: int = checked(0, require_seed)  # of the noise
+
+
+class LoadAnemometer(_WindInstruments):
+    """The wind at the load by an anemometer on it, and at each carrier by its airspeed.
+
+    Airspeeds alone do not tell the wind at the load: of gusts that are not the same at n carriers
+    their mean keeps 1/√n, for as long as they last. Each estimate follows its noisy measurement by
+    a first-order observer. The anemometer's is `wind_estimate`; `carrier_gust_estimate` is what
+    each carrier's own wind is beyond it. Carriers measure as those of `WindObserver` do.
+
+    Raises:
+        ScenarioError: a field is out of range.
+    """
+
+    reads = ("load_wind", "wind", "carrier_state")
+    makes = ("wind_estimate", "carrier_gust_estimate")
+
+    @staticmethod
+    def equations(
+        state: NDArray,
+        load_wind: NDArray,
+        wind: NDArray,
+        carrier_state: NDArray,
+        instruments_noise: NDArray,
+        *,
+        time_constant: NDArray,
+        noise: NDArray,
+        carrier_time_constant: NDArray,
+        airspeed_noise: NDArray,
+        airspeed_error: NDArray,
+        heading_error: NDArray,
+    ) -> tuple[NDArray, NDArray, NDArray]:
+        """The state has the estimates of the wind at the load (3,) and at the carriers (3n,)."""
+        estimate, winds = state[:WIND_SIZE], state[WIND_SIZE:]
+        of_load, of_carriers = instruments_noise[:WIND_SIZE], instruments_noise[WIND_SIZE:]
+        own = _shown_winds(carrier_state, wind, airspeed_error, heading_error).ravel()
+        rates = [
+            (load_wind + noise * of_load - estimate) / time_constant,
+            (own + airspeed_noise * of_carriers - winds) / carrier_time_constant,
+        ]
+        gusts = (winds.reshape(-1, WIND_SIZE) - estimate).ravel()
+        return np.concatenate(rates), estimate, gusts
+
+    @classmethod
+    def check(cls, model: Model, config: LoadAnemometerConfig) -> None:
+        require_ranges(_BOX, config)
+
+    def state(self, model: Model) -> NDArray:
+        return np.zeros(WIND_SIZE * (1 + model.n))
+
+    def start(self) -> Start:
+        return Start(lambda load_wind, wind: np.append(load_wind, wind), ("load_wind", "wind"))
+
+
+VARIANTS = (KnownWind, NoWind, AssumedWind, WindObserver, LoadAnemometer)
 
 __all__ = ["KnownWind", "KnownWindConfig", "NoWind", "NoWindConfig"]
 __all__ += ["AssumedWind", "AssumedWindConfig", "WindObserver", "WindObserverConfig"]
+__all__ += ["LoadAnemometer", "LoadAnemometerConfig"]
