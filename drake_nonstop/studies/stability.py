@@ -20,7 +20,7 @@ from drake_nonstop.blocks.load_trajectory import RestToRestConfig, SteadyTurnCon
 from drake_nonstop.blocks.optimization_layer import ConstantParametersConfig
 from drake_nonstop.blocks.phase import AccumulatedPhaseConfig
 from drake_nonstop.blocks.wind import DrydenConfig, GustyWindConfig, WindProfileConfig
-from drake_nonstop.blocks.wind_estimator import WindObserverConfig
+from drake_nonstop.blocks.wind_estimator import LoadAnemometerConfig, WindObserverConfig
 from drake_nonstop.diagrams.nonstop import BOXES, SAMPLE_AND_HOLD, box_of, make_nonstop
 from drake_nonstop.loop.compiled_loop import CompiledLoop, reason_against
 from drake_nonstop.loop.equilibrium import set_equilibrium
@@ -97,6 +97,8 @@ def at_rest(scenario: Scenario) -> Scenario:
     estimator = scenario.wind_estimator
     if isinstance(estimator, WindObserverConfig):
         estimator = dataclasses.replace(estimator, airspeed_noise=0.0)
+    elif isinstance(estimator, LoadAnemometerConfig):
+        estimator = dataclasses.replace(estimator, noise=0.0, airspeed_noise=0.0)
     return dataclasses.replace(
         scenario,
         load_trajectory=RestToRestConfig(

@@ -134,6 +134,7 @@ def test_limits_of_aircraft_are_judged_along_the_plan_too():
     assert [each.limit.field for each in found.missed] == ["max_bank"]
 
 
+@pytest.mark.nightly("studies")
 def test_a_load_that_turns_with_its_aircraft_is_judged_at_the_rates_of_its_layer(fleet):
     scenario = load_scenario("aircraft_co_rotating_rising_wind")
     run, _ = fleet.evaluated(scenario)

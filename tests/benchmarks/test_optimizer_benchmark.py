@@ -14,6 +14,8 @@ from drake_nonstop.optimization.constraints import FEASIBILITY_TOLERANCE
 from drake_nonstop.optimization.diagnostics import Outcome
 from drake_nonstop.optimization.horizon_solver import PLAN_TOLERANCE
 
+pytestmark = pytest.mark.nightly("benchmarks")
+
 
 @pytest.fixture(scope="module")
 def solvers():
@@ -121,7 +123,6 @@ def test_peers_solve_what_is_near_by(name, solvers):
     assert np.median(ratios) <= 1.01
 
 
-@pytest.mark.nightly("benchmarks")
 def test_command_prints_a_table_and_writes_json(tmp_path, capsys):
     out = tmp_path / "bench"
     names = ["search", "SciPy SLSQP"]
@@ -142,7 +143,6 @@ def test_command_prints_a_table_and_writes_json(tmp_path, capsys):
     assert {path.name for path in out.iterdir()} == {"optimizer.json"}
 
 
-@pytest.mark.nightly("benchmarks")
 def test_layers_are_compared_with_the_offline_optimum():
     short = ["simulation_duration=5", "load_trajectory.move_time=4"]
     slow = ["load_trajectory.displacement=[0.4, 0.4, 0.4]", "optimization_layer.speed_bound=0.55"]

@@ -176,6 +176,7 @@ def test_an_unknown_solver_is_refused():
         NlpLayer(model(), NlpLayerConfig(solver="gurobi"))
 
 
+@pytest.mark.nightly("flights")
 def test_by_snopt_it_keeps_the_bound_of_the_quintic_task(fleet):
     run, metrics = fleet.evaluated("quintic_nlp")
     assert run.scenario.optimization_layer.solver == "snopt"

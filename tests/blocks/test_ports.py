@@ -82,7 +82,13 @@ from drake_nonstop.blocks.wind import (
     WindProfile,
     WindProfileConfig,
 )
-from drake_nonstop.blocks.wind_estimator import AssumedWind, KnownWind, NoWind, WindObserver
+from drake_nonstop.blocks.wind_estimator import (
+    AssumedWind,
+    KnownWind,
+    LoadAnemometer,
+    NoWind,
+    WindObserver,
+)
 from drake_nonstop.blocks.wrench_controller import (
     GeometricPd,
     PaperWrenchController,
@@ -356,6 +362,11 @@ BLOCKS = {
     WindObserver: (
         ["wind", "carrier_state"],
         ["wind_estimate", "wind_variance", "carrier_gust_estimate"],
+        [],
+    ),
+    LoadAnemometer: (
+        ["load_wind", "wind", "carrier_state"],
+        ["wind_estimate", "carrier_gust_estimate"],
         [],
     ),
     LoadPlant: (["cable_forces", "disturbance_wrench", "load_wind"], ["load_state"], []),

@@ -12,6 +12,8 @@ from drake_nonstop.blocks.wind import GustyWind, GustyWindConfig, SteadyWind, St
 from drake_nonstop.blocks.wind_estimator import (
     AssumedWind,
     AssumedWindConfig,
+    LoadAnemometer,
+    LoadAnemometerConfig,
     NoWind,
     WindObserver,
     WindObserverConfig,
@@ -71,6 +73,40 @@ def test_each_carriers_wind_is_followed_beside_the_mean():
     np.testing.assert_allclose(output(block, context, "wind_estimate"), mean, atol=0.02)
     gusts = output(block, context, "carrier_gust_estimate").reshape(3, 3)
     np.testing.assert_allclose(gusts, (1 - np.exp(-2)) * winds - mean, atol=0.03)
+
+
+def test_an_anemometer_tells_the_wind_at_the_load_and_that_of_each_carrier_beyond_it():
+    """(1 − exp(−t/T)) of the load's wind, (1 − exp(−t/T_i)) of each carrier's."""
+    fields = {"time_constant": 2.0, "carrier_time_constant": 1.0, "noise": 0.0, **QUIET}
+    block = LoadAnemometer(model(3, PERIOD), LoadAnemometerConfig(**fields))
+    simulator = Simulator(block)
+    context = simulator.get_mutable_context()
+    fix(block, context, load_wind=np.zeros(3), wind=np.zeros(9), carrier_state=np.zeros(18))
+    simulator.Initialize()
+    winds, at_load = np.array([[3.0, 0, 0], [0, 1.0, 0], [0, 0, -1.0]]), np.array([0.5, 1.0, -2.0])
+    fix(block, context, wind=winds.ravel(), load_wind=at_load)
+    simulator.AdvanceTo(2.0)
+    expected = (1 - np.exp(-2 / 2)) * at_load
+    np.testing.assert_allclose(output(block, context, "wind_estimate"), expected, atol=0.02)
+    gusts = output(block, context, "carrier_gust_estimate").reshape(3, 3)
+    np.testing.assert_allclose(gusts, (1 - np.exp(-2)) * winds - expected, atol=0.04)
+
+
+def test_noise_of_an_anemometer_passes_with_its_time_constant():
+    """White noise ν held for samples of h leaves ν² h/(2 T), for h much below T (Lyapunov)."""
+    fields = {"time_constant": 1.0, "noise": 0.5, "airspeed_noise": 0.0, "seed": 4}
+    block = LoadAnemometer(model(4, PERIOD), LoadAnemometerConfig(**fields))
+    simulator = Simulator(block)
+    context = simulator.get_mutable_context()
+    fix(block, context, load_wind=np.ones(3), wind=np.ones(12), carrier_state=np.zeros(24))
+    simulator.Initialize()
+    found = []
+    for time in np.arange(5.0, 605.0, 1.0):
+        simulator.AdvanceTo(time)
+        found.append(output(block, context, "wind_estimate").copy())
+    assert np.mean(found) == pytest.approx(1.0, abs=0.02)
+    expected = 0.5 * np.sqrt(PERIOD / 2)
+    assert np.std(found) == pytest.approx(expected, rel=0.1)
 
 
 def test_errors_of_instruments_average_out_over_a_turn_but_in_the_wind_itself():

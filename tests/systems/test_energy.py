@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from helpers import INERTIA, difference, model, output, regular, rotation
+from helpers import INERTIA, difference, model, nightly_beyond, output, regular, rotation
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import SpatialInertia, UnitInertia
 from pydrake.systems.analysis import Simulator
@@ -156,7 +156,7 @@ def power(system, diagram, context, feels_its_cable):
     return (forces * carriers.velocities).sum() - drag - damping
 
 
-@pytest.mark.parametrize("load", [LoadPlant, MultibodyLoadPlant])
+@pytest.mark.parametrize("load", nightly_beyond(1, "flights", [LoadPlant, MultibodyLoadPlant]))
 @pytest.mark.slow
 def test_a_free_undamped_loop_conserves_its_energy(load):
     system = SystemParameters(cable_damping=0.0, load_drag=0.0)
