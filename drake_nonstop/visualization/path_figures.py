@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from drake_nonstop.mechanics.lumped_cable import nodes_of
 from drake_nonstop.mechanics.signals import CarrierStates, LoadState
 from drake_nonstop.simulation.run import Run
 from drake_nonstop.simulation.run_quantities import (
@@ -85,8 +86,9 @@ def _draw_paths(
     corners = attachment_positions(run, load_states[instants]) @ to_page  # (instants, n, 2)
     cables = [corners[:, None], carriers[instants, None]]
     if RunQuantities(run).has_nodes:
-        nodes = np.split(run.signal("cable_state")[instants], 2, axis=1)[0]
-        cables.insert(1, nodes.reshape(len(instants), -1, corners.shape[1], 3) @ to_page)
+        states = run.signal("cable_state")[instants]
+        nodes = np.stack([nodes_of(state, corners.shape[1])[0] for state in states])
+        cables.insert(1, nodes @ to_page)
     points = np.concatenate(cables, axis=1)  # (instants, points of a cable, n, 2)
     drawn = np.concatenate([e.reshape(-1, 2) for e in (load[shown], carriers[shown], points)])
     finite = np.isfinite(drawn).all(axis=1)  # not so where a run stopped
