@@ -63,8 +63,8 @@ class _Neighbours(_Structure):
 class _Horizon(_Structure):
     _fields_ = [
         *_fields(p="daqp", i="instants count fixed constraints slacks angles differences carriers"),
-        *_fields(p="jacobians ends hessian step_hessian weights bounds fixed_rows difference_rows"),
-        *_fields(p="largest instant_of slack_of before after widths"),
+        *_fields(p="jacobians ends hessian step_hessian step_rows fixed_rows weights bounds"),
+        *_fields(p="difference_rows largest instant_of slack_of before after widths"),
         *_fields(i="function_count neighbour_count", p="functions neighbours"),
         *_fields(i="terminal terminal_count amplitude_count", p="terminal_at"),
         *_fields(i="bound fast apart", d="terminal_unit least_amplitude amplitude_spacing"),
@@ -134,9 +134,9 @@ class CompiledPlan(threading.local):
             _quadprog(),
             *(len(problem.instants), problem.count, solver.fixed, len(layout.names)),
             *(len(solver.weights), problem.intervals, len(solver.differences), problem.model.n),
-            *(rows, _ends(rows), problem.hessian, solver.step_hessian, solver.weights),
+            *(rows, _ends(rows), problem.hessian, *_of_steps(solver, rows), solver.weights),
             np.concatenate([bound.ravel() for bound in problem.bounds]),
-            *(solver.fixed_rows, solver.differences, solver.largest_differences),
+            *(solver.differences, solver.largest_differences),
             *(layout.instants, layout.slacks, layout.before, layout.after, layout.widths),
             *(len(functions), len(neighbours)),
             (_Margins * len(functions))(*functions),
@@ -199,6 +199,20 @@ def _margins(part: MarginFunction) -> _Margins:
     arrays = part.instants, part.places, part.along, part.angles, part.rows, part.columns
     own = len(part.columns), len(part.constants), int(part.source == "flat_flight")
     return _Margins(evaluate, buffer, inputs, outputs, *part.places.shape, *arrays, *own)
+
+
+def _of_steps(solver: "HorizonSolver", rows: NDArray) -> tuple[NDArray, NDArray, NDArray]:
+    """Of the program of a step: its Hessian, `rows` by z, and its fixed rows; see solve_plan.c.
+
+    x = T z with T = R⁻¹ and the cost's Hessian H = RᵀR, which is that of each spline by itself.
+    """
+    size, slacks, fixed = len(solver.free), len(solver.weights), solver.fixed
+    changes = np.linalg.inv(np.linalg.cholesky(solver.step_hessian[:size, :size]).T)
+    xi, amplitude = changes[: size // 2, : size // 2], changes[size // 2 :, size // 2 :]
+    own = [rows[:3, :, fixed:] @ xi, rows[3:, :, fixed:] @ amplitude]
+    others = np.vstack([changes, solver.fixed_rows[:, :size] @ changes])
+    hessian = np.diag(np.repeat([0.0, 1.0], [slacks, size]))
+    return hessian, np.concatenate(own), np.hstack([np.zeros((len(others), slacks)), others])
 
 
 def _ends(rows: NDArray) -> NDArray:

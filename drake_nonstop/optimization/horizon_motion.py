@@ -18,7 +18,7 @@ from drake_nonstop.optimization.terminal_set import TerminalTables
 # they need has fewer dips in a turn than speeds that pass low values.
 _FLIGHT_EVERY, _LEAST_FLIGHTS = 4, 5
 
-_INTERVALS_AHEAD = 8  # for which what a plan needs to know is found at once
+_INTERVALS_AHEAD = 2  # for which what a plan needs to know is found at once
 _SAME_KNOT = 1e-9  # intervals
 
 Reference = Callable[[float], NDArray]  # the load's reference (22,) at a time in s

@@ -63,11 +63,14 @@ typedef struct {
   int64_t instants, count, fixed, constraints, slacks, angles, differences, carriers;
   const double *rows;         /* (6, instants, count) */
   const int64_t *ends;        /* (6, instants, 2): where a row begins and ends to be other than 0 */
-  const double *hessian;      /* (2 count, 2 count) */
-  const double *step_hessian; /* (variables, variables): of the free coefficients and the slacks */
+  const double *hessian; /* (2 count, 2 count) */
+  /* Of a step's program. Its variables are the slacks, and behind them z: the free coefficients
+     change by T z, the cost by z'z/2 and a linear part, which saves DAQP most of its preparation. */
+  const double *step_hessian; /* (variables, variables) */
+  const double *step_rows;    /* (6, instants, free): as `rows`, by z */
+  const double *fixed_rows;   /* (2 free + angles + differences, variables): T, and others */
   const double *weights;      /* (slacks) */
   const double *bounds;       /* (4): of xi and A, the least ones and the largest ones */
-  const double *fixed_rows;   /* (angles + differences, variables) */
   const double *difference_rows; /* (differences, 2 count) */
   const double *largest;         /* (differences) */
   const int64_t *instant_of, *slack_of, *before, *after, *widths; /* (constraints) */
@@ -348,20 +351,17 @@ static void changes(const Work *w, const Linearization *lin, const double *step,
     }
 }
 
-/* A row of the margins' Jacobian by the free coefficients, times a weight, added to `row`. */
+/* A row of the margins' Jacobian by z, times a weight, added to `row`. */
 static void add_row(const Horizon *h, const Linearization *lin, int64_t number, double weight,
                     double *row) {
   const int64_t free_count = h->count - h->fixed;
   int64_t i, j;
   for (i = 0; i < ENTRIES; i++) {
     const double slope = weight * lin->gradients[i * h->constraints + number];
-    const int64_t place = i * h->instants + h->instant_of[number];
-    const double *rows = h->rows + place * h->count;
-    double *own = row + (i / 3) * free_count - h->fixed;
+    const double *rows = h->step_rows + (i * h->instants + h->instant_of[number]) * free_count;
+    double *own = row + (i / 3) * free_count;
     if (slope == 0) continue;
-    j = h->ends[2 * place] > h->fixed ? h->ends[2 * place] : h->fixed;
-    for (; j < h->ends[2 * place + 1]; j++)
-      own[j] += slope * rows[j];
+    for (j = 0; j < free_count; j++) own[j] += slope * rows[j];
   }
 }
 
@@ -413,21 +413,21 @@ static int solved(Work *w, const Linearization *lin, const double *margins, cons
   const Horizon *h = w->h;
   const double *settings = h->settings;
   const int64_t free_count = h->count - h->fixed, variables = 2 * free_count + h->slacks;
-  const int64_t fixed_rows = h->angles + h->differences;
+  const int64_t fixed_rows = 2 * free_count + h->angles + h->differences;
   const double radius = scale * settings[COEFFICIENT_RADIUS];
   int64_t i, j, rows = fixed_rows;
   for (i = 0, w->chosen_count = 0; i < h->constraints; i++)
     if (w->is_chosen[i]) w->chosen[w->chosen_count++] = i;
   rows += w->chosen_count;
   if (!make_room(w, rows, variables)) return -1;
+  double *lower = w->lower + h->slacks, *upper = w->upper + h->slacks;
+  for (i = 0; i < h->slacks; i++) w->lower[i] = 0, w->upper[i] = 1e30;
   for (i = 0; i < 2 * free_count; i++) {
     const int64_t spline = i / free_count;
     const double own = x[spline * h->count + h->fixed + i % free_count];
-    w->lower[i] = clip(h->bounds[spline] - own, -radius, 0); /* no change is always allowed */
-    w->upper[i] = clip(h->bounds[2 + spline] - own, 0, radius);
+    *lower++ = clip(h->bounds[spline] - own, -radius, 0); /* no change is always allowed */
+    *upper++ = clip(h->bounds[2 + spline] - own, 0, radius);
   }
-  for (i = 2 * free_count; i < variables; i++) w->lower[i] = 0, w->upper[i] = 1e30;
-  double *lower = w->lower + variables, *upper = w->upper + variables;
   for (i = 0; i < h->angles; i++)
     upper[i] = scale * settings[ANGLE_RADIUS], lower[i] = -upper[i];
   for (i = 0; i < h->differences; i++) {
@@ -436,17 +436,18 @@ static int solved(Work *w, const Linearization *lin, const double *margins, cons
     lower[h->angles + i] = least(-h->largest[i] - difference, 0);
     upper[h->angles + i] = largest(h->largest[i] - difference, 0);
   }
+  lower += h->angles + h->differences, upper += h->angles + h->differences;
   memcpy(w->program_rows, h->fixed_rows, fixed_rows * variables * sizeof(double));
   for (i = 0; i < w->chosen_count; i++) {
     double *row = w->program_rows + (fixed_rows + i) * variables;
     memset(row, 0, variables * sizeof(double));
-    jacobian_row(h, lin, w->chosen[i], row);
-    row[2 * free_count + h->slack_of[w->chosen[i]]] = 1;
-    lower[fixed_rows + i] = -margins[w->chosen[i]], upper[fixed_rows + i] = 1e30;
+    jacobian_row(h, lin, w->chosen[i], row + h->slacks);
+    row[h->slack_of[w->chosen[i]]] = 1;
+    lower[i] = -margins[w->chosen[i]], upper[i] = 1e30;
   }
-  memset(w->sense, 0, (variables + rows) * sizeof(int));
+  memset(w->sense, 0, (h->slacks + rows) * sizeof(int));
   memset(w->solution, 0, variables * sizeof(double));
-  Program program = {.n = variables, .m = variables + rows, .ms = variables,
+  Program program = {.n = variables, .m = h->slacks + rows, .ms = h->slacks,
                      .H = (double *)h->step_hessian, .f = w->gradient, .A = w->program_rows,
                      .bupper = w->upper, .blower = w->lower, .sense = w->sense};
   Result result = {.x = w->solution, .lam = w->multipliers};
@@ -461,15 +462,18 @@ static int step(Work *w, const Linearization *lin, const double *margins, const 
   const Horizon *h = w->h;
   const double *settings = h->settings;
   const int64_t free_count = h->count - h->fixed, count = h->constraints;
+  const int64_t variables = 2 * free_count + h->slacks;
   int64_t i, j, round;
   double most;
+  memset(w->gradient, 0, variables * sizeof(double));
+  memcpy(w->gradient, h->weights, h->slacks * sizeof(double));
   for (i = 0; i < 2 * free_count; i++) {
     const int64_t row = (i / free_count) * h->count + h->fixed + i % free_count;
-    w->gradient[i] = 0;
-    for (j = 0; j < 2 * h->count; j++)
-      w->gradient[i] += h->hessian[row * 2 * h->count + j] * (x[j] - 1);
+    double slope = 0;
+    for (j = 0; j < 2 * h->count; j++) slope += h->hessian[row * 2 * h->count + j] * (x[j] - 1);
+    for (j = h->slacks; j < variables; j++)
+      w->gradient[j] += slope * h->fixed_rows[i * variables + j];
   }
-  memcpy(w->gradient + 2 * free_count, h->weights, h->slacks * sizeof(double));
   memcpy(w->is_chosen, w->is_active, count);
   for (i = 0; i < count; i++)
     if (is_dip(h, margins, i, settings[LARGEST_MARGIN]))
@@ -479,13 +483,16 @@ static int step(Work *w, const Linearization *lin, const double *margins, const 
     int is_new = 0;
     if (is_solved != 1) return is_solved;
     memset(w->flat_step, 0, 2 * h->count * sizeof(double));
-    for (i = 0; i < 2 * free_count; i++)
-      w->flat_step[(i / free_count) * h->count + h->fixed + i % free_count] = w->solution[i];
+    for (i = 0; i < 2 * free_count; i++) {
+      double *change = w->flat_step + (i / free_count) * h->count + h->fixed + i % free_count;
+      for (j = h->slacks; j < variables; j++)
+        *change += h->fixed_rows[i * variables + j] * w->solution[j];
+    }
     changes(w, lin, w->flat_step, w->changed);
     memset(w->is_active, 0, count);
     for (i = 0; i < count; i++) {
       w->changed[i] += margins[i];
-      w->excess[i] = w->changed[i] + w->solution[2 * free_count + h->slack_of[i]];
+      w->excess[i] = w->changed[i] + w->solution[h->slack_of[i]];
       if (w->is_chosen[i]) w->is_active[i] = w->excess[i] < settings[ACTIVE_MARGIN];
     }
     memcpy(w->raw, w->excess, count * sizeof(double)); /* is_dip of it, while choosing */
