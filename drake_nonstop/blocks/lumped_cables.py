@@ -19,6 +19,7 @@ from drake_nonstop.mechanics.signal_layouts import MOST_NODES, Layout, nodes_lay
 from drake_nonstop.model.block import Block, BlockParameters
 from drake_nonstop.model.system import AIRCRAFT, Model
 from drake_nonstop.systems.parameters import parameters_in
+from drake_nonstop.systems.tracing import for_each
 from drake_nonstop.validation import (
     StrictFields,
     checked,
@@ -89,19 +90,47 @@ class LumpedCables(Block):
     @staticmethod
     def equations(
         state: NDArray,
-        *inputs: NDArray,
+        load_state: NDArray,
+        carrier_state: NDArray,
+        wind: NDArray,
+        load_wind: NDArray,
+        *,
         attachments: NDArray,
         max_damping_ratio: NDArray,
         **numbers: Any,
     ) -> tuple[NDArray, ...]:
-        moved = lumped_cables(
-            state,
-            *inputs,
-            attachments=attachments,
-            cable=cable_material(numbers),
-            max_damping_ratio=max_damping_ratio,
-        )
-        return moved.rates, moved.load_forces, moved.carrier_forces, moved.tensions[0]
+        def lumped_cable(
+            state: NDArray,
+            carrier_state: NDArray,
+            wind: NDArray,
+            attachment: NDArray,
+            load_state: NDArray,
+            load_wind: NDArray,
+            material: NDArray,
+            max_damping_ratio: NDArray,
+        ) -> NDArray:
+            """The nodes' rates, the forces at both ends and the tension at the load, (6 N + 7,)."""
+            moved = lumped_cables(
+                state,
+                load_state,
+                carrier_state,
+                wind,
+                load_wind,
+                attachments=attachment[None],
+                cable=CableMaterial(*material[:, None]),
+                max_damping_ratio=max_damping_ratio,
+            )
+            forces = moved.load_forces[0], moved.carrier_forces[0], moved.tensions[0]
+            return np.concatenate([moved.rates, *forces])
+
+        n = len(attachments)
+        own = [*(_by_cable(values, n) for values in (state, carrier_state, wind)), attachments]
+        material = np.concatenate([np.ravel(number) for number in cable_material(numbers)])
+        shared = [load_state, load_wind, material, np.ravel(max_damping_ratio)]
+        found = for_each(lumped_cable, own, shared)
+        rates, forces, carrier_forces, tensions = np.split(found, [-7, -4, -1], axis=1)
+        rates = rates.reshape(n, -1, 3).swapaxes(0, 1)
+        return rates.ravel(), forces, carrier_forces, tensions[:, 0]
 
     @classmethod
     def check(cls, model: Model, config: LumpedCablesConfig) -> None:
@@ -188,6 +217,11 @@ class LumpedCables(Block):
         numbers = self.constants(self.model, self.config) | parameters_in(self, context)
         cable = cable_material(numbers)
         return lumped_cables_energies(state, *ends, attachments=self.model.attachments, cable=cable)
+
+
+def _by_cable(values: NDArray, n: int) -> NDArray:
+    """Vectors of n cables (k, n, 3), flat, as a row (3k,) for each cable."""
+    return values.reshape(-1, n, 3).swapaxes(0, 1).reshape(n, -1)
 
 
 def cable_material(numbers: dict[str, Any]) -> CableMaterial:

@@ -15,6 +15,7 @@ import ctypes
 import fcntl
 import functools
 import hashlib
+import inspect
 import os
 import platform
 import shutil
@@ -31,6 +32,12 @@ from typing import NamedTuple, TypeVar
 
 import casadi
 
+from drake_nonstop.systems import lane_code
+from drake_nonstop.systems.lane_code import (
+    FAST_TO_COMPILE,
+    CompilationError,
+    with_rows_side_by_side,
+)
 from drake_nonstop.validation import warn_user
 
 COMPILER = "CC"  # the variable of the environment that names another compiler
@@ -43,13 +50,13 @@ _SHARED = [  # on Linux a library calls its own functions, and none of that name
 ]
 _OPTIONS = ["-Og", *_SHARED]
 _OF_PROCESSOR = ["-O2", "-march=native", "-fno-math-errno", "-fno-builtin-pow", *_SHARED]
-FAST_TO_COMPILE = '#pragma GCC optimize("no-tree-pre", "ira-region=one") /* in half the time */'
 _FEATURES = "vendor_id", "cpu family", "model", "stepping", "flags", "CPU part", "Features"
 _TIME_LIMIT = 600.0  # s, of a compilation
 _VERSION_TIME_LIMIT = 10.0  # s
 _LEFT_TIME = 2 * _TIME_LIMIT  # s, after which nothing is at work in a folder
 _NEW = ".new-"  # a folder, and files in it
 _SAVED, _BESIDES, _CALL = "function.casadi", "besides.c", "call"
+_WRITER = inspect.getsource(lane_code)  # which writes a part of the C, too
 _NICE = 10  # of what compiles beside a process, which comes first
 _BUILD_BESIDE = """
 import sys
@@ -57,10 +64,6 @@ scratch, library, *sys.path[:] = sys.argv[1:]
 from drake_nonstop.systems.compilation import build_beside
 build_beside(scratch, library)
 """
-
-
-class CompilationError(RuntimeError):
-    """Nothing was compiled; the message tells why, in a few words."""
 
 
 _Loaded = TypeVar("_Loaded")
@@ -111,7 +114,7 @@ def compiled(
 
 def digest(function: casadi.Function, besides: str = "") -> str:
     """Text that differs for functions, and C text besides, that differ."""
-    text = f"{casadi.__version__}\0{function.serialize()}\0{besides}"
+    text = f"{casadi.__version__}\0{_WRITER}\0{function.serialize()}\0{besides}"
     return hashlib.sha256(text.encode()).hexdigest()
 
 
@@ -350,12 +353,11 @@ def c_text(function: casadi.Function) -> str:
     generator = casadi.CodeGenerator("loop", {"with_header": False})
     if function.is_a("MXFunction"):
         generator.add(function)
-        return f"{FAST_TO_COMPILE}\n{generator.dump()}"
+        return with_rows_side_by_side(f"{FAST_TO_COMPILE}\n{generator.dump()}", function)
     argument = casadi.SX.sym("x", function.size1_in(0))
     results = casadi.cse(function.call([argument]))
     generator.add(casadi.Function(function.name(), [argument], results))
-    text: str = generator.dump()
-    return text
+    return with_rows_side_by_side(generator.dump(), function)
 
 
 def _version(path: str) -> str:

@@ -11,8 +11,7 @@ from typing import NamedTuple
 
 import casadi
 
-from drake_nonstop.systems.compilation import FAST_TO_COMPILE, CompilationError
-
+FAST_TO_COMPILE = '#pragma GCC optimize("no-tree-pre", "ira-region=one") /* in half the time */'
 _BEGIN = (
     f"""\
 #include <math.h>
@@ -88,6 +87,26 @@ _FORMS = _OPERATORS | {
 _FORMS[casadi.OP_CONSTPOW] = _FORMS[casadi.OP_POW]
 
 
+_ROWS_SIDE_BY_SIDE = """{{
+  lanes x[{inputs}], y[{outputs}];
+  for (int first = 0; first < {rows}; first += W) {{
+    for (int k = 0; k < W; k++) {{ /* the last row again where there is none */
+      int row = first + k < {rows} ? first + k : {rows} - 1;
+      for (int i = 0; i < {inputs}; i++) x[i][k] = arg[0][row * {inputs} + i];
+    }}
+    {name}(x, y);
+    for (int k = 0; k < W && first + k < {rows}; k++)
+      for (int i = 0; i < {outputs}; i++) res[0][(first + k) * {outputs} + i] = y[i][k];
+  }}
+  return 0;
+}}
+"""
+
+
+class CompilationError(RuntimeError):
+    """Nothing was compiled; the message tells why, in a few words."""
+
+
 class _Called(NamedTuple):
     """A function that another one calls, and its name in C."""
 
@@ -111,6 +130,37 @@ def side_by_side(function: casadi.Function, *, shares_angles: bool = False) -> s
     return "\n".join([_BEGIN, *_by_lane(shares_angles), *written])
 
 
+def with_rows_side_by_side(text: str, function: casadi.Function) -> str:
+    """CasADi's C text of a function, in which `tracing.for_each` makes the rows side by side.
+
+    Raises:
+        CompilationError: an operation is none of those known here.
+    """
+    maps: dict[str, casadi.Function] = {}
+    _find_maps(function, maps)
+    names: dict[int, str] = {}
+    made: list[str] = []
+    for told, rows in maps.items():
+        if text.count(f"/* {told} */") > 1:
+            continue  # others have that name and these sizes: they stay as they are
+        each, name = rows.info()["f"], f"row_{len(made)}"
+        begin = text.index("{", text.index(f"/* {told} */"))
+        end = text.index("\n}\n", begin) + 3
+        made += _written(_Called(name, each), names)
+        sizes = {"inputs": each.nnz_in(0), "outputs": each.nnz_out(0), "rows": rows.info()["n"]}
+        text = text[:begin] + _ROWS_SIDE_BY_SIDE.format(name=name, **sizes) + text[end:]
+    return "\n".join([_BEGIN, *_by_lane(False), *made, text]) if maps else text
+
+
+def _find_maps(function: casadi.Function, found: dict[str, casadi.Function]) -> None:
+    """Adds the maps that a function calls, by what CasADi's C text calls them."""
+    for other in _calls(function).values():
+        if other.is_a("Map"):
+            found[str(other).rpartition(" ")[0]] = other
+        else:
+            _find_maps(other, found)
+
+
 def _by_lane(shares: bool) -> Iterator[str]:
     for count, names in _FUNCTIONS.items():
         arguments = ", ".join(["lanes x", "lanes y"][:count])
@@ -131,12 +181,20 @@ def _written(own: _Called, names: dict[int, str]) -> Iterator[str]:
             yield from _written(_Called(names[key], other), names)
         called[k] = _Called(names[key], other)
     yield f"static void {name}(const lanes *restrict input, lanes *restrict results) {{"
+    if function.is_a("Map"):
+        steps = f"input + i * {called[0].function.nnz_in(0)}, results + i * "
+        yield f"for (int i = 0; i < {function.info()['n']}; i++)"
+        yield f"{called[0].name}({steps}{called[0].function.nnz_out(0)});"
+        yield "}"
+        return
     yield from (_of_vectors if function.is_a("MXFunction") else _statements)(function, called)
     yield "}"
 
 
 def _calls(function: casadi.Function) -> dict[int, casadi.Function]:
     """The functions that are called, by the numbers of the instructions."""
+    if function.is_a("Map"):
+        return {0: function.info()["f"]}
     numbers = range(function.n_instructions())
     calls = [k for k in numbers if function.instruction_id(k) == casadi.OP_CALL]
     if function.is_a("MXFunction"):

@@ -147,6 +147,9 @@ class TracedBlock(LeafBlock):
         if optional:
             self.optional_inputs = (*optional,)
         trace = Trace(function, [*read.values()], key=key)
+        every = [*range(len(read))], [*range(len(made))]
+        # In a trace of a diagram: what the function calls is called once, for all outputs.
+        self._at_once = _Part(trace, every, [*read], made) if trace.calls and not between else None
         ports = dict(inputs) | ({SAMPLE_TIME: 1} if between else {})
         self._inputs: dict[str, InputPort] = {
             name: self.DeclareVectorInputPort(name, size) for name, size in ports.items()
@@ -367,31 +370,32 @@ class TracedBlock(LeafBlock):
             make, names = self._start
             state = make(*(at.input(name) for name in names))
         places = (self._places[name] for name in self._held)
-        return [state, *(self._traced(k, at, state)[place] for k, place in places)]
+        return [state, *(self._traced(self._parts[k], at, state)[place] for k, place in places)]
 
     def _traced_state(self, at: TraceContext) -> NDArray:
         return at.state(0 if self.sample_period == 0 else 1)
 
     def _traced_result(self, name: str, at: TraceContext) -> NDArray:
         """Outputs as they are made, and not as they are held."""
-        k, place = self._places[name]
-        return at.once(k, lambda: self._traced(k, at))[place]
+        part = self._at_once or self._parts[self._places[name][0]]
+        return at.once(part.key, lambda: self._traced(part, at))[part.outputs[name]]
 
-    def _traced(self, k: int, at: TraceContext, state: NDArray | None = None) -> NDArray:
+    def _traced(self, part: "_Part", at: TraceContext, state: NDArray | None = None) -> NDArray:
         """Outputs of a part, in symbols; `state` is in place of the present one."""
         read = [
             state if name == _STATE and state is not None else self._traced_value(name, at)
-            for name in self._parts[k].reads
+            for name in part.reads
         ]
         taken = casadi.SX(casadi.vertcat(*np.concatenate(read)) if read else 0)
-        results, _ = self._parts[k].function(taken)
+        results, _ = part.function(taken)
         return object_array(results)
 
     def _traced_value(self, name: str, at: TraceContext) -> NDArray:
         if name in self._optional:
             return at.input_or(name, self._optional[name])
         if name == _AT_SAMPLE:
-            return at.once(0, lambda: self._traced(0, at))
+            first = self._parts[0]
+            return at.once(first.key, lambda: self._traced(first, at))
         if name == _NUMBERS:
             return at.parameters
         if name == _TIME:

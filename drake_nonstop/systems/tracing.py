@@ -171,6 +171,7 @@ class Trace:
     Attributes:
         output_sizes: the length of each output, flat.
         dependence: for each output the inputs, by their numbers, on which an entry depends.
+        calls: whether it calls functions, see `for_each`.
     """
 
     def __init__(self, function: Callable, input_sizes: Sequence[int], *, key: Any = None):
@@ -180,6 +181,7 @@ class Trace:
         )
         self.output_sizes = self._expressions.output_sizes
         self.dependence = self._expressions.dependence
+        self.calls = self._expressions.calls
 
     @property
     def identity(self) -> object:
@@ -235,6 +237,8 @@ class _Expressions:
         every_input, every_output = tuple(range(len(input_sizes))), tuple(range(len(self._outputs)))
         self._parts: dict[tuple, casadi.Function] = {}
         whole = self.part(every_input, every_output)
+        codes = map(whole.instruction_id, range(whole.n_instructions()))
+        self.calls = casadi.OP_CALL in codes
         rows, columns = whole.jac_sparsity(0, 0).get_triplet()
         numbers = np.searchsorted(np.cumsum(self.output_sizes), rows, "right")
         read = np.searchsorted(np.cumsum(input_sizes), columns, "right")
@@ -295,7 +299,8 @@ def for_each(
 ) -> NDArray:
     """What a function makes (n, ...) of the rows of arrays (n, ...), and of `shared` ones.
 
-    In a trace it is one function that is called n times: traced once, and once in the C.
+    In a trace it is one function that is called with all rows: traced once, and once in the C,
+    which makes rows side by side (`lane_code.with_rows_side_by_side`).
     """
     if not any(isinstance(entry, casadi.SX) for array in own for entry in array.flat):
         return np.stack([function(*entries, *shared) for entries in zip(*own, strict=True)])
@@ -305,12 +310,14 @@ def for_each(
         *(object_array(s).reshape(shape) for s, shape in zip(symbols, shapes, strict=True))
     )
     results = casadi.cse([casadi.densify(casadi.SX(casadi.vertcat(*made.ravel())))])
-    called = casadi.Function("each", [casadi.vertcat(*symbols)], results, {"never_inline": True})
-    rest = [array.ravel() for array in shared]
+    name = function.__name__ if function.__name__.isidentifier() else "row"  # no lambda
+    of_row = casadi.Function(name, [casadi.vertcat(*symbols)], results)
+    n, rest = len(own[0]), [array.ravel() for array in shared]
+    inputs = casadi.MX.sym("inputs", of_row.size1_in(0), n)
+    called = casadi.Function("rows", [inputs], [of_row.map(n)(inputs)], {"never_inline": True})
     each = [np.concatenate([*(e.ravel() for e in own), *rest]) for own in zip(*own, strict=True)]
-    return np.stack([object_array(called(casadi.vertcat(*e))) for e in each]).reshape(
-        -1, *made.shape
-    )
+    found = called(casadi.reshape(casadi.vertcat(*np.concatenate(each)), inputs.shape))
+    return object_array(casadi.vec(found)).reshape(n, *made.shape)
 
 
 def to_symbols(values: NDArray) -> NDArray:

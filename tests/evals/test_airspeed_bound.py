@@ -34,6 +34,7 @@ def test_the_layer_keeps_airspeed_lift_and_bank_in_a_rising_wind(fleet):
     assert {*metrics["aircraft"]["missed_limits"].values()} == {0, None}
 
 
+@pytest.mark.nightly("flights")
 def test_a_load_turns_faster_as_the_wind_rises(fleet):
     run, metrics = fleet.evaluated(load_scenario(TURNING))
     bound = 1.5 * stall_speed(aircraft_in(run.scenario.system))

@@ -45,7 +45,7 @@ def test_the_table_counts_each_pair():
     assert "| cannot | 1 | 0 |" in shown
 
 
-SHIPPED = ["aircraft_co_rotating_rising_wind", *scenario_names()]
+SHIPPED = ["aircraft_rest", *scenario_names()]
 
 
 @pytest.mark.parametrize("name", nightly_beyond(1, "studies", dict.fromkeys(SHIPPED)))

@@ -5,7 +5,13 @@ import numpy as np
 import pytest
 
 from drake_nonstop.loop.lane_functions import LaneFunction, LaneInputs, lanes_code
-from drake_nonstop.systems.compilation import CompilationError, compiled_for_processor, compiler
+from drake_nonstop.systems.compilation import (
+    CompilationError,
+    c_text,
+    compiled,
+    compiled_for_processor,
+    compiler,
+)
 from drake_nonstop.systems.tracing import for_each, object_array
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
@@ -112,7 +118,8 @@ def test_functions_that_call_others_give_the_same_bits():
     steps, read = casadi.vertcat(now, time), casadi.MX(0, 1)
     results = [now, casadi.vertcat(*signals), steps, read, casadi.MX(0, 1), casadi.dot(now, now)]
     function = casadi.Function("loop", [argument], results)
-    assert lanes_code(function, SIZES).count("static void called_") == 2  # each one once
+    # The rates, the rows of both, what is made of a row: each one once.
+    assert lanes_code(function, SIZES).count("static void called_") == 4
     each_input = drawn(np.random.default_rng(5), 4)
     flown, states, signals, steps = lanes_of(function).fly([each_input] * 3)
     assert flown == [4] * 3
@@ -124,6 +131,21 @@ def test_functions_that_call_others_give_the_same_bits():
             np.testing.assert_array_equal(signals[4 * flight + k], expected)
             np.testing.assert_array_equal(steps[4 * flight + k], stepped)
     np.testing.assert_array_equal(states, [now] * 3)
+
+
+@pytest.mark.parametrize("n", [1, 3, 4, 9])
+def test_rows_are_made_side_by_side_in_c_to_the_bit(n):
+    def of_row(row, shared):
+        return np.array([np.sin(row[0]) * shared[0], row[1] / row[0], np.sqrt(row[2])])
+
+    own = casadi.SX.sym("own", 3 * n + 2)
+    entries = object_array(own)
+    made = for_each(of_row, [entries[: 3 * n].reshape(n, 3)], [entries[3 * n :]])
+    function = casadi.Function("loop", [own], [casadi.vertcat(*made.ravel()), own[0]])
+    assert ("static void row_0" in c_text(function)) == (n > 1)
+    in_c = compiled(function).function
+    given = np.random.default_rng(n).uniform(0.5, 2.0, 3 * n + 2)
+    np.testing.assert_array_equal(in_c(given)[0], function(given)[0])
 
 
 def test_an_operation_without_a_form_is_told():
