@@ -2,6 +2,7 @@
 
 import contextlib
 import math
+import os
 import shutil
 import tempfile
 from array import array
@@ -167,7 +168,10 @@ class SignalRows:
         self._stored += len(rows)
         del self._times[:], self._values[:]
         # Room for as many and more, so that no full disk comes between the next ones and the file.
-        self._write(bytes(2 * rows.nbytes))
+        if hasattr(os, "posix_fallocate"):
+            os.posix_fallocate(self._file.fileno(), self._file.tell(), 2 * rows.nbytes)
+        else:  # macOS
+            self._write(bytes(2 * rows.nbytes))
 
     def _write(self, content: bytes) -> None:
         while content:
