@@ -381,22 +381,22 @@ class LoopTrace:
         own = Symbols(self._layout.numbers)
         states = self._layout.states(object_array(state))
         results = make(self._instant(states, own.at(0.0)))
-        stacked = casadi.vertcat(state, *others, *own.symbols.values())
-        function = casadi.Function("part", [stacked], casadi.cse(results))
+        taken = [state, *others, *own.symbols.values()]
+        function = casadi.Function("part", taken, casadi.cse(results))
 
         @functools.cache
         def apart() -> list[casadi.Function]:
             # What calls functions has only those whose results are read.
-            return [casadi.Function("part", [stacked], [casadi.cse(each)]) for each in results]
+            return [casadi.Function("part", taken, [casadi.cse(each)]) for each in results]
 
         def part(now: casadi.SX, offset: float, symbols: Symbols) -> list[casadi.SX]:
             read = own.symbols.items()
             _, parameters, time, *_ = symbols.arguments or self.arguments
             outside = [symbols.of(r._replace(offset=offset), s.numel()) for r, s in read]
-            inputs = casadi.vertcat(now, parameters, time + offset, *itertools.chain(*outside))
+            inputs = [now, parameters, time + offset, *(casadi.vertcat(*o) for o in outside)]
             if symbols.arguments:
-                return [each(inputs) for each in apart()]
-            return function.call([inputs])
+                return [each(*inputs) for each in apart()]
+            return function.call(inputs)
 
         return part
 

@@ -120,7 +120,7 @@ def side_by_side(function: casadi.Function, *, shares_angles: bool = False) -> s
     Both are arrays of `lanes`; the results follow each other.
 
     Args:
-        function: of SX, or of MX; it may call others of one argument.
+        function: of SX, or of MX; it may call others.
         shares_angles: an argument that is the same in all lanes is likely, and looked for.
 
     Raises:
@@ -180,9 +180,10 @@ def _written(own: _Called, names: dict[int, str]) -> Iterator[str]:
             names[key] = f"called_{len(names)}"
             yield from _written(_Called(names[key], other), names)
         called[k] = _Called(names[key], other)
-    yield f"static void {name}(const lanes *restrict input, lanes *restrict results) {{"
+    arguments = ", ".join(f"const lanes *restrict input{k}" for k in range(function.n_in()))
+    yield f"static void {name}({arguments}, lanes *restrict results) {{"
     if function.is_a("Map"):
-        steps = f"input + i * {called[0].function.nnz_in(0)}, results + i * "
+        steps = f"input0 + i * {called[0].function.nnz_in(0)}, results + i * "
         yield f"for (int i = 0; i < {function.info()['n']}; i++)"
         yield f"{called[0].name}({steps}{called[0].function.nnz_out(0)});"
         yield "}"
@@ -226,13 +227,15 @@ def _statements(function: casadi.Function, called: dict[int, _Called]) -> Iterat
         if code == casadi.OP_OUTPUT:
             yield f"results[{starts[outputs[0]] + outputs[1]}] = a{inputs[0]};"
         elif code == casadi.OP_INPUT:
-            yield f"a{outputs[0]} = input[{inputs[1]}];"
+            yield f"a{outputs[0]} = input{inputs[0]}[{inputs[1]}];"
         elif code == casadi.OP_CONST:
             yield f"a{outputs[0]} = all({_number(function.instruction_constant(k))});"
         elif code == casadi.OP_CALL:
             given = ", ".join(f"a{i}" for i in inputs)
             taken = " ".join(f"a{i} = y[{j}];" for j, i in enumerate(outputs) if i >= 0)
-            call = f"{called[k].name}(x, y);"
+            sizes = [called[k].function.nnz_in(i) for i in range(called[k].function.n_in())]
+            starts_of = itertools.accumulate(sizes[:-1], initial=0)
+            call = f"{called[k].name}({''.join(f'x + {s}, ' for s in starts_of)}y);"
             yield f"{{ lanes x[] = {{{given}}}, y[{len(outputs)}]; {call} {taken} }}"
         else:
             yield f"a{outputs[0]} = {_form(code, *(f'a{i}' for i in inputs))};"
@@ -253,8 +256,8 @@ def _of_vectors(function: casadi.Function, called: dict[int, _Called]) -> list[s
             continue
         lengths = [max((sizes.get(i, 0) for i in inputs), default=0)]
         if code == casadi.OP_INPUT:
-            lengths = [function.nnz_in(0)]
-            made.append(f"copy(w{outputs[0]}, input, {lengths[0]});")
+            lengths = [function.nnz_in(inputs[0])]
+            made.append(f"copy(w{outputs[0]}, input{inputs[0]}, {lengths[0]});")
         elif code == casadi.OP_CONST:
             numbers = function.instruction_MX(k).to_DM().nonzeros()
             lengths = [len(numbers)]
@@ -268,7 +271,8 @@ def _of_vectors(function: casadi.Function, called: dict[int, _Called]) -> list[s
             source, starts = f"w{inputs[0]}", function.instruction_MX(k).info().get("offset")
             if code == casadi.OP_CALL:
                 source, starts = "y", _starts(called[k].function)
-                made.append(f"{{ lanes y[{starts[-1] + 1}]; {called[k].name}(w{inputs[0]}, y);")
+                given = "".join(f"w{i}, " for i in inputs)
+                made.append(f"{{ lanes y[{starts[-1] + 1}]; {called[k].name}({given}y);")
             lengths = [end - start for start, end in itertools.pairwise(starts)]
             parts = [part for part in zip(outputs, starts, lengths, strict=False) if part[0] >= 0]
             made += [f"copy(w{i}, {source} + {start}, {count});" for i, start, count in parts]
