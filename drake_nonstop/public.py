@@ -16,6 +16,11 @@ from drake_nonstop.scenario.loading import (
     scenario_names as scenario_names,
 )
 from drake_nonstop.scenario.run_limits import RunLimits as RunLimits
+from drake_nonstop.scenario.obstacles import (
+    BoxConfig as BoxConfig,
+    SphereConfig as SphereConfig,
+    GroundConfig as GroundConfig,
+)
 from drake_nonstop.model.aircraft import AircraftParameters as AircraftParameters
 from drake_nonstop.model.system import SystemParameters as SystemParameters
 from drake_nonstop.model.pattern import (

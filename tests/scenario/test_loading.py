@@ -41,6 +41,7 @@ def test_the_shipped_scenarios():
         "paper_quintic",
         "quintic",
         "quintic_nlp",
+        "quintic_over_tower",
         "real_scale_carousel",
         "real_scale_cycle",
         "real_scale_spread",
