@@ -9,6 +9,7 @@ from drake_nonstop.cli.arguments import Commands, add_changes
 from drake_nonstop.cli.ending import BAD_INPUT, FAILED
 from drake_nonstop.scenario.loading import dump_scenario
 from drake_nonstop.studies.files import read_regular, replacing_files, require_writable, write_json
+from drake_nonstop.studies.journal import StudyInterrupted
 from drake_nonstop.studies.results_folder import first_free
 from drake_nonstop.visualization.figure_style import require_drawing
 from drake_nonstop.visualization.progress import TaskProgress
@@ -49,7 +50,7 @@ def add_to(commands: Commands) -> None:
 
 def _design(options: argparse.Namespace) -> int:
     # Imported here: other commands need none of it.
-    from drake_nonstop.studies.design import design, design_dictionary, design_table
+    from drake_nonstop.studies import design
     from drake_nonstop.studies.design_figures import make_pareto_figure
     from drake_nonstop.studies.design_request import commented_request, dump_request, read_request
 
@@ -64,17 +65,28 @@ def _design(options: argparse.Namespace) -> int:
     scenarios = [f"{request.name}_{k + 1}.yaml" for k in range(_MOST)]
     files = (_REQUEST, _DATA, _FIGURE, *scenarios)
     require_writable(folder, files)
-    with TaskProgress() as progress:
-        found = design(request, progress)
+    stopped = None
+    try:
+        with TaskProgress() as progress:
+            found = design.design(request, progress)
+    except StudyInterrupted as interrupted:
+        stopped, found = interrupted, interrupted.found
+        if not found.formations:
+            raise
+        of_stopped = Path(f"{folder}_stopped")  # not over what a whole search has found
+        folder = first_free(folder, lambda place: not (place / _DATA).exists(), of_stopped)
+        require_writable(folder, files)
     with replacing_files(folder, files) as new:
         (new / _REQUEST).write_text(text, encoding="utf-8")
-        write_json(new / _DATA, design_dictionary(found))
+        write_json(new / _DATA, design.design_dictionary(found))
         for formation in found.formations:
             path = new / f"{formation.scenario.name}.yaml"
             path.write_text(dump_scenario(formation.scenario), encoding="utf-8")
-        if found.formations:
+        if found.formations and stopped is None:
             make_pareto_figure(found).savefig(new / _FIGURE, dpi=300)
-    print(design_table(found))
+    print(design.design_table(found))
+    if stopped is not None:
+        raise KeyboardInterrupt(f"{stopped}; what they found is in {folder}")
     print(found.verdict)
     print(f"results: {folder}")
     return 0 if found.formations else FAILED

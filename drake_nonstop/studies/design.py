@@ -19,6 +19,7 @@ from drake_nonstop.studies.designed_formation import (
     formation_scenario,
 )
 from drake_nonstop.studies.formation_search import design_one
+from drake_nonstop.studies.journal import StudyInterrupted
 from drake_nonstop.studies.run_all import Progress, no_progress, run_all
 from drake_nonstop.validation import ScenarioError, message_of
 
@@ -52,7 +53,7 @@ _COLUMNS = {  # of the table, with formats of the entries of `design_dictionary`
 
 @dataclass(frozen=True, kw_only=True)
 class Design:
-    """Result for a request."""
+    """Result for a request, or for a part of its kinds and numbers of carriers."""
 
     request: DesignRequest
     formations: tuple[DesignedFormation, ...]  # that keep its margins, in the request's order
@@ -64,6 +65,14 @@ class Design:
             other.power < formation.power and other.reserve > formation.reserve - _CLOSE
             for other in self.formations
         )
+
+    @property
+    def best(self) -> str:
+        """The first formation in a few words."""
+        if not self.formations:
+            return "none yet keeps the margins"
+        first = self.formations[0]
+        return f"the best has {first.name}, reserve {first.reserve:.2f}, {first.power:.0f} W"
 
     @property
     def verdict(self) -> str:
@@ -102,7 +111,7 @@ def design(request: DesignRequest, progress: Progress = no_progress) -> Design:
 
     Raises:
         ScenarioError: the request cannot be used, or a process died.
-        KeyboardInterrupt: Ctrl-C.
+        StudyInterrupted: Ctrl-C; its `found` is the Design of what was searched.
     """
     request.check()
     _require_buildable(request)
@@ -112,21 +121,31 @@ def design(request: DesignRequest, progress: Progress = no_progress) -> Design:
     def failed(key: tuple[int, str], error: str) -> Any:
         raise ScenarioError(f"design, {key[0]} carriers {key[1]}: {error}")
 
-    run_all(
-        design_one,
-        keys,
-        lambda key: (request, *key),
-        found.__setitem__,
-        failed,
-        what="designing",
-        progress=progress,
-    )
-    formations = [f for key in keys for f in found[key] if isinstance(f, DesignedFormation)]
-    formations.sort(key=ORDERS[request.first])
-    for k, formation in enumerate(formations, 1):
-        formation.scenario.name = f"{request.name}_{k}"
-    refusals = [r for key in keys for r in found[key] if isinstance(r, Refusal)]
-    return Design(request=request, formations=tuple(formations), refusals=tuple(refusals))
+    def so_far() -> Design:
+        results = [each for key in keys for each in found.get(key, ())]
+        formations = [each for each in results if isinstance(each, DesignedFormation)]
+        formations.sort(key=ORDERS[request.first])
+        for k, formation in enumerate(formations, 1):
+            formation.scenario.name = f"{request.name}_{k}"
+        refusals = tuple(each for each in results if isinstance(each, Refusal))
+        return Design(request=request, formations=tuple(formations), refusals=refusals)
+
+    try:
+        run_all(
+            design_one,
+            keys,
+            lambda key: (request, *key),
+            found.__setitem__,
+            failed,
+            what=lambda: f"designing: {so_far().best}",
+            progress=progress,
+        )
+    except KeyboardInterrupt:
+        said = f"{len(found)} of {len(keys)} kinds and numbers of carriers were searched"
+        interrupted = StudyInterrupted(f"{said}: {so_far().best}")
+        interrupted.found = so_far()
+        raise interrupted from None
+    return so_far()
 
 
 def _require_buildable(request: DesignRequest) -> None:

@@ -29,6 +29,8 @@ _IMPORT_PATH = re.compile(r"(?<![\w.])([A-Za-z_]\w*)(?=\.[A-Za-z_])")
 class StudyInterrupted(KeyboardInterrupt):
     """Ctrl-C ended a study; the message says how much of it is done."""
 
+    found: Any = None  # what `design`, which has no folder, had found
+
 
 class Journal:
     """The results of a study's runs by their keys, in a file; they are not held in memory."""

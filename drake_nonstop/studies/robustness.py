@@ -10,13 +10,14 @@ from typing import Any
 
 import numpy as np
 
+from drake_nonstop.analysis.limit import RunOutcome
 from drake_nonstop.blocks.load_feedback import EstimatedFeedbackConfig, NoisyFeedbackConfig
 from drake_nonstop.model.system import overridden
 from drake_nonstop.scenario.loading import dump_scenario, parse_scenario
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.scenario.schema import Scenario, sample
 from drake_nonstop.simulation.metrics import METRICS, Metric, compute_metrics, metric_at
-from drake_nonstop.studies.journal import open_journal, settings_of
+from drake_nonstop.studies.journal import Journal, open_journal, settings_of
 from drake_nonstop.studies.processes import require_main
 from drake_nonstop.studies.run_all import (
     COMPLETED,
@@ -135,11 +136,22 @@ def robustness(
             journal.record,
             lambda key, error: {"ending": FAILED, "message": error, "metrics": {}},
             done=journal,
+            what=lambda: _so_far(cases, journal),
             progress=progress,
             is_of_many=True,
         )
         journal.finish()
         return [dataclasses.replace(case, **journal.result(k)) for k, case in enumerate(cases)]
+
+
+def _so_far(cases: Sequence[Case], journal: Journal) -> str:
+    """How many of the cases that have flown are not ok, with the last one's name."""
+    flown = {
+        k: journal.result(k)["metrics"].get("outcome") for k in range(len(cases)) if k in journal
+    }
+    missed = [cases[k].name for k, outcome in flown.items() if outcome != RunOutcome.OK.value]
+    last = f" ({missed[-1]})" if missed else ""
+    return f"simulating, {len(missed)} of {len(flown)} not ok{last}"
 
 
 def robustness_settings(scenario: Scenario, seed: int) -> str:

@@ -48,7 +48,7 @@ def run_all(
     *,
     done: Container[Key] = (),
     executor: Executor | None = None,
-    what: str = "simulating",
+    what: str | Callable[[], str] = "simulating",
     progress: Progress = no_progress,
     is_of_many: bool = False,
 ) -> None:
@@ -64,8 +64,8 @@ def run_all(
     makes the result of a key from an error message, where the function raised anything but
     ScenarioError, or where its process died; it may raise instead. Keys in `done`, such as a
     `Journal`, are not called again. An executor, of concurrent.futures' kind, is used in place of a
-    process per core and not shut down. `progress` is called after each record with `what` and the
-    share of keys that are done.
+    process per core and not shut down. `progress` is called after each record with `what`,
+    or what it returns, such as what was found so far, and the share of keys that are done.
 
     Raises:
         ScenarioError: the function raised it, processes end as they start, or the executor
@@ -81,7 +81,7 @@ def run_all(
             raise ScenarioError(answer.error)
         record(key, failed(key, answer.error) if answer.error else answer.result)
         count += 1
-        progress(what, count / len(keys))
+        progress(what() if callable(what) else what, count / len(keys))
 
     require(callable(progress), "progress", progress, "give a function, such as a TaskProgress()")
     call = call_in_processes if executor is None else partial(_call_in, executor)

@@ -57,7 +57,7 @@ class TaskProgress(_Progress):
 
     _OPTIONS: ClassVar = {
         "total": 1.0,
-        "bar_format": "{desc} |{bar}| {percentage:3.0f}% [{elapsed}<{remaining}]",
+        "bar_format": "{desc} |{bar}| {percentage:3.0f}% [{elapsed}, {remaining} left]",
     }
 
     def __init__(self) -> None:

@@ -10,6 +10,8 @@ import pytest
 from helpers import nightly_beyond
 
 from drake_nonstop.analysis.aircraft_margins import aircraft_margins
+from drake_nonstop.cli.ending import FAILED
+from drake_nonstop.cli.main import main
 from drake_nonstop.mechanics.aircraft import stall_speed
 from drake_nonstop.optimization.formation_program import FormationProgram, FormationVariables
 from drake_nonstop.optimization.limits import Of, limits_of
@@ -451,6 +453,38 @@ def test_a_load_that_no_loop_flies_is_refused_before_the_search():
     request = read_request(None, ["load_mass=0.05"])
     with pytest.raises(ScenarioError, match="request: no loop flies its load; wrench_controller"):
         module.design(request)
+
+
+def test_what_was_found_before_ctrl_c_is_told_and_kept(windy, tmp_path, capsys, monkeypatch):
+    """In a folder of its own where there is a whole result, and nothing where nothing was found."""
+    said, parts = [], [windy.formations]
+
+    def run(function, keys, arguments, record, failed, *, what, **options):
+        said.append(what())
+        for key, part in zip(keys, parts, strict=False):
+            record(key, part)
+        said.append(what())
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(module, "run_all", run)
+    folder, stopped = tmp_path / "it", tmp_path / "it_stopped"
+    request = ["--set", *WINDY, "kinds=[leaning, co_rotating]"]
+    first = windy.formations[0]
+    best = f"the best has 4 co-rotating, reserve {first.reserve:.2f}, {first.power:.0f} W"
+    for place in (folder, stopped):
+        assert main(["design", "--out", str(folder), *request]) == FAILED
+        shown = capsys.readouterr()
+        searched = f"1 of 2 kinds and numbers of carriers were searched: {best}; what they found is"
+        assert shown.err.endswith(f": {searched} in {place}\n")
+        assert "breaks first at wind" in shown.out
+        assert (place / "design.json").exists()
+        flown = load_scenario(place / f"{first.scenario.name}.yaml")
+        assert len(flown.system.attachments) == 4
+    assert said == ["designing: none yet keeps the margins", f"designing: {best}"] * 2
+    parts.clear()
+    assert main(["design", "--out", str(tmp_path / "other"), *request]) == FAILED
+    assert "0 of 2 kinds" in capsys.readouterr().err
+    assert not [*tmp_path.glob("other*/*")]
 
 
 def test_a_request_is_read_from_a_file(tmp_path):

@@ -16,6 +16,30 @@ PLAIN = "optimization_layer=ConstantParameters"
 CASES = ("none", 0.0), ("load mass", 20.0)
 
 
+def test_progress_tells_the_cases_that_are_not_ok(tmp_path, monkeypatch):
+    """Also of cases that an interrupted call has left in the folder."""
+    said = []
+
+    def run(function, keys, arguments, record, failed, *, what, **options):
+        for outcome in ("ok", "collision"):
+            key = len(said)
+            record(key, {"ending": "completed", "message": "", "metrics": {"outcome": outcome}})
+            said.append(what())
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(robustness, "run_all", run)
+    scenario = load_scenario("quintic", [PLAIN])
+    for kept in (2, 4):
+        with pytest.raises(KeyboardInterrupt, match=f"^{kept} of 33 cases are in "):
+            robustness.robustness(scenario, folder=tmp_path)
+    assert said == [
+        "simulating, 0 of 1 not ok",
+        "simulating, 1 of 2 not ok (load mass -20 %)",
+        "simulating, 1 of 3 not ok (load mass -20 %)",
+        "simulating, 2 of 4 not ok (load mass +10 %)",
+    ]
+
+
 @pytest.mark.nightly("studies")
 def test_robustness_runs_each_error(tmp_path, capsys, monkeypatch):
     errors = robustness._errors

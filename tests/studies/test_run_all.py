@@ -67,6 +67,21 @@ def test_a_result_or_an_error_for_each_key(executor):
     assert shares == [("doubling", 2 / 4), ("doubling", 3 / 4), ("doubling", 1.0)]
 
 
+def test_progress_may_tell_what_was_found():
+    said, found = [], {}
+    run_all(
+        doubled,
+        [1, 2],
+        lambda value: (value,),
+        found.__setitem__,
+        lambda value, error: error,
+        executor=SerialExecutor(),
+        what=lambda: f"the sum is {sum(found.values())}",
+        progress=lambda what, share: said.append(what),
+    )
+    assert said == ["the sum is 2", "the sum is 6"]
+
+
 def test_the_call_that_ends_its_process_is_found():
     values = [1, 2, "death", *range(3, 12)]
     found = results(values)

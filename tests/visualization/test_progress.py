@@ -37,6 +37,7 @@ def test_a_log_has_a_line_for_each_state(at_once, capsys):
         [("simulating", "50")],
         [("drawing", "10")],
     ]
+    assert all(re.search(r"% \[\d\d:\d\d, \d\d:\d\d left\]$", line) for line in lines)
 
 
 def test_a_log_of_a_run_has_its_time_and_speed(at_once, capsys):
