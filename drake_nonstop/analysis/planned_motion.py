@@ -24,6 +24,7 @@ from drake_nonstop.validation import ScenarioError
 
 _SPREADS = (1.2, 2.0, 3.0)  # of the nominal A
 _AMPLITUDES = (0.8, 0.6, 0.4)  # likewise
+_LIFTS = tuple(1.01 * 2**k for k in range(8))  # of what is missing of the clearance
 _LEVEL = -0.02  # of an equal share of the weight, of a cable that is nearly level
 _PER_TURN = 64  # instants: between them an arc is 1/800 of its radius from its chord
 
@@ -179,10 +180,16 @@ class PlannedMotion(Spacing):
 
 
 def find_motion_remedies(scenario: Scenario, task: Task) -> list[str]:
-    """Remedies that keep carriers and cables apart with nominal ξ and A, each tried.
+    """Remedies that keep all apart and clear of obstacles with nominal ξ and A, each tried.
 
-    Those are carriers that circle beside each other, and a smaller A.
+    That is a path so much higher, where an obstacle is too near, and else carriers that circle
+    beside each other, and a smaller A.
     """
+    distance = PlannedMotion(scenario, task).obstacle_distance()
+    missing = 0.0 if distance is None else scenario.limits.clearance - distance
+    for lift in (float(f"{factor * missing:.3g}") for factor in _LIFTS if missing > 0):
+        if PlannedMotion(scenario, task.lifted(lift)).is_flyable:
+            return [f"a load_trajectory that is {lift:g} m higher all the way"]
     remedies = []
     for factor in _SPREADS:
         config = SpreadCarouselConfig(spread=float(f"{factor * task.limits.amplitude:.3g}"))

@@ -18,7 +18,12 @@ from drake_nonstop.loop.assembly import models_of
 from drake_nonstop.loop.loop_response import LoopResponse, loop_response, reference_ahead
 from drake_nonstop.mechanics.reference_preview import ReferencePreview, stretched_reference
 from drake_nonstop.mechanics.rigid_load import STILL_AIR
-from drake_nonstop.mechanics.signals import PLANNED_SIZE, LoadReference, PlannedParameters
+from drake_nonstop.mechanics.signals import (
+    LOAD_REFERENCE_SIZE,
+    PLANNED_SIZE,
+    LoadReference,
+    PlannedParameters,
+)
 from drake_nonstop.mechanics.wind import MeanWind
 from drake_nonstop.mechanics.wrench import feedforward_wrench
 from drake_nonstop.model.descriptions import RESPONSE, TurnRate, Wind, described, described_air
@@ -158,6 +163,12 @@ class Task:
             is_above_load=self.response.references.is_above_load,
             is_measured=self.response.measurement.is_measured,
         )
+
+    def lifted(self, height: float) -> "Task":
+        """The same motion so many m higher."""
+        change = np.zeros(LOAD_REFERENCE_SIZE)
+        LoadReference.view(change).position[2] = height
+        return dataclasses.replace(self, reference=lambda time: self.reference(time) + change)
 
     def slowed(self, factor: float) -> "Task":
         """The same motion in a longer time; a factor of 2 takes twice as long."""

@@ -123,3 +123,24 @@ def test_where_nothing_helps_nothing_is_named():
     scenario, task = planned(*MEETING, "limits.carrier_distance=1.9", "simulation_duration=2")
     assert PlannedMotion(scenario, task).collisions[0].startswith("two carriers came within ")
     assert find_motion_remedies(scenario, task) == []
+
+
+@pytest.mark.parametrize(
+    ("obstacle", "top", "lift"),
+    [
+        ("!Ground {height: -0.1}", -0.1, 1.01 * 0.2),
+        # Of what is missing inside, 0.1 m and the clearance, twice as much leads above it.
+        ("!Box {size: [0.2, 0.2, 1]}", 0.5, 1.01 * 0.8),
+    ],
+)
+def test_a_path_that_clears_an_obstacle_is_named_and_does(obstacle, top, lift):
+    overrides = [REST, CONSTANT, "simulation_duration=1", "limits.clearance=0.3"]
+    overrides.append(f"obstacles=[{obstacle}]")
+    scenario, task = planned(*overrides)
+    (remedy,) = find_motion_remedies(scenario, task)
+    assert remedy == f"a load_trajectory that is {lift:g} m higher all the way"
+    higher = f"load_trajectory.start_position=[0, 0, {lift}]"
+    changed, lifted = planned(*overrides, higher)
+    motion = PlannedMotion(changed, lifted)
+    assert motion.is_flyable
+    assert motion.obstacle_distance() == pytest.approx(lift - top, rel=1e-4)
