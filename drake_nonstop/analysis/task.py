@@ -18,12 +18,7 @@ from drake_nonstop.loop.assembly import models_of
 from drake_nonstop.loop.loop_response import LoopResponse, loop_response, reference_ahead
 from drake_nonstop.mechanics.reference_preview import ReferencePreview, stretched_reference
 from drake_nonstop.mechanics.rigid_load import STILL_AIR
-from drake_nonstop.mechanics.signals import (
-    LOAD_REFERENCE_SIZE,
-    PLANNED_SIZE,
-    LoadReference,
-    PlannedParameters,
-)
+from drake_nonstop.mechanics.signals import PLANNED_SIZE, LoadReference, PlannedParameters
 from drake_nonstop.mechanics.wind import MeanWind
 from drake_nonstop.mechanics.wrench import feedforward_wrench
 from drake_nonstop.model.descriptions import RESPONSE, TurnRate, Wind, described, described_air
@@ -166,7 +161,7 @@ class Task:
 
     def lifted(self, height: float) -> "Task":
         """The same motion so many m higher."""
-        change = np.zeros(LOAD_REFERENCE_SIZE)
+        change = np.zeros_like(self.reference(0.0))
         LoadReference.view(change).position[2] = height
         return dataclasses.replace(self, reference=lambda time: self.reference(time) + change)
 

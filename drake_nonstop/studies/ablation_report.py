@@ -357,7 +357,7 @@ def _page(title: str, scenario: Scenario, rows: Sequence[Row], *, has_replays: b
         problems="".join(f"<p class=problem>{html.escape(text)}</p>" for text in problems_of(rows)),
         plots="".join(f'<a href="{name}"><img src="{name}" alt="{name}"></a>' for name in PLOTS),
         hidden="" if replayed else "hidden",
-        legend=legend(scenario.scene, has_aircraft=scenario.system.aircraft is not None),
+        legend=legend(scenario, has_aircraft=scenario.system.aircraft is not None),
         duration=max([value_at(row.metrics, "simulated_s") for row in replayed], default=0.0),
         cards="".join(_card(row) for row in replayed),
     )

@@ -142,7 +142,7 @@ def design(request: DesignRequest, progress: Progress = no_progress) -> Design:
         )
     except KeyboardInterrupt:
         said = f"{len(found)} of {len(keys)} kinds and numbers of carriers were searched"
-        interrupted = StudyInterrupted(f"{said}: {so_far().best}")
+        interrupted = StudyInterrupted(said)
         interrupted.found = so_far()
         raise interrupted from None
     return so_far()

@@ -17,7 +17,7 @@ from drake_nonstop.scenario.loading import dump_scenario, parse_scenario
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.scenario.schema import Scenario, sample
 from drake_nonstop.simulation.metrics import METRICS, Metric, compute_metrics, metric_at
-from drake_nonstop.studies.journal import Journal, open_journal, settings_of
+from drake_nonstop.studies.journal import open_journal, settings_of
 from drake_nonstop.studies.processes import require_main
 from drake_nonstop.studies.run_all import (
     COMPLETED,
@@ -129,6 +129,13 @@ def robustness(
     settings = robustness_settings(scenario, seed)
     keys = range(len(cases))
     with open_journal(folder, settings, keys, _RESULT, restart=restart, what="cases") as journal:
+
+        def so_far() -> str:
+            ended = [(k, journal.result(k)["metrics"].get("outcome")) for k in keys if k in journal]
+            missed = [cases[k].name for k, outcome in ended if outcome != RunOutcome.OK.value]
+            last = f" ({missed[-1]})" if missed else ""
+            return f"simulating, {len(missed)} of {len(ended)} not ok{last}"
+
         run_all(
             _measured,
             keys,
@@ -136,22 +143,12 @@ def robustness(
             journal.record,
             lambda key, error: {"ending": FAILED, "message": error, "metrics": {}},
             done=journal,
-            what=lambda: _so_far(cases, journal),
+            what=so_far,
             progress=progress,
             is_of_many=True,
         )
         journal.finish()
         return [dataclasses.replace(case, **journal.result(k)) for k, case in enumerate(cases)]
-
-
-def _so_far(cases: Sequence[Case], journal: Journal) -> str:
-    """How many of the cases that have flown are not ok, with the last one's name."""
-    flown = {
-        k: journal.result(k)["metrics"].get("outcome") for k in range(len(cases)) if k in journal
-    }
-    missed = [cases[k].name for k, outcome in flown.items() if outcome != RunOutcome.OK.value]
-    last = f" ({missed[-1]})" if missed else ""
-    return f"simulating, {len(missed)} of {len(flown)} not ok{last}"
 
 
 def robustness_settings(scenario: Scenario, seed: int) -> str:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pydrake.geometry import MeshcatAnimation
 
 from drake_nonstop.mechanics.signals import POSE_SIZE, SIGNAL_PERIOD, AircraftState, Pose
-from drake_nonstop.scenario.scene_config import SceneConfig
+from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.run import Run
 from drake_nonstop.simulation.run_quantities import (
     RunQuantities,
@@ -134,20 +134,23 @@ def _snapshots(run: Run, frame_rate: float) -> list[Snapshot]:
     ]
 
 
-def legend(config: SceneConfig, *, has_aircraft: bool = False) -> str:
+def legend(scenario: Scenario, *, has_aircraft: bool = False) -> str:
     """The legend of the scene's colours in HTML; a sample of a colour has the class `swatch`."""
+    config = scenario.scene
     marks = f"carrier's speed, from {config.mark_range:g} ε down to ε"
-    winds: list[tuple[list[str], str]] = []
+    also: list[tuple[list[str], str]] = []
     if has_aircraft:
         marks = f"wing, from {COLOURED_FROM:g} of the stall up to it"
-        winds = [([config.wind_colour] * 2, "wind at the load (arrow)")]
+        also.append(([config.wind_colour] * 2, "wind at the load (arrow)"))
+    if scenario.obstacles:
+        also.append(([config.obstacle_colour] * 2, "obstacle"))
     colours = (
         (config.mark_colours[::-1], marks),
         (config.cable_colours, f"tension, up to {config.tension_range:g} × weight / carriers"),
         ([config.slack_colour] * 2, "slack cable"),
         ([config.load_colour] * 2, "load and its path"),
         ([config.reference_colour] * 2, "where the load should be, its path and goal"),
-        *winds,
+        *also,
     )
     swatch = '<span><span class="swatch" style="background:linear-gradient(to right,{})"></span>{}'
     return "".join(swatch.format(",".join(names), text) + "</span>" for names, text in colours)
@@ -191,7 +194,7 @@ def _overlay(run: Run, scene: Scene, snapshots: list[Snapshot], frame_rate: floa
     page = resources.files("drake_nonstop.visualization").joinpath("replay_overlay.html")
     return Template(page.read_text(encoding="utf-8")).substitute(
         title=html.escape(run.scenario.name),
-        legend=legend(scene.config, has_aircraft=quantities.has_aircraft),
+        legend=legend(run.scenario, has_aircraft=quantities.has_aircraft),
         duration=f"{duration:g}",
         top=f"{top:g}",
         bottom=f"{bottom:g}",

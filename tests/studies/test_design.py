@@ -474,7 +474,7 @@ def test_what_was_found_before_ctrl_c_is_told_and_kept(windy, tmp_path, capsys, 
     for place in (folder, stopped):
         assert main(["design", "--out", str(folder), *request]) == FAILED
         shown = capsys.readouterr()
-        searched = f"1 of 2 kinds and numbers of carriers were searched: {best}; what they found is"
+        searched = "1 of 2 kinds and numbers of carriers were searched; what they found is"
         assert shown.err.endswith(f": {searched} in {place}\n")
         assert "breaks first at wind" in shown.out
         assert (place / "design.json").exists()

@@ -11,6 +11,7 @@ from aircraft_runs import aircraft_run
 from helpers import circling_run
 
 from drake_nonstop.scenario.loading import load_scenario
+from drake_nonstop.scenario.obstacles import GroundConfig
 from drake_nonstop.simulation.run import Run
 from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.visualization import replay
@@ -146,6 +147,14 @@ def test_name_and_colours_are_escaped_and_shown():
     html = record_replay(run)
     assert "&lt;b&gt;&amp;" in html
     assert "#123456" in html
+    assert ">obstacle<" not in html
+
+
+def test_obstacles_are_in_the_legend_where_there_are_any():
+    run = circling_run()
+    run.scenario.obstacles = [GroundConfig(height=-3.0)]
+    run.scenario.scene.obstacle_colour = "#123456"
+    assert re.search(r"#123456,#123456\)\W+/span>obstacle</span>", record_replay(run))
 
 
 def test_frame_rate_is_at_most_that_of_the_signals():
