@@ -30,12 +30,7 @@ from drake_nonstop.model.pattern import (
 from drake_nonstop.model.system import SystemOverrides, SystemParameters, aircraft_in
 from drake_nonstop.optimization.problem_config import stated_speed_bound
 from drake_nonstop.scenario import distributions
-from drake_nonstop.scenario.obstacles import (
-    BoxConfig,
-    GroundConfig,
-    SphereConfig,
-    require_obstacles,
-)
+from drake_nonstop.scenario.obstacles import Obstacle, require_obstacles
 from drake_nonstop.scenario.run_limits import RunLimits
 from drake_nonstop.scenario.scene_config import SceneConfig
 from drake_nonstop.validation import (
@@ -99,7 +94,7 @@ class _Common(StrictFields):
     # What the run is held against: beyond which figures it is not ok, or not plausible.
     limits: RunLimits = field(default_factory=RunLimits)
     # What load, cables and carriers keep clear of: a list of !Sphere, !Box and !Ground.
-    obstacles: list[SphereConfig | BoxConfig | GroundConfig] = field(default_factory=list)
+    obstacles: list[Obstacle] = field(default_factory=list)
     # Of Drake's Simulator: max_step_size in s, and the rest as in SimulatorConfig.
     simulator_config: SimulatorConfig = field(
         default_factory=lambda: SimulatorConfig(

@@ -1,7 +1,7 @@
 """How far single parameters may change before the loop becomes unstable."""
 
+import functools
 import math
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -86,22 +86,13 @@ def find_margins(
         def failed(key: str, error: str) -> list[Any]:
             raise ScenarioError(f"stability, {key}: {error}")
 
-        def run(
-            function: Callable[..., list[Any]],
-            wanted: Sequence[str],
-            arguments: Callable[[str], tuple],
-            what: str,
-        ) -> None:
-            run_all(
-                function,
-                wanted,
-                arguments,
-                lambda key, result: journal.record(key, {"found": result}),
-                failed,
-                what=what,
-                done=journal,
-                progress=progress,
-            )
+        run = functools.partial(
+            run_all,
+            record=lambda key, result: journal.record(key, {"found": result}),
+            failed=failed,
+            done=journal,
+            progress=progress,
+        )
 
         def measure_arguments(key: str) -> tuple:
             name, value = measured[key]
@@ -111,7 +102,7 @@ def find_margins(
             name, side = edges[key]
             return resting, axes[name], found[name], side
 
-        run(_measure, [*measured], measure_arguments, "linearizing")
+        run(_measure, [*measured], measure_arguments, what="linearizing")
         found: dict[str, dict[float, list[float]]] = {name: {} for name in axes}
         refused: dict[str, dict[float, str]] = {name: {} for name in axes}
         for key, (name, value) in measured.items():
@@ -120,7 +111,7 @@ def find_margins(
                 found[name][value] = numbers
             else:
                 refused[name][value] = why
-        run(_edge, [*edges], edge_arguments, "searching the boundaries")
+        run(_edge, [*edges], edge_arguments, what="searching the boundaries")
         ends = {edges[key]: journal.result(key)["found"][0] for key in edges}
         journal.finish()
     return [
