@@ -66,7 +66,7 @@ def make_pictures(folder: Path, progress: Callable[[str, float], None]) -> list[
     with replacing_file(folder / STILL) as file:
         file.write(_png(figures[0], dpi=150))
     with replacing_file(folder / ANIMATION) as file:
-        file.write(encode_gif([_png(figure, dpi=80) for figure in figures[1:]], _FRAME_RATE))
+        file.write(encode_gif([_png(figure, dpi=76) for figure in figures[1:]], _FRAME_RATE))
     with replacing_file(folder / PATTERNS) as file:
         file.write(_png(_encounters_figure(_patterns()), dpi=110))
     with replacing_file(folder / AIRCRAFT) as file:
