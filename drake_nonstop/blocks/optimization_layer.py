@@ -112,6 +112,7 @@ class NonstopOptimizer(SpeedBoundLayer):
 
     def requires(self, loop: LoopBlocks) -> Iterator[str]:
         """Tells of aircraft that it keeps above a speed bound, and within no limit of theirs."""
+        yield from super().requires(loop)
         is_unlimited = math.isinf(self.parameters.config.max_lift_share)
         if is_unlimited and loop.reads("carrier_dynamics", "aircraft_command"):
             yield (

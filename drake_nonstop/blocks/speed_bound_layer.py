@@ -1,7 +1,7 @@
 """The base of layers of the box "Optimization Layer": ports, states, updates and the bound."""
 
 import weakref
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 from typing import Any, ClassVar, NamedTuple
 
@@ -40,6 +40,7 @@ from drake_nonstop.systems.block import LeafBlock, weakly
 from drake_nonstop.systems.diagram_trace import InContext, TraceContext
 from drake_nonstop.systems.documentation import own_config_class
 from drake_nonstop.systems.parameters import declare_parameters
+from drake_nonstop.systems.requirements import LoopBlocks
 from drake_nonstop.systems.tracing import where
 from drake_nonstop.validation import require
 
@@ -274,6 +275,15 @@ class SpeedBoundLayer(CommandedBound, PeriodicLayer):
         self._numbers = entry.cache_index()  # the entry would keep this block alive
         self._enabled = self.DeclareNumericParameter(BasicVector_[self.scalar]([1.0]))
         self.highest_speed_bound = highest_speed_bound(self._config)
+
+    def requires(self, loop: LoopBlocks) -> Iterator[str]:
+        """Tells that carriers on bowed cables fly other orbits than it plans."""
+        if getattr(loop.get("cables"), "bears_drag", False):
+            yield (
+                f"optimization_layer = {type(self).__name__}: it plans for straight cables, and "
+                "these bow: carriers fly up to some tenths of a m/s slower than it plans, and bank "
+                "more; give a speed_bound that is so much higher"
+            )
 
     @classmethod
     def structure(cls, model: Model, config: Any) -> Any:
