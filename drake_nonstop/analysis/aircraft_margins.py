@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.framework import Context, Diagram, System
 
-from drake_nonstop.analysis.carriers_along import BowedMotion, resting_carriers
+from drake_nonstop.analysis.carriers_along import resting_carriers
 from drake_nonstop.analysis.flight_envelope import (
     ROWS,
     BowedCables,
@@ -35,11 +35,11 @@ from drake_nonstop.mechanics.aircraft import (
     thrust_limits,
     thrust_power,
 )
+from drake_nonstop.mechanics.bowed_orbit import BowedMotion, CableShape
 from drake_nonstop.mechanics.planned_orbit import PlannedOrbit
 from drake_nonstop.mechanics.rotation import rotation_matrix
 from drake_nonstop.mechanics.signals import LoadReference, Parameters, Pose
 from drake_nonstop.mechanics.wind import MeanWind
-from drake_nonstop.model.descriptions import CableShape
 from drake_nonstop.model.system import Model
 from drake_nonstop.scenario.schema import Scenario, check
 from drake_nonstop.validation import require
@@ -321,7 +321,7 @@ class _Orbit:
         motion = carriers.motion(orbit)
         places = self.believed.attachments + motion.cables
         winds = wind.at(position + places @ R_WL.swapaxes(1, 2))
-        bowed = carriers.bowed(orbit, motion, winds)
+        bowed = carriers.bowed(orbit.planned, motion, winds)
         motion = motion._replace(velocities=motion.velocities - winds @ R_WL)
         needs = carriers.needs(motion, bowed)
         if bowed is not None:

@@ -1,5 +1,6 @@
 """The motion of carriers above their load, along a plan or at rest, and what aircraft need."""
 
+import functools
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -8,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.analysis.task import Task
-from drake_nonstop.blocks.lumped_cables import material_of
 from drake_nonstop.mechanics.aircraft import FlightNeeds, flown_aircraft
-from drake_nonstop.mechanics.bowed_line import bowed_lines, motion_over_window
+from drake_nonstop.mechanics.bowed_orbit import BowedMotion, CableShape, bowed_motion
 from drake_nonstop.mechanics.cable import forces_under_other_wrench, wrenches_of
 from drake_nonstop.mechanics.planned_orbit import (
+    Directions,
     FlightTerms,
     OrbitMotion,
     PlannedOrbit,
@@ -25,15 +26,8 @@ from drake_nonstop.mechanics.planned_orbit import (
 )
 from drake_nonstop.mechanics.rigid_load import STILL_AIR, RigidLoad
 from drake_nonstop.mechanics.rotation import rotation_matrix
-from drake_nonstop.mechanics.signals import (
-    PLANNED_SIZE,
-    LoadReference,
-    PlannedParameters,
-    Pose,
-    resting_reference,
-)
+from drake_nonstop.mechanics.signals import LoadReference, Pose, resting_reference
 from drake_nonstop.mechanics.wrench import feedforward_wrench
-from drake_nonstop.model.descriptions import CableShape
 from drake_nonstop.model.system import Model
 
 
@@ -61,30 +55,21 @@ def orbit_terms(
     return FlightTerms.view(np.array(rows))
 
 
+def directions_of(model: Model, angle: NDArray) -> Directions:
+    """u, u′ and u″ (k, n, 3) of a model's pattern at phases (k,), rad."""
+    pattern = model.pattern
+    return pattern_directions(pattern.basis, pattern.phases, pattern.orders, angle)
+
+
 def motion_above(model: Model, terms: FlightTerms, orbit: PlannedOrbit) -> OrbitMotion:
     """The motion of a model's carriers at k instants, with terms there or at one."""
-    pattern = model.pattern
     return orbit_motion(
         terms,
-        pattern_directions(pattern.basis, pattern.phases, pattern.orders, orbit.angle),
+        directions_of(model, orbit.angle),
         orbit,
         rest_length=model.cable_length,
         compliance=model.cable_compliance,
     )
-
-
-class BowedMotion(NamedTuple):
-    """Carriers at the upper ends of bowed cables, and these, at k instants, in L."""
-
-    motion: OrbitMotion  # its forces are those that carriers pull with
-    nodes: NDArray  # (N, k, n, 3), m, from the attachments
-
-    @property
-    def bows(self) -> NDArray:
-        """The largest distances (k, n), m, of nodes from the line between a cable's ends."""
-        chords = self.motion.cables
-        apart = np.linalg.norm(np.cross(self.nodes, chords), axis=-1).max(axis=0)
-        return apart / np.linalg.norm(chords, axis=-1)
 
 
 class CarriersAlong(NamedTuple):
@@ -122,6 +107,11 @@ class CarriersAlong(NamedTuple):
         held = flown if believed is plant else terms(plant, plant.load)
         return cls(believed, plant, load, references, load_winds, winds, shape, flown, held)
 
+    @property
+    def orientations(self) -> NDArray:
+        """The load's orientations (k, 3, 3)."""
+        return rotation_matrix(LoadReference.view(self.references).quaternion)
+
     def motion(self, orbit: PlannedOrbit) -> OrbitMotion:
         """The carriers' motion, and the forces of the simulated cables."""
         motion, plant = motion_above(self.believed, self.terms, orbit), self.plant
@@ -144,58 +134,39 @@ class CarriersAlong(NamedTuple):
         return needs_of_motion(aircraft, motion, self.terms.up[:, None])
 
     def bowed(
-        self, orbit: PlannedOrbit, straight: OrbitMotion, winds: NDArray | None = None
+        self, planned: NDArray, straight: OrbitMotion, winds: NDArray | None = None
     ) -> BowedMotion | None:
         """The carriers' motion where `BowedCarrierTrajectory` has them; None: cables are straight.
 
-        Rates of ξ and A that `orbit` does not have, and the references' angular jerk and snap, are
-        taken as zero. Where the simulated cables pull with other forces at the load than those of
-        the model, carriers pull with as much more.
+        Where the simulated cables pull with other forces at the load than those of the model,
+        carriers pull with as much more.
 
         Args:
-            orbit: at the instants.
+            planned: (k, 8), `PlannedParameters` at the instants.
             straight: their `motion`.
             winds: (k, n, 3), m/s, in W, at the carriers; None: those at their mean height.
         """
         if self.shape is None:
             return None
-        winds = self.winds[:, None] if winds is None else winds
-        window, model, pattern = self.shape.window, self.believed, self.believed.pattern
-        planned = np.zeros((len(self.references), PLANNED_SIZE))
-        for name, values in orbit._asdict().items():
-            getattr(PlannedParameters.view(planned), name)[:, 0] = values
-        over_window = [
-            motion_over_window(
-                *(self.load, reference, np.zeros(6), plan, None, None, wind, window),
-                attachments=model.attachments,
-                pseudo_inverse=model.pseudo_inverse,
-                offset=pattern.offset,
-                basis=pattern.basis,
-                phases=pattern.phases,
-                orders=pattern.orders,
-            )
-            for reference, plan, wind in zip(self.references, planned, self.load_winds, strict=True)
-        ]
-        forces, ends = (np.stack(parts, axis=1) for parts in zip(*over_window, strict=True))
-        now, size = len(window.times) // 2, forces.shape[1:]
-        at_load = np.broadcast_to(self.load_winds[:, None], size)
-        lines = bowed_lines(
-            forces.reshape(len(window.times), -1, 3),
-            ends.reshape(len(window.times), -1, 3),
-            at_load.reshape(-1, 3),
-            window,
-            cable=material_of(model),
-            nodes=self.shape.nodes,
-            gusts=(winds - at_load).reshape(-1, 3),
+        R_WL = self.orientations
+        # The terms' velocities are through the air at the mean height, or, in winds, in still air.
+        frame, above = (self.winds, 0 * straight.forces) if winds is None else (0.0, winds @ R_WL)
+        at_load = (self.load_winds - frame)[:, None] @ R_WL
+        directions = functools.partial(directions_of, self.believed)
+        found = bowed_motion(
+            self.terms,
+            directions,
+            planned,
+            self.shape,
+            at_load,
+            above - at_load,
+            attachments=self.believed.attachments,
+            offset=self.believed.pattern.offset,
         )
-        R_WL = rotation_matrix(LoadReference.view(self.references).quaternion)
-        position, velocity, acceleration = (
-            rate.reshape(size) for rate in window.at_present(lines.ends)[:3]
-        )
-        pulls = (lines.forces[now].reshape(size) - forces[now]) @ R_WL + straight.forces
-        at_ends = position - ends[now], velocity - winds, acceleration
-        nodes = lines.nodes[:, now].reshape(-1, *size) - ends[now]
-        return BowedMotion(OrbitMotion(pulls, *(part @ R_WL for part in at_ends)), nodes @ R_WL)
+        motion = found.motion
+        pulls = motion.forces - found.at_load + straight.forces
+        velocities = motion.velocities - above
+        return found._replace(motion=motion._replace(forces=pulls, velocities=velocities))
 
 
 def carriers_along(task: Task, times: NDArray) -> CarriersAlong:

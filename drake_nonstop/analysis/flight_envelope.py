@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.analysis.carriers_along import BowedMotion
 from drake_nonstop.blocks.fixed_wing_controller import FixedWingControllerConfig
 from drake_nonstop.blocks.lumped_cables import material_of
 from drake_nonstop.mechanics.aircraft import (
@@ -21,6 +20,7 @@ from drake_nonstop.mechanics.aircraft import (
     thrust_limits,
     thrust_share,
 )
+from drake_nonstop.mechanics.bowed_orbit import BowedMotion
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.limits import LIMITS, Limit, Of
 from drake_nonstop.scenario.run_limits import RunLimits

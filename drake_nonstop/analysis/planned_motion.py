@@ -73,7 +73,8 @@ class PlannedMotion(Spacing):
         fastest = task.limits.frequency * (1 if plan is None else plan.coefficients[0].max())
         turns = task.duration * fastest / (2 * math.pi)
         self.time = times = np.linspace(0, task.duration, math.ceil(_PER_TURN * (1 + turns)))
-        orbit = PlannedOrbit.of_planned(task.planned(plan, times))
+        planned = task.planned(plan, times)
+        orbit = PlannedOrbit.of_planned(planned)
         references = np.array([task.reference(time) for time in times])
         terms = orbit_terms(task.flown, references, [task.wind_at(time) for time in times])
         motion = motion_above(task.flown, terms, orbit)
@@ -83,7 +84,7 @@ class PlannedMotion(Spacing):
         self.load_positions = loads.position
         self._attachments = loads.position[:, None] + self._model.attachments @ R_LW
         has_bow = task.response.references.shape is not None
-        bowed = carriers_along(task, times).bowed(orbit, motion) if has_bow else None
+        bowed = carriers_along(task, times).bowed(planned, motion) if has_bow else None
         cables = motion.cables if bowed is None else bowed.motion.cables
         nodes = [] if bowed is None else self._attachments + bowed.nodes @ R_LW
         self._carriers = self._attachments + cables @ R_LW

@@ -19,8 +19,9 @@ from drake_nonstop.analysis.carriers_along import (
 )
 from drake_nonstop.analysis.flight_envelope import LimitAlong
 from drake_nonstop.analysis.task import Task
+from drake_nonstop.mechanics.bowed_orbit import BowedMotion
 from drake_nonstop.mechanics.nonstop import polynomial_values, speed_squares
-from drake_nonstop.mechanics.planned_orbit import OrbitTerms, PlannedOrbit
+from drake_nonstop.mechanics.planned_orbit import OrbitMotion, OrbitTerms, PlannedOrbit
 from drake_nonstop.mechanics.rotation import rotation_matrix
 from drake_nonstop.optimization.horizon_config import HorizonConfig
 from drake_nonstop.optimization.horizon_motion import HorizonData
@@ -270,7 +271,9 @@ def _can_plan(task: Task) -> bool:
 def problem_of(task: Task, config: HorizonConfig | None = None) -> HorizonProblem:
     """The problem of a task's plans, of its horizon or of another one."""
     config = config or task.horizon
-    return HorizonProblem(task.model, task.limits, config, lambda: "the check of a task")
+    shape = task.response.references.shape
+    name = "the check of a task"
+    return HorizonProblem(task.model, task.limits, config, lambda: name, shape=shape)
 
 
 class _Along:
@@ -281,33 +284,52 @@ class _Along:
         self._task, self._problem = task, problem
         self._terms = _terms_along(problem, task, self.times)
         self._carriers: CarriersAlong | None = None
-        if any(asked(task.limits, Of.FLIGHT)):
+        if any(asked(task.limits, Of.FLIGHT)) or task.response.references.shape is not None:
             self._carriers = carriers_along(task, self.times)
 
     def planned(self, plan: Plan) -> SpeedCheck:
         """All that is known of a plan, without other starts and without constant ξ and A."""
         values = self._task.planned(plan, self.times)
-        orbit = PlannedOrbit.of_planned(values)
-        speeds = self._problem.values_along(Of.SPEED, self._terms, orbit)
+        orbit, carriers = PlannedOrbit.of_planned(values), self._carriers
+        motion, bowed = None, None
+        if carriers is not None:
+            motion = carriers.motion(orbit)
+            bowed = carriers.bowed(values, motion)
+        speeds = self._values_along(Of.SPEED, orbit, bowed)
         bound = self._task.limits.speed_bound
         ratios = _ratios(speeds, bound)
         none = np.zeros(0)
         return SpeedCheck(
             *(bound, none, none, plan, self.times, values[:, 1:3], ratios, ()),
             target_ratio=tightened_bound(self._task.limits, bound) / bound if bound > 0 else 1.0,
-            limits=tuple(self._limits(values)),
+            limits=tuple(self._limits(orbit, motion, bowed)),
         )
 
-    def _limits(self, values: NDArray) -> Iterator[LimitAlong]:
+    def _values_along(self, of: Of, orbit: PlannedOrbit, bowed: BowedMotion | None) -> NDArray:
+        """The problem's `values_along`, of carriers where bowed cables end."""
+        carriers = self._carriers
+        if bowed is None or carriers is None or of is Of.TENSION:
+            return self._problem.values_along(of, self._terms, orbit)
+        if of is Of.SEPARATION:
+            places = self._problem.model.attachments + bowed.motion.cables
+            first, second = self._problem.pairs
+            return np.linalg.norm(places[:, first] - places[:, second], axis=-1)
+        velocities = bowed.motion.velocities
+        if not self._task.counts_wind:
+            velocities = velocities + carriers.winds[:, None] @ carriers.orientations
+        return np.linalg.norm(velocities, axis=-1)
+
+    def _limits(
+        self, orbit: PlannedOrbit, motion: OrbitMotion | None, bowed: BowedMotion | None
+    ) -> Iterator[LimitAlong]:
         aircraft, needs = self._task.flown.aircraft, None
-        orbit = PlannedOrbit.of_planned(values)
-        if self._carriers is not None:
-            needs = self._carriers.needs(self._carriers.motion(orbit))
+        if self._carriers is not None and motion is not None and aircraft is not None:
+            needs = self._carriers.needs(motion, bowed)
         for limit, stated in asked(self._task.limits):
             if needs is not None and aircraft is not None and limit.is_of_aircraft:
                 found = limit.values(aircraft, needs)
             else:
-                found = self._problem.values_along(limit.of, self._terms, orbit)
+                found = self._values_along(limit.of, orbit, bowed)
             yield LimitAlong(limit, stated, self.times, found)
 
 

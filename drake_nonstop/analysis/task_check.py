@@ -125,7 +125,7 @@ def flight_of_plan(task: Task, speeds: SpeedCheck, limits: FlightEnvelope) -> Fl
     carriers = carriers_along(task, times)
     orbit = PlannedOrbit.of_planned(planned)
     motion = carriers.motion(orbit)
-    bowed = carriers.bowed(orbit, motion)
+    bowed = carriers.bowed(planned, motion)
     needs = carriers.needs(motion, bowed)
     quantities = [*limits_along(aircraft, needs, limits, times)]
     angles = planned[:, 0] % (2 * math.pi)

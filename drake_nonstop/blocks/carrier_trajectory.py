@@ -13,15 +13,17 @@ from drake_nonstop.blocks.lumped_cables import (
     air_density_where_unsaid,
     cable_material,
     check_nodes,
+    material_of,
 )
 from drake_nonstop.mechanics.bowed_line import TimeWindow, bowed_lines, motion_over_window
+from drake_nonstop.mechanics.bowed_orbit import CableShape
 from drake_nonstop.mechanics.cable import compliance_of
 from drake_nonstop.mechanics.carrier import carrier_motion, motion_after, shifted_reference
 from drake_nonstop.mechanics.grasp import second_and_third_force_rates
 from drake_nonstop.mechanics.lumped_cable import CableMaterial
 from drake_nonstop.mechanics.signal_layouts import SAMPLE_TIME, Layout, nodes_layout
 from drake_nonstop.model.block import LOAD, Block, BlockParameters, rigid_load
-from drake_nonstop.model.descriptions import CableShape, CarrierReferences, described
+from drake_nonstop.model.descriptions import CarrierReferences, described
 from drake_nonstop.model.system import OFFSET, Model
 from drake_nonstop.systems.requirements import LoopBlocks
 from drake_nonstop.systems.traced_block import BetweenSamples
@@ -306,10 +308,6 @@ class BowedCarrierTrajectoryConfig(_Hold):
     window: float = positive(0.75)  # s, before and after the present, in which their motion counts
 
 
-def _shape_of(config: BowedCarrierTrajectoryConfig) -> CableShape:
-    return CableShape(config.nodes, TimeWindow.of(config.window, _INSTANTS))
-
-
 class BowedCarrierTrajectory(_TrajectoryAboveReference):
     """Carriers at the ends of cables that bow under their drag, weight and inertia.
 
@@ -351,12 +349,15 @@ class BowedCarrierTrajectory(_TrajectoryAboveReference):
     bears_drag = True  # of the cables, which aircraft then do not
 
     def constants(self, model: Model, config: Any) -> dict[str, Any]:
-        own = _shape_of(config)._asdict()
+        own = {"nodes": config.nodes, "window": TimeWindow.of(config.window, _INSTANTS)}
         return super().constants(model, config) | own | air_density_where_unsaid(model)
 
     def describe_response(self) -> CarrierReferences:
-        shape = _shape_of(self.config) if self.model.system.cable_diameter > 0 else None
-        return super().describe_response()._replace(shape=shape)
+        found = super().describe_response()
+        if self.model.system.cable_diameter == 0:
+            return found
+        window = TimeWindow.of(self.config.window, _INSTANTS)
+        return found._replace(shape=CableShape(self.config.nodes, window, material_of(self.model)))
 
     def block_parameters(self, model: Model, config: Any) -> BlockParameters:
         return self.parameters_of(

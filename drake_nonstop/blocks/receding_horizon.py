@@ -91,6 +91,9 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
     starts with the initial ξ and A where these keep the constraints, from the start itself on, and
     else with others; until it is made, `parameters` and `plan` show the one that would be.
 
+    Where the references' cables bow, speeds, limits of aircraft and distances are those of carriers
+    at the ends of bowed cables, see `optimization.bowed_margins`.
+
     The speeds of aircraft are those through the air, in the wind that `wind_estimate` tells at the
     time of a plan, taken as steady; not connected, or `wind` is false: in still air. What they need
     of lift, bank, climb and thrust is limited along the plan and, at its end, on the whole orbits
@@ -150,6 +153,7 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
                 self._sample_period, self._sample_period, self._go_on
             )
 
+    counts_bow = True  # of the references' cables
     updates_first = True
     shows_first_update = True  # to what samples it at the start
 
@@ -503,6 +507,7 @@ class _Planner(threading.local):
                 replace(self._config, fixed_coefficients=fixed),
                 self._name,
                 beliefs=ModelParameters.view(numbers.beliefs),
+                shape=self._model.cable_shape,
             )
             self._solvers[fixed] = known = key, HorizonSolver(problem)
         return known[1]

@@ -48,6 +48,8 @@ BOX = "optimization_layer"
 COMMAND = "speed_bound_command"  # an optional input of the box
 WIND = "wind_estimate"  # an optional input of the box, of aircraft
 _MISSED = "missed_limits"
+# Of bowed cables, besides the numbers that layers follow.
+_OF_BOW = ("cable_diameter", "cable_density", "cable_drag", "cable_friction")
 
 
 class PeriodicLayer(LeafBlock):
@@ -276,13 +278,15 @@ class SpeedBoundLayer(CommandedBound, PeriodicLayer):
         self._enabled = self.DeclareNumericParameter(BasicVector_[self.scalar]([1.0]))
         self.highest_speed_bound = highest_speed_bound(self._config)
 
+    counts_bow = False  # whether it plans for the ends of bowed cables
+
     def requires(self, loop: LoopBlocks) -> Iterator[str]:
         """Tells that carriers on bowed cables fly other orbits than it plans."""
-        if getattr(loop.get("cables"), "bears_drag", False):
+        if not self.counts_bow and getattr(loop.get("cables"), "bears_drag", False):
             yield (
                 f"optimization_layer = {type(self).__name__}: it plans for straight cables, and "
                 "these bow: carriers fly up to some tenths of a m/s slower than it plans, and bank "
-                "more; give a speed_bound that is so much higher"
+                "more; give RecedingHorizonOptimizer, or a speed_bound that is so much higher"
             )
 
     @classmethod
@@ -306,7 +310,10 @@ class SpeedBoundLayer(CommandedBound, PeriodicLayer):
             own=("speed_bound", *OF_CONFIG),
             check=check,
             structure=kind.structure,
-            fixed=AIRCRAFT_NUMBERS if model.aircraft is not None else (),
+            fixed=(
+                *(AIRCRAFT_NUMBERS if model.aircraft is not None else ()),
+                *(_OF_BOW if model.cable_shape is not None else ()),
+            ),
         )
 
     def check_bound(self, speed_bound: float, name: str = "speed_bound") -> None:

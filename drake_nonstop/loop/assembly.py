@@ -18,6 +18,7 @@ from drake_nonstop.blocks.wrench_controller import WrenchRate
 from drake_nonstop.loop.box import Box, block_class, block_of, import_path, kept_parameters
 from drake_nonstop.loop.loop_response import speed_margin_for, warn_of_margin
 from drake_nonstop.mechanics.signals import LoadReference
+from drake_nonstop.model.descriptions import described
 from drake_nonstop.model.system import (
     Model,
     PatternConfig,
@@ -113,6 +114,10 @@ def make_parts(
             warn_of_margin(found)
             margin = found.margin
             entry = with_margin(entry, margin)
+        if name == LAYER:
+            references = described(blocks.get("carrier_trajectory"))
+            believed = copy.copy(believed)
+            believed.cable_shape = getattr(references, "shape", None)
         is_simulated = box is not None and box.is_simulated
         model = watched[name] = WatchedModel(simulated if is_simulated else believed)
         block = blocks[name] = make_block(boxes, name, entry, model)

@@ -107,6 +107,7 @@ def bowed_lines(
     cable: CableMaterial,
     nodes: int,
     gusts: NDArray | float = 0.0,
+    up: NDArray = _UP,
 ) -> BowedLines:
     """The lines that pull with these forces, over the instants of a window.
 
@@ -118,6 +119,7 @@ def bowed_lines(
         cable: what the lines are made of; their damping is not counted.
         nodes: N, at least 1.
         gusts: (n, 3), m/s, in W, of the carriers beyond that wind, less and less towards the load.
+        up: e₃ (3,), where all vectors are those of another frame; or (n, 3).
     """
     shares, mass = segment_shares(nodes)[:, 0, 0], cable.mass / nodes
     point, force, change, bend = attachments, forces, 0.0 * forces, 0.0 * forces
@@ -128,7 +130,7 @@ def bowed_lines(
         found.append(point)
         velocity, acceleration = window.rates(point)
         past = wind + place * gusts - velocity
-        without_drag = force + mass * (acceleration + cable.gravity * _UP)
+        without_drag = force + mass * (acceleration + cable.gravity * up)
         next_force = force + change + bend
         for _ in range(_PASSES):
             upper = _segment(next_force, above, cable)
@@ -146,8 +148,8 @@ def motion_over_window(
     reference: NDArray,
     reference_higher_rates: NDArray,
     planned: NDArray,
-    forces: NDArray | None,
-    rates: NDArray | None,
+    forces: NDArray,
+    rates: NDArray,
     wind: NDArray,
     window: TimeWindow,
     *,
@@ -169,7 +171,7 @@ def motion_over_window(
         reference: (22,), the present one.
         reference_higher_rates: (6,), [angular jerk; snap].
         planned: (8,), `PlannedParameters`.
-        forces: f (n, 3), N, the present desired ones on the load, in W; None: those of the motion.
+        forces: f (n, 3), N, the present desired ones on the load, in W.
         rates: ḟ (n, 3), N/s.
         wind: (3,), m/s, in W, steady.
         window: the k instants.
@@ -199,8 +201,6 @@ def motion_over_window(
     of_motion = wrench @ pseudo_inverse.T + offset + values @ basis.T
     along = of_motion.reshape(len(t), -1, 3) @ R_WL.swapaxes(-1, -2)
     ends = position[:, None] + attachments @ R_WL.swapaxes(-1, -2)
-    if forces is None or rates is None:
-        return along, ends
     present, present_rate, *_ = window.at_present(along)
     of_feedback = (forces - present) + t[:, :, None] * (rates - present_rate)
     return along + of_feedback, ends

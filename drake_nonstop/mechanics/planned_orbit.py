@@ -32,7 +32,12 @@ from drake_nonstop.mechanics.grasp import wrenches_along
 from drake_nonstop.mechanics.internal_force import internal_force
 from drake_nonstop.mechanics.rigid_load import STILL_AIR, RigidLoad
 from drake_nonstop.mechanics.rotation import cross, quaternion_product, rotation_matrix
-from drake_nonstop.mechanics.signals import LoadReference, PlannedParameters, Wrench
+from drake_nonstop.mechanics.signals import (
+    PLANNED_SIZE,
+    LoadReference,
+    PlannedParameters,
+    Wrench,
+)
 
 _UP = np.array([0.0, 0.0, 1.0])
 Axes = tuple[NDArray, NDArray]  # p and q (n, 3), of `orbit_axes`
@@ -120,6 +125,14 @@ class PlannedOrbit(NamedTuple):
         """That of the plan's values (k, 8), as of the signal `planned`."""
         parts = PlannedParameters.view(values)
         return cls(*(getattr(parts, name)[:, 0] for name in cls._fields))
+
+    @property
+    def planned(self) -> NDArray:
+        """The values (k, 8) of the signal `planned`, of which those that are not known are zero."""
+        values = np.zeros((len(self.angle), PLANNED_SIZE))
+        for name, own in self._asdict().items():
+            getattr(PlannedParameters.view(values), name)[:, 0] = own
+        return values
 
     @classmethod
     def constant(cls, angle: NDArray, frequency: Any, amplitude: Any) -> "PlannedOrbit":

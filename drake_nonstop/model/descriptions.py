@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.mechanics.bowed_line import TimeWindow
+from drake_nonstop.mechanics.bowed_orbit import CableShape
 from drake_nonstop.mechanics.signals import TRACKING_ERROR_SIZE
 from drake_nonstop.mechanics.wind import MeanWind, risen_share
 from drake_nonstop.systems.block import has_own
@@ -42,13 +42,6 @@ class CarrierMotion(NamedTuple):
     """The `carrier_dynamics` of points m_c p̈ = u."""
 
     bears_cables: bool = False  # whether weight and cables pull at the carriers, too
-
-
-class CableShape(NamedTuple):
-    """How finely bowed references resolve their cables; see `mechanics.bowed_line`."""
-
-    nodes: int  # of each cable
-    window: TimeWindow  # in which their motion counts
 
 
 class CarrierReferences(NamedTuple):

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.aircraft import Aircraft
+from drake_nonstop.mechanics.bowed_orbit import CableShape
 from drake_nonstop.mechanics.grasp import grasp_matrix
 from drake_nonstop.mechanics.rigid_load import RigidLoad, gravity_wrench
 from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE
@@ -137,6 +138,7 @@ class Model:
         aircraft: the carriers, where they are fixed-wing aircraft, whose mass is `carrier_mass`.
         bears_cable_drag: whether these have a share of their cable's drag; cables may have their
             own.
+        cable_shape: of the references' cables, for what plans; None: they are straight.
 
     Raises:
         ScenarioError: a parameter is out of range, there are fewer than 3 attachments,
@@ -155,6 +157,7 @@ class Model:
         require_ranges(field, system)
         self.aircraft: Aircraft | None = None
         self.bears_cable_drag = True
+        self.cable_shape: CableShape | None = None
         if system.aircraft is not None:
             system, self.aircraft = _with_aircraft(system, field, "carrier_mass" in overridden)
         self.system, self.pattern_config, self.field = system, pattern, field

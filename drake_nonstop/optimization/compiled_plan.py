@@ -74,7 +74,7 @@ class _Horizon(_Structure):
 
 class _Data(_Structure):
     _fields_ = [
-        *_fields(d="bound unit", p="excess tables", i="table_size"),
+        *_fields(d="bound unit", p="excess losses loss_slopes lossy_plan tables", i="table_size"),
         *_fields(p="apart terminal_terms bounds"),
         *_fields(p="terms", i="terms_size"),
         *_fields(p="flight", i="flight_size"),
@@ -169,7 +169,7 @@ class CompiledPlan(threading.local):
         """
         tables = data.terminal
         given = _Data(
-            *(data.speed_bound, data.speed_unit, data.excess),
+            *(data.speed_bound, data.speed_unit, data.excess, *(data.losses or [None] * 3)),
             *(tables.limits.ctypes.data, tables.limits.strides[0] // tables.limits.itemsize),
             *(tables.apart, tables.flat_terms, tables.bounds),
             *(

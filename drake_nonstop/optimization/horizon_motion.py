@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,9 @@ from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE, WIND_SIZE
 from drake_nonstop.optimization.orbit_constraints import OrbitConstraints
 from drake_nonstop.optimization.problem_config import tightened_bound
 from drake_nonstop.optimization.terminal_set import TerminalTables
+
+if TYPE_CHECKING:
+    from drake_nonstop.optimization.bowed_margins import BowLosses
 
 # Aircraft have their limits at one in so many instants, at least so many between two knots: what
 # they need has fewer dips in a turn than speeds that pass low values.
@@ -61,6 +64,7 @@ class HorizonData(NamedTuple):
     flat_flight: NDArray
     wind: NDArray  # (3,) or (k, 3), m/s, that aircraft fly in
     motion: HorizonMotion  # of which these are a part
+    losses: "BowLosses | None" = None  # of margins; None: cables are straight
 
     @property
     def terms(self) -> OrbitTerms:
@@ -104,13 +108,13 @@ class HorizonMotions(OrbitConstraints):
             math.ceil(config.instants / _FLIGHT_EVERY), min(_LEAST_FLIGHTS, config.instants)
         )
         back = np.arange(flown * intervals)[::-1]
-        self._flight_at = last - back * config.instants // flown
+        self.flight_at = last - back * config.instants // flown
         if self._first_instant == 0:
-            self._flight_at = np.append(0, self._flight_at)
+            self.flight_at = np.append(0, self.flight_at)
         self._flights_per_knot = flown
         # What aircraft need on whole orbits is limited at the ends of the intervals.
         ends = np.arange(1, config.terminal_knots + 1) * config.terminal_instants - 1
-        self._orbits_of = np.searchsorted(self._flight_at, self.terminal_at[ends])
+        self.orbits_of = np.searchsorted(self.flight_at, self.terminal_at[ends])
 
     def data(
         self,
@@ -143,7 +147,7 @@ class HorizonMotions(OrbitConstraints):
             references = self._references(start_time, reference, known, ahead)
             motion = self._motion(start_time, references, speed_bound, wind, ahead, motion)
             later = 0
-        count, flights = len(self.instants), len(self._flight_at)
+        count, flights = len(self.instants), len(self.flight_at)
         at, flight_at = later * config.instants, later * self._flights_per_knot
         target_speeds = motion.target_speeds[at : at + count]
         if later and speed_bound > 0:  # no jump before the start of a plan counts
@@ -216,7 +220,7 @@ class HorizonMotions(OrbitConstraints):
             return np.append(numbers, later + numbers[-each:])
 
         count = len(self.instants) + ahead * config.instants
-        flight_at = extended(self._flight_at, self._flights_per_knot)
+        flight_at = extended(self.flight_at, self._flights_per_knot)
         terminal_at = extended(self.terminal_at, config.terminal_instants)
         rows, winds = references.rows[:count], np.broadcast_to(wind, (count, WIND_SIZE))
         flat, flight = np.zeros((2, 0))

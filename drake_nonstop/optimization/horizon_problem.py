@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from drake_nonstop.mechanics.bowed_orbit import CableShape
 from drake_nonstop.mechanics.planned_orbit import (
     FlightTerms,
     OrbitTerms,
@@ -30,6 +31,7 @@ from drake_nonstop.mechanics.planned_orbit import (
     term_columns,
 )
 from drake_nonstop.model.system import Model
+from drake_nonstop.optimization.bowed_margins import BowedMargins
 from drake_nonstop.optimization.diagnostics import BOUND
 from drake_nonstop.optimization.horizon_config import HorizonConfig, timed
 from drake_nonstop.optimization.horizon_motion import HorizonData, HorizonMotions
@@ -91,6 +93,7 @@ class HorizonProblem(HorizonMotions):
         config: the horizon.
         name: tells what evaluates the terms, for the error of a value that is not finite.
         beliefs: numbers in place of those of model and limits.
+        shape: of cables that bow, see `BowedMargins`; None: they are straight.
     """
 
     def __init__(
@@ -101,9 +104,10 @@ class HorizonProblem(HorizonMotions):
         name: Callable[[], str],
         *,
         beliefs: ModelParameters | None = None,
+        shape: CableShape | None = None,
     ):
         config = timed(config, limits.frequency, model.control_period)
-        super().__init__(model, limits, config, name, beliefs=beliefs)
+        super().__init__(model, limits, config, name, beliefs=beliefs, shape=shape)
         self._place_instants()
         self.count = self.intervals + DEGREE  # of the coefficients of ξ, and of A
         self._place_constraints()
@@ -155,7 +159,7 @@ class HorizonProblem(HorizonMotions):
 
         At every so many instants of the horizon; None where there is no such limit.
         """
-        if not self._constraints.names(Of.TENSION, Of.SEPARATION):
+        if not self.constraints.names(Of.TENSION, Of.SEPARATION):
             return None
         flat = data.flat_terms[::every]
         return lambda A: self.terminal_set(flat, 0.0, A).amplitude_margins.min(axis=0)
@@ -180,6 +184,12 @@ class HorizonProblem(HorizonMotions):
         """The carriers' speeds (k, n), m/s, at the instants."""
         return self.values_along(Of.SPEED, data.terms, self.orbit(data, coefficients))
 
+    def bowed(self, data: HorizonData, coefficients: NDArray) -> HorizonData:
+        """The data with what margins lose as cables bow along a plan of coefficients (2, N)."""
+        if self._bowed_margins is None:
+            return data
+        return data._replace(losses=self._bowed_margins.losses(data, coefficients))
+
     def linearization(self, data: HorizonData, coefficients: NDArray) -> Linearization:
         """The constraints about coefficients (2, N)."""
         orbit, size = self.orbit(data, coefficients), len(self.layout.names)
@@ -188,6 +198,10 @@ class HorizonProblem(HorizonMotions):
             values, slopes = part.function(*part.inputs(data, orbit))
             slopes[:, _NOT_OF_ORBITS, part.along :] = 0
             margins[part.places], gradients[:, part.places] = values, slopes.swapaxes(0, 1)
+        self._set_terminal(data, orbit, margins, gradients)
+        if data.losses is not None:
+            margins -= data.losses.at(orbit, self.layout.instants)
+            gradients -= data.losses.slopes
         speeds = margins[self._speed_places]
         slowest = data.speed_of(speeds.min())
         for place in self.neighbouring:
@@ -195,12 +209,11 @@ class HorizonProblem(HorizonMotions):
             margins[place], weights[:, place] = dipping, own_weights
         # What carriers have to keep beyond the bound steps with time: no minimum follows from it.
         margins[self._speed_places] -= data.excess
-        self._set_terminal(data, orbit, margins, gradients)
         return Linearization(margins, gradients, weights, self.jacobians, self.layout, slowest)
 
     def judged(self, data: HorizonData, coefficients: NDArray) -> tuple[NDArray, float]:
         """The margins (r,) of `linearization`, and the least speed at the instants, m/s."""
-        found = self.linearization(data, coefficients)
+        found = self.linearization(self.bowed(data, coefficients), coefficients)
         return found.margins, found.slowest
 
     def slacks(self, margins: NDArray) -> NDArray:
@@ -226,11 +239,11 @@ class HorizonProblem(HorizonMotions):
         The bound on the speeds has slack of its own, all limits of aircraft together, and all
         others together: one per interval between knots and one of the last part, of each.
         """
-        limits, n, slacks = self._constraints, self.model.n, self.intervals + 1
+        limits, n, slacks = self.constraints, self.model.n, self.intervals + 1
         fast, tensions = limits.names(Of.SPEED), limits.names(Of.TENSION)
         pairs = limits.names(Of.SEPARATION)
         names = np.array([BOUND, *fast, *tensions] * n).reshape(n, -1).T.ravel()
-        names = np.append(names, np.repeat(pairs, self._pairs.shape[1]))
+        names = np.append(names, np.repeat(pairs, self.pairs.shape[1]))
         of_flight = np.repeat(limits.names(Of.FLIGHT), n)
         has_others = len(names) > n
         kinds, flight_kind = (names != BOUND) * 1, 1 + has_others
@@ -238,7 +251,7 @@ class HorizonProblem(HorizonMotions):
         along = np.arange(len(self.instants))[:, None]
         blocks = [ConstraintBlock(along, pieces[:, None] + slacks * kinds, names, 0)]
         if self._limits_flight:
-            at, first = self._flight_at[:, None], slacks * flight_kind
+            at, first = self.flight_at[:, None], slacks * flight_kind
             blocks.append(ConstraintBlock(at, pieces[at] + first, of_flight, 0))
         # Of the terminal set, what does not depend on ξ is one margin, of any limit of these.
         apart = tensions + pairs
@@ -250,8 +263,8 @@ class HorizonProblem(HorizonMotions):
             ConstraintBlock(self.terminal_at, last[:, None], terminal_names[:, None], None)
         )
         if self._limits_flight:
-            phases = np.zeros((len(self._orbit_angles), 1), int)
-            at = self._flight_at[self._orbits_of, None, None]
+            phases = np.zeros((len(self.orbit_angles), 1), int)
+            at = self.flight_at[self.orbits_of, None, None]
             slack = self.intervals + first + phases
             blocks.append(ConstraintBlock(at, slack, of_flight, 1))
         self.layout = ConstraintLayout.of_blocks(blocks)
@@ -266,12 +279,19 @@ class HorizonProblem(HorizonMotions):
         self._speed_places = places[0][:, :n]
         self.terminal_places = places[1 + self._limits_flight]
         self._make_functions(places)
+        self._bowed_margins = (
+            None
+            if self.shape is None
+            else BowedMargins(
+                self, self.shape, places[0], places[1::2] if self._limits_flight else []
+            )
+        )
 
     def _make_functions(self, places: list[NDArray]) -> None:
         """Makes the functions of margins, of constraints numbered as in each block."""
         count, n = len(self.instants), self.model.n
         every = np.arange(count)
-        pairs = places[0].shape[1] - (self._pairs.shape[1] if self._keeps_apart else 0)
+        pairs = places[0].shape[1] - (self.pairs.shape[1] if self._keeps_apart else 0)
         of_carriers = places[0][:, :pairs].reshape(count, -1, n).swapaxes(0, 1)
         of_terms = term_columns(n)
         along: dict[str, Any] = {"instants": every, "along": count, "angles": np.zeros(count)}
@@ -292,7 +312,7 @@ class HorizonProblem(HorizonMotions):
         if self._keeps_apart:
             of_pairs = places[0][None, :, pairs:]
             vectors = (*self.axes, self.model.attachments)
-            constants = [part[chosen].T for part in vectors for chosen in self._pairs]
+            constants = [part[chosen].T for part in vectors for chosen in self.pairs]
             constants.append(np.repeat(self.numbers[:, None], of_pairs.shape[2], axis=1))
             self.functions.append(
                 MarginFunction(
@@ -303,13 +323,13 @@ class HorizonProblem(HorizonMotions):
                     places=of_pairs,
                     source="flat_terms",
                     rows=every,
-                    columns=np.concatenate([of_terms[:3, chosen] for chosen in self._pairs]),
+                    columns=np.concatenate([of_terms[:3, chosen] for chosen in self.pairs]),
                     constants=np.concatenate(constants)[:, None],
                 )
             )
         if self._limits_flight:
-            at, angles = self._flight_at, self._orbit_angles
-            orbits = np.repeat(self._orbits_of, len(angles))
+            at, angles = self.flight_at, self.orbit_angles
+            orbits = np.repeat(self.orbits_of, len(angles))
             of_both = [part.reshape(-1, part.shape[-1] // n, n) for part in (places[1], places[3])]
             rows = np.concatenate([np.arange(len(at)), orbits])
             self.functions.append(
@@ -319,7 +339,7 @@ class HorizonProblem(HorizonMotions):
                     ),
                     instants=at[rows],
                     along=len(at),
-                    angles=np.append(np.zeros(len(at)), np.tile(angles, len(self._orbits_of))),
+                    angles=np.append(np.zeros(len(at)), np.tile(angles, len(self.orbits_of))),
                     places=np.concatenate(of_both).swapaxes(0, 1),
                     source="flat_flight",
                     rows=rows,
@@ -411,5 +431,5 @@ class HorizonProblem(HorizonMotions):
         self, function: Callable, sizes: list[int], shape: tuple[int, int]
     ) -> ElementwiseFunction:
         """A function of one carrier or pair at an instant, for all of them."""
-        key = function.__name__, self._constraints.names(*Of)
+        key = function.__name__, self.constraints.names(*Of)
         return ElementwiseFunction(function, sizes, shape, key=key, compiles=True)

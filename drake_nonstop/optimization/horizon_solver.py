@@ -44,6 +44,8 @@ _SETTINGS = (  # in the order of solve_plan.c
     *(_ROW_TOLERANCE, _ACTIVE_MARGIN, PLAN_TOLERANCE),
 )
 _SEARCH_PHASES = 16
+_MOST_BOWS = 4  # plans, each with cables that bow as along the one before it
+_SAME_BOW = 0.02  # of the nominal ξ and A, within which a plan's cables bow as another one's
 _FIRST_ITERATIONS = 20  # of the first plan, which has no other to begin with
 
 
@@ -139,7 +141,30 @@ class HorizonSolver:
                 a plan that needs slack goes on as long as that can fall.
             scale: of the trust region at the start.
             until_feasible: ends with the first plan that needs no slack.
+
+        Where cables bow the plan is made anew until it is nearly that along which they bow so.
         """
+        answer, begun = None, start
+        for _ in range(_MOST_BOWS if self.problem.shape is not None else 1):
+            given = self.problem.bowed(data, begun)
+            answer = self._solved(given, begun, max_iterations, tolerance, scale, until_feasible)
+            moved = np.abs(answer.coefficients - begun).max()
+            if moved <= _SAME_BOW:
+                break
+            begun, scale = answer.coefficients, max(answer.scale, LEAST_START_SCALE)
+        assert answer is not None
+        return answer
+
+    def _solved(
+        self,
+        data: HorizonData,
+        start: NDArray,
+        max_iterations: int,
+        tolerance: float,
+        scale: float,
+        until_feasible: bool,
+    ) -> PlanAnswer:
+        """Answer of `solve` for cables that bow as the data tell."""
         problem = self.problem
         x = self._within_limits(start)
         if self._compiled is not None:

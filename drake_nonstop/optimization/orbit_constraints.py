@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.aircraft import Aircraft
+from drake_nonstop.mechanics.bowed_orbit import CableShape
 from drake_nonstop.mechanics.internal_force import orbit_axes
 from drake_nonstop.mechanics.planned_orbit import (
     FlightTerms,
@@ -48,6 +49,7 @@ class OrbitConstraints:
         config: of a horizon; the numbers of phases and amplitudes, and what follows jumps, count.
         name: tells what evaluates the terms, for the error of a value that is not finite.
         beliefs: numbers in place of those of model and limits.
+        shape: of cables that bow; None: they are straight.
 
     Attributes:
         numbers: (c,), of cables (L₀ in m, 1/K_c in m/N), limits (`Constraints.values`), aircraft.
@@ -61,6 +63,7 @@ class OrbitConstraints:
         name: Callable[[], str],
         *,
         beliefs: ModelParameters | None = None,
+        shape: CableShape | None = None,
     ):
         self.model, self.limits, self.config, self.name = model, limits, config, name
         beliefs = beliefs or model_parameters_of(model, limits)
@@ -69,35 +72,37 @@ class OrbitConstraints:
         self._beliefs = np.concatenate(beliefs)
         self.rest_length = float(beliefs.rest_length[0])  # m
         self.compliance = float(beliefs.compliance[0])  # m/N
-        self._cables: dict[str, Any] = {
+        self.cables: dict[str, Any] = {
             "rest_length": self.rest_length,
             "compliance": self.compliance,
         }
         self.axes = orbit_axes(model.pattern.basis, model.pattern.phases)
         low, high = self._bounds[:, 1]
         self.amplitudes = np.linspace(low, high, config.terminal_amplitudes)
-        self._constraints = Constraints(limits)
-        self.max_speed = self._constraints.max_speed  # m/s, tightened
-        self._limits_flight = bool(self._constraints.names(Of.FLIGHT))
-        self._orbit_angles = 2 * np.pi * np.arange(config.terminal_phases) / config.terminal_phases
-        u, along, _ = orbit_directions(self.axes, self._orbit_angles)
+        self.constraints = Constraints(limits)
+        self.max_speed = self.constraints.max_speed  # m/s, tightened
+        self._limits_flight = bool(self.constraints.names(Of.FLIGHT))
+        self.orbit_angles = 2 * np.pi * np.arange(config.terminal_phases) / config.terminal_phases
+        u, along, _ = orbit_directions(self.axes, self.orbit_angles)
         directions = np.concatenate([u, along], axis=2)
         self.orbit_directions = np.ascontiguousarray(np.moveaxis(directions, 2, 0))
-        parts = [self.rest_length, self.compliance, *self._constraints.values]
+        parts = [self.rest_length, self.compliance, *self.constraints.values]
         self.numbers = np.concatenate([*map(np.atleast_1d, [*parts, *(model.aircraft or ())])])
         self.limits_of_carriers = ElementwiseFunction(
             self._limits_of_carrier,
             [12, 6, 1, 1, len(self.numbers)],
             directions.shape[:2],
-            key=("limits_of_carrier", self._constraints.names(*Of)),
+            key=("limits_of_carrier", self.constraints.names(*Of)),
             has_derivatives=False,
             compiles=True,
         )
-        self._keeps_apart = self._constraints.min_separation > 0
+        self._keeps_apart = self.constraints.min_separation > 0
         self._distances = OrbitDistances(self.axes)
-        self._pairs, self._encounters = self._distances.pairs(), self._distances.every()
+        self.pairs, self._encounters = self._distances.pairs(), self._distances.every()
         self._terms = self._of_rows(orbit_along_reference)
-        if self._limits_flight:
+        self.offset = beliefs.offset if len(beliefs.offset) else np.zeros(3 * model.n)
+        self.shape = shape and shape.of_length(self.rest_length, self.compliance)
+        if self._limits_flight or shape is not None:
             self._flight_terms = self._of_rows(flight_along_reference)
 
     def _limits_of_carrier(self, *given: NDArray) -> list[NDArray]:
@@ -110,11 +115,11 @@ class OrbitConstraints:
     def _of_numbers(self, numbers: NDArray) -> tuple[dict[str, Any], Constraints, Aircraft | None]:
         """Cables, constraints and aircraft of other `numbers`, such as symbols."""
         own = self.model.aircraft
-        sizes = [1, 1, len(self._constraints.values), *map(np.size, own or ())]
+        sizes = [1, 1, len(self.constraints.values), *map(np.size, own or ())]
         rest_length, compliance, values, *parts = np.split(numbers, np.cumsum(sizes)[:-1])
         return (
             {"rest_length": rest_length, "compliance": compliance},
-            self._constraints.with_values(values[:, None]),
+            self.constraints.with_values(values[:, None]),
             None if own is None else Aircraft(*parts),
         )
 
@@ -126,8 +131,8 @@ class OrbitConstraints:
         return self._terms(self._stacked(references, winds))
 
     def flight_terms(self, references: NDArray, winds: NDArray) -> NDArray:
-        """The flat `FlightTerms` (k, 15n + 9) likewise; (k, 0) without limits of flight."""
-        if not self._limits_flight:
+        """The flat `FlightTerms` (k, 15n + 9) likewise; (k, 0) where nothing needs them."""
+        if not self._limits_flight and self.shape is None:
             return np.zeros((len(references), 0))
         return self._flight_terms(self._stacked(references, winds))
 
@@ -144,7 +149,7 @@ class OrbitConstraints:
 
         Of flat `FlightTerms` (k, 15n + 9), with limits of flight.
         """
-        angles, count = self._orbit_angles, len(flat_flight)
+        angles, count = self.orbit_angles, len(flat_flight)
         orbit = PlannedOrbit.constant(np.tile(angles, count), frequency, amplitude)
         terms = FlightTerms.view(np.repeat(flat_flight, len(angles), axis=0))
         margins = self._flight_margins(terms, self.axes, orbit, self.numbers)
@@ -204,13 +209,13 @@ class OrbitConstraints:
             self.axes,
             amplitudes,
             speed_bound,
-            self._constraints.max_speed,
+            self.constraints.max_speed,
             phase_count=self.config.terminal_phases,
-            **self._cables,
+            **self.cables,
         )
         margins = self._margins_apart(terms, amplitudes)
         for squares in tension_squares:
-            for margin in self._constraints.of_squares(Of.TENSION, squares):
+            for margin in self.constraints.of_squares(Of.TENSION, squares):
                 margins = np.minimum(margins, margin)
         return TerminalSet(amplitudes, least, most, margins)
 
@@ -219,9 +224,9 @@ class OrbitConstraints:
         margins = np.full((len(terms.forces), len(amplitudes)), np.inf)
         for row, forces in zip(margins, terms.forces if self._keeps_apart else (), strict=False):
             squares = self._distances.least_squares(
-                self._encounters, amplitudes, forces, self.model.attachments, **self._cables
+                self._encounters, amplitudes, forces, self.model.attachments, **self.cables
             ).min(axis=1)
-            for margin in self._constraints.of_squares(Of.SEPARATION, squares):
+            for margin in self.constraints.of_squares(Of.SEPARATION, squares):
                 np.minimum(row, margin, out=row)
         return margins
 
@@ -245,9 +250,9 @@ class OrbitConstraints:
         In m/s, N or m.
         """
         if of is Of.SEPARATION:
-            ends = {"attachments": self.model.attachments, "pairs": self._pairs}
-            return np.sqrt(planned_gaps(terms.forces, self.axes, orbit, **ends, **self._cables))
-        speeds, tensions = planned_speeds(terms, self.axes, orbit, **self._cables)
+            ends = {"attachments": self.model.attachments, "pairs": self.pairs}
+            return np.sqrt(planned_gaps(terms.forces, self.axes, orbit, **ends, **self.cables))
+        speeds, tensions = planned_speeds(terms, self.axes, orbit, **self.cables)
         return np.sqrt(speeds if of is Of.SPEED else tensions)
 
     def _of_rows(self, terms: Callable[..., NDArray]) -> RowsFunction:

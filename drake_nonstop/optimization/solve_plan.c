@@ -89,6 +89,8 @@ typedef struct {
 typedef struct {
   double bound, unit;
   const double *excess; /* (instants, carriers): what the targets are above the bound, as margins */
+  /* As of `BowLosses`; NULL: cables are straight. */
+  const double *losses, *loss_slopes, *lossy_plan;
   double *tables;     /* (3, terminal_count, amplitude_count); NaN: not found */
   int64_t table_size; /* from one limit to the next */
   const double *apart, *terminal_terms, *bounds; /* as of `TerminalTables` */
@@ -278,6 +280,23 @@ static void terminal_margins(const Work *w, const Linearization *lin) {
   }
 }
 
+static void lose(const Work *w, const Linearization *lin, double start) {
+  const Horizon *h = w->h;
+  const Data *data = w->data;
+  int64_t i, e;
+  for (i = 0; i < h->constraints; i++) {
+    const int64_t at = h->instant_of[i];
+    double loss = data->losses[i];
+    for (e = 0; e < ENTRIES; e++) {
+      const double slope = data->loss_slopes[e * h->constraints + i];
+      const double now = w->orbit[e * h->instants + at] + (e == ANGLE ? start : 0);
+      loss += slope * (now - data->lossy_plan[e * h->instants + at]);
+      lin->gradients[e * h->constraints + i] -= slope;
+    }
+    lin->margins[i] -= loss;
+  }
+}
+
 static void linearize(const Work *w, const double *x, double start, Linearization *lin) {
   const Horizon *h = w->h;
   const int64_t columns = h->neighbours[0].columns;
@@ -285,6 +304,8 @@ static void linearize(const Work *w, const double *x, double start, Linearizatio
   orbit_of(h, x, w->orbit);
   memset(lin->dips, 0, NEIGHBOURS * h->constraints * sizeof(double));
   for (i = 0; i < h->function_count; i++) margins_of(w, h->functions + i, lin, start);
+  terminal_margins(w, lin);
+  if (w->data->losses) lose(w, lin, start);
   lin->slowest = INFINITY;
   for (k = 0; k < h->instants; k++)
     for (j = 0; j < h->carriers; j++)
@@ -293,7 +314,6 @@ static void linearize(const Work *w, const double *x, double start, Linearizatio
   for (k = 0; k < h->instants; k++)
     for (j = 0; j < h->carriers; j++)
       lin->margins[k * columns + j] -= w->data->excess[k * h->carriers + j];
-  terminal_margins(w, lin);
 }
 
 static void swap(Linearization *a, Linearization *b) {

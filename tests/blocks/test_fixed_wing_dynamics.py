@@ -222,18 +222,20 @@ def test_a_layer_without_limits_of_aircraft_is_told_before_they_fly():
         make_nonstop(load_scenario("aircraft_rest", [limited, pattern]), at_equilibrium=False)
 
 
-@pytest.mark.parametrize(
-    ("layer", "period"), [("RecedingHorizonOptimizer", ""), ("NonstopOptimizer", "period: 0.04, ")]
-)
-def test_a_layer_that_plans_for_straight_cables_is_told_where_they_bow(layer, period):
-    of_layer = f"{{{period}speed_bound: 10, max_lift_share: 0.85}}"
-    over = [f"optimization_layer=!{layer} {of_layer}", "pattern=!SpreadCarousel {spread: 6.75}"]
-    with pytest.warns(ScenarioWarning, match=f"= {layer}: it plans for straight cables") as warned:
-        make_nonstop(load_scenario("aircraft_rest_cables", over), at_equilibrium=False)
+def test_a_layer_that_plans_for_straight_cables_is_told_where_they_bow():
+    def over(layer, **fields):
+        fields |= {"speed_bound": 10, "max_lift_share": 0.85}
+        return [f"optimization_layer=!{layer} {fields}", "pattern=!SpreadCarousel {spread: 6.75}"]
+
+    own = over("NonstopOptimizer", period=0.04)
+    with pytest.warns(ScenarioWarning, match="= NonstopOptimizer: it plans for straight") as warned:
+        make_nonstop(load_scenario("aircraft_rest_cables", own), at_equilibrium=False)
     assert len(warned) == 1
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        make_nonstop(load_scenario("aircraft_rest", over), at_equilibrium=False)
+        make_nonstop(load_scenario("aircraft_rest", own), at_equilibrium=False)
+        other = load_scenario("aircraft_rest_cables", over("RecedingHorizonOptimizer"))
+        make_nonstop(other, at_equilibrium=False)
 
 
 def test_a_short_flight_is_ok_and_keeps_to_its_references():
