@@ -5,7 +5,7 @@ import contextlib
 import os
 from pathlib import Path
 
-from drake_nonstop.cli.arguments import Commands, add_changes
+from drake_nonstop.cli.arguments import Commands, add_changes, write_figure
 from drake_nonstop.cli.ending import BAD_INPUT, FAILED
 from drake_nonstop.scenario.loading import dump_scenario
 from drake_nonstop.studies.files import read_regular, replacing_files, require_writable, write_json
@@ -15,6 +15,7 @@ from drake_nonstop.visualization.figure_style import require_drawing
 from drake_nonstop.visualization.progress import TaskProgress
 
 _REQUEST, _DATA, _FIGURE = "request.yaml", "design.json", "pareto.png"
+_LONGEST = {"straight": "45 s", "lumped": "5 min"}  # of one kind and number, by cables, on one core
 _MOST = 100  # formations, of 10 numbers of carriers
 
 
@@ -53,6 +54,7 @@ def _design(options: argparse.Namespace) -> int:
     from drake_nonstop.studies import design
     from drake_nonstop.studies.design_figures import make_pareto_figure
     from drake_nonstop.studies.design_request import commented_request, dump_request, read_request
+    from drake_nonstop.studies.processes import deferred_signals
 
     request = read_request(options.request, options.set)
     if options.print_request:
@@ -65,6 +67,13 @@ def _design(options: argparse.Namespace) -> int:
     scenarios = [f"{request.name}_{k + 1}.yaml" for k in range(_MOST)]
     files = (_REQUEST, _DATA, _FIGURE, *scenarios)
     require_writable(folder, files)
+    count = len(request.carriers) * len(request.kinds)
+    at_a_time, longest = min(count, os.cpu_count() or 1), _LONGEST[request.cables]
+    print(
+        f"{count} kinds and numbers of carriers, {at_a_time} at a time, up to {longest} each: "
+        "formations are optimized, then flown",
+        flush=True,
+    )
     stopped = None
     try:
         with TaskProgress() as progress:
@@ -76,19 +85,19 @@ def _design(options: argparse.Namespace) -> int:
         of_stopped = Path(f"{folder}_stopped")  # not over what a whole search has found
         folder = first_free(folder, lambda place: not (place / _DATA).exists(), of_stopped)
         require_writable(folder, files)
-    with replacing_files(folder, files) as new:
+    print(design.design_table(found))
+    with deferred_signals(), replacing_files(folder, files) as new:
         (new / _REQUEST).write_text(text, encoding="utf-8")
         write_json(new / _DATA, design.design_dictionary(found))
         for formation in found.formations:
             path = new / f"{formation.scenario.name}.yaml"
             path.write_text(dump_scenario(formation.scenario), encoding="utf-8")
-        if found.formations and stopped is None:
-            make_pareto_figure(found).savefig(new / _FIGURE, dpi=300)
-    print(design.design_table(found))
     if stopped is not None:
         raise KeyboardInterrupt(f"{stopped}; what they found is in {folder}")
     print(found.verdict)
-    print(f"results: {folder}")
+    print(f"results: {folder}", flush=True)
+    if found.formations:  # after the results: drawing takes longer, and may be interrupted
+        write_figure(folder / _FIGURE, make_pareto_figure(found))
     return 0 if found.formations else FAILED
 
 

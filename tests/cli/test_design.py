@@ -1,15 +1,18 @@
 """`drake-nonstop design`, as a user meets it."""
 
+import dataclasses
 import json
 import re
 import shlex
+import signal
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from drake_nonstop.cli.ending import BAD_INPUT, FAILED
+from drake_nonstop.cli.ending import BAD_INPUT, FAILED, INTERRUPTED
 from drake_nonstop.cli.main import main
 from drake_nonstop.optimization.formation_program import FormationVariables
 from drake_nonstop.scenario.loading import load_scenario
@@ -85,10 +88,28 @@ def test_what_cannot_be_is_said_and_another_request_has_a_folder_of_its_own(
     monkeypatch.setattr(design, "design", none)
     assert main(["design", "--set", *SMALL]) == FAILED
     shown = capsys.readouterr().out
+    assert shown.startswith("1 kinds and numbers of carriers, 1 at a time, up to 45 s each: ")
     assert "3 leaning, misses bank; give less" in shown
     assert "results: out/design/formation_2" in shown
     assert (other / "request.yaml").read_text() == "load_mass: 1.0\n"
     assert not (tmp_path / "out" / "design" / "formation_2" / "pareto.png").exists()
+
+
+def test_ctrl_c_while_files_are_written_keeps_them(tmp_path, capsys, monkeypatch):
+    scenario = dataclasses.replace(load_scenario("aircraft_rest"), name="formation_1")
+    formation = SimpleNamespace(scenario=scenario)
+    monkeypatch.setattr(
+        design,
+        "design",
+        lambda request, _: Design(request=request, formations=(formation,), refusals=()),
+    )
+    monkeypatch.setattr(design, "design_table", lambda found: "")
+    monkeypatch.setattr(
+        design, "design_dictionary", lambda found: {"end": signal.raise_signal(signal.SIGINT)}
+    )
+    assert main(["design", "--out", str(tmp_path), "--set", *SMALL]) == INTERRUPTED
+    names = {path.name for path in tmp_path.iterdir()}
+    assert names == {"request.yaml", "design.json", "formation_1.yaml"}
 
 
 @pytest.mark.parametrize(
