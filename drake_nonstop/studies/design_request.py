@@ -117,7 +117,7 @@ class DesignRequest(AircraftLimits, _Asked):
     limits of aircraft, hold at rest and on the way of the load, from rest to rest along
     `displacement`; the separation at rest in still air. In gusts, which may take three of their
     standard deviations from an airspeed, lift and airspeed stay within the aircraft's own limits,
-    and each formation is flown in them before it is returned.
+    and each formation is flown in gusts 1.25 times as strong before it is returned.
     """
 
     def check(self) -> Aircraft:

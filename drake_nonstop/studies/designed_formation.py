@@ -439,6 +439,10 @@ def formation_scenario(
         pattern = {"_tag": "!ConstantSpread", "spread": forces["spread"]}
         trajectory = {"_tag": "!SteadyTurn", "yaw_rate": frequency, **move}
     aircraft = {k: v for k, v in vars(request.aircraft).items() if v is not None}
+    bound = 0.9 * slowest
+    if request.gust > 0:  # in which airspeeds may fall to that of the aircraft's own limit
+        task = design_task(request, carriers, 1)
+        bound = min(bound, task.limits.own.speed_share * float(stall_speed(task.aircraft)))
     fields: dict[str, Any] = {
         "simulation_duration": duration,
         "system.load_mass": request.load_mass,
@@ -458,8 +462,7 @@ def formation_scenario(
             "_tag": "!ConstantParameters",
             "frequency": frequency,
             "amplitude": 1.0 if kind == LEANING else 0.0,
-            "speed_bound": math.floor(10 * min(0.9 * slowest, slowest - _GUSTS * request.gust))
-            / 10,
+            "speed_bound": math.floor(10 * bound) / 10,
         },
         "carrier_controller.frequency": 1.8 if kind == LEANING else 1.5,
     }

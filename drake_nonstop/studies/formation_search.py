@@ -64,7 +64,9 @@ _OBSERVERS = (1.0, 0.7, 0.4)  # weights of the aircraft's observers that are tri
 # A flight at rest has three parts, of 14 s each, or of a turn where that takes longer. From the
 # second to the third part an error, m, may grow by a factor of 1.15; below 1e-4 m it is steady.
 _STEADY_PARTS, _STEADY_TIME, _STEADY_GROWTH, _STEADY_ERROR = 3, 14.0, 1.15, 1e-4
-_SEEDS = 3  # of gusts, in which a formation is flown
+# Seeds of gusts in which a formation is flown, and how much stronger these are than those that are
+# asked for: other seeds, and longer flights, meet worse ones.
+_SEEDS, _STRONGER = 5, 1.25
 _LOST = list(RunOutcome)[: list(RunOutcome).index(RunOutcome.BOUND_MISSED)]
 _STRONGEST = 20.0  # m/s, the strongest wind that is tried for a region
 _TOLERANCE = 0.05  # of the reserve, which is 0 at the border of a region
@@ -95,6 +97,7 @@ class FormationSearch:
         self.lower, self.upper = design_bounds(request, carriers, kind)
         self.most_reserve = -np.eye(len(self.lower))[-1]  # a cost (10,)
         self._observer: float | None = None  # the observers' weight, once it is known
+        self._has_tried_gusts = False
 
     def program(
         self, motions: int = KEY_INSTANTS, phases: int = _FINE, turns: int | None = None
@@ -228,7 +231,7 @@ class FormationSearch:
         if steadied is None:
             return self._refusal(values, "in a flight at rest the load's sway grows")
         if self.request.gust > 0 and (fault := _fault_in_gusts(steadied)):
-            return self._refusal(values, fault)
+            return self._refusal(values, fault, remedy=self._weaker_gusts(steadied))
         distances = float(margins.carrier_distance.min()), float(margins.cable_distance.min())
         return DesignedFormation(
             kind=self.kind,
@@ -256,6 +259,16 @@ class FormationSearch:
                 self._observer = weight
                 return tried
         return None
+
+    def _weaker_gusts(self, scenario: Scenario) -> str:
+        """Text of gusts that the formation flies in, of halves; of the first one that is asked."""
+        if self._has_tried_gusts:
+            return ""
+        self._has_tried_gusts = True
+        for share in (1 / 2, 1 / 4, 1 / 8):
+            if not _fault_in_gusts(scenario, share * _STRONGER):
+                return f"request.gust = {_down(share * self.request.gust)} or less"
+        return ""
 
     def _refusal_of_best(self, program: FormationProgram, best: NDArray) -> Refusal:
         flight = flight_of(self.way, self.kind, variables_of(best))
@@ -360,17 +373,21 @@ def _is_steady(scenario: Scenario, turn: float) -> bool:
     return bool(last < max(_STEADY_GROWTH * before, _STEADY_ERROR))
 
 
-def _fault_in_gusts(scenario: Scenario) -> str:
-    """What ends a flight in gusts, or loses the load, in words; "": nothing does."""
+def _fault_in_gusts(scenario: Scenario, strength: float = _STRONGER) -> str:
+    """What ends a flight in so strong gusts, or loses the load, in words; "": nothing does."""
+    strong = [
+        as_override(f"wind.{name}", strength * getattr(scenario.wind, name))
+        for name in ("gust", "load_gust")
+    ]
     for seed in range(_SEEDS):
-        in_gusts = changed(scenario, [as_override("wind.seed", seed)])
+        in_gusts = changed(scenario, [*strong, as_override("wind.seed", seed)])
         try:
             run = simulate(in_gusts, check_step=StepCheck.NOTHING)
         except RunStopped as error:
             run = error.run
         judgement = judge(RunQuantities(run))
         if judgement.outcome in _LOST:
-            return f"in gusts of seed {seed} {judgement.reasons[0]}"
+            return f"in gusts {strength:g} times as strong, of seed {seed}, {judgement.reasons[0]}"
     return ""
 
 

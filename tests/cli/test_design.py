@@ -88,7 +88,7 @@ def test_what_cannot_be_is_said_and_another_request_has_a_folder_of_its_own(
     monkeypatch.setattr(design, "design", none)
     assert main(["design", "--set", *SMALL]) == FAILED
     shown = capsys.readouterr().out
-    assert shown.startswith("1 kinds and numbers of carriers, 1 at a time, up to 45 s each: ")
+    assert shown.startswith("1 kinds and numbers of carriers, 1 at a time, up to a minute each: ")
     assert "3 leaning, misses bank; give less" in shown
     assert "results: out/design/formation_2" in shown
     assert (other / "request.yaml").read_text() == "load_mass: 1.0\n"

@@ -10,13 +10,17 @@ import pytest
 from helpers import nightly_beyond
 
 from drake_nonstop.analysis.aircraft_margins import aircraft_margins
+from drake_nonstop.analysis.limit import RunOutcome
 from drake_nonstop.cli.ending import FAILED
 from drake_nonstop.cli.main import main
 from drake_nonstop.mechanics.aircraft import stall_speed
 from drake_nonstop.optimization.formation_program import FormationProgram, FormationVariables
 from drake_nonstop.optimization.limits import Of, limits_of
 from drake_nonstop.scenario.loading import dump_scenario, load_scenario, parse_scenario
-from drake_nonstop.scenario.overrides import as_override
+from drake_nonstop.scenario.overrides import as_override, changed
+from drake_nonstop.simulation.many import simulate_many
+from drake_nonstop.simulation.outcome import judge
+from drake_nonstop.simulation.run_quantities import RunQuantities
 from drake_nonstop.studies import design as module
 from drake_nonstop.studies import formation_search
 from drake_nonstop.studies.design import Design, design_dictionary, design_one, design_table
@@ -184,7 +188,9 @@ def test_in_gusts_lift_and_airspeed_keep_the_aircrafts_own_limits(windy):
     assert missed[0].name == FormationProgram(strong, "co_rotating").closest_row(np.array(x))
 
 
-@pytest.mark.parametrize(("gust", "fault"), [(0.0, ""), (4.0, "in gusts of seed 0 ")])
+@pytest.mark.parametrize(
+    ("gust", "fault"), [(0.0, ""), (4.0, "in gusts 1.25 times as strong, of seed 0, ")]
+)
 def test_a_formation_is_flown_in_its_gusts(gust, fault):
     wind = {"_tag": "!GustyWind", "gust": gust, "load_gust": gust}
     changes = [as_override("wind", wind), "simulation_duration=4"]
@@ -192,6 +198,19 @@ def test_a_formation_is_flown_in_its_gusts(gust, fault):
     found = formation_search._fault_in_gusts(scenario)
     assert found.startswith(fault)
     assert (found == "") == (fault == "")
+    assert formation_search._fault_in_gusts(scenario, strength=0.1) == ""
+
+
+@pytest.mark.nightly("flights")
+def test_formations_fly_in_gusts_of_seeds_that_the_search_has_not_seen():
+    changes = ["carriers=[5]", "cable_length=[60, 60]", "starts=1", "wind=[4, 0, 0]", "gust=1"]
+    found = found_for(changes)
+    assert found.formations
+    seeds = [as_override("wind.seed", seed) for seed in range(5, 10)]
+    runs = simulate_many(
+        [changed(formation.scenario, [seed]) for formation in found.formations for seed in seeds]
+    )
+    assert {judge(RunQuantities(run)).outcome for run in runs} == {RunOutcome.OK}
 
 
 def test_the_first_formation_has_the_largest_margin_or_the_least_power(windy):
