@@ -188,16 +188,12 @@ def test_in_gusts_lift_and_airspeed_keep_the_aircrafts_own_limits(windy):
     assert missed[0].name == FormationProgram(strong, "co_rotating").closest_row(np.array(x))
 
 
-@pytest.mark.parametrize(
-    ("gust", "fault"), [(0.0, ""), (4.0, "in gusts 1.25 times as strong, of seed 0, ")]
-)
-def test_a_formation_is_flown_in_its_gusts(gust, fault):
-    wind = {"_tag": "!GustyWind", "gust": gust, "load_gust": gust}
-    changes = [as_override("wind", wind), "simulation_duration=4"]
+def test_a_formation_is_flown_in_stronger_gusts():
+    wind = {"_tag": "!GustyWind", "gust": 4.0, "load_gust": 4.0}
+    changes = [as_override("wind", wind), "simulation_duration=2"]
     scenario = load_scenario("aircraft_rest", changes)
-    found = formation_search._fault_in_gusts(scenario)
-    assert found.startswith(fault)
-    assert (found == "") == (fault == "")
+    start = "in gusts 1.25 times as strong, of seed 0, "
+    assert formation_search._fault_in_gusts(scenario).startswith(start)
     assert formation_search._fault_in_gusts(scenario, strength=0.1) == ""
 
 
