@@ -282,7 +282,8 @@ class SpeedBoundLayer(CommandedBound, PeriodicLayer):
 
     def requires(self, loop: LoopBlocks) -> Iterator[str]:
         """Tells that carriers on bowed cables fly other orbits than it plans."""
-        if not self.counts_bow and getattr(loop.get("cables"), "bears_drag", False):
+        counts_bow = self.counts_bow and self._model.cable_shape is not None
+        if not counts_bow and getattr(loop.get("cables"), "bears_drag", False):
             yield (
                 f"optimization_layer = {type(self).__name__}: it plans for straight cables, and "
                 "these bow: carriers fly up to some tenths of a m/s slower than it plans, and bank "
