@@ -15,10 +15,8 @@ from drake_nonstop.visualization.figure_style import require_drawing
 from drake_nonstop.visualization.progress import TaskProgress
 
 _REQUEST, _DATA, _FIGURE = "request.yaml", "design.json", "pareto.png"
-_LONGEST = {
-    "straight": "a minute",
-    "lumped": "5 min",
-}  # of one kind and number, by cables, on one core
+# Of the search for one kind and number, on one core, by cables.
+_LONGEST = {"straight": "a minute", "lumped": "several minutes"}
 _MOST = 100  # formations, of 10 numbers of carriers
 
 

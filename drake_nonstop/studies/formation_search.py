@@ -97,7 +97,6 @@ class FormationSearch:
         self.lower, self.upper = design_bounds(request, carriers, kind)
         self.most_reserve = -np.eye(len(self.lower))[-1]  # a cost (10,)
         self._observer: float | None = None  # the observers' weight, once it is known
-        self._has_tried_gusts = False
 
     def program(
         self, motions: int = KEY_INSTANTS, phases: int = _FINE, turns: int | None = None
@@ -231,7 +230,7 @@ class FormationSearch:
         if steadied is None:
             return self._refusal(values, "in a flight at rest the load's sway grows")
         if self.request.gust > 0 and (fault := _fault_in_gusts(steadied)):
-            return self._refusal(values, fault, remedy=self._weaker_gusts(steadied))
+            return self._refusal(values, fault)
         distances = float(margins.carrier_distance.min()), float(margins.cable_distance.min())
         return DesignedFormation(
             kind=self.kind,
@@ -259,16 +258,6 @@ class FormationSearch:
                 self._observer = weight
                 return tried
         return None
-
-    def _weaker_gusts(self, scenario: Scenario) -> str:
-        """Text of gusts that the formation flies in, of halves; of the first one that is asked."""
-        if self._has_tried_gusts:
-            return ""
-        self._has_tried_gusts = True
-        for share in (1 / 2, 1 / 4, 1 / 8):
-            if not _fault_in_gusts(scenario, share * _STRONGER):
-                return f"request.gust = {_down(share * self.request.gust)} or less"
-        return ""
 
     def _refusal_of_best(self, program: FormationProgram, best: NDArray) -> Refusal:
         flight = flight_of(self.way, self.kind, variables_of(best))

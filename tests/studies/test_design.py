@@ -188,17 +188,13 @@ def test_in_gusts_lift_and_airspeed_keep_the_aircrafts_own_limits(windy):
     assert missed[0].name == FormationProgram(strong, "co_rotating").closest_row(np.array(x))
 
 
-def test_a_formation_is_flown_in_stronger_gusts(monkeypatch):
+def test_a_formation_is_flown_in_stronger_gusts():
     wind = {"_tag": "!GustyWind", "gust": 4.0, "load_gust": 4.0}
     changes = [as_override("wind", wind), "simulation_duration=2"]
     scenario = load_scenario("aircraft_rest", changes)
     start = "in gusts 1.25 times as strong, of seed 0, "
     assert formation_search._fault_in_gusts(scenario).startswith(start)
     assert formation_search._fault_in_gusts(scenario, strength=0.1) == ""
-    monkeypatch.setattr(formation_search, "_fault_in_gusts", lambda _, strength: strength > 0.5)
-    search = FormationSearch(read_request(None, ["gust=4"]), 3, "co_rotating")
-    assert search._weaker_gusts(scenario) == "request.gust = 0.99 or less"
-    assert search._weaker_gusts(scenario) == ""  # one of each kind is enough
 
 
 @pytest.mark.nightly("flights")
