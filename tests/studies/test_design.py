@@ -199,8 +199,9 @@ def test_a_formation_is_flown_in_stronger_gusts():
 
 @pytest.mark.nightly("flights")
 def test_formations_fly_in_gusts_of_seeds_that_the_search_has_not_seen():
-    changes = ["carriers=[5]", "cable_length=[60, 60]", "starts=1", "wind=[4, 0, 0]", "gust=1"]
-    found = found_for(changes)
+    """The one of the largest margin would lose its load in one of them, and is refused."""
+    changes = ["carriers=[6]", "cable_length=[60, 60]", "starts=1", "speed=4", "gust=1"]
+    found = found_for([*changes, "displacement=[100, 0, 0]"])
     assert found.formations
     seeds = [as_override("wind.seed", seed) for seed in range(5, 10)]
     runs = simulate_many(
