@@ -5,10 +5,16 @@ import contextlib
 import os
 from pathlib import Path
 
-from drake_nonstop.cli.arguments import Commands, add_changes, write_figure
+from drake_nonstop.cli.arguments import Commands, add_changes
 from drake_nonstop.cli.ending import BAD_INPUT, FAILED
 from drake_nonstop.scenario.loading import dump_scenario
-from drake_nonstop.studies.files import read_regular, replacing_files, require_writable, write_json
+from drake_nonstop.studies.files import (
+    read_regular,
+    replacing_file,
+    replacing_files,
+    require_writable,
+    write_json,
+)
 from drake_nonstop.studies.journal import StudyInterrupted
 from drake_nonstop.studies.results_folder import first_free
 from drake_nonstop.visualization.figure_style import require_drawing
@@ -98,7 +104,8 @@ def _design(options: argparse.Namespace) -> int:
     print(found.verdict)
     print(f"results: {folder}", flush=True)
     if found.formations:  # after the results: drawing takes longer, and may be interrupted
-        write_figure(folder / _FIGURE, make_pareto_figure(found))
+        with replacing_file(folder / _FIGURE) as file:
+            make_pareto_figure(found).savefig(file, dpi=300)
     return 0 if found.formations else FAILED
 
 
