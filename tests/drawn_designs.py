@@ -112,10 +112,10 @@ def flown_beside_printed(formation: DesignedFormation) -> dict[str, Any]:
         "outcome": flown["outcome"],
         "saturated": flown["saturated"],
         "error": flown["error"],
-        "C_L": (flown["C_L"], printed.lift_share),
+        "C_L": (flown["C_L"], printed.ranges.lift_share[1]),
         "bank": (flown["bank"], printed.bank),
-        "thrust_min": (flown["thrust_min"], printed.thrust_min),
-        "thrust_max": (flown["thrust_max"], printed.thrust_max),
+        "thrust_min": (flown["thrust_min"], printed.ranges.thrust[0]),
+        "thrust_max": (flown["thrust_max"], printed.ranges.thrust[1]),
         "apart": (flown["apart"], formation.distances[0]),
     }
 
