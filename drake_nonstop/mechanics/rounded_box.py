@@ -39,6 +39,18 @@ def nearest_to(box: RoundedBox, segments: NDArray) -> tuple[NDArray, NDArray, ND
     return distances, points @ box.rotation.T + box.position, gradients @ box.rotation.T
 
 
+def outline_in(box: RoundedBox, view: NDArray, count: int = 180) -> NDArray:
+    """The outline (count, 2), m, in a parallel view with the page's directions (2, 3), unit ones.
+
+    Of each direction on the page it has the farthest point.
+    """
+    angles = 2 * np.pi * np.arange(count) / count
+    ways = np.stack([np.cos(angles), np.sin(angles)], axis=1) @ view
+    farthest = np.copysign(box.half, ways @ box.rotation) @ box.rotation.T + box.radius * ways
+    outline: NDArray = (box.position + farthest) @ view.T
+    return outline
+
+
 def _distances(box: RoundedBox, points: NDArray) -> tuple[NDArray, NDArray]:
     """Signed distances (…), m, of points (…, 3) in O, and their gradients; inside to a face."""
     gaps = np.abs(points) - box.half

@@ -8,7 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.lumped_cable import nodes_of
+from drake_nonstop.mechanics.rounded_box import outline_in
 from drake_nonstop.mechanics.signals import CarrierStates, LoadState
+from drake_nonstop.scenario.obstacles import Obstacle
 from drake_nonstop.simulation.run import Run
 from drake_nonstop.simulation.run_quantities import (
     RunQuantities,
@@ -76,6 +78,7 @@ def _draw_paths(
     carrier that a ring marks. The load is drawn by its attachments.
     """
     from matplotlib import rcParams
+    from matplotlib.patches import Polygon
     from matplotlib.patheffects import withStroke
 
     load_states, carrier_states = run.signal("load_state"), run.signal("carrier_state")
@@ -93,8 +96,16 @@ def _draw_paths(
     drawn = np.concatenate([e.reshape(-1, 2) for e in (load[shown], carriers[shown], points)])
     finite = np.isfinite(drawn).all(axis=1)  # not so where a run stopped
     drawn = drawn[finite] if finite.any() else np.eye(2)
+    outlines = [factor * outline_in(each.shape(), view) for each in _bounded_obstacles(run)]
+    # Those that are wider than all else are cut off.
+    whole = [each for each in outlines if np.ptp(each, axis=0).max() <= np.ptp(drawn, axis=0).max()]
+    drawn = np.concatenate([drawn, *whole])
     width, height = np.ptp(drawn, axis=0)
     figure, axes = single(f"x ({unit})", f"y ({unit})", height / max(width, 1e-9))
+    own = {"color": run.scenario.scene.obstacle_colour, "alpha": 0.5, "linewidth": 0, "zorder": 1}
+    for outline in outlines:
+        axes.add_artist(Polygon(outline, label="obstacle", **own))
+    axes.update_datalim(drawn)
     palette = colours()
     for i in range(carriers.shape[1]):
         colour = palette[i % len(palette)]
@@ -126,6 +137,11 @@ def _draw_paths(
             axes.annotate(f"{text} s", place, **below, zorder=5)
         _draw_directions(axes, view, drawn, unit)
     return legend_above(figure)
+
+
+def _bounded_obstacles(run: Run) -> list[Obstacle]:
+    """All obstacles but the ground, which would be all of the page."""
+    return [each for each in run.scenario.obstacles if np.isfinite(each.shape().half).all()]
 
 
 def _draw_directions(axes: Axes, view: NDArray, drawn: NDArray, unit: str) -> None:
