@@ -1,8 +1,13 @@
 """Formulas, typeset by KaTeX, and links from the equations to the functions that compute them."""
 
+import json
 import pkgutil
 import re
+import unicodedata
+from pathlib import Path
 from typing import Any
+
+from mkdocs.plugins import event_priority
 
 import drake_nonstop.mechanics
 
@@ -24,6 +29,37 @@ def on_post_page(output: str, page: Any, config: Any) -> str:
         output = output.replace("</head>", f"{style}</head>")
         output = output.replace("</body>", f"{''.join(scripts)}</body>")
     return output
+
+
+@event_priority(-100)  # after the index has been written
+def on_post_build(config: Any) -> None:
+    """Has the search show formulas within a line as plain text, and no others."""
+    for path in Path(config.site_dir, "search").glob("search_index.js*"):
+        begin, brace, rest = path.read_text(encoding="utf-8").partition("{")
+        index = json.loads(brace + rest)
+        for part in index["docs"]:
+            part["text"] = without_formulas(part["text"])
+        path.write_text(begin + json.dumps(index, ensure_ascii=False), encoding="utf-8")
+
+
+def without_formulas(text: str) -> str:
+    r"""A text whose `\[ formulas \]` are left out, and whose `\( formulas \)` are plain text."""
+    text = re.sub(r"\\\[.*?\\\]", "", text, flags=re.DOTALL)
+    return re.sub(r"\\\((.*?)\\\)", lambda match: _plain(match[1]), text, flags=re.DOTALL)
+
+
+def _plain(formula: str) -> str:
+    """TeX with Greek letters as such, and without other commands, braces and scripts' signs."""
+
+    def letter(match: re.Match[str]) -> str:
+        name = match[1].upper().removeprefix("VAR").replace("LAMBDA", "LAMDA")
+        name = f"GREEK {'SMALL' if match[1].islower() else 'CAPITAL'} LETTER {name}"
+        try:
+            return unicodedata.lookup(name)
+        except KeyError:
+            return " "
+
+    return re.sub(r"[{}^_\\]", "", re.sub(r"\\([A-Za-z]+)", letter, formula)).strip()
 
 
 def linked_functions(markdown: str) -> str:
