@@ -110,7 +110,8 @@ class PeriodicLayer(LeafBlock):
 
         `states` are what the first update finds. Those that all layers have come after the first.
         """
-        self._counted = missed_limits_of(self._config, self._model)
+        counts = _MISSED in self.makes
+        self._counted = missed_limits_of(self._config, self._model) if counts else ()
         self.signal_layouts = {_MISSED: missed_layout(self._counted)} if self._counted else {}
         first = next(iter(states))
         shared = {"diagnostics": np.zeros(DIAGNOSTICS_SIZE), "solve_time": np.zeros(1)}

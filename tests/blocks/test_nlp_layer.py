@@ -19,7 +19,9 @@ from pydrake.symbolic import Evaluate, Expression, Variable
 
 from drake_nonstop import cable_tensions, carrier_distances, carrier_speeds
 from drake_nonstop.blocks.nlp_layer import NlpLayer, NlpLayerConfig
+from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.diagnostics import Diagnostics, Outcome
+from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.validation import ScenarioError
 
 PAPER = {"orbit_points": 1, "look_ahead_time": 0.0, "tightening": 0.01}
@@ -184,3 +186,11 @@ def test_by_snopt_it_keeps_the_bound_of_the_quintic_task(fleet):
     assert metrics["carriers"]["speed_min_m_s"] > 0.55
     assert metrics["optimizer"]["solved"] > 50
     assert metrics["optimizer"]["relaxed"] == metrics["optimizer"]["held"] == 0
+
+
+def test_a_layer_of_aircraft_has_the_layouts_of_its_ports_alone():
+    scenario = load_scenario("aircraft_rest")
+    own = Model(scenario.system, scenario.pattern, scenario.control_period)
+    layer = NlpLayer(own, NlpLayerConfig(speed_bound=11.0, frequency=0.6, period=0.04))
+    assert layer.signal_layouts == {}
+    assert layer.HasInputPort("wind_estimate")
