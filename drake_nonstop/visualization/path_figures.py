@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 _INSTANTS = 5
 _ELEVATION, _AZIMUTH = np.radians([28.0, -65.0])  # of the view, from the way that the load takes
 _REST = 0.1  # of the farthest carrier's distance: a load that moves less rests
-_NEAR = 0.03  # of the picture's width: a load that moves less has one label
+_NEAR = 0.2  # of the picture's width: a load that moves less has one label
 _SCALE = 0.15  # of what is shown, at most: length of the axes
 _FROM_ABOVE = np.eye(2, 3)
 

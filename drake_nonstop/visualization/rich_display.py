@@ -15,22 +15,25 @@ from drake_nonstop.simulation.run_quantities import automatic_gains
 from drake_nonstop.visualization.drawing import draw_diagram
 from drake_nonstop.visualization.run_figures import make_figure
 
-_FIGURE = "carrier_speeds"
+_FIGURES = ("snapshots", "carrier_speeds")
 
 
 def run_html(run: Run) -> str:
-    """A run's table of metrics, and the figure of its carriers' speeds."""
+    """A run's table of metrics, and figures of its motion and of its carriers' speeds."""
     if len(run.time) == 0:
         return _preformatted(repr(run))
     table = "\n".join(filter(None, (metrics_table(compute_metrics(run)), automatic_gains(run))))
+    pictures = "".join(_picture(run, name) for name in _FIGURES)
+    told = _preformatted("record_replay(run) shows it move; run.plot(...) draws more")
+    return f"{_preformatted(repr(run))}{_preformatted(table)}{pictures}{told}"
+
+
+def _picture(run: Run, name: str) -> str:
     file = io.BytesIO()
-    make_figure(run, _FIGURE).savefig(file, format="png", dpi=180)
-    picture = base64.b64encode(file.getvalue()).decode()
-    return (
-        f"{_preformatted(repr(run))}{_preformatted(table)}"
-        f'<img alt="Carrier speeds" src="data:image/png;base64,{picture}"/>'
-        f"{_preformatted('record_replay(run) shows it move; run.plot(...) draws more')}"
-    )
+    make_figure(run, name).savefig(file, format="png", dpi=180)
+    content = base64.b64encode(file.getvalue()).decode()
+    label = name.replace("_", " ").capitalize()
+    return f'<img alt="{label}" src="data:image/png;base64,{content}"/>'
 
 
 def scenario_html(scenario: Scenario) -> str:
