@@ -93,6 +93,18 @@ class PeriodicLayer(LeafBlock):
             elif name != WIND or model.aircraft is not None:
                 self.DeclareVectorInputPort(name, _size(model, name))
 
+    counts_bow = False  # whether it plans for the ends of bowed cables
+
+    def requires(self, loop: LoopBlocks) -> Iterator[str]:
+        """Tells that carriers on bowed cables fly other orbits than it plans."""
+        counts_bow = self.counts_bow and self._model.cable_shape is not None
+        if not counts_bow and getattr(loop.get("cables"), "bears_drag", False):
+            yield (
+                f"optimization_layer = {type(self).__name__}: it plans for straight cables, and "
+                "these bow: carriers fly up to some tenths of a m/s slower than it plans, and bank "
+                "more; give RecedingHorizonOptimizer, or a speed_bound that is so much higher"
+            )
+
     @classmethod
     def check(cls, model: Model, config: Any) -> None:
         """Raises ScenarioError for a config that cannot be used with the model."""
@@ -278,18 +290,6 @@ class SpeedBoundLayer(CommandedBound, PeriodicLayer):
         self._numbers = entry.cache_index()  # the entry would keep this block alive
         self._enabled = self.DeclareNumericParameter(BasicVector_[self.scalar]([1.0]))
         self.highest_speed_bound = highest_speed_bound(self._config)
-
-    counts_bow = False  # whether it plans for the ends of bowed cables
-
-    def requires(self, loop: LoopBlocks) -> Iterator[str]:
-        """Tells that carriers on bowed cables fly other orbits than it plans."""
-        counts_bow = self.counts_bow and self._model.cable_shape is not None
-        if not counts_bow and getattr(loop.get("cables"), "bears_drag", False):
-            yield (
-                f"optimization_layer = {type(self).__name__}: it plans for straight cables, and "
-                "these bow: carriers fly up to some tenths of a m/s slower than it plans, and bank "
-                "more; give RecedingHorizonOptimizer, or a speed_bound that is so much higher"
-            )
 
     @classmethod
     def structure(cls, model: Model, config: Any) -> Any:

@@ -119,7 +119,7 @@ class TurnRateOptimizer(PeriodicLayer):
             type(shaper).__name__,
             "its ξ has no rates, which the load's turn follows; give !ShapedPhase",
         )
-        yield from ()
+        yield from super().requires(loop)
 
     def __init__(self, model: Model, config: TurnRateOptimizerConfig | None = None):
         required_aircraft(model, BOX, "TurnRateOptimizer")
