@@ -21,7 +21,12 @@ from drake_nonstop.analysis.flight_envelope import LimitAlong
 from drake_nonstop.analysis.task import Task
 from drake_nonstop.mechanics.bowed_orbit import BowedMotion
 from drake_nonstop.mechanics.nonstop import polynomial_values, speed_squares
-from drake_nonstop.mechanics.planned_orbit import OrbitMotion, OrbitTerms, PlannedOrbit
+from drake_nonstop.mechanics.planned_orbit import (
+    OrbitMotion,
+    OrbitTerms,
+    PlannedOrbit,
+    squared_gaps,
+)
 from drake_nonstop.mechanics.rotation import rotation_matrix
 from drake_nonstop.optimization.horizon_config import HorizonConfig
 from drake_nonstop.optimization.horizon_motion import HorizonData
@@ -312,8 +317,7 @@ class _Along:
             return self._problem.values_along(of, self._terms, orbit)
         if of is Of.SEPARATION:
             places = self._problem.model.attachments + bowed.motion.cables
-            first, second = self._problem.pairs
-            return np.linalg.norm(places[:, first] - places[:, second], axis=-1)
+            return np.sqrt(squared_gaps(places, self._problem.pairs))
         velocities = bowed.motion.velocities
         if not self._task.counts_wind:
             velocities = velocities + carriers.winds[:, None] @ carriers.orientations

@@ -397,8 +397,12 @@ def planned_gaps(
     """
     force = forces + orbit.amplitude[:, None, None] * orbit_directions(axes, orbit.angle)[0]
     (cables,) = cable_vectors([force], rest_length=rest_length, compliance=compliance)
+    return squared_gaps(attachments + cables, pairs)
+
+
+def squared_gaps(places: NDArray, pairs: NDArray) -> NDArray:
+    """The squared distances (k, m), m², between the `places` (k, n, 3), m, of `pairs` (2, m)."""
     first, second = pairs
-    places = attachments + cables
     gaps = places[:, first] - places[:, second]
     return (gaps * gaps).sum(axis=-1)
 

@@ -23,6 +23,7 @@ from drake_nonstop.mechanics.planned_orbit import (
     needs_of_motion,
     orbit_directions,
     orbit_motion,
+    squared_gaps,
 )
 from drake_nonstop.mechanics.signals import PLANNED_SIZE, PlannedParameters
 from drake_nonstop.optimization.horizon_motion import HorizonData
@@ -154,10 +155,7 @@ class BowedMargins:
 
     def _gaps(self, motion: OrbitMotion) -> NDArray:
         """The squared distances (k, pairs) of carriers, m²."""
-        first, second = self._problem.pairs
-        places = self._problem.model.attachments + motion.cables
-        gaps = places[:, first] - places[:, second]
-        return (gaps * gaps).sum(axis=-1)
+        return squared_gaps(self._problem.model.attachments + motion.cables, self._problem.pairs)
 
     def _of_orbits(self, planned: NDArray, straight: OrbitMotion, bowed: OrbitMotion) -> NDArray:
         """What the margins (..., kinds, instants) of the terminal set lose.
