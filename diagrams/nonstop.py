@@ -41,10 +41,9 @@ from drake_nonstop.loop.assembly import (
     Maker,
     connected,
     make_parts,
-    naming_the_block,
 )
 from drake_nonstop.loop.box import Box, Kind, Place
-from drake_nonstop.loop.equilibrium import set_default_equilibrium
+from drake_nonstop.loop.start import set_default_equilibrium
 from drake_nonstop.systems import wiring
 from drake_nonstop.validation import require_flags
 
@@ -53,7 +52,7 @@ BOXES: dict[str, Box] = {
     "load_trajectory": Box(
         variants=load_trajectory.VARIANTS,
         makes=("reference", "reference_higher_rates", "reference_preview", "reference_delay"),
-        optional={"reference_higher_rates": "", "reference_preview": "", "reference_delay": ""},
+        optional=("reference_higher_rates", "reference_preview", "reference_delay"),
         recorded_where_read=("reference_higher_rates",),
         place=Place(0, 1, 1, Kind.TRAJECTORY),
         swap_keeps_defaults=False,  # each task has times of its own
@@ -66,26 +65,20 @@ BOXES: dict[str, Box] = {
     "wrench_controller": Box(
         variants=wrench_controller.VARIANTS,
         makes=("wrench", "wrench_rate", "tracking_error"),
-        optional={"wrench_rate": "", "tracking_error": ""},  # a WrenchRate makes the first
+        optional=("wrench_rate", "tracking_error"),  # a WrenchRate makes the first
         place=Place(2, 2, 1, Kind.WRENCH),
     ),
     "optimization_layer": Box(
         variants=optimization_layer.VARIANTS,
         makes=("parameters", "diagnostics", "plan", "solve_time", "speed_bound", "missed_limits"),
-        optional={"plan": "RecedingHorizonOptimizer"}
-        | dict.fromkeys(("diagnostics", "solve_time", "speed_bound", "missed_limits"), ""),
+        optional=("plan", "diagnostics", "solve_time", "speed_bound", "missed_limits"),
         place=Place(3, 0, 1, Kind.OPTIMIZATION),
         config_fields={"speed_bound": "m/s, which its runs are judged by"},
     ),
     "phase": Box(
         variants=phase.VARIANTS,
         makes=("phase", "planned"),
-        optional={"planned": "ShapedPhase"},
-        expected_inputs={
-            "plan": "it does not read the plan of optimization_layer, and departs from the phase "
-            "that is planned with; give phase=ShapedPhase, or "
-            "optimization_layer=NonstopOptimizer, which reads the phase"
-        },
+        optional=("planned",),
         recorded_where_read=("planned",),
         place=Place(4, 0, 1, Kind.TRAJECTORY),
         is_linearized=False,  # nothing drives it: its multiplier is 1 in any loop
@@ -93,8 +86,7 @@ BOXES: dict[str, Box] = {
     "internal_force": Box(
         variants=internal_force.VARIANTS,
         makes=("internal_force", "internal_force_higher_rates"),
-        optional={"internal_force_higher_rates": "InternalForceTrajectory"},
-        alternatives={"planned": "InternalForceTrajectory"},
+        optional=("internal_force_higher_rates",),
         recorded_where_read=("internal_force_higher_rates",),
         place=Place(3, 1, -1, Kind.TRAJECTORY),
     ),
@@ -109,20 +101,26 @@ BOXES: dict[str, Box] = {
             "carrier_reference",
             "carrier_reference_acceleration",
             "carrier_reference_jerk",
+            "sampled_carrier_reference",
+            "sampled_carrier_reference_acceleration",
             "cable_drag_and_weight",
             "cable_drag_and_weight_rates",
             "cable_reference",
         ),
-        optional=dict.fromkeys(
-            ("carrier_reference_acceleration", "carrier_reference_jerk"), "CarrierTrajectory"
-        )
-        | dict.fromkeys(
-            ("cable_drag_and_weight", "cable_drag_and_weight_rates", "cable_reference"),
-            "BowedCarrierTrajectory",
+        optional=(
+            "carrier_reference_acceleration",
+            "carrier_reference_jerk",
+            "sampled_carrier_reference",
+            "sampled_carrier_reference_acceleration",
+            "cable_drag_and_weight",
+            "cable_drag_and_weight_rates",
+            "cable_reference",
         ),
         recorded_where_read=(
             "carrier_reference_acceleration",
             "carrier_reference_jerk",
+            "sampled_carrier_reference",
+            "sampled_carrier_reference_acceleration",
             "cable_drag_and_weight",
             "cable_drag_and_weight_rates",
             "cable_reference",
@@ -132,25 +130,20 @@ BOXES: dict[str, Box] = {
     "carrier_controller": Box(
         variants=carrier_controller.VARIANTS,
         makes=("carrier_forces", "aircraft_command", "command_saturation"),
-        optional={"carrier_forces": "CarrierPid"}
-        | dict.fromkeys(("aircraft_command", "command_saturation"), "FixedWingController"),
-        alternatives=dict.fromkeys(
-            ("carrier_reference_acceleration", "aircraft_state"), "CarrierPid"
-        ),
+        optional=("carrier_forces", "aircraft_command", "command_saturation"),
         place=Place(4, 3, -1, Kind.PLANT),
     ),
     "carrier_dynamics": Box(
         variants=carrier_dynamics.VARIANTS,
         makes=("carrier_state", "aircraft_state", "carrier_acceleration"),
-        optional=dict.fromkeys(("aircraft_state", "carrier_acceleration"), "FixedWingDynamics"),
-        alternatives={"carrier_forces": "FixedWingDynamics", "aircraft_command": "CarrierDynamics"},
+        optional=("aircraft_state", "carrier_acceleration"),
         place=Place(3, 3, -1, Kind.PLANT),
         is_simulated=True,
     ),
     "cables": Box(
         variants=cables.VARIANTS,
         makes=("cable_state", "cable_forces", "carrier_cable_forces", "tensions"),
-        optional={"cable_state": "LumpedCables", "carrier_cable_forces": "Cables"},
+        optional=("cable_state", "carrier_cable_forces"),
         recorded_where_read=("carrier_cable_forces",),
         place=Place(2, 3, -1, Kind.PLANT),
         is_simulated=True,
@@ -168,18 +161,13 @@ BOXES: dict[str, Box] = {
     "wind_estimator": Box(
         variants=wind_estimator.VARIANTS,
         makes=("wind_estimate", "wind_variance", "carrier_gust_estimate"),
-        optional=dict.fromkeys(("wind_variance", "carrier_gust_estimate"), "WindObserver"),
+        optional=("wind_variance", "carrier_gust_estimate"),
         recorded_where_read=("carrier_gust_estimate",),
         place=Place(2, 4, 1, Kind.ADDITION),
     ),
     "load_plant": Box(
         variants=load_plant.VARIANTS,
         makes=("load_state",),
-        expected_inputs={
-            "load_wind": "no wind acts on the load, since this block does not read it; give it an "
-            "input port load_wind (3), the air's velocity in m/s, in W, or have still air by "
-            "wind=StillAir"
-        },
         place=Place(0, 3, -1, Kind.PLANT),
         is_simulated=True,
     ),
@@ -279,7 +267,7 @@ def make_nonstop(
     `CalcKineticEnergy` and `CalcPotentialEnergy` sum those of its blocks, see `LoopDiagram`.
 
     New contexts of the diagram start at its equilibrium, see `set_equilibrium`; a ScenarioWarning
-    names a block whose default state cannot be set, see `loop/plant_states.py`. Where the diagram
+    names a block whose default state cannot be set, see `loop/start.py`. Where the diagram
     has inputs that have to be connected there may be no equilibrium before they are: load and
     carriers then are at the origin.
 
@@ -309,8 +297,7 @@ def make_nonstop(
     diagram = connected(BOXES, parts, inputs)
     is_whole = set(wiring.input_names(diagram)) <= wiring.optional_inputs(diagram)
     if at_equilibrium and is_whole:
-        with naming_the_block():
-            set_default_equilibrium(diagram)
+        set_default_equilibrium(diagram)
     return diagram
 
 

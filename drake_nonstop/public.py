@@ -51,13 +51,8 @@ from drake_nonstop.optimization.carriers import (
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold as SampleAndHold
 from drake_nonstop.systems.point_forces import PointForces as PointForces
 from drake_nonstop.systems.block import LeafBlock as LeafBlock
+from drake_nonstop.systems.equations import BetweenSamples as BetweenSamples
 from drake_nonstop.model.block import Block as Block
-from drake_nonstop.systems.traced_block import TracedBlock as TracedBlock
-from drake_nonstop.systems.traced_block import (
-    TracedDynamics as TracedDynamics,
-    BetweenSamples as BetweenSamples,
-    Start as Start,
-)
 from drake_nonstop.mechanics.signal_layouts import Layout as Layout, Part as Part
 
 # Put together, simulated, judged.
@@ -67,22 +62,21 @@ from drake_nonstop.systems.wiring import (
     connect_remaining as connect_remaining,
 )
 from drake_nonstop.blocks.sample_and_hold import add_sample_and_hold as add_sample_and_hold
-from drake_nonstop.loop.compiled_loop import CompiledLoop as CompiledLoop
-from drake_nonstop.loop.compiled_flight import CompiledFlight as CompiledFlight
-from drake_nonstop.loop.compiled_loop import CompiledSystem as CompiledSystem
-from drake_nonstop.loop.derivatives import (
-    DerivativeFlight as DerivativeFlight,
-    Sensitivities as Sensitivities,
-)
-from drake_nonstop.loop.equilibrium import (
+from drake_nonstop.systems.compiled_flight import CompiledFlight as CompiledFlight
+from drake_nonstop.systems.compiled_loop import CompiledLoop as CompiledLoop
+from drake_nonstop.systems.compiled_system import CompiledSystem as CompiledSystem
+from drake_nonstop.systems.sensitivities import Sensitivities as Sensitivities
+from drake_nonstop.loop.start import (
     set_equilibrium as set_equilibrium,
     set_default_equilibrium as set_default_equilibrium,
+)
+from drake_nonstop.loop.step import (
+    largest_step as largest_step,
+    with_largest_step as with_largest_step,
 )
 from drake_nonstop.loop.parameters import (
     set_parameter as set_parameter,
     get_parameter as get_parameter,
-    parameters as parameters,
-    LoopParameter as LoopParameter,
 )
 from drake_nonstop.simulation.simulate import simulate as simulate
 from drake_nonstop.simulation.many import simulate_many as simulate_many

@@ -26,6 +26,7 @@ from drake_nonstop import (
     make_nonstop,
     set_equilibrium,
     start_meshcat,
+    with_largest_step,
 )
 
 LENGTH, STIFFNESS, DAMPING = 0.5, 40.0, 0.8  # m, N/m, N s/m, of the hose
@@ -96,13 +97,14 @@ def main(duration: float = 15.0, show: bool = False) -> None:
         NonstopVisualizer.AddToBuilder(builder, loop, scenario, meshcat)
     diagram = builder.Build()
     simulator = Simulator(diagram)
-    ApplySimulatorConfig(scenario.simulator_config, simulator)
     context = simulator.get_mutable_context()
 
     # The pod starts where it hangs at rest, and the loop where it holds load and pod.
     pod = np.array([1.0, 0, 0, 0, 0, 0, -LENGTH - POD_MASS * GRAVITY / STIFFNESS, *np.zeros(6)])
     plant.SetPositionsAndVelocities(plant.GetMyMutableContextFromRoot(context), pod)
     set_equilibrium(loop, loop.GetMyMutableContextFromRoot(context))
+    config = with_largest_step(scenario.simulator_config, diagram, context)
+    ApplySimulatorConfig(config, simulator)
     if show:
         simulator.set_target_realtime_rate(1.0)
     simulator.AdvanceTo(duration)

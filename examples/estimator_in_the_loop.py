@@ -44,9 +44,10 @@ def main(duration: float = 15.0) -> None:
         loop = root.AddSystem(builder.Build())
         logs = dn.LogSignals.AddToBuilder(root, loop)
         simulator = Simulator(root.Build())
-        ApplySimulatorConfig(scenario.simulator_config, simulator)
         context = simulator.get_mutable_context()
         dn.set_equilibrium(loop, loop.GetMyMutableContextFromRoot(context))
+        config = dn.with_largest_step(scenario.simulator_config, simulator.get_system(), context)
+        ApplySimulatorConfig(config, simulator)
         simulator.AdvanceTo(duration)
         run = dn.Run.from_logs(logs, context, scenario)
         metrics = dn.compute_metrics(run)  # write_results(run, folder): figures and a replay, too

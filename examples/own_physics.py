@@ -1,4 +1,7 @@
-"""Your own physics: load and carriers as free bodies of MultibodyPlants, continuous or discrete."""
+"""Your own physics: load and carriers as free bodies of MultibodyPlants, continuous or discrete.
+
+They have no equations, and the loop is flown by its diagram.
+"""
 
 from functools import partial
 

@@ -16,7 +16,13 @@ from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.sensors import CameraInfo, RgbdSensor
 
-from drake_nonstop import AddGeometry, load_scenario, make_nonstop, set_equilibrium
+from drake_nonstop import (
+    AddGeometry,
+    load_scenario,
+    make_nonstop,
+    set_equilibrium,
+    with_largest_step,
+)
 
 EYE, TARGET = np.array([-1.0, -3.0, 2.0]), np.array([0.15, 0.1, 0.5])  # m, in W
 
@@ -45,10 +51,12 @@ def main(duration: float = 4.0) -> None:
     scene_graph = builder.AddSystem(SceneGraph())
     AddGeometry(builder, loop, scene_graph, scenario)
     camera = add_camera(builder, scene_graph)
-    simulator = Simulator(builder.Build())
-    ApplySimulatorConfig(scenario.simulator_config, simulator)
+    diagram = builder.Build()
+    simulator = Simulator(diagram)
     context = simulator.get_mutable_context()
     set_equilibrium(loop, loop.GetMyMutableContextFromRoot(context))
+    config = with_largest_step(scenario.simulator_config, diagram, context)
+    ApplySimulatorConfig(config, simulator)
     simulator.AdvanceTo(duration)
     image = camera.color_image_output_port().Eval(camera.GetMyContextFromRoot(context))
     matplotlib.image.imsave("loop.png", image.data)

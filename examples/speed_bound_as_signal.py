@@ -6,7 +6,7 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import LogVectorOutput, TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
-from drake_nonstop import load_scenario, make_nonstop, set_equilibrium
+from drake_nonstop import load_scenario, make_nonstop, set_equilibrium, with_largest_step
 
 LOW, HIGH = 0.55, 0.95  # m/s
 
@@ -28,10 +28,12 @@ def main(duration: float = 15.0) -> None:
         name: LogVectorOutput(loop.GetOutputPort(name), builder, publish_period=0.01)
         for name in names
     }
-    simulator = Simulator(builder.Build())
-    ApplySimulatorConfig(scenario.simulator_config, simulator)
+    diagram = builder.Build()
+    simulator = Simulator(diagram)
     context = simulator.get_mutable_context()
     set_equilibrium(loop, loop.GetMyMutableContextFromRoot(context))
+    config = with_largest_step(scenario.simulator_config, diagram, context)
+    ApplySimulatorConfig(config, simulator)
     simulator.AdvanceTo(duration)
 
     logs = {name: sink.FindLog(context) for name, sink in sinks.items()}

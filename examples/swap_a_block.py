@@ -1,26 +1,35 @@
 """Put a block of your own in the figure: a force on the load, which the controllers ignore."""
 
+from dataclasses import dataclass
+
 import numpy as np
-from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
-from drake_nonstop import Model, compute_metrics, load_scenario, simulate
+from drake_nonstop import Block, compute_metrics, load_scenario, simulate
 
 
-class Gust(LeafSystem):
+@dataclass(kw_only=True)
+class GustConfig:
+    """How strong the gust is."""
+
+    share: float = 0.05  # of the load's weight, at the peak
+
+
+class Gust(Block):
     """A sideways force on the load that swells and fades.
 
     The output port carries the name of the signal that it makes, and so is connected to
     whatever reads that signal; an input port would be connected in the same way.
     """
 
-    def __init__(self, model: Model):
-        super().__init__()
-        self._peak = 0.05 * model.load_mass * model.gravity  # N
-        self.DeclareVectorOutputPort("disturbance_wrench", 6, self._calc)
+    makes = ("disturbance_wrench",)
+    reads_time = True
+    system = ("load_mass", "gravity")
 
-    def _calc(self, context: Context, output: BasicVector) -> None:
-        force = self._peak * np.sin(np.pi * context.get_time() / 5) ** 2
-        output.SetFromVector([0, 0, 0, 0, force, 0])
+    @staticmethod
+    def equations(time, *, share, load_mass, gravity):
+        """The wrench (6,), torque and force."""
+        sideways = share * load_mass * gravity * np.sin(np.pi * time / 5) ** 2
+        return np.concatenate([np.zeros(4), sideways, np.zeros(1)])
 
 
 def main(duration: float = 15.0) -> None:

@@ -1,8 +1,8 @@
 """A custom optimization layer in a file of its own, and how to compare it with the others.
 
 The block reads and makes signals by their names; that is all there is to the contract, which
-`drake-nonstop blocks optimization_layer` prints. A scenario, or an ablation, names it by its
-import path, which is its YAML tag: from this folder,
+`drake-nonstop blocks optimization_layer` prints. A scenario, or an ablation, names it by its import
+path, which is its YAML tag: from this folder,
 
     drake-nonstop ablate quintic --trust --swap optimization_layer=write_your_own_optimizer.Hurry
 """
@@ -10,9 +10,11 @@ import path, which is its YAML tag: from this folder,
 from dataclasses import dataclass
 
 import numpy as np
-from pydrake.systems.framework import Context, DiscreteValues, LeafSystem
 
-from drake_nonstop import Model, compute_metrics, load_scenario, simulate
+from drake_nonstop import Block, compute_metrics, load_scenario, simulate
+from drake_nonstop.mechanics.rotation import norm
+from drake_nonstop.mechanics.signals import LoadReference
+from drake_nonstop.systems.tracing import where
 
 
 @dataclass(kw_only=True)
@@ -20,29 +22,27 @@ class HurryConfig:
     """Fields that `NonstopOptimizer` has too: a swap keeps their values."""
 
     speed_bound: float = 0.2  # m/s
-    frequency: float = 2.0  # rad/s, at the start
+    frequency: float = 2.0  # rad/s, at least
     amplitude: float = 1.2  # N
-    period: float = 0.01  # s
 
 
-class Hurry(LeafSystem):
+class Hurry(Block):
     """No optimization at all: turns the faster the faster the load is to move."""
 
-    def __init__(self, model: Model, config: HurryConfig):
-        super().__init__()
-        self._config = config
-        share = model.load_mass * model.gravity / model.n
-        self._radius = model.cable_length * config.amplitude / np.hypot(config.amplitude, share)
-        self._reference = self.DeclareVectorInputPort("reference", 22)
-        index = self.DeclareDiscreteState([config.frequency, config.amplitude])
-        self.DeclareStateOutputPort("parameters", index)
-        self.DeclareInitializationDiscreteUpdateEvent(self._update)
-        self.DeclarePeriodicDiscreteUpdateEvent(config.period, config.period, self._update)
+    reads = ("reference",)
+    makes = ("parameters",)
+    system = ("load_mass", "gravity", "cable_length")
+    of_model = ("n",)
 
-    def _update(self, context: Context, state: DiscreteValues) -> None:
-        load_speed = np.linalg.norm(self._reference.Eval(context)[10:13])
-        needed = (self._config.speed_bound + load_speed) / self._radius
-        state.set_value([max(needed, self._config.frequency), self._config.amplitude])
+    @staticmethod
+    def equations(
+        reference, *, speed_bound, frequency, amplitude, load_mass, gravity, n, cable_length
+    ):
+        """Frequency and amplitude (2,)."""
+        share = load_mass * gravity / n
+        radius = cable_length * amplitude / np.sqrt(amplitude**2 + share**2)
+        needed = (speed_bound + norm(LoadReference.view(reference).velocity)) / radius
+        return np.concatenate([where(needed[0] > frequency[0], needed, frequency), amplitude])
 
 
 def main(duration: float = 15.0) -> None:

@@ -5,7 +5,8 @@ import numpy as np
 from drake_nonstop import parse_scenario
 from drake_nonstop.mechanics.aircraft import flight_needs, needed_force
 from drake_nonstop.scenario.overrides import changed
-from drake_nonstop.systems.traced_block import TracedBlock
+from drake_nonstop.systems.equation_block import EquationBlock
+from drake_nonstop.systems.equations import Equations
 
 TEXT = """
 flying:
@@ -50,7 +51,7 @@ def controller(model):
         velocity = state[3 * n :].reshape(n, 3)
         return np.concatenate(flight_needs(aircraft, force, velocity).command)
 
-    return TracedBlock(
+    equations = Equations(
         command,
         inputs={
             "carrier_reference": 6 * n,
@@ -60,3 +61,4 @@ def controller(model):
         },
         outputs={"aircraft_command": 3 * n},
     )
+    return EquationBlock(equations)

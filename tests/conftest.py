@@ -32,11 +32,6 @@ CLASSES = {
 }
 
 
-# The suite has hundreds of loops, most of which fly a few samples: to compile each, beside flights
-# that take all cores, would take longer than the suite.
-os.environ.setdefault("DRAKE_NONSTOP_COMPILES_BESIDE", "0")
-
-
 def pytest_addoption(parser: pytest.Parser) -> None:
     text = "of each class of nightly tests, that many, the same in every run"
     parser.addoption("--sample", type=int, default=0, metavar="N", help=text)

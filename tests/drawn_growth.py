@@ -7,11 +7,10 @@ from numpy.typing import NDArray
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 
 from drake_nonstop.diagrams.nonstop import make_nonstop
-from drake_nonstop.loop.equilibrium import set_equilibrium
-from drake_nonstop.loop.plant_states import PlantStates
+from drake_nonstop.loop.start import PlantStates, set_equilibrium
+from drake_nonstop.loop.step import with_step
 from drake_nonstop.mechanics.signals import LoadState
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.simulation.step_size import with_step
 from drake_nonstop.studies.stability import at_rest
 from drake_nonstop.systems.tracing import NotFiniteError
 

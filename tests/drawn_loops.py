@@ -21,10 +21,10 @@ from drake_nonstop import (
     simulate,
 )
 from drake_nonstop.diagrams.nonstop import BOXES
-from drake_nonstop.loop.compiled_loop import reason_against
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.systems.compiled_loop import reason_against
 
 DURATION = 0.24  # s, a multiple of all control periods
 
@@ -75,7 +75,7 @@ def loop_of(scenario: Scenario, step: float) -> CompiledLoop:
     config = copy.deepcopy(scenario.simulator_config)
     config.max_step_size = step
     shown = min(0.01, scenario.control_period)
-    options = {"signal_period": shown, "compiles": False, "samples": 1}  # short flights
+    options = {"signal_period": shown, "compiles": False}
     return CompiledLoop(diagram, config, scenario.control_period, **options)
 
 

@@ -46,6 +46,11 @@ def nightly_beyond(count: int, nightly_class: str, cases: Iterable[Any]) -> list
     return [pytest.param(*c, marks=() if k < count else mark) for k, c in enumerate(listed)]
 
 
+def sizes_of(box: Any, n: int, m: int) -> dict[str, int | None]:
+    """The sizes of a box's signals for n carriers and m coordinates; None: one is abstract."""
+    return {s: None if layout is None else layout.count(n, m) for s, layout in box.signals.items()}
+
+
 def regular(n: int, radius: float = 0.75) -> NDArray:
     """The corners (n, 3) of a level regular polygon."""
     angles = 2 * np.pi * np.arange(n) / n

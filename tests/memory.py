@@ -9,7 +9,7 @@ from pathlib import Path
 
 from pydrake.systems.framework import LeafSystem
 
-from drake_nonstop.loop import compiled_loop
+from drake_nonstop.systems import equation_loop, tracing
 from drake_nonstop.systems.block import LeafBlock
 
 MOST = 500_000_000  # bytes: a process with less does not look for what it can free
@@ -28,8 +28,8 @@ def free_memory() -> None:
     global _next
     if not _STATISTICS.exists() or _resident() < _next:
         return
-    for recent in (compiled_loop._recent_functions, compiled_loop._recent_derivatives):
-        recent.entries.clear()
+    for kept in (equation_loop._kept, tracing._recent):
+        kept.clear()
     for thing in gc.get_objects():
         if isinstance(thing, LeafSystem):
             is_drakes = type(thing).__module__.startswith("pydrake")

@@ -3,15 +3,14 @@
 import dataclasses
 import math
 import typing
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.systems.framework import Context, Diagram, System
+from pydrake.systems.framework import Context, Diagram
 
 from drake_nonstop.analysis.carriers_along import resting_carriers
 from drake_nonstop.analysis.flight_envelope import (
@@ -200,7 +199,6 @@ def aircraft_margins_for(
     scenario: Scenario,
     nonstop: Diagram,
     context: Context,
-    instead: Mapping[str, System] = MappingProxyType({}),
 ) -> AircraftMargins:
     """Returns the `aircraft_margins` of a loop that has been built.
 
@@ -208,9 +206,8 @@ def aircraft_margins_for(
         scenario: what the loop was made from, with its numbers drawn.
         nonstop: the loop, which exports `reference` and `parameters`.
         context: of the loop, at its start.
-        instead: as of `task_at`.
     """
-    task = task_at(scenario, nonstop, context, instead)
+    task = task_at(scenario, nonstop, context)
     return margins_at_rest(
         task.flown,
         task.reference(0.0),

@@ -5,7 +5,6 @@ import typing
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -107,7 +106,7 @@ class Task:
     def wind_at(self, time: float, above: float = 0.0) -> NDArray:
         """The wind (3,) at a time in s, so many m above the load's reference; m/s, in W."""
         position = LoadReference.view(self.reference(time)).position + np.array([0, 0, above])
-        return self.air.at(np.array([time]), position)
+        return self.air.at(time, position)
 
     def counted_wind(self, time: float) -> NDArray:
         """The wind (3,) as far as it counts for the speed bound, m/s, in W."""
@@ -246,7 +245,6 @@ def task_at(
     scenario: Scenario,
     nonstop: Diagram,
     context: Context,
-    instead: Mapping[str, System] = MappingProxyType({}),
 ) -> Task:
     """The task of a loop that has been built, with the load's reference as it is in a context.
 
@@ -254,13 +252,11 @@ def task_at(
         scenario: what the loop was made from, with its numbers drawn.
         nonstop: the loop, which exports `reference` and `parameters`.
         context: of the loop.
-        instead: blocks that tell what they do in place of those of their boxes in the loop.
     """
     reference, (frequency, amplitude) = (
         nonstop.GetOutputPort(name).Eval(context).copy() for name in ("reference", "parameters")
     )
     blocks = {block.get_name(): block for block in nonstop.GetSystems()}
-    blocks |= instead
     task = _task(scenario, lambda time: reference, blocks)
     limits = dataclasses.replace(task.limits, frequency=frequency, amplitude=amplitude)
     if described_air(blocks) is None and nonstop.HasOutputPort("load_wind"):

@@ -18,7 +18,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Diagram, LeafSystem, System
 
 from drake_nonstop.simulation.run import StepAction
-from drake_nonstop.systems.tracing import TracedFunction
+from drake_nonstop.systems.tracing import Evaluator
 
 OUTSIDE = "outside"  # of the blocks' Python: Drake with its own systems, and the logs
 
@@ -121,8 +121,7 @@ class BlockTimers:
                         replace(owner, name, self._timed(function, name))
             for name in [name for name in vars(LeafSystem) if name.startswith("Declare")]:
                 replace(LeafSystem, name, self._timed_declaration(vars(LeafSystem)[name]))
-            for name in ("__call__", "of_vectors"):
-                replace(TracedFunction, name, self._counted(vars(TracedFunction)[name]))
+            replace(Evaluator, "__call__", self._counted(vars(Evaluator)["__call__"]))
             yield self
         finally:
             for owner, name, value in reversed(replaced):
@@ -180,9 +179,9 @@ class BlockTimers:
         stack = self._stack
 
         @functools.wraps(evaluate)
-        def counted(function: TracedFunction, *inputs: Any) -> Any:
+        def counted(evaluator: Evaluator, *inputs: Any) -> Any:
             stack[-1].evaluations += 1
-            return evaluate(function, *inputs)
+            return evaluate(evaluator, *inputs)
 
         return counted
 

@@ -13,19 +13,18 @@ from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.scenario.schema import COMPILED, DIAGRAM, Scenario
 from drake_nonstop.simulation.compiled_run import recorded_loop
 from drake_nonstop.simulation.flight import without_warnings
-from drake_nonstop.simulation.preparation import with_chosen_step
+from drake_nonstop.simulation.preparation import stable_config
 from drake_nonstop.simulation.recording import LogSignals
 from drake_nonstop.simulation.run import Run, StepCheck
 from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.simulation.versions import versions
-from drake_nonstop.systems.compilation import compiler
+from drake_nonstop.systems.native import compiler
 
 _WAYS = {
     DIAGRAM: "simulate, engine=diagram: Drake's Simulator",
     COMPILED: "simulate, engine=compiled: all signals recorded",
     "stepped": "CompiledLoop.run: all signals kept",
     "virtual machine": "the same, by CasADi's virtual machine",
-    "functions": "the traced functions alone: the limit",
 }
 
 
@@ -52,7 +51,7 @@ def benchmark_engines(
     """
     nonstop = make_nonstop(scenario)
     context = nonstop.CreateDefaultContext()
-    config = with_chosen_step(scenario, nonstop, context).config
+    config = stable_config(scenario, nonstop, context)
     period = scenario.control_period
     builder = DiagramBuilder()
     builder.AddSystem(nonstop)
@@ -71,12 +70,10 @@ def benchmark_engines(
                 with without_warnings():
                     runs[way] = simulate(scenario, engine=way, check_step=StepCheck.NOTHING)
                 seconds[way].append(runs[way].wall_time)
-            elif way in loops:
+            else:
                 start = time.perf_counter()
                 loops[way].run(context, samples * period)
                 seconds[way].append(time.perf_counter() - start)
-            else:
-                seconds[way].append(loops["stepped"].seconds_of_functions(context, samples))
         search.append(float(runs[COMPILED].solve_times.sum()) / runs[COMPILED].wall_time)
         progress("flying", (turn + 1) / repeats)
     medians = {way: statistics.median(values) for way, values in seconds.items()}

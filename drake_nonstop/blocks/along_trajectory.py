@@ -1,12 +1,12 @@
 """References of a load that are functions of coordinates along a trajectory."""
 
 import functools
-from collections.abc import Callable, Sequence
-from typing import Any
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.common.value import AbstractValue
 from pydrake.trajectories import PiecewisePolynomial
 
 from drake_nonstop.mechanics.reference_preview import ReferencePreview
@@ -18,9 +18,9 @@ from drake_nonstop.mechanics.signals import (
     LoadReference,
     ReferenceHigherRates,
 )
-from drake_nonstop.systems.block import LeafBlock
-from drake_nonstop.systems.elementwise import RowsFunction
-from drake_nonstop.systems.traced_block import TracedBlock
+from drake_nonstop.model.block import Block
+from drake_nonstop.model.system import Model
+from drake_nonstop.optimization.elementwise import RowsFunction
 
 _BOX = "load_trajectory"
 _RATES = 4  # derivatives of the coordinates
@@ -31,54 +31,60 @@ class _Coordinates:
     """Coordinates along a trajectory with their derivatives; they rest beyond its ends."""
 
     def __init__(self, trajectory: PiecewisePolynomial):
-        self._derivatives = [trajectory.MakeDerivative(k) for k in range(_RATES + 2)]
+        starts, rows = np.array(trajectory.get_segment_times()[:-1]), trajectory.rows()
+        of_segment = trajectory.getSegmentPolynomialDegree
+        degree = max(of_segment(i, row) for i in range(len(starts)) for row in range(rows))
+        # Of the derivatives at the starts, which are zero beyond the degree, Taylor series follow.
+        derivatives = np.zeros((len(starts), degree + _RATES + 2, rows))
+        for k in range(degree + 1):
+            derivatives[:, k] = trajectory.MakeDerivative(k).vector_values(starts).T
+        self._series = [
+            [
+                derivatives[:, first + k : first + k + _RATES + 1] / math.factorial(k)
+                for k in reversed(range(degree + 1))
+            ]
+            for first in (0, 1)
+        ]
+        self._starts = starts
         self._limits = trajectory.start_time(), trajectory.end_time()
-        self._values = [each.value for each in self._derivatives[: _RATES + 1]]
-        self.size = (_RATES + 1) * trajectory.rows()
+        self.size = (_RATES + 1) * rows
 
     def rows(self, times: NDArray, first: int = 0) -> NDArray:
         """The coordinates and four derivatives (k, size) at times (k,), s.
 
         `first` is 1 for the rates of all of these.
         """
-        derivatives = self._derivatives[first : first + _RATES + 1]
-        values = np.array([each.vector_values(times) for each in derivatives])
         start, end = self._limits
-        values[1 - first :, :, (times < start) | (times > end)] = 0
-        return values.reshape(-1, len(times)).T
+        at = np.maximum(start, np.minimum(times, end))
+        segments = np.searchsorted(self._starts[1:], at, "right")
+        since = (at - self._starts[segments])[:, None, None]
+        highest, *others = self._series[first]
+        values = highest.take(segments, axis=0)
+        for coefficients in others:
+            values *= since
+            values += coefficients.take(segments, axis=0)
+        values[at != times, 1 - first :] = 0
+        return values.reshape(len(times), -1)
 
-    def row(self, time: float) -> NDArray:
-        """Returns the values at one time, s."""
-        start, end = self._limits
-        if not start <= time <= end:
-            return self.rows(np.array([time]))[0]
-        return np.concatenate([value(time) for value in self._values], axis=None)
 
-
-class AlongTrajectory(TracedBlock):
+class AlongTrajectory(Block):
     """A reference that is a function of coordinates along a trajectory.
 
-    `reference` takes the inputs, the coordinates, and the time, and returns `reference` and
-    `reference_higher_rates`; other arguments are those of `TracedBlock`.
+    `equations` take the coordinates and their four derivatives, flat, behind the inputs.
     """
 
-    def __init__(
-        self,
-        trajectory: PiecewisePolynomial,
-        reference: Callable[..., tuple[NDArray, NDArray]],
-        **others: Any,
-    ):
+    makes: ClassVar[tuple[str, ...]] = ("reference", "reference_higher_rates")
+
+    def __init__(self, trajectory: PiecewisePolynomial):
         self._coordinates = _Coordinates(trajectory)
-        known = {"coordinates": self._coordinates.size}
-        super().__init__(reference, known=known, outputs=_SIZES, **others)
+        super().__init__(None)
+
+    def quantities(self, model: Model) -> Mapping[str, int]:
+        return {"coordinates": self._coordinates.size}
 
     def precomputed_inputs(self, names: Sequence[str], times: NDArray) -> list[NDArray]:
         """The coordinates and their derivatives at times (k,), s."""
         return [self._coordinates.rows(times) for _ in names]
-
-    def quantity_at(self, name: str, time: float) -> NDArray:
-        """A row of them."""
-        return self._coordinates.row(time)
 
     def precomputed_input_rates(self, names: Sequence[str], times: NDArray) -> list[NDArray]:
         """Their rates, likewise."""
@@ -101,8 +107,7 @@ class LoadTrajectory(AlongTrajectory):
     """
 
     makes = ("reference", "reference_higher_rates", "reference_preview")
-
-    traced_output: Any = None  # all of it is known beforehand, see `precomputed_outputs`
+    reads_time = True
 
     def __init__(
         self,
@@ -111,54 +116,53 @@ class LoadTrajectory(AlongTrajectory):
         *,
         yaw_rate: float = 0.0,
     ):
-        def reference(values: NDArray, time: NDArray) -> tuple[NDArray, NDArray]:
-            coordinates = pose(values.reshape(_RATES + 1, -1)) if pose else values
-            turn = np.concatenate([yaw_rate * time, [yaw_rate, 0.0, 0.0, 0.0]])
-            return reference_along(coordinates, turn)
+        self._constants = {"pose": pose, "yaw_rate": yaw_rate}
+        super().__init__(trajectory)
 
-        key = (reference_along.__qualname__, yaw_rate) if pose is None else None
-        super().__init__(trajectory, reference, inputs={}, reads_time=True, key=key)
-        self._rows = rows = _rows_of(self._coordinates, reference, key)
-        preview = ReferencePreview(
-            lambda time: rows(np.array([time]))["reference"][0],
-            references=lambda times: rows(times)["reference"],
-            higher_rates=lambda time: rows(np.array([time]))["reference_higher_rates"][0],
-        )
-        declare_preview(self, preview)
+    @staticmethod
+    def equations(
+        coordinates: NDArray,
+        time: NDArray,
+        *,
+        pose: Callable[[NDArray], NDArray] | None,
+        yaw_rate: float,
+    ) -> tuple[NDArray, NDArray]:
+        values = pose(coordinates.reshape(_RATES + 1, -1)) if pose else coordinates
+        turn = np.concatenate([yaw_rate * time, [yaw_rate, 0.0, 0.0, 0.0]])
+        return reference_along(values, turn)
 
-    def precomputed_outputs(self, ports: Sequence[str], times: NDArray) -> list[NDArray]:
-        """Values of vector-valued ports at times (k,) in s, (k, size) of each."""
-        rows = self._rows(times)
-        return [rows[port] for port in ports]
+    def constants(self, model: Model, config: Any) -> dict[str, Any]:
+        return self._constants
 
-
-def declare_preview(block: LeafBlock, preview: ReferencePreview) -> None:
-    """Gives a block the output `reference_preview`, which is always the same object."""
-    made, tickets = AbstractValue.Make(preview), {block.nothing_ticket()}
-    block.DeclareAbstractOutputPort(
-        "reference_preview", lambda: made.Clone(), lambda context, value: None, tickets
-    )
+    def fixed_outputs(self) -> Mapping[str, Any]:
+        return {"reference_preview": _preview(self._coordinates, self.equations, self._constants)}
 
 
-def _rows_of(
-    coordinates: _Coordinates, reference: Callable[..., tuple[NDArray, NDArray]], key: Any
-) -> Callable[[NDArray], dict[str, NDArray]]:
-    """Function of times (k,) in s for the rows of both outputs, the one that is traced."""
+def _preview(
+    coordinates: _Coordinates,
+    equations: Callable[..., tuple[NDArray, NDArray]],
+    constants: Mapping[str, Any],
+) -> ReferencePreview:
+    """The preview of a trajectory by the equations of its block."""
 
     @functools.cache  # most runs do not ask for any
     def traced() -> RowsFunction:
         return RowsFunction(
-            lambda *values: np.concatenate(reference(*values)),
+            lambda *values: np.concatenate(equations(*values, **constants)),
             [coordinates.size, 1],
             name=lambda: _BOX,
-            key=None if key is None else ("rows", *key),
+            key=("rows", equations, *constants.values()),
         )
 
     def rows(times: NDArray) -> dict[str, NDArray]:
         vectors = np.concatenate([coordinates.rows(times), times[:, None]], axis=1)
         return by_name(_SIZES, traced()(vectors))
 
-    return rows
+    return ReferencePreview(
+        lambda time: rows(np.array([time]))["reference"][0],
+        references=lambda times: rows(times)["reference"],
+        higher_rates=lambda time: rows(np.array([time]))["reference_higher_rates"][0],
+    )
 
 
 def reference_along(pose: NDArray, turn: NDArray) -> tuple[NDArray, NDArray]:

@@ -113,13 +113,7 @@ class IndividualCables(_CableForces):
     def block_parameters(self, model: Model, config: IndividualCablesConfig) -> BlockParameters:
         given = [name for name in _OF_SYSTEM if getattr(config, name)]
         others = [field for name, field in _OF_SYSTEM.items() if name not in given]
-        return self.parameters_of(
-            model,
-            config,
-            given,
-            system=others,
-            structure=lambda _, config: [len(getattr(config, name)) for name in given],
-        )
+        return BlockParameters(model, others, config=config, own=given)
 
 
 def _each(model: Model, name: str, given: list[float], default: float) -> NDArray:

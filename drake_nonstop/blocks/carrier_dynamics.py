@@ -30,7 +30,6 @@ from drake_nonstop.model.block import (
     AIRCRAFT_NUMBERS,
     Block,
     BlockParameters,
-    SelectorBlock,
     aircraft_of,
     required_aircraft,
 )
@@ -64,7 +63,7 @@ class CarrierDynamics(Block):
 
     reads = ("carrier_forces",)
     makes = ("carrier_state",)
-    state_port = "carrier_state"
+    state_ports = ("carrier_state",)
     system = ("carrier_mass",)
     requires = _requires_points
 
@@ -83,9 +82,6 @@ class CarrierDynamics(Block):
         state = self.GetOutputPort("carrier_state").Eval(context)
         mass = parameters_in(self, context)["carrier_mass"]
         return float(carriers_kinetic_energy(state, mass=mass)[0])
-
-    def SetCarrierState(self, context: Context, value: NDArray) -> None:
-        context.SetContinuousState(value)
 
 
 @dataclass(kw_only=True)
@@ -108,7 +104,7 @@ class LoadedCarrierDynamics(Block):
 
     reads = ("carrier_forces", "carrier_cable_forces")
     makes = ("carrier_state",)
-    state_port = "carrier_state"
+    state_ports = ("carrier_state",)
     system = ("carrier_mass", "gravity")
     requires = _requires_points
 
@@ -131,14 +127,10 @@ class LoadedCarrierDynamics(Block):
     def block_parameters(
         self, model: Model, config: LoadedCarrierDynamicsConfig
     ) -> BlockParameters:
-        def is_limited(model: Model, config: LoadedCarrierDynamicsConfig) -> bool:
-            return config.max_force < math.inf
-
-        own = ("max_force",) if is_limited(model, config) else ()
-        return self.parameters_of(model, config, own, structure=is_limited)
+        own = ("max_force",) if config.max_force < math.inf else ()
+        return BlockParameters(model, self.system, config=config, own=own)
 
     state = CarrierDynamics.state
-    SetCarrierState = CarrierDynamics.SetCarrierState
     CalcKineticEnergy = CarrierDynamics.CalcKineticEnergy
 
     def describe_response(self) -> CarrierMotion:
@@ -157,7 +149,7 @@ class IdealCarriersConfig(StrictFields):
     """No parameters."""
 
 
-class IdealCarriers(SelectorBlock):
+class IdealCarriers(Block):
     """Ideal tracking: the carriers' state is their reference, whatever the controller does.
 
     The load's error that remains with them is not due to the carriers. Behind sampled
@@ -169,15 +161,14 @@ class IdealCarriers(SelectorBlock):
 
     requires = _requires_points
 
-    def __init__(self, model: Model, config: IdealCarriersConfig | None = None):
-        super().__init__(model, config)
-        self.parameters = BlockParameters(model, fixed=("carrier_mass",))
-        self._mass = model.carrier_mass
+    @staticmethod
+    def equations(reference: NDArray) -> NDArray:
+        return reference
 
     def CalcKineticEnergy(self, context: Context) -> float:
         """½ m_c Σ ‖v_i‖², J; the context is the block's own. Without weight none is potential."""
         state = self.GetOutputPort("carrier_state").Eval(context)
-        return float(carriers_kinetic_energy(state, mass=self._mass)[0])
+        return float(carriers_kinetic_energy(state, mass=self.model.carrier_mass)[0])
 
 
 @dataclass(kw_only=True)
@@ -236,16 +227,12 @@ class FixedWingDynamics(Block):
         others = (np.zeros(k * model.n) for k in (1, 1, 1, 3))
         return np.concatenate(FlightStates(model.initial_carrier_state, *others))
 
-    def SetCarrierState(self, context: Context, value: NDArray) -> None:
-        states = context.get_continuous_state_vector().CopyToVector()
-        states[: len(value)] = value
-        context.SetContinuousState(states)
-
-    def TrimCarriersTo(self, context: Context, acceleration: NDArray) -> None:
+    def trim(self, context: Context, carrier_reference_acceleration: NDArray) -> None:
         """Sets C_L, bank and thrust, within their limits, for these accelerations (3n,), m/s²."""
         pull, wind = (self.GetInputPort(name).Eval(context) for name in self.reads[1:])
         state = self.GetOutputPort("carrier_state").Eval(context)
-        states = trimmed_states(self._aircraft_in(context), state, acceleration, pull, wind)
+        aircraft = self._aircraft_in(context)
+        states = trimmed_states(aircraft, state, carrier_reference_acceleration, pull, wind)
         context.SetContinuousState(states)
 
     def ends_run(self, context: Context, shown: NDArray) -> bool:

@@ -22,14 +22,21 @@ from drake_nonstop.mechanics.carrier import carrier_motion, motion_after, shifte
 from drake_nonstop.mechanics.grasp import second_and_third_force_rates
 from drake_nonstop.mechanics.lumped_cable import CableMaterial
 from drake_nonstop.mechanics.signal_layouts import SAMPLE_TIME, Layout, nodes_layout
-from drake_nonstop.model.block import LOAD, Block, BlockParameters, rigid_load
+from drake_nonstop.mechanics.signals import LoadReference
+from drake_nonstop.model.block import (
+    LOAD,
+    Block,
+    BlockParameters,
+    rigid_load,
+    with_this_sample,
+)
 from drake_nonstop.model.descriptions import CarrierReferences, described
 from drake_nonstop.model.system import OFFSET, Model
+from drake_nonstop.systems.equations import BetweenSamples
 from drake_nonstop.systems.requirements import LoopBlocks
-from drake_nonstop.systems.traced_block import BetweenSamples
 from drake_nonstop.systems.tracing import for_each
-from drake_nonstop.systems.wiring import WiringError
 from drake_nonstop.validation import (
+    ScenarioError,
     StrictFields,
     checked,
     positive,
@@ -42,6 +49,8 @@ from drake_nonstop.validation import (
 _BOX = "carrier_trajectory"
 _HOLDS = {"third_order": 3, "second_order": 2, "velocity": 1}  # and their orders
 _DERIVATIVES = ("carrier_reference_acceleration", "carrier_reference_jerk")
+_MOVED = ("carrier_reference", "carrier_reference_acceleration")  # between samples
+_SAMPLED = tuple(f"sampled_{name}" for name in _MOVED)
 _INSTANTS = 9  # of the window: accelerations to 0.003 m/s² on cables of 150 m
 _FORCE_RATES = "internal_force_higher_rates"
 _FOR_DERIVATIVES = (_FORCE_RATES, "wind_estimate")
@@ -63,20 +72,27 @@ class _TrajectoryAboveReference(Block):
         _MEASURED,
         SAMPLE_TIME,
     )
-    makes: ClassVar[tuple[str, ...]] = ("carrier_reference", *_DERIVATIVES)
+    makes: ClassVar[tuple[str, ...]] = ("carrier_reference", *_DERIVATIVES, *_SAMPLED)
     where: ClassVar = {
-        SAMPLE_TIME: "the model has a control period",
+        **dict.fromkeys((SAMPLE_TIME, *_SAMPLED), "the model has a control period"),
         _MEASURED: "`correction_rates` are not all zero",
     }
     optional_inputs: tuple[str, ...] = (_HIGHER_RATES,)
     system: ClassVar[tuple[str, ...]] = ("cable_length", "cable_stiffness", *LOAD)
-    of_model: ClassVar[tuple[str, ...]] = ("attachments", "pseudo_inverse", "pattern.basis")
+    of_model: ClassVar[tuple[str, ...]] = (
+        "attachments",
+        "pseudo_inverse",
+        "pattern.basis",
+        "control_period",
+    )
     is_sampled = True
 
     def __init__(self, model: Model, config: Any = None):
-        super().__init__(model, config)
-        if self.hold_order < 2:
+        hold = getattr(config, "hold", "third_order")
+        is_left_out = model.control_period == 0 or _HOLDS.get(hold, 3) < 2
+        if is_left_out and _FORCE_RATES in self.reads:
             self.optional_inputs = (*self.optional_inputs, *_FOR_DERIVATIVES)
+        super().__init__(model, config)
 
     @property
     def hold_order(self) -> int:
@@ -99,16 +115,27 @@ class _TrajectoryAboveReference(Block):
         return bool(np.any(config.correction_rates))
 
     def requires(self, loop: LoopBlocks) -> Iterator[str]:
-        """Raises WiringError where its accelerations are used, and the force's rates not made.
+        """Raises ScenarioError where nothing moves the carriers, or rates of the force are missing.
 
-        Warns where the wrench controller integrates the load's error, too.
+        These are needed where accelerations of its references are used. Warns where the wrench
+        controller integrates the load's error, too.
         """
+        pattern = self.model.pattern
+        load_reference = loop.at_start("reference") if pattern.is_constant else None
+        if load_reference is not None:
+            require(
+                np.any(LoadReference.view(load_reference).angular_velocity),
+                "pattern",
+                type(self.model.pattern_config).__name__.removesuffix("Config"),
+                "its carriers keep their places above the load, which does not turn at the start, "
+                "and would stop; give load_trajectory: !SteadyTurn, or a pattern with orbits",
+            )
         is_used = self.hold_order >= 2 or any(
             {*_DERIVATIVES} & loop.needed(name) for name in loop.blocks
         )
         internal_force = loop.get("internal_force")
         if is_used and internal_force is not None and loop.maker_of(_FORCE_RATES) is None:
-            raise WiringError(
+            raise ScenarioError(
                 f"internal_force = {type(internal_force).__name__}: it does not make "
                 f"{_FORCE_RATES}, of which the references' accelerations follow; give it this "
                 "output, the second and third rates (2m) of the internal force, or "
@@ -132,8 +159,9 @@ class _TrajectoryAboveReference(Block):
         internal_force_higher_rates: NDArray,
         wind: NDArray,
         reference_higher_rates: NDArray,
-        load_state: NDArray | None = None,
-        *,
+        *measured: NDArray,
+        corrects: bool,
+        control_period: float,
         correction_rates: NDArray,
         attachments: NDArray,
         pseudo_inverse: NDArray,
@@ -156,18 +184,48 @@ class _TrajectoryAboveReference(Block):
             basis=basis,
         )
         shift_rate = shift
-        if load_state is not None:
-            reference, shift_rate = shifted_reference(
-                reference, shift, load_state, rates=correction_rates
+        if corrects:
+            reference, shift_rate = _corrected(
+                reference, shift, *measured, rates=correction_rates, period=control_period
             )
         motion = carrier_motion(reference, forces, rates, *higher_rates, **cables)
         return shift_rate, np.concatenate(motion[:2]), motion[2], motion[3]
 
+    def constants(self, model: Model, config: Any) -> dict[str, Any]:
+        return super().constants(model, config) | {"corrects": self.has_state(model, config)}
+
     def inputs(self, model: Model) -> tuple[str, ...]:
-        return self.reads[: -1 if self.has_state(model, self.config) else -2]
+        left_out = () if self.has_state(model, self.config) else (_MEASURED,)
+        return _where_sampled(model, (*(n for n in self.reads if n not in left_out),), SAMPLE_TIME)
+
+    def outputs(self, model: Model) -> tuple[str, ...]:
+        # In the order of `equations`, which do not make those that move.
+        others = [name for name in self.makes if name not in (*_MOVED, *_SAMPLED)]
+        if model.control_period > 0:
+            return (*_SAMPLED, *others, *_MOVED)
+        return (*_MOVED, *others)
 
     def between_samples(self, model: Model, config: Any) -> BetweenSamples:
         return _moving(_HOLDS[config.hold])
+
+
+def _where_sampled(model: Model, names: tuple[str, ...], *sampled: str) -> tuple[str, ...]:
+    """The names, without those of a loop with a control period where there is none."""
+    return tuple(n for n in names if model.control_period > 0 or n not in sampled)
+
+
+def _corrected(
+    reference: NDArray,
+    shift: NDArray,
+    load_state: NDArray,
+    *sample_time: NDArray,
+    rates: NDArray,
+    period: float,
+) -> tuple[NDArray, NDArray]:
+    """The reference, moved by the shift after this sample, and the shift's rate."""
+    _, rate = shifted_reference(reference, shift, load_state, rates=rates)
+    rate, shift = with_this_sample(shift, rate, sample_time, period)
+    return shifted_reference(reference, shift, load_state, rates=rates)[0], rate
 
 
 def _moving(order: int) -> BetweenSamples:
@@ -176,13 +234,11 @@ def _moving(order: int) -> BetweenSamples:
     One of third order has the acceleration at that time, too.
     """
 
-    def moved(motion: NDArray, *derivatives_and_time: NDArray) -> Any:
-        *derivatives, since = derivatives_and_time
-        after = motion_after(motion.reshape(-1), since, *derivatives)
-        return (after, derivatives[0] + since * derivatives[1]) if order == 3 else after
+    def moved(motion: NDArray, acceleration: NDArray, jerk: NDArray, since: NDArray) -> Any:
+        after = motion_after(motion, since, *(acceleration, jerk)[: order - 1])
+        return after, acceleration + since * jerk if order == 3 else acceleration
 
-    names = ("carrier_reference", *_DERIVATIVES[: order - 1])
-    return BetweenSamples(moved, names, names[: max(1, order - 1)], key=("hold", order))
+    return BetweenSamples(moved, (*_SAMPLED, _DERIVATIVES[1]), _MOVED, key=("hold", order))
 
 
 def _cables(attachments: NDArray, length: NDArray, stiffness: NDArray | None) -> dict[str, Any]:
@@ -270,8 +326,10 @@ class MeasuredCarrierTrajectory(Block):
         "desired_cable_force_rates",
         SAMPLE_TIME,
     )
-    makes = ("carrier_reference",)
-    where: ClassVar = {SAMPLE_TIME: "the model has a control period"}
+    makes = ("carrier_reference", "sampled_carrier_reference")
+    where: ClassVar = dict.fromkeys(
+        (SAMPLE_TIME, "sampled_carrier_reference"), "the model has a control period"
+    )
     system = ("cable_length", "cable_stiffness")
     of_model = ("attachments",)
     is_sampled = True
@@ -281,7 +339,7 @@ class MeasuredCarrierTrajectory(Block):
         load_state: NDArray,
         forces: NDArray,
         rates: NDArray,
-        *,
+        *sample_time: NDArray,
         attachments: NDArray,
         cable_length: NDArray,
         cable_stiffness: NDArray,
@@ -291,13 +349,19 @@ class MeasuredCarrierTrajectory(Block):
         return np.concatenate(carrier_motion(load_state, forces, rates, **cables))
 
     def inputs(self, model: Model) -> tuple[str, ...]:
-        return self.reads[:-1]
+        return _where_sampled(model, self.reads, SAMPLE_TIME)
+
+    def outputs(self, model: Model) -> tuple[str, ...]:
+        return self.makes[::-1] if model.control_period > 0 else self.makes[:1]
 
     def describe_response(self) -> CarrierReferences:
         return CarrierReferences(None, is_above_load=True)
 
     def between_samples(self, model: Model, config: Any) -> BetweenSamples:
-        return _moving(1)
+        def moved(motion: NDArray, since: NDArray) -> NDArray:
+            return motion_after(motion, since)
+
+        return BetweenSamples(moved, self.makes[1:], self.makes[:1], key="velocity")
 
 
 @dataclass(kw_only=True)
@@ -360,13 +424,8 @@ class BowedCarrierTrajectory(_TrajectoryAboveReference):
         return found._replace(shape=CableShape(self.config.nodes, window, material_of(self.model)))
 
     def block_parameters(self, model: Model, config: Any) -> BlockParameters:
-        return self.parameters_of(
-            model,
-            config,
-            ["correction_rates"],
-            system=(*self.system, *model.offset_parameter, *air_density_name(model)),
-            structure=lambda _, config: (config.nodes, config.window),
-        )
+        system = (*self.system, *model.offset_parameter, *air_density_name(model))
+        return BlockParameters(model, system, config=config, own=["correction_rates"])
 
     def layouts(self, model: Model, config: Any) -> dict[str, Layout]:
         return {"cable_reference": nodes_layout(config.nodes)}
@@ -381,17 +440,18 @@ class BowedCarrierTrajectory(_TrajectoryAboveReference):
         wind: NDArray,
         reference_higher_rates: NDArray,
         gusts: NDArray,
-        load_state: NDArray | None = None,
-        *,
+        *measured: NDArray,
+        corrects: bool,
+        control_period: float,
         correction_rates: NDArray,
         window: TimeWindow,
         nodes: int,
         **numbers: NDArray,
     ) -> tuple[NDArray, ...]:
         shift_rate = shift
-        if load_state is not None:
-            reference, shift_rate = shifted_reference(
-                reference, shift, load_state, rates=correction_rates
+        if corrects:
+            reference, shift_rate = _corrected(
+                reference, shift, *measured, rates=correction_rates, period=control_period
             )
         over_window = motion_over_window(
             rigid_load(**{name: numbers[name] for name in LOAD}),

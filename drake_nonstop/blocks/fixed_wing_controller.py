@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,11 +15,17 @@ from drake_nonstop.mechanics.flight_control import (
     observer_shares,
     observer_targets,
 )
+from drake_nonstop.mechanics.signal_layouts import HELD, SAMPLE_TIME
 from drake_nonstop.mechanics.signals import AircraftState
 from drake_nonstop.mechanics.tuning import pid_gains
-from drake_nonstop.model.block import AIRCRAFT_NUMBERS, Block, aircraft_of, required_aircraft
+from drake_nonstop.model.block import (
+    AIRCRAFT_NUMBERS,
+    Block,
+    aircraft_of,
+    required_aircraft,
+    with_this_sample,
+)
 from drake_nonstop.model.system import Model
-from drake_nonstop.systems.traced_block import Start
 from drake_nonstop.validation import (
     StrictFields,
     non_negative,
@@ -30,6 +36,10 @@ from drake_nonstop.validation import (
 
 _BOX = "carrier_controller"
 _OF_CABLES = ("cable_drag_and_weight", "cable_drag_and_weight_rates")
+# What it reads at the samples: references as they are computed there, measurements as held.
+_AT_SAMPLES = {
+    name: f"sampled_{name}" for name in ("carrier_reference", "carrier_reference_acceleration")
+} | {name: HELD + name for name in ("carrier_state", "aircraft_state", "carrier_acceleration")}
 _LIMITS = ("lift_share", "max_bank", "speed_share")
 
 
@@ -90,14 +100,20 @@ class FixedWingController(Block):
         "wind_estimate",
         "carrier_acceleration",
         *_OF_CABLES,
+        SAMPLE_TIME,
     )
     optional_inputs = _OF_CABLES
+    where: ClassVar = {SAMPLE_TIME: "the model has a control period"}
     makes = ("aircraft_command", "command_saturation")
 
     system = AIRCRAFT_NUMBERS
     of_model = ("n", "control_period", "bears_cable_drag")
     is_sampled = True
-    is_held = True
+
+    def inputs(self, model: Model) -> tuple[str, ...]:
+        if model.control_period == 0:
+            return self.reads[:-1]
+        return tuple(_AT_SAMPLES.get(name, name) for name in self.reads)
 
     @staticmethod
     def equations(
@@ -113,7 +129,7 @@ class FixedWingController(Block):
         acceleration: NDArray,
         cable_load: NDArray,
         cable_load_rates: NDArray,
-        *,
+        *sample_time: NDArray,
         frequency: NDArray,
         damping: NDArray,
         lead: NDArray,
@@ -158,7 +174,9 @@ class FixedWingController(Block):
             wind,
         )
         shares = observer_shares(aircraft, n, observer_time, control_period)
-        return shares * (targets - observer_states), limited, saturation
+        rate = shares * (targets - observer_states)
+        rate, _ = with_this_sample(observer_states, rate, sample_time, control_period)
+        return rate, limited, saturation
 
     @classmethod
     def check(cls, model: Model, config: Any) -> None:
@@ -168,12 +186,10 @@ class FixedWingController(Block):
     def state(self, model: Model) -> NDArray:
         return np.zeros(5 * model.n)
 
-    def start(self) -> Start:
-        return Start(_initial_state, ("aircraft_state",))
-
-
-def _initial_state(aircraft_state: NDArray) -> NDArray:
-    """`ObserverStates` (5n,) without a disturbance, with C_L and thrust of `AircraftState`."""
-    measured = AircraftState.view(aircraft_state)
-    undisturbed = 0 * aircraft_state[: 3 * len(measured.lift)]
-    return np.concatenate(ObserverStates(undisturbed, measured.lift, measured.thrust))
+    @staticmethod
+    def start(observer_states: NDArray, *inputs: NDArray, **numbers: Any) -> NDArray:
+        """`ObserverStates` (5n,) without a disturbance, with C_L and thrust of `AircraftState`."""
+        aircraft_state = inputs[4]
+        measured = AircraftState.view(aircraft_state)
+        undisturbed = 0 * aircraft_state[: 3 * len(measured.lift)]
+        return np.concatenate(ObserverStates(undisturbed, measured.lift, measured.thrust))

@@ -64,7 +64,7 @@ class CableForceDistribution(Block):
         )
 
     def block_parameters(self, model: Model, config: Any) -> BlockParameters:
-        return self.parameters_of(model, config, (), system=model.offset_parameter)
+        return BlockParameters(model, model.offset_parameter)
 
     def describe_response(self) -> PseudoInverse:
         return PseudoInverse()
@@ -98,7 +98,7 @@ class BoundedTensionDistribution(CableForceDistribution):
         RuntimeError: during a run, if no such cable forces are found.
     """
 
-    is_traced = False  # a search is no function that can be
+    computes_besides = True  # a search is no equation
 
     def __init__(self, model: Model, config: BoundedTensionDistributionConfig | None = None):
         super().__init__(model, config)
@@ -122,8 +122,8 @@ class BoundedTensionDistribution(CableForceDistribution):
             f"give more than min_tension = {config.min_tension:g} N, or .inf for no limit",
         )
 
-    def _evaluated(self, context: Context, name: str | int) -> NDArray:
-        """Output of `TracedBlock`, within the bounds."""
+    def result(self, context: Context, name: str) -> NDArray:
+        """Cable forces or their rates (3n,), with every tension within its bounds."""
         forces, rates = _OUTPUTS
         found = self._least(context, forces)
         if name == forces:
@@ -135,7 +135,7 @@ class BoundedTensionDistribution(CableForceDistribution):
 
     def _least(self, context: Context, name: str) -> NDArray:
         """The pseudo-inverse's forces, or their rates (n, 3)."""
-        return super()._evaluated(context, name).reshape(-1, 3).copy()
+        return super().result(context, name).reshape(-1, 3).copy()
 
     def _calc_active(self, context: Context, value: AbstractValue) -> None:
         """The forces' directions, in L, and `_active_bounds`; () where no bound is violated."""

@@ -20,8 +20,6 @@ from drake_nonstop.mechanics.aircraft import (
 from drake_nonstop.mechanics.carrier import carriers_kinetic_energy, carriers_potential_energy
 from drake_nonstop.mechanics.signals import AircraftState, CarrierStates
 from drake_nonstop.model.block import (
-    AIRCRAFT_NUMBERS,
-    BlockParameters,
     required_aircraft,
 )
 from drake_nonstop.model.jsbsim_aircraft import (
@@ -109,7 +107,6 @@ class JsbsimCarriers(DiagramBlock):
         config = config or JsbsimCarriersConfig()
         hangar = _Hangar(model, config)
         self._aircraft, self._stops_at_stall = hangar.aircraft, config.stops_at_stall
-        self.parameters = BlockParameters(model, fixed=AIRCRAFT_NUMBERS)
         n, builder = model.n, DiagramBuilder()
         # Drake's, since a LeafSystem in Python cannot have its default state set.
         stays = np.eye(12 * n)
@@ -130,10 +127,11 @@ class JsbsimCarriers(DiagramBlock):
         states[: len(value)] = value
         self._set_start(context, states)
 
-    def TrimCarriersTo(self, context: Context, acceleration: NDArray) -> None:
+    def trim(self, context: Context, carrier_reference_acceleration: NDArray) -> None:
         """Sets C_L, bank and thrust, within their limits, for these accelerations (3n,), m/s²."""
         pull, wind = (self.GetInputPort(name).Eval(context) for name in self.reads[1:])
         state = self.GetOutputPort("carrier_state").Eval(context)
+        acceleration = carrier_reference_acceleration
         states = trimmed_states(self._aircraft, state, acceleration, pull, wind)
         flying = FlightStates.view(states)
         kept = (flying.carriers, flying.lift, flying.bank, flying.thrust, acceleration)

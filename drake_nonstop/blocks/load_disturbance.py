@@ -1,24 +1,23 @@
 """Box "load_disturbance": the wrench on the load besides cables and gravity."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.common.value import Value
-from pydrake.systems.framework import BasicVector, Context
 
 from drake_nonstop.mechanics.signals import WRENCH_SIZE
 from drake_nonstop.mechanics.wind import (
     coloured_noise,
+    coloured_noise_rate,
     random_waves,
     wave_frequencies,
 )
-from drake_nonstop.model.block import Block
+from drake_nonstop.model.block import Block, BlockParameters
 from drake_nonstop.model.descriptions import Gusts, LoadWrench
 from drake_nonstop.model.system import Model
-from drake_nonstop.systems.block import LeafBlock, number
+from drake_nonstop.systems.tracing import where
 from drake_nonstop.validation import (
     StrictFields,
     checked,
@@ -66,29 +65,11 @@ class DisturbanceForceConfig(StrictFields):
 _BANDS: dict[str, Any] = {"count": 32, "highest": 30.0}  # of the gust's waves
 
 
-class _Push(NamedTuple):
-    """Numbers of a `DisturbanceForce`."""
-
-    wrench: NDArray  # (6,), N m and N, in W
-    start_time: float  # s
-    gust: float  # N
-    waves: Any  # of the gust
-
-    @classmethod
-    def of(cls, config: DisturbanceForceConfig) -> "_Push":
-        """Those of a config."""
-        require_ranges(_BOX, config)
-        waves = random_waves(np.random.default_rng(config.seed), 3, config.gust_time, **_BANDS)
-        wrench = np.array([*config.torque, *config.force], float)
-        return cls(wrench, config.start_time, config.gust_force, waves)
-
-
-class DisturbanceForce(LeafBlock):
+class DisturbanceForce(Block):
     """A constant wrench on the load, with a seeded, coloured gust.
 
     The gust is that of `mechanics.wind` with 32 waves on each axis, up to ωτ = 30: a
     function of time alone, so that runs repeat to the bit whatever the integrator's steps are.
-    Its numbers are a parameter of the context, which `take_config` sets.
 
     Raises:
         ScenarioError: a field is out of range.
@@ -96,44 +77,51 @@ class DisturbanceForce(LeafBlock):
 
     makes = ("disturbance_wrench",)
     is_sampled = True
+    reads_time = True
 
     def __init__(self, model: Model, config: DisturbanceForceConfig | None = None):
-        super().__init__()
-        config = config or DisturbanceForceConfig()
-        self._push = self.DeclareAbstractParameter(Value(_Push.of(config)))
-        frequencies = wave_frequencies(config.gust_time, **_BANDS)
-        gusts = Gusts(np.repeat([0.0, config.gust_force], 3), frequencies)
-        self._described = LoadWrench(np.array([*config.torque, *config.force], float), gusts)
-        tickets = {self.time_ticket(), self.all_parameters_ticket()}
-        self.DeclareVectorOutputPort("disturbance_wrench", WRENCH_SIZE, self._calc, tickets)
+        super().__init__(model, config)
+        random = np.random.default_rng(self.config.seed)
+        self._waves = random_waves(random, 3, self.config.gust_time, **_BANDS)
+
+    @staticmethod
+    def equations(
+        noise: NDArray,
+        time: NDArray,
+        *,
+        force: NDArray,
+        torque: NDArray,
+        start_time: NDArray,
+        gust_force: NDArray,
+    ) -> NDArray:
+        """The noise (3,) is of variance 1."""
+        wrench = np.concatenate([torque, force + gust_force * noise])
+        return where(time[0] >= start_time[0], wrench, np.zeros(WRENCH_SIZE))
+
+    @classmethod
+    def check(cls, model: Model, config: DisturbanceForceConfig) -> None:
+        require_ranges(_BOX, config)
+
+    def block_parameters(self, model: Model, config: DisturbanceForceConfig) -> BlockParameters:
+        own = ("force", "torque", "start_time", "gust_force")
+        return BlockParameters(model, self.system, config=config, own=own)
+
+    def quantities(self, model: Model) -> Mapping[str, int]:
+        return {"noise": 3}
+
+    def precomputed_inputs(self, names: Sequence[str], times: NDArray) -> list[NDArray]:
+        """The gust's noise (k, 3) of variance 1 at times (k,) in s."""
+        return [coloured_noise(times, self._waves) for _ in names]
+
+    def precomputed_input_rates(self, names: Sequence[str], times: NDArray) -> list[NDArray]:
+        """Its rates, 1/s."""
+        return [coloured_noise_rate(times, self._waves) for _ in names]
 
     def describe_response(self) -> LoadWrench:
-        return self._described
-
-    def take_config(self, context: Context, config: DisturbanceForceConfig) -> None:
-        """Sets its numbers in a context of its own.
-
-        Raises:
-            ScenarioError: a field is out of range.
-        """
-        context.get_mutable_abstract_parameter(self._push).set_value(_Push.of(config))
-
-    def _calc(self, context: Context, output: BasicVector) -> None:
-        times = np.array([context.get_time()])
-        (rows,) = self.precomputed_outputs(["disturbance_wrench"], times, context)
-        output.SetFromVector(rows[0])
-
-    def precomputed_outputs(
-        self, ports: Sequence[str], times: NDArray, context: Context
-    ) -> list[NDArray]:
-        """Values of the port `disturbance_wrench` at times (k,) in s, (k, 6)."""
-        push: _Push = context.get_abstract_parameter(self._push).get_value()
-        forces = coloured_noise(times[:, None, None], push.waves, push.gust)
-        wrenches = push.wrench + np.column_stack([np.zeros((len(times), 3)), forces])
-        instants = times if times.dtype == float else np.array([number(time) for time in times])
-        has_begun = instants >= push.start_time
-        wrenches = np.where(has_begun[:, None], wrenches, 0.0)
-        return [wrenches for _ in ports]
+        frequencies = wave_frequencies(self.config.gust_time, **_BANDS)
+        gusts = Gusts(np.repeat([0.0, self.config.gust_force], 3), frequencies)
+        wrench = np.array([*self.config.torque, *self.config.force], float)
+        return LoadWrench(wrench, gusts)
 
 
 VARIANTS = (NoDisturbance, DisturbanceForce)

@@ -1,29 +1,28 @@
 """Box "load_feedback": the measurement of the load's state, a wire in the paper's figure."""
 
+import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import DiscreteAlgebraicRiccatiEquation
-from pydrake.systems.framework import Context, DiscreteValues
 
 from drake_nonstop.mechanics.load_estimate import corrected_state, predicted_state
 from drake_nonstop.mechanics.rotation import rotate_quaternion
 from drake_nonstop.mechanics.signals import (
-    LOAD_REFERENCE_SIZE,
     LOAD_STATE_SIZE,
     TRACKING_ERROR_SIZE,
     LoadState,
     TrackingError,
 )
-from drake_nonstop.model.block import Block, SelectorBlock
+from drake_nonstop.model.block import Block, BlockParameters
 from drake_nonstop.model.descriptions import Estimator, LoadMeasurement
 from drake_nonstop.model.system import Model
-from drake_nonstop.systems.block import LeafBlock, number
-from drake_nonstop.systems.diagram_trace import InContext, shown
+from drake_nonstop.systems.block import number
+from drake_nonstop.systems.documentation import own_config_class
 from drake_nonstop.systems.tracing import where
 from drake_nonstop.validation import (
     StrictFields,
@@ -38,6 +37,7 @@ from drake_nonstop.validation import (
 
 _BOX = "load_feedback"
 _NOISE = "noise"
+_NEVER = -1e5  # s, in place of the time of a sample that has not been taken
 
 
 @dataclass(kw_only=True)
@@ -45,11 +45,15 @@ class IdealFeedbackConfig(StrictFields):
     """No parameters."""
 
 
-class IdealFeedback(SelectorBlock):
+class IdealFeedback(Block):
     """The load's state, exact and without delay."""
 
     reads = ("load_state",)
     makes = ("measured_load_state",)
+
+    @staticmethod
+    def equations(load_state: NDArray) -> NDArray:
+        return load_state
 
     def describe_response(self) -> LoadMeasurement:
         return LoadMeasurement()
@@ -94,7 +98,7 @@ class DesiredAttitudeFeedbackConfig(StrictFields):
     """No parameters."""
 
 
-class DesiredAttitudeFeedback(SelectorBlock):
+class DesiredAttitudeFeedback(Block):
     """The load's position and velocity, exact and without delay; its attitude as desired.
 
     This opens the attitude loop: neither the torque nor the directions of the cable forces follow
@@ -108,8 +112,8 @@ class DesiredAttitudeFeedback(SelectorBlock):
     makes = ("measured_load_state",)
 
     @staticmethod
-    def entries(count: int) -> NDArray:
-        return _DESIRED_ATTITUDE
+    def equations(load_state: NDArray, reference: NDArray) -> NDArray:
+        return np.concatenate([load_state, reference])[_DESIRED_ATTITUDE]
 
     def describe_response(self) -> LoadMeasurement:
         return LoadMeasurement(is_measured=_WITHOUT_ATTITUDE)
@@ -135,7 +139,7 @@ class NoisyFeedbackConfig(MeasurementConfig):
     """Values of the measurement."""
 
 
-class NoisyFeedback(LeafBlock):
+class NoisyFeedback(Block):
     """The load's state with noise and delay.
 
     The noise is white and normal: a sample per `period`, held to the next, drawn from the
@@ -144,6 +148,9 @@ class NoisyFeedback(LeafBlock):
     samples every period gets the state of N periods before; in the first N periods the state at
     the start. Without `measures_attitude` the attitude loop is open, as in
     `DesiredAttitudeFeedback`: quaternion and angular velocity are the reference's, of now.
+
+    With a delay the last N samples, the newest first, their number, and the time of the newest are
+    the state.
 
     Attributes:
         deviations: (12,), standard deviations of the errors, in the order of a `TrackingError`.
@@ -157,13 +164,13 @@ class NoisyFeedback(LeafBlock):
     reads = ("load_state", "reference")
     makes = ("measured_load_state",)
     where: ClassVar = {"reference": "`measures_attitude` is false"}
+    makes_next_state = True
 
     def __init__(self, model: Model, config: MeasurementConfig | None = None):
-        super().__init__()
-        config = require_ranges(_BOX, config or NoisyFeedbackConfig())
+        config = require_ranges(_BOX, config or own_config_class(type(self))())
         parts = ("orientation", "position", "angular_velocity", "velocity")
-        deviations = [getattr(config, f"{part}_noise") for part in parts]
-        self.delay_periods = round(config.delay / config.period)
+        self.deviations = np.repeat([getattr(config, f"{part}_noise") for part in parts], 3)
+        self.period, self.delay_periods = config.period, round(config.delay / config.period)
         require(
             abs(self.delay_periods * config.period - config.delay) < 1e-9
             and self.delay_periods <= 1000,
@@ -171,81 +178,102 @@ class NoisyFeedback(LeafBlock):
             config.delay,
             f"give a multiple of the period {config.period:g} s, at most 1000 of them",
         )
-        self.period, self._seed = config.period, config.seed
-        self.deviations = np.repeat(deviations, 3)
-        self.DeclareVectorInputPort("load_state", LOAD_STATE_SIZE)
-        self._measures_attitude = config.measures_attitude
-        if not self._measures_attitude:
-            self.DeclareVectorInputPort("reference", LOAD_REFERENCE_SIZE)
-        if self.delay_periods > 0:
-            # The last samples, the newest first, their number, and the time of the newest.
-            self.DeclareDiscreteState(LOAD_STATE_SIZE * self.delay_periods)
-            self.DeclareDiscreteState(1)
-            self.DeclareDiscreteState([-np.inf])
-            self._sample_each_period()
-        self.DeclareVectorOutputPort(
-            "measured_load_state",
-            LOAD_STATE_SIZE,
-            shown(self, "measured_load_state"),
-            {self.all_input_ports_ticket(), self.time_ticket(), self.xd_ticket()},
+        self.reads_time = self.state(model) is not None
+        super().__init__(model, config)
+
+    @staticmethod
+    def equations(
+        *values: NDArray, delay: int, period: float, measures_attitude: bool, has_noise: bool
+    ) -> Any:
+        state, load_state, attitude, noise, time = _arguments(
+            values, delay > 0, measures_attitude, has_noise, delay > 0
         )
+        measured = _delayed(load_state, state, delay)
+        measured = _with_noise(measured, noise) if has_noise else measured
+        shown = _with_attitude(measured, attitude)
+        if delay == 0:
+            return shown
+        return _with_newest(state, load_state, time, delay, period), shown
 
-    def _sample_each_period(self) -> None:
-        self.DeclareInitializationDiscreteUpdateEvent(self._sample)
-        # The same offset as the sample-and-hold's: with another one, rounding would decide at each
-        # sample which of the two events comes first.
-        self.DeclarePeriodicDiscreteUpdateEvent(self.period, self.period, self._sample)
+    @staticmethod
+    def start(*values: NDArray, **constants: Any) -> Any:
+        return NoisyFeedback.equations(*values, **constants)[0]
 
-    def _sample(self, context: Context, discrete_state: DiscreteValues) -> None:
-        newest = number(context.get_discrete_state(context.num_discrete_state_groups() - 1)[0])
-        if number(context.get_time()) < newest + self.period / 2:
-            return  # a run that starts at the instant of a sample triggers both events
-        for k, values in enumerate(self.traced_update(InContext(self, context))):
-            discrete_state.set_value(k, values)
+    def constants(self, model: Model, config: MeasurementConfig) -> dict[str, Any]:
+        return {
+            "delay": self.delay_periods,
+            "period": self.period,
+            "measures_attitude": config.measures_attitude,
+            "has_noise": bool(self.deviations.any()),
+        }
 
-    @property
-    def trace_key(self) -> Any:
-        """Prerequisites of the measurement besides the noise."""
-        has_noise = bool(self.deviations.any())
-        return self.delay_periods, self.period, has_noise, self._measures_attitude
+    def block_parameters(self, model: Model, config: MeasurementConfig) -> BlockParameters:
+        return BlockParameters(model, self.system)
 
-    updates_at_start = True
+    def inputs(self, model: Model) -> tuple[str, ...]:
+        return self.reads[:1] if self.config.measures_attitude else self.reads
+
+    def quantities(self, model: Model) -> Mapping[str, int]:
+        return {_NOISE: TRACKING_ERROR_SIZE} if self.deviations.any() else {}
+
+    def state(self, model: Model) -> NDArray | None:
+        return _no_samples(self.delay_periods) if self.delay_periods > 0 else None
+
+    def step_period(self, model: Model, config: MeasurementConfig) -> float:
+        return self.period
 
     def describe_response(self) -> LoadMeasurement:
-        shown = np.ones(TRACKING_ERROR_SIZE) if self._measures_attitude else _WITHOUT_ATTITUDE
+        is_measured = self.config.measures_attitude
+        shown = np.ones(TRACKING_ERROR_SIZE) if is_measured else _WITHOUT_ATTITUDE
         delay = self.delay_periods * self.period
         return LoadMeasurement(shown * self.deviations, shown, delay=delay, period=self.period)
 
-    def traced_output(self, port: str, at: Any) -> NDArray:
-        return self._with_attitude(self._measured(at), at)
-
-    def _with_attitude(self, state: NDArray, at: Any) -> NDArray:
-        """The state (13,), with the attitude of the reference where it is not measured."""
-        if self._measures_attitude:
-            return state
-        return np.concatenate([state, at.input("reference")])[_DESIRED_ATTITUDE]
-
-    def traced_update(self, at: Any) -> list[NDArray]:
-        if self.delay_periods == 0:
-            return []
-        samples, count, _ = (at.state(k) for k in (1, 2, 3))
-        samples = np.concatenate([at.input("load_state"), samples[:-LOAD_STATE_SIZE]])
-        return [samples, where(count[0] < self.delay_periods, count + 1, count), at.time]
-
-    def _measured(self, at: Any) -> NDArray:
-        state = at.input("load_state")  # at the start
-        if self.delay_periods > 0:
-            samples, (count,) = at.state(1).reshape(-1, LOAD_STATE_SIZE), at.state(2)
-            for k, sample in enumerate(samples):
-                state = where(count == k + 1, sample, state)
-        if not self.deviations.any():
-            return state
-        return _with_noise(state, at.known(_NOISE, TRACKING_ERROR_SIZE))
-
     def precomputed_inputs(self, names: Sequence[str], times: NDArray) -> list[NDArray]:
-        """The noise (k, 12) at times (k,) in s, of which there is no other quantity."""
-        noise = held_noise(self._seed, times, self.period, TRACKING_ERROR_SIZE)
-        return [self.deviations * noise for _ in names]  # all of a `TrackingError` in W
+        """The noise (k, 12) at times (k,) in s, all of a `TrackingError` in W."""
+        noise = held_noise(self.config.seed, times, self.period, TRACKING_ERROR_SIZE)
+        return [self.deviations * noise for _ in names]
+
+
+def _arguments(
+    values: Sequence[NDArray],
+    has_state: bool,
+    measures_attitude: bool,
+    has_noise: bool,
+    has_time: bool,
+) -> list[Any]:
+    """State, load state, reference, noise and time, of those of them that equations take."""
+    given = iter(values)
+    is_there = has_state, True, not measures_attitude, has_noise, has_time
+    return [next(given) if each else None for each in is_there]
+
+
+def _no_samples(delay: int) -> NDArray:
+    """The state of a delay of so many periods before the first sample."""
+    return np.array([*np.zeros(LOAD_STATE_SIZE * delay), 0.0, _NEVER])
+
+
+def _delayed(load_state: NDArray, state: Any, delay: int) -> NDArray:
+    """The oldest of the samples, or the load's state where there is none."""
+    if delay > 0:
+        count = state[LOAD_STATE_SIZE * delay]
+        for k, sample in enumerate(state[:-2].reshape(-1, LOAD_STATE_SIZE)):
+            load_state = where(count == k + 1, sample, load_state)
+    return load_state
+
+
+def _with_newest(
+    state: NDArray, load_state: NDArray, time: NDArray, delay: int, period: float
+) -> NDArray:
+    """The state after a sample; a run that starts at the instant of one takes it once."""
+    count = state[-2:-1]
+    count = where(count[0] < delay, count + 1, count)
+    after = np.concatenate([load_state, state[: LOAD_STATE_SIZE * (delay - 1)], count, time])
+    return where(time[0] < state[-1] + period / 2, state, after)
+
+
+def _with_attitude(state: NDArray, reference: NDArray | None) -> NDArray:
+    """The state (13,), with the attitude of a reference where it is not measured."""
+    return state if reference is None else np.concatenate([state, reference])[_DESIRED_ATTITUDE]
 
 
 def held_noise(seed: int, times: NDArray, period: float, size: int) -> NDArray:
@@ -319,63 +347,68 @@ class EstimatedFeedback(NoisyFeedback):
         ScenarioError: a field is out of range, or the delay no multiple of the period.
     """
 
-    def __init__(self, model: Model, config: EstimatedFeedbackConfig | None = None):
-        config = config or EstimatedFeedbackConfig()
-        super().__init__(model, config)
-        self.rotation_gain = steady_state_gain(
+    @functools.cached_property
+    def rotation_gain(self) -> NDArray:
+        config = self.config
+        return steady_state_gain(
             config.believed_orientation_noise,
             config.believed_angular_velocity_noise,
             config.process_angular_acceleration,
             config.period,
         )
-        self.translation_gain = steady_state_gain(
+
+    @functools.cached_property
+    def translation_gain(self) -> NDArray:
+        config = self.config
+        return steady_state_gain(
             config.believed_position_noise,
             config.believed_velocity_noise,
             config.process_acceleration,
             config.period,
         )
-        # The estimate after the newest measurement, and that one's time.
-        self.DeclareDiscreteState(LOAD_STATE_SIZE)
-        self.DeclareDiscreteState([-np.inf])
-        if self.delay_periods == 0:
-            self._sample_each_period()
 
-    @property
-    def trace_key(self) -> Any:
-        """The measurement's, and the gains."""
-        gains = self.rotation_gain.tobytes(), self.translation_gain.tobytes()
-        return super().trace_key, *gains
+    @staticmethod
+    def equations(  # type: ignore[override]
+        *values: NDArray,
+        delay: int,
+        period: float,
+        measures_attitude: bool,
+        has_noise: bool,
+        gains: tuple[NDArray, NDArray],
+    ) -> Any:
+        """The state has the estimate, the time of its last measurement, and what is delayed."""
+        state, load_state, attitude, noise, time = _arguments(
+            values, True, measures_attitude, has_noise, True
+        )
+        estimate, newest, delayed = np.split(state, [LOAD_STATE_SIZE, LOAD_STATE_SIZE + 1])
+        measured = _delayed(load_state, delayed, delay)
+        measured = _with_noise(measured, noise) if has_noise else measured
+        predicted = predicted_state(estimate, time - newest)
+        has_begun = newest[0] > _NEVER
+        corrected = where(has_begun, corrected_state(predicted, measured, *gains), load_state)
+        predicted = where(has_begun, predicted, load_state)
+        is_due = time[0] > newest[0] + _DUE * period
+        shown = _with_attitude(where(is_due, corrected, predicted), attitude)
+        after = [corrected, time]
+        after += [_with_newest(delayed, load_state, time, delay, period)] if delay > 0 else []
+        is_new = time[0] >= newest[0] + period / 2
+        return where(is_new, np.concatenate(after), state), shown
+
+    @staticmethod
+    def start(*values: NDArray, **constants: Any) -> Any:
+        return EstimatedFeedback.equations(*values, **constants)[0]
+
+    def constants(self, model: Model, config: Any) -> dict[str, Any]:
+        gains = self.rotation_gain, self.translation_gain
+        return super().constants(model, config) | {"gains": gains}
+
+    def state(self, model: Model) -> NDArray:
+        delayed = [_no_samples(self.delay_periods)] if self.delay_periods > 0 else []
+        return np.concatenate([np.eye(LOAD_STATE_SIZE)[0], [_NEVER], *delayed])
 
     def describe_response(self) -> LoadMeasurement:
         estimator = Estimator.of(self.rotation_gain, self.translation_gain, self.period)
         return super().describe_response()._replace(estimator=estimator)
-
-    def traced_output(self, port: str, at: Any) -> NDArray:
-        is_due = at.time[0] > at.state(self._first + 1)[0] + _DUE * self.period
-        estimate = where(
-            is_due, lambda: self._estimated(at, is_due=True), lambda: self._estimated(at)
-        )
-        return self._with_attitude(estimate, at)
-
-    def traced_update(self, at: Any) -> list[NDArray]:
-        return [*super().traced_update(at), self._estimated(at, is_due=True), at.time]
-
-    @property
-    def _first(self) -> int:
-        """The place of the estimate among the states."""
-        return 4 if self.delay_periods > 0 else 1
-
-    def _estimated(self, at: Any, *, is_due: bool = False) -> NDArray:
-        estimate, newest = (at.state(self._first + k) for k in (0, 1))
-
-        def after_the_start() -> NDArray:
-            state = predicted_state(estimate, at.time - newest)
-            if not is_due:
-                return state
-            gains = self.rotation_gain, self.translation_gain
-            return corrected_state(state, self._measured(at), *gains)
-
-        return where(newest[0] >= 0, after_the_start, lambda: at.input("load_state"))
 
 
 def steady_state_gain(

@@ -42,7 +42,7 @@ class LoadPlant(Block):
 
     reads = ("cable_forces", "disturbance_wrench", "load_wind")
     makes = ("load_state",)
-    state_port = "load_state"
+    state_ports = ("load_state",)
     system = LOAD
     of_model = ("attachments",)
 
@@ -62,13 +62,6 @@ class LoadPlant(Block):
 
     def state(self, model: Model) -> NDArray:
         return model.initial_load_state
-
-    def SetLoadState(self, context: Context, value: NDArray) -> None:
-        context.SetContinuousState(value)
-
-    def CalcLoadAcceleration(self, context: Context) -> NDArray:
-        rate = LoadState.view(self.EvalTimeDerivatives(context).CopyToVector())
-        return np.concatenate([rate.angular_velocity, rate.velocity])
 
     def CalcKineticEnergy(self, context: Context) -> float:
         """½ m ‖ṗ‖² + ½ ω·J ω, J; the context is the block's own."""
@@ -116,16 +109,12 @@ class MultibodyLoadPlant(DiagramBlock):
         plant.mutable_gravity_field().set_gravity_vector([0.0, 0.0, -model.load.gravity])
         plant.Finalize()
         forces = builder.AddNamedSystem("forces", _LoadForces(model, load.index()))
-        self.parameters = BlockParameters(model, fixed=("load_mass", "load_inertia", "gravity"))
         builder.Connect(plant.get_state_output_port(), forces.GetInputPort("load_state"))
         builder.Connect(forces.get_output_port(), plant.get_applied_spatial_force_input_port())
         for name in ("cable_forces", "disturbance_wrench", "load_wind"):
             builder.ExportInput(forces.GetInputPort(name), name)
         builder.ExportOutput(plant.get_state_output_port(), "load_state")
         builder.BuildInto(self)
-
-    SetLoadState = LoadPlant.SetLoadState
-    CalcLoadAcceleration = LoadPlant.CalcLoadAcceleration
 
 
 class _LoadForces(InnerBlock):

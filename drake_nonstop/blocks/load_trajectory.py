@@ -12,7 +12,7 @@ from pydrake.trajectories import PiecewisePolynomial
 
 from drake_nonstop.blocks.along_trajectory import AlongTrajectory, LoadTrajectory, reference_along
 from drake_nonstop.mechanics.rotation import circular_motion
-from drake_nonstop.mechanics.signals import PLANNED_SIZE, PlannedParameters
+from drake_nonstop.mechanics.signals import PlannedParameters
 from drake_nonstop.model.pose_samples import read_samples, sample_array
 from drake_nonstop.model.system import Model
 from drake_nonstop.validation import (
@@ -245,6 +245,18 @@ class CircleConfig(_Move):
     move_time: float = positive(20.0)  # s
 
 
+@dataclass(frozen=True)
+class _OnCircle:
+    """The pose of a load on a circle, a function that is equal to that of an equal circle."""
+
+    radius: float  # m
+
+    def __call__(self, values: NDArray) -> NDArray:
+        """[roll, pitch, yaw, x, y, z] of that on the centre, and θ, each with derivatives."""
+        on_circle = values[:, 3:5] + circular_motion(values[:, 6], self.radius)
+        return np.column_stack([values[:, :3], on_circle, values[:, 5]])
+
+
 class Circle(LoadTrajectory):
     """The load moves round a level circle, at the height of its start, from rest to rest.
 
@@ -260,17 +272,11 @@ class Circle(LoadTrajectory):
     def __init__(self, model: Model, config: CircleConfig | None = None):
         config = require_ranges(_BOX, config or CircleConfig())
         radius, direction = config.radius, config.centre_direction
-
-        def pose(values: NDArray) -> NDArray:
-            """[roll, pitch, yaw, x, y, z] of that on the centre, and θ, each with derivatives."""
-            on_circle = values[:, 3:5] + circular_motion(values[:, 6], radius)
-            return np.column_stack([values[:, :3], on_circle, values[:, 5]])
-
         to_centre = radius * np.array([np.cos(direction), np.sin(direction)])
         start = np.append(config.start_pose() + np.pad(to_centre, (3, 1)), direction + np.pi)
         turn = 2 * np.pi * config.turns
         change = np.array([0.0, 0.0, turn if config.turns_with_path else 0.0, *np.zeros(3), turn])
-        super().__init__(_rest_to_rest(config, start, change), pose)
+        super().__init__(_rest_to_rest(config, start, change), _OnCircle(radius))
 
 
 @dataclass(kw_only=True)
@@ -321,18 +327,17 @@ class PlannedTurn(AlongTrajectory):
     """
 
     reads = ("planned",)
-    makes = ("reference", "reference_higher_rates")
 
     def __init__(self, model: Model, config: PlannedTurnConfig | None = None):
         config = require_ranges(_BOX, config or PlannedTurnConfig())
+        super().__init__(_rest_to_rest(config, config.start_pose(), _pose(config.displacement)))
 
-        def reference(planned: NDArray, values: NDArray) -> tuple[NDArray, NDArray]:
-            plan = PlannedParameters.view(planned)
-            rates = plan.frequency, plan.frequency_rate, plan.frequency_second_rate
-            return reference_along(values, np.concatenate([plan.angle, *rates, np.zeros(1)]))
-
-        trajectory = _rest_to_rest(config, config.start_pose(), _pose(config.displacement))
-        super().__init__(trajectory, reference, inputs={"planned": PLANNED_SIZE})
+    @staticmethod
+    def equations(planned: NDArray, coordinates: NDArray) -> tuple[NDArray, NDArray]:
+        plan = PlannedParameters.view(planned)
+        rates = plan.frequency, plan.frequency_rate, plan.frequency_second_rate
+        turn = np.concatenate([plan.angle, *rates, np.zeros(1)])
+        return reference_along(coordinates, turn)
 
 
 @dataclass(kw_only=True)

@@ -7,12 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.framework import Context
 
+from drake_nonstop.mechanics.bowed_line import TimeWindow, lines_between, motion_over_window
 from drake_nonstop.mechanics.lumped_cable import (
     CableMaterial,
     ends_of_cables,
     lumped_cables,
     lumped_cables_energies,
-    resampled_nodes,
     straight_nodes,
 )
 from drake_nonstop.mechanics.signal_layouts import MOST_NODES, Layout, nodes_layout
@@ -34,6 +34,7 @@ _OF_AIR = f"{AIRCRAFT}air_density"
 _MATERIAL = ("length", "stiffness", "damping", "diameter", "density", "drag", "friction")
 CABLE_MATERIAL = tuple(f"cable_{name}" for name in _MATERIAL)  # fields of the system
 _AIR_DENSITY = 1.225  # kg/m³, where no aircraft say it
+_WINDOW, _INSTANTS = 0.75, 9  # s, before and after the start, in which the nodes' motion counts
 
 
 def check_nodes(field: str, value: Any) -> None:
@@ -71,8 +72,9 @@ class LumpedCables(Block):
     are the system's, the air's density that of its aircraft. Load and carriers feel the tensions at
     their ends: aircraft then have no share of their cable's drag in their polar.
 
-    `cable_state` is the state; it starts in the shape of the references' cables, or straight. Steps
-    follow the fastest wave, 2 N √(K_c/M) rad/s, M the cable's mass.
+    `cable_state` is the state; it starts in the cables' own bow in the motion that the controllers
+    plan, with their ends where load and carriers are. Steps follow the fastest wave,
+    2 N √(K_c/M) rad/s, M the cable's mass.
 
     Raises:
         ScenarioError: there is no node, or no mass; the cable breaks under the load at rest, or
@@ -81,7 +83,7 @@ class LumpedCables(Block):
 
     reads = ("load_state", "carrier_state", "wind", "load_wind")
     makes = ("cable_state", "cable_forces", "carrier_cable_forces", "tensions")
-    state_port = "cable_state"
+    state_ports = ("cable_state",)
     system = (*CABLE_MATERIAL, "gravity")
     of_model = ("attachments",)
 
@@ -167,14 +169,8 @@ class LumpedCables(Block):
         return super().constants(model, config) | air_density_where_unsaid(model)
 
     def block_parameters(self, model: Model, config: LumpedCablesConfig) -> BlockParameters:
-        return self.parameters_of(
-            model,
-            config,
-            ["max_damping_ratio"],
-            system=(*self.system, *air_density_name(model)),
-            fixed=("cable_breaking_load",),
-            structure=lambda _, config: config.nodes,
-        )
+        system = (*self.system, *air_density_name(model))
+        return BlockParameters(model, system, config=config, own=["max_damping_ratio"])
 
     def layouts(self, model: Model, config: LumpedCablesConfig) -> dict[str, Layout]:
         return {"cable_state": nodes_layout(config.nodes)}
@@ -185,13 +181,61 @@ class LumpedCables(Block):
         carriers = np.concatenate([above.ravel(), np.zeros(above.size)])
         return self._initial_nodes(model.initial_load_state, carriers)
 
-    def TrimCables(self, context: Context, reference: NDArray | None = None) -> None:
-        """Sets the nodes for the load and the carriers of now, those of a reference if it bows."""
-        load, carriers = (self.GetInputPort(name).Eval(context) for name in self.reads[:2])
+    def trim(
+        self,
+        context: Context,
+        reference: NDArray | None = None,
+        planned: NDArray | None = None,
+        desired_cable_forces: NDArray | None = None,
+        desired_cable_force_rates: NDArray | None = None,
+        reference_higher_rates: NDArray | None = None,
+    ) -> None:
+        """Sets the nodes for the load and the carriers of now: where they move steadily.
+
+        They are straight lines where the controllers' plan is not known, and where no line pulls
+        from the load to its carrier.
+        """
+        load, carriers, wind, load_wind = (self.GetInputPort(s).Eval(context) for s in self.reads)
         nodes = self._initial_nodes(load, carriers)
-        if reference is not None:
-            lines = ends_of_cables(load, carriers, self.model.attachments)
-            nodes = resampled_nodes(reference, lines, self.config.nodes)
+        plan = [
+            signal
+            for signal in (reference, planned, desired_cable_forces, desired_cable_force_rates)
+            if signal is not None
+        ]
+        if len(plan) == 4:
+            model, window = self.model, TimeWindow.of(_WINDOW, _INSTANTS)
+            numbers = self.constants(model, self.config) | parameters_in(self, context)
+            higher_rates = np.zeros(6) if reference_higher_rates is None else reference_higher_rates
+            forces, rates = (signal.reshape(-1, 3) for signal in plan[2:])
+            forces, attachments = motion_over_window(
+                model.load,
+                plan[0],
+                higher_rates,
+                plan[1],
+                forces,
+                rates,
+                load_wind,
+                window,
+                attachments=model.attachments,
+                pseudo_inverse=model.pseudo_inverse,
+                offset=model.pattern.offset,
+                basis=model.pattern.basis,
+                phases=model.pattern.phases,
+                orders=model.pattern.orders,
+            )
+            (low, high), (_, velocities) = ends_of_cables(load, carriers, model.attachments)
+            attachments = attachments + (low - attachments[_INSTANTS // 2])
+            lines = lines_between(
+                forces,
+                attachments,
+                np.stack([high, velocities]),
+                load_wind,
+                window,
+                cable=cable_material(numbers),
+                nodes=self.config.nodes,
+                gusts=wind.reshape(-1, 3) - load_wind,
+            )
+            nodes = nodes if lines is None else np.concatenate([part.ravel() for part in lines])
         context.SetContinuousState(nodes)
 
     def _initial_nodes(self, load_state: NDArray, carrier_state: NDArray) -> NDArray:

@@ -1,9 +1,10 @@
 """The variant of box "Optimization Layer" whose cost and constraints are the user's own."""
 
 import math
+import pickle
 import time
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from types import SimpleNamespace
 from typing import Any, ClassVar
@@ -16,8 +17,8 @@ from pydrake.systems.framework import Context
 from drake_nonstop.blocks.speed_bound_layer import BOX, WIND, PeriodicLayer
 from drake_nonstop.mechanics.nonstop import advanced_reference, change_cost, phase_of
 from drake_nonstop.mechanics.rigid_load import STILL_AIR
-from drake_nonstop.model.block import AIRCRAFT_NUMBERS, LOAD, BlockParameters
-from drake_nonstop.model.system import OFFSET, Model
+from drake_nonstop.model.block import BlockParameters
+from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.carriers import as_vector, carrier_speeds
 from drake_nonstop.optimization.constraints import FEASIBILITY_TOLERANCE
 from drake_nonstop.optimization.diagnostics import Outcome
@@ -32,7 +33,6 @@ from drake_nonstop.optimization.problem_config import (
     points,
 )
 from drake_nonstop.systems.block import weakly
-from drake_nonstop.systems.diagram_trace import InContext
 from drake_nonstop.systems.tracing import NotFiniteError, TracedFunction
 from drake_nonstop.validation import (
     ScenarioError,
@@ -103,18 +103,20 @@ class NlpLayer(PeriodicLayer):
 
     def __init__(self, model: Model, config: NlpLayerConfig | None = None):
         super().__init__(model, config)
-        self.model, self.config = model, self._config
         own = self.config
         self._bounds = np.transpose([own.frequency_bounds, amplitude_range(own, model)])
         self._read = [name for name in self.reads if self.HasInputPort(name)]
         self._sizes = [2, 1, *(self.GetInputPort(name).size() for name in self._read)]
         if self.scalar is float:
-            self._cost = self._traced("cost", self.cost, most=1)
-            self._constraints = self._traced("constraints", self.constraints)
-            self._speeds = self._traced("predicted_speeds", self.predicted_speeds)
+            self._cost = self._traced_function("cost", self.cost, most=1)
+            self._constraints = self._traced_function("constraints", self.constraints)
+            self._speeds = self._traced_function("predicted_speeds", self.predicted_speeds)
             size = sum(self._sizes)
             self._solver = LocalSolver(own.solver, self._cost, self._constraints, 0, size)
-        self.declare(own.period, parameters=[own.frequency, own.amplitude])
+
+    def parts(self, model: Model, config: Any) -> dict[str, ArrayLike]:
+        """The parameters."""
+        return {"parameters": [config.frequency, config.amplitude]}
 
     def cost(self, x: NDArray, now: Any) -> Any:
         """What is to be small, a number: that of the change (eq. 26)."""
@@ -141,7 +143,9 @@ class NlpLayer(PeriodicLayer):
             now.wind_estimate,
         )
 
-    def _traced(self, name: str, function: Callable, most: float = math.inf) -> TracedFunction:
+    def _traced_function(
+        self, name: str, function: Callable, most: float = math.inf
+    ) -> TracedFunction:
         """A function of x and of `now`, stacked, that makes 1 to `most` numbers; its Jacobian."""
         ends, names = np.cumsum(self._sizes)[:-1], ["previous", "speed_bound", *self._read]
         said = f"{BOX} = {type(self).__name__}.{name}"
@@ -162,7 +166,10 @@ class NlpLayer(PeriodicLayer):
             require(1 <= count <= most and count == len(made), said, f"{count} numbers", remedy)
             return made
 
-        key = self.trace_key and (type(self), name, self.trace_key)
+        try:
+            key = type(self), name, pickle.dumps((self.model, self.config))
+        except Exception:  # whatever a part that cannot be pickled may raise
+            key = None
         sizes, box = [2, sum(self._sizes)], weakly(self.box)
         return TracedFunction(of_vector, sizes, name=box, largest=1e100, jacobian_of=0, key=key)
 
@@ -178,21 +185,19 @@ class NlpLayer(PeriodicLayer):
 
     def block_parameters(self, model: Model, config: Any) -> BlockParameters:
         """The bound, which a context can change."""
-        fixed = (*LOAD, *AIRCRAFT_NUMBERS, "cable_stiffness", OFFSET)
-        own = ("speed_bound",)
-        return BlockParameters(model, config=config, own=own, check=self.check, fixed=fixed)
+        return BlockParameters(model, config=config, own=("speed_bound",))
 
-    def updated(self, context: Context) -> Mapping[str, ArrayLike]:
-        """The states after an update."""
-        at, bound = InContext(self, context), self.bound_in(context)
-        states, previous = self.states(at), at.state(1)
-        signals = [at.input_or(name, STILL_AIR) for name in self._read]
+    def answer(self, context: Context) -> NDArray:
+        """The state after an update."""
+        states, bound = self.states(context), self.bound_in(context)
+        previous = states["parameters"]
+        signals = [self.input(context, name) for name in self._read]
         now, start = np.concatenate([previous, bound, *signals]), time.perf_counter()
         parameters, outcome = self._solved(previous, now)
         solve_time = time.perf_counter() - start
         margin = float(np.min(self._speeds(parameters, now)[0]) - bound[0])
-        counted = self.counted(states, outcome, margin)
-        return {"parameters": parameters, "solve_time": [solve_time], **counted}
+        made = {"parameters": parameters, "solve_time": solve_time}
+        return self.flat(states | made | self.counted_update(states, outcome, margin))
 
     def _solved(self, previous: NDArray, now: NDArray) -> tuple[NDArray, Outcome]:
         """The next [ξ, A] (2,), and how it was found."""

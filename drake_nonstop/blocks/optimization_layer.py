@@ -1,17 +1,14 @@
 """Box "Optimization Layer" of the figure."""
 
-import functools
 import math
-import pickle
 import time
-from collections.abc import Collection, Iterator, Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
 from typing import Any
 
-import casadi
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydrake.systems.framework import BasicVector, Context
+from pydrake.systems.framework import Context
 
 from drake_nonstop.blocks.nlp_layer import NlpLayer, NlpLayerConfig
 from drake_nonstop.blocks.receding_horizon import (
@@ -21,14 +18,15 @@ from drake_nonstop.blocks.receding_horizon import (
 from drake_nonstop.blocks.speed_bound_layer import (
     BOX,
     COMMAND,
+    WIND,
     CommandedBound,
     SpeedBoundLayer,
+    shown_bound,
 )
 from drake_nonstop.blocks.turn_rate_optimizer import TurnRateOptimizer, TurnRateOptimizerConfig
-from drake_nonstop.mechanics.signals import PARAMETERS_SIZE, WRENCH_SIZE
-from drake_nonstop.model.block import BlockParameters
+from drake_nonstop.mechanics.signals import WRENCH_SIZE
 from drake_nonstop.model.system import Model
-from drake_nonstop.optimization.diagnostics import Diagnostics, Outcome, update_count
+from drake_nonstop.optimization.diagnostics import Outcome, update_count
 from drake_nonstop.optimization.problem_config import (
     LEAST_BOUND,
     NonstopProblemConfig,
@@ -36,12 +34,8 @@ from drake_nonstop.optimization.problem_config import (
     check_problem,
     with_stated_bound,
 )
-from drake_nonstop.optimization.update_data import UpdateData
-from drake_nonstop.optimization.update_solver import UpdateSolver, traced_tightened
-from drake_nonstop.systems.diagram_trace import FastUpdate, InContext, TraceContext
-from drake_nonstop.systems.parameters import declare_parameters
+from drake_nonstop.optimization.update_solver import UpdateSolver
 from drake_nonstop.systems.requirements import LoopBlocks
-from drake_nonstop.systems.tracing import where
 from drake_nonstop.validation import (
     StrictFields,
     checked,
@@ -106,14 +100,14 @@ class NonstopOptimizer(SpeedBoundLayer):
         "wrench",
         "wrench_rate",
         "phase",
-        "wind_estimate",
-        "speed_bound_command",
+        WIND,
+        COMMAND,
     )
 
     def requires(self, loop: LoopBlocks) -> Iterator[str]:
         """Tells of aircraft that it keeps above a speed bound, and within no limit of theirs."""
         yield from super().requires(loop)
-        is_unlimited = math.isinf(self.parameters.config.max_lift_share)
+        is_unlimited = math.isinf(self.config.max_lift_share)
         if is_unlimited and loop.reads("carrier_dynamics", "aircraft_command"):
             yield (
                 "optimization_layer.max_lift_share = inf: the layer may ask of aircraft what they "
@@ -123,120 +117,69 @@ class NonstopOptimizer(SpeedBoundLayer):
 
     def __init__(self, model: Model, config: NonstopOptimizerConfig | None = None):
         super().__init__(model, config)
-        config = self._config
+        config = self.config
         if self.scalar is float:
             self.solver = UpdateSolver(model, config, self.get_name)
         self._share_of_steps = config.period / config.change_time
         self._times = {"period": config.period, "change_time": config.change_time}
-        self._period = config.period
-        self.declare(
-            config.period,
-            parameters=[config.frequency, config.amplitude],
-            last_wrench_rate=np.zeros(WRENCH_SIZE),
-            bound_in_force=[config.speed_bound],
-            is_changing=np.zeros(1),
-        )
+
+    def parts(self, model: Model, config: Any) -> dict[str, ArrayLike]:
+        """The parameters, and what the next update needs of the last one."""
+        return {
+            "parameters": [config.frequency, config.amplitude],
+            "last_wrench_rate": np.zeros(WRENCH_SIZE),
+            "bound_in_force": config.speed_bound,
+            "is_changing": 0.0,
+        }
 
     @classmethod
     def check(cls, model: Model, config: NonstopOptimizerConfig) -> None:
         """Raises ScenarioError for a config that cannot be used with the model."""
         check_problem(BOX, config, model)
 
-    @property
-    def trace_key(self) -> Any:
-        """Fields of the config that the check of an update depends on."""
-        timing = self._period, self._sample_period, self._samples_per_update
-        return pickle.dumps((self.solver.trace_key, timing))
-
-    def trace_parameters(self, context: Context) -> NDArray:
-        """The bounds (2,), 1 where enabled, `UpdateSolver.tightening` (3,), `ModelParameters`."""
-        bounds, numbers = super().trace_parameters(context), self._numbers_in(context)
-        enabled = [float(self.is_enabled(context))]
-        return np.concatenate([bounds, enabled, self.solver.tightening, numbers.beliefs])
-
-    def traced_fast_update(self, at: TraceContext) -> FastUpdate:
-        """The states after a sample that keeps the parameters."""
-        _, enabled, tightening, beliefs = np.split(at.parameters, [2, 3, 6])
-        states, bound = self.states(at), self.traced_bound(at)
-        target_speed = traced_tightened(bound, tightening)
-        updates = Diagnostics(*states["diagnostics"]).updates
-        data = UpdateData(
-            **self._motion(at, states),
-            speed_bound=target_speed,
-            speed_unit=where(bound[0] > 0, target_speed, np.ones(1)),
-            orbit_turn=np.zeros(1),
-            anchor_weight=np.zeros(1),
-            beliefs=beliefs,
-        )
-        is_kept, slowest_speed = self.solver.traced_check(data, updates)
-        conditions = [
-            is_kept,
-            enabled[0] == 1,
-            bound[0] == states["bound_in_force"][0],
-            states["is_changing"][0] == 0,
-            updates > 0,
-        ]
-        is_update, margin = self.is_update(at.time[0]), slowest_speed - bound[0]
-        after = states | {
-            "diagnostics": self.counted(states, Outcome.KEPT, margin)["diagnostics"],
-            "solve_time": np.zeros(1),
-            "last_wrench_rate": data.wrench_rate,
-        }
-        return FastUpdate(
-            states=[where(is_update, after[name], states[name]) for name in states],
-            is_valid=casadi.logic_or(
-                functools.reduce(casadi.logic_and, conditions), casadi.logic_not(is_update)
-            ),
-        )
-
-    def _motion(
-        self, at: TraceContext | InContext, states: dict[str, NDArray]
-    ) -> dict[str, NDArray]:
-        """Parts of `UpdateData` that are states and inputs."""
-        wrench_rate = at.input("wrench_rate")
-        return {
-            "previous": states["parameters"],
-            "phase": at.input("phase"),
-            "load_state": at.input("measured_load_state"),
-            "reference": at.input("reference"),
-            "wrench": at.input("wrench"),
-            "wrench_rate": wrench_rate,
-            "wrench_second_rate": (wrench_rate - states["last_wrench_rate"]) / self._period,
-            "wind": self.wind(at),
-        }
-
     def begin_anew(self, context: Context) -> None:
         """Lets what has not been updated begin with the parameters of the context, its own."""
-        states = self.states(InContext(self, context))
+        states = self.states(context)
         if update_count(states["diagnostics"]) > 0 or states["is_changing"][0] > 0:
             return
         numbers = self._numbers_in(context)
-        context.SetDiscreteState(self._groups["parameters"], numbers.nominal)
-        context.SetDiscreteState(self._groups["bound_in_force"], [numbers.speed_bound])
+        begun = {"parameters": numbers.nominal, "bound_in_force": numbers.speed_bound}
+        context.SetDiscreteState(self.flat(states | begun))
 
-    def updated(self, context: Context) -> Mapping[str, ArrayLike]:
-        """The states after an update."""
-        at, numbers = InContext(self, context), self._numbers_in(context)
-        states, wrench_rate = self.states(at), at.input("wrench_rate")
+    def answer(self, context: Context) -> NDArray:
+        """The state after an update."""
+        states, numbers = self.states(context), self._numbers_in(context)
+        wrench_rate = self.input(context, "wrench_rate")
         previous, bound = states["parameters"], float(self.bound_in(context)[0])
         if not self.is_enabled(context):
-            return {
-                "parameters": step_towards(previous, numbers.nominal, **self._times),
-                "bound_in_force": [0.0],
-                "is_changing": [1.0],
-                "last_wrench_rate": wrench_rate,
-            }
+            return self.flat(
+                states
+                | {
+                    "parameters": step_towards(previous, numbers.nominal, **self._times),
+                    "bound_in_force": 0.0,
+                    "is_changing": 1.0,
+                    "last_wrench_rate": wrench_rate,
+                }
+            )
         last_bound, is_changing = states["bound_in_force"][0], states["is_changing"][0] > 0
         is_rising = last_bound < bound
         if is_rising:
             bound = raised_bound(last_bound, bound, **self._times)
         updates = update_count(states["diagnostics"])
-        if updates == 0:
-            states["last_wrench_rate"] = wrench_rate
-        motion = self._motion(at, states)
+        last_rate = states["last_wrench_rate"] if updates else wrench_rate
         start = time.perf_counter()
         data = self.solver.update_data(
-            **motion, speed_bound=bound, updates=updates, beliefs=numbers.beliefs
+            previous=previous,
+            phase=self.input(context, "phase"),
+            load_state=self.input(context, "measured_load_state"),
+            reference=self.input(context, "reference"),
+            wrench=self.input(context, "wrench"),
+            wrench_rate=wrench_rate,
+            wrench_second_rate=(wrench_rate - last_rate) / self.config.period,
+            wind=self.input(context, WIND),
+            speed_bound=bound,
+            updates=updates,
+            beliefs=numbers.beliefs,
         )
         parameters, outcome, slowest_speed = self.solver.solve(data)
         if is_changing or is_rising:
@@ -249,16 +192,17 @@ class NonstopOptimizer(SpeedBoundLayer):
             is_changing = is_rising or outcome > Outcome.SOLVED
         solve_time = time.perf_counter() - start
         missed: Collection[str] = ()
-        if self._counted and outcome > Outcome.SOLVED:
+        if self.counted and outcome > Outcome.SOLVED:
             missed = self.solver.problem(data).missed_kinds(parameters)
-        return {
+        made = {
             "parameters": parameters,
             "last_wrench_rate": wrench_rate,
-            "solve_time": [solve_time],
-            "bound_in_force": [bound],
-            "is_changing": [float(is_changing)],
-            **self.counted(states, outcome, slowest_speed - bound, missed),
+            "solve_time": solve_time,
+            "bound_in_force": bound,
+            "is_changing": float(is_changing),
         }
+        counts = self.counted_update(states, outcome, slowest_speed - bound, missed)
+        return self.flat(states | made | counts)
 
 
 def raised_bound(in_force: float, wanted: float, *, period: float, change_time: float) -> float:
@@ -318,53 +262,31 @@ class ConstantParameters(CommandedBound):
     optional_inputs = (COMMAND,)
 
     def __init__(self, model: Model, config: ConstantParametersConfig | None = None):
-        super().__init__()
-        config = with_stated_bound(BOX, config or ConstantParametersConfig(), model)
-        _check_constants(model, config)
-        self.parameters = BlockParameters(
-            model, config=config, own=asdict(config), check=_check_constants
-        )
-        declare_parameters(self, self.parameters)
-        sources = {self.all_parameters_ticket()}
-        self.DeclareVectorOutputPort("parameters", PARAMETERS_SIZE, self._calc_parameters, sources)
-        command = self.DeclareVectorInputPort(COMMAND, 1)
-        sources = sources | {self.input_port_ticket(command.get_index())}
-        self.DeclareVectorOutputPort("speed_bound", 1, self._calc_speed_bound, sources)
+        super().__init__(model, with_stated_bound(BOX, config or ConstantParametersConfig(), model))
+
+    @classmethod
+    def check(cls, model: Model, config: ConstantParametersConfig) -> None:
+        """Raises ScenarioError for a config that cannot be used with the model."""
+        require_ranges(BOX, config)
+        if model.pattern.is_constant:
+            require(
+                config.amplitude == 0,
+                f"{BOX}.amplitude",
+                config.amplitude,
+                "the pattern has no orbits that it could size; give 0, or a pattern with orbits",
+            )
+        else:
+            require_positive(f"{BOX}.amplitude", config.amplitude)
 
     def check_bound(self, speed_bound: float, name: str = "speed_bound") -> None:
         """Raises ScenarioError for a negative bound (m/s)."""
         require_non_negative(f"{BOX}.{name}", speed_bound)
 
-    trace_key = ()
-
-    def traced_output(self, port: str, at: TraceContext) -> NDArray:
-        values = self.parameters.view(at.parameters)
-        if port == "parameters":
-            return np.concatenate([values["frequency"], values["amplitude"]])
-        if not at.has_input(COMMAND):
-            return values["speed_bound"]
-        command = at.input(COMMAND)
-        return where(command[0] >= 0, command, np.array([np.nan]))
-
-    def _calc_parameters(self, context: Context, output: BasicVector) -> None:
-        values = self.parameters.view(context.get_numeric_parameter(0).CopyToVector())
-        output.SetFromVector(np.concatenate([values["frequency"], values["amplitude"]]))
-
-    def _calc_speed_bound(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self.bound_in(context))
-
-
-def _check_constants(model: Model, config: ConstantParametersConfig) -> None:
-    require_ranges(BOX, config)
-    if model.pattern.is_constant:
-        require(
-            config.amplitude == 0,
-            f"{BOX}.amplitude",
-            config.amplitude,
-            "the pattern has no orbits that it could size; give 0, or a pattern with orbits",
-        )
-    else:
-        require_positive(f"{BOX}.amplitude", config.amplitude)
+    @staticmethod
+    def equations(
+        command: NDArray, *, frequency: NDArray, amplitude: NDArray, speed_bound: NDArray
+    ) -> tuple[NDArray, NDArray]:
+        return np.concatenate([frequency, amplitude]), shown_bound(command, speed_bound)
 
 
 # The blocks that the box can be, the default first.

@@ -1,27 +1,21 @@
 """Box "phase" of the internal forces, in the paper a part of their trajectories."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.systems.framework import (
-    Context,
-    ContinuousState,
-    EventStatus,
-    InputPortIndex,
-    State,
-)
+from pydrake.systems.framework import Context, EventStatus, State
 
 from drake_nonstop.mechanics.shaping import Smoothing
-from drake_nonstop.mechanics.signals import PARAMETERS_SIZE, PHASE_SIZE, PLANNED_SIZE
-from drake_nonstop.model.block import Block
+from drake_nonstop.mechanics.signals import PHASE_SIZE
+from drake_nonstop.model.block import Block, BlockParameters
 from drake_nonstop.model.system import Model
-from drake_nonstop.systems.block import LeafBlock, weakly
-from drake_nonstop.systems.diagram_trace import InContext, shown
+from drake_nonstop.systems.block import weakly
 from drake_nonstop.systems.requirements import LoopBlocks
+from drake_nonstop.systems.tracing import where
 from drake_nonstop.validation import (
     StrictFields,
     checked,
@@ -50,9 +44,8 @@ class AccumulatedPhase(Block):
 
     reads = ("parameters",)
     makes = ("phase", "planned")
-    state_port = "phase"
+    state_ports = ("phase",)
     is_sampled = True
-    updates_first = True  # the optimization layer, which updates then, too, reads the new phase
 
     @staticmethod
     def equations(phase: NDArray, parameters: NDArray) -> tuple[NDArray, NDArray]:
@@ -109,7 +102,7 @@ class ShapedPhaseConfig(StrictFields):
     max_amplitude_rate: float = checked(math.inf, _check_rate)  # N/s, of A
 
 
-class ShapedPhase(LeafBlock):
+class ShapedPhase(Block):
     """ξ and A that follow the parameters smoothly, their rates, and the phase θ̇ = ξ.
 
     Where `plan` is connected ξ and A are those of the plan. Otherwise each follows its parameter
@@ -127,9 +120,16 @@ class ShapedPhase(LeafBlock):
 
     reads = ("parameters", "plan")
     makes = ("phase", "planned")
-
-    is_sampled = True
     optional_inputs = ("plan",)
+    is_sampled = True
+    makes_next_state = True
+
+    def __init__(self, model: Model, config: ShapedPhaseConfig | None = None):
+        super().__init__(model, config)
+        if model.control_period == 0:
+            # At the first step, and not at the initialization, which a layer's first answer is a
+            # part of.
+            self.DeclarePerStepUnrestrictedUpdateEvent(weakly(self._begin_shaping))
 
     def requires(self, loop: LoopBlocks) -> Iterator[str]:
         """Tells of an internal force of other ξ and A than it makes."""
@@ -143,110 +143,63 @@ class ShapedPhase(LeafBlock):
                 f"it read planned, as PlannedInternalForce does{other}"
             )
 
-    def __init__(self, model: Model, config: ShapedPhaseConfig | None = None):
-        super().__init__()
-        config = require_ranges(_BOX, config or ShapedPhaseConfig())
-        max_rates = config.max_frequency_rate, config.max_amplitude_rate
-        period = model.control_period
-        self._shape = config.bandwidth, *max_rates, period
-        self._frequency, self._amplitude = (
-            Smoothing(bandwidth=config.bandwidth, period=period, max_rate=max_rate)
-            for max_rate in max_rates
-        )
-        self.DeclareVectorInputPort("parameters", PARAMETERS_SIZE)
-        self._plan = self.DeclareVectorInputPort("plan", PLANNED_SIZE)
-        parameters, plan = (self.input_port_ticket(InputPortIndex(k)) for k in range(2))
-        states = self.all_state_ticket()
-        for name, size, sources in (
-            ("phase", PHASE_SIZE, {plan, states}),
-            ("planned", PLANNED_SIZE, {plan, parameters, states}),
-        ):
-            self.DeclareVectorOutputPort(name, size, shown(self, name), sources)
-        self._group = int(period > 0)  # that of the state
-        self.is_traced = period > 0
-        if period > 0:
-            self.DeclareDiscreteState(_STATE_SIZE)
-            # Unrestricted for the same reason as the step of an accumulated phase.
-            self.DeclarePeriodicUnrestrictedUpdateEvent(period, period, weakly(self._step))
+    @classmethod
+    def check(cls, model: Model, config: ShapedPhaseConfig) -> None:
+        """Raises ScenarioError for a config that cannot be used."""
+        require_ranges(_BOX, config)
+
+    def block_parameters(self, model: Model, config: ShapedPhaseConfig) -> BlockParameters:
+        """No parameters: the poles are those that the block was made with."""
+        return BlockParameters(model, self.system)
+
+    def constants(self, model: Model, config: ShapedPhaseConfig) -> dict[str, Any]:
+        """The poles of ξ and of A, and whether they step at samples."""
+        period, rates = model.control_period, (config.max_frequency_rate, config.max_amplitude_rate)
+        poles = [Smoothing(bandwidth=config.bandwidth, period=period, max_rate=r) for r in rates]
+        return {"poles": poles, "steps": period > 0}
+
+    def state(self, model: Model) -> NDArray:
+        """θ, the three stages of ξ and of A, and 1 where these have started, else 0."""
+        return np.zeros(_STATE_SIZE)
+
+    @staticmethod
+    def equations(
+        state: NDArray,
+        parameters: NDArray,
+        plan: NDArray,
+        *,
+        poles: Sequence[Smoothing],
+        steps: bool,
+    ) -> tuple[NDArray, ...]:
+        started = state[7:]
+        stages = started * state[1:7] + (1 - started) * np.repeat(parameters, 3)
+        parts = np.split(np.concatenate([stages, parameters]), 8)
+        motions = [  # of ξ and A: their stages, and the rate of the first one
+            (*parts[k : k + 3], pole.approach(parts[k], target))
+            for pole, k, target in zip(poles, (0, 3), parts[6:], strict=True)
+        ]
+        pairs = [*zip(poles, motions, strict=True)]
+        (first, second, _), others = (pole.rates(*motion) for pole, motion in pairs)
+        rates = [first, others[0], second, *others[1:]]
+        shaped = np.concatenate([state[:1], parts[2], parts[5], *rates])
+        if steps:
+            (*xi, turn), (*size, _) = (pole.after(*motion) for pole, motion in pairs)
+            going, standing = [state[:1] + turn, *xi, *size, np.ones(1)], state
         else:
-            self.DeclareContinuousState(_STATE_SIZE)
-            # At the first step, and not at the initialization, which a layer's first update is a
-            # part of. No trace has such an event.
-            self.DeclarePerStepUnrestrictedUpdateEvent(weakly(self._begin))
+            moving = [[motion[3], *pole.stage_rates(*motion[:3])] for pole, motion in pairs]
+            going, standing = [parts[2], *moving[0], *moving[1], np.zeros(1)], 0 * state
+        has_plan = plan[1] > 0
+        planned = where(has_plan, plan, shaped)
+        moved = where(has_plan, standing, np.concatenate(going))
+        return moved, np.concatenate([planned[:1], 0 * planned[:1]]), planned
 
-    updates_first = True
-
-    @property
-    def trace_key(self) -> Any:
-        """Shaping filter of ξ and A."""
-        return self._shape
-
-    def _motion(self, at: Any) -> tuple[Any, list[Any], list[Any]]:
-        """θ, and of each of ξ and A the stages and the first one's rate.
-
-        The state (8) is θ with the stages of ξ and of A, and whether these have started: 1, or,
-        before that, 0, where they are the parameters.
-        """
-        angle, *stages, started = at.state(self._group)
-        frequency, amplitude = at.input("parameters")
-        if not isinstance(started, float) or started != 1:
-            rest = 1 - started
-            starts = [frequency] * 3 + [amplitude] * 3
-            pairs = zip(stages, starts, strict=True)
-            stages = [started * value + rest * start for value, start in pairs]
-        xi, size = stages[:3], stages[3:]
-        xi.append(self._frequency.approach(xi[0], frequency))
-        size.append(self._amplitude.approach(size[0], amplitude))
-        return angle, xi, size
-
-    def traced_output(self, port: str, at: Any) -> NDArray:
-        if at.has_input("plan"):
-            plan = at.input("plan")
-            return plan if port == "planned" else np.array([plan[0], 0.0 * plan[0]])
-        if port == "phase":
-            angle = at.state(self._group)[0]
-            return np.array([angle, 0.0 * angle])
-        angle, xi, size = self._motion(at)
-        first, second, _ = self._frequency.rates(*xi)
-        size_first, size_second, size_third = self._amplitude.rates(*size)
-        rates = [first, size_first, second, size_second, size_third]
-        return np.array([angle, xi[2], size[2], *rates])
-
-    def traced_update(self, at: Any) -> list[NDArray]:
-        if at.has_input("plan"):
-            return [at.state(self._group)]
-        angle, xi, size = self._motion(at)
-        *xi, turn = self._frequency.after(*xi)
-        *size, _ = self._amplitude.after(*size)
-        return [np.array([angle + turn, *xi, *size, 1.0])]
-
-    def _step(self, context: Context, state: State) -> EventStatus:
-        if self._plan.HasValue(context):
+    def _begin_shaping(self, context: Context, state: State) -> EventStatus:
+        values = context.get_continuous_state_vector().CopyToVector()
+        if values[-1] == 1:
             return EventStatus.DidNothing()
-        (after,) = self.traced_update(InContext(self, context))
-        state.get_mutable_discrete_state().set_value(after)
+        starts = np.repeat(self.GetInputPort("parameters").Eval(context), 3)
+        state.get_mutable_continuous_state().SetFromVector([values[0], *starts, 1.0])
         return EventStatus.Succeeded()
-
-    def _begin(self, context: Context, state: State) -> EventStatus:
-        has_started = context.get_continuous_state_vector()[_STATE_SIZE - 1] == 1
-        if has_started or self._plan.HasValue(context):
-            return EventStatus.DidNothing()
-        angle, xi, size = self._motion(InContext(self, context))
-        values = [angle, *xi[:3], *size[:3], 1.0]
-        state.get_mutable_continuous_state().SetFromVector(values)
-        return EventStatus.Succeeded()
-
-    def DoCalcTimeDerivatives(self, context: Context, derivatives: ContinuousState) -> None:
-        """Overrides LeafSystem's."""
-        if derivatives.size() == 0:
-            return
-        if self._plan.HasValue(context):
-            derivatives.SetFromVector(np.zeros(_STATE_SIZE))
-            return
-        _, xi, size = self._motion(InContext(self, context))
-        rates = [xi[3], *self._frequency.stage_rates(*xi[:3])]
-        rates += [size[3], *self._amplitude.stage_rates(*size[:3])]
-        derivatives.SetFromVector([xi[2], *rates, 0.0])
 
 
 VARIANTS = (ShapedPhase, AccumulatedPhase, PaperPhase)

@@ -3,15 +3,13 @@
 import math
 import threading
 import time as clock
-from collections.abc import Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
-import casadi
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydrake.common.value import AbstractValue, Value
-from pydrake.systems.framework import Context, DependencyTicket, State, ValueProducer
+from pydrake.systems.framework import Context
 
 from drake_nonstop.blocks.speed_bound_layer import (
     BOX,
@@ -19,10 +17,13 @@ from drake_nonstop.blocks.speed_bound_layer import (
     WIND,
     LayerNumbers,
     SpeedBoundLayer,
+    outputs_of,
+    shown_bound,
 )
 from drake_nonstop.mechanics.reference_preview import ReferencePreview, continued_reference
 from drake_nonstop.mechanics.rigid_load import STILL_AIR
-from drake_nonstop.mechanics.signals import PLANNED_SIZE, PlannedParameters
+from drake_nonstop.mechanics.signal_layouts import SAMPLE_TIME
+from drake_nonstop.mechanics.signals import PLANNED_SIZE
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.compiled_plan import compiled_solver
 from drake_nonstop.optimization.diagnostics import Outcome
@@ -37,6 +38,7 @@ from drake_nonstop.optimization.horizon_solver import (
 )
 from drake_nonstop.optimization.plan import DEGREE, Plan, traced_plan_values
 from drake_nonstop.optimization.problem_config import (
+    LEAST_BOUND,
     LimitsConfig,
     check_limits,
     check_pattern,
@@ -44,9 +46,8 @@ from drake_nonstop.optimization.problem_config import (
 )
 from drake_nonstop.optimization.step_program import DAQP
 from drake_nonstop.optimization.update_data import ModelParameters
-from drake_nonstop.systems.block import weakly
-from drake_nonstop.systems.diagram_trace import FastUpdate, InContext, TraceContext
-from drake_nonstop.systems.tracing import NotFiniteError
+from drake_nonstop.systems.requirements import LoopBlocks
+from drake_nonstop.systems.tracing import NotFiniteError, where
 from drake_nonstop.validation import fulfilling, require
 
 _PREVIEW = "reference_preview"  # an optional input
@@ -58,8 +59,7 @@ _REPEATS = 4  # of the iterations of a plan that needs slack
 # small change helps. 0 stands for constant ξ and A that are searched for.
 _STARTS: tuple[float, ...] = (0.0, 1.1, 0.9)
 _NO_PLAN = 0.0  # in place of a scale
-# States: a flat `_PlanState`, and the values of its plan (8,) at the last sample.
-_LAST, _VALUES = "last_plan", "values"
+_LAST = "last_plan"  # a part of the state, a flat `_PlanState`
 
 
 @dataclass(kw_only=True)
@@ -89,7 +89,7 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
     Where no preview is connected, or `preview` is false, the motion goes on as it does. The plan is
     written to the signal `plan`, which the box `phase` reads: use `ShapedPhase`. The first plan
     starts with the initial ξ and A where these keep the constraints, from the start itself on, and
-    else with others; until it is made, `parameters` and `plan` show the one that would be.
+    else with others; until it is made, `parameters` and `plan` show the initial ones.
 
     Where the references' cables bow, speeds, limits of aircraft and distances are those of carriers
     at the ends of bowed cables, see `optimization.bowed_margins`.
@@ -122,95 +122,74 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
             preview ends before the horizon.
     """
 
-    reads = ("reference", "reference_preview", "wind_estimate", "speed_bound_command")
+    reads = ("reference", WIND, COMMAND, SAMPLE_TIME, _PREVIEW)
     makes = ("parameters", "plan", "diagnostics", "solve_time", "speed_bound", "missed_limits")
 
-    computed = ("parameters", "plan", "speed_bound")
+    where: ClassVar = SpeedBoundLayer.where | {SAMPLE_TIME: "the model has a control period"}
     optional_inputs = (_PREVIEW, WIND, COMMAND)
 
     def __init__(self, model: Model, config: RecedingHorizonOptimizerConfig | None = None):
+        self.reads_time = model.control_period == 0
         super().__init__(model, config)
-        config = timed(self._config, self._config.frequency, model.control_period)
-        self._config = config
-        self._planner = _Planner(model, config, self.get_name) if self.scalar is float else None
-        count = round(config.horizon / config.knot_spacing) + DEGREE
-        nominal = np.array([config.frequency, config.amplitude])
-        ones = np.ones((2, count))
-        first = _PlanState(0.0, 0.0, _NO_PLAN, config.speed_bound, 0.0, nominal, ones)
-        is_held = model.control_period > 0
-        held = {_VALUES: _resting(nominal)} if is_held else {}
-        self.declare(config.knot_spacing, **{_LAST: first.flat()}, **held)
-        entry = self.DeclareCacheEntry(
-            "plan",
-            ValueProducer(Value(()).Clone, weakly(self._calc_plan)),
-            {self.discrete_state_ticket(self._groups[_LAST])},
-        )
-        self._plan_entry = entry.cache_index()
-        # Unrestricted, because Drake runs these before the discrete updates: what samples or holds
-        # at the same instant reads the plan of that instant.
-        if is_held:
-            self.DeclarePeriodicUnrestrictedUpdateEvent(
-                self._sample_period, self._sample_period, self._go_on
-            )
+        self._times = timed(self.config, self.config.frequency, model.control_period)
+        self._planner = None
+        if self.scalar is float:
+            self._planner = _Planner(model, self._times, self.get_name)
 
     counts_bow = True  # of the references' cables
-    updates_first = True
-    shows_first_update = True  # to what samples it at the start
 
-    def sources_of(self, output: str) -> set[DependencyTicket]:
-        """Prerequisites of the bound, or of the values of the plan.
+    def requires(self, loop: LoopBlocks) -> Iterator[str]:
+        """Tells of a phase that does not follow the plan."""
+        yield from super().requires(loop)
+        phase = loop.maker_of("phase")
+        if phase is not None and not phase.HasInputPort("plan"):
+            yield (
+                f"phase = {type(phase).__name__}: it does not read the plan of optimization_layer, "
+                "and departs from the phase that is planned with; give phase=ShapedPhase, or "
+                "optimization_layer=NonstopOptimizer, which reads the phase"
+            )
 
-        At samples these depend neither on the time nor on the preview, which change between them:
-        all that reads the plan would be computed anew in each step. They count only where there is
-        no plan yet.
-        """
-        if output == "speed_bound":
-            return super().sources_of(output)
-        if _VALUES not in self._groups:
-            return {self.all_sources_ticket()}
-        states = {self.discrete_state_ticket(self._groups[name]) for name in (_LAST, _VALUES)}
-        return states | self.tickets("reference", COMMAND, WIND)
+    def inputs(self, model: Model) -> tuple[str, ...]:
+        """The signals that are vectors, the sample's time where there are samples."""
+        read = super().inputs(model)
+        return read if model.control_period > 0 else read[:-1]
 
-    def shown(self, output: str, context: Context) -> NDArray:
-        """Output: the bound, the values of the plan or its parameters."""
-        if output == "speed_bound":
-            return super().shown(output, context)
-        values = self._values_in(context)
-        return values if output == "plan" else _parameters_of(values)
+    def step_period(self, model: Model, config: RecedingHorizonOptimizerConfig) -> float:
+        """Spacing of the knots, s."""
+        return timed(config, config.frequency, model.control_period).knot_spacing
+
+    def parts(self, model: Model, config: RecedingHorizonOptimizerConfig) -> dict[str, ArrayLike]:
+        """The last plan: at first none."""
+        times = timed(config, config.frequency, model.control_period)
+        count = round(times.horizon / times.knot_spacing) + DEGREE
+        nominal, ones = np.array([config.frequency, config.amplitude]), np.ones((2, count))
+        bound = float(config.speed_bound)
+        return {_LAST: _PlanState(0.0, 0.0, _NO_PLAN, bound, 0.0, nominal, ones).flat()}
+
+    def constants(self, model: Model, config: RecedingHorizonOptimizerConfig) -> dict[str, Any]:
+        """Constants of `SpeedBoundLayer`, and the spacing of the knots, s."""
+        return super().constants(model, config) | {"spacing": self.step_period(model, config)}
+
+    @staticmethod
+    def equations(state: NDArray, *inputs: Any, **numbers: Any) -> tuple[NDArray, ...]:
+        """Outputs, of which the plan is that at the sample's time, the last input."""
+        *_, command, time = inputs
+        last = _PlanState.view(state[numbers["shown"]["places"][_LAST]])
+        plan = where(
+            last.scale != _NO_PLAN,
+            traced_plan_values(last.plan(numbers["spacing"]), time[0]),
+            np.concatenate([np.zeros(1), last.nominal, np.zeros(PLANNED_SIZE - 3)]),
+        )
+        bound = shown_bound(command, numbers["speed_bound"], LEAST_BOUND, numbers["highest"])
+        return outputs_of(
+            state, speed_bound=bound, plan=plan, parameters=plan[1:3], **numbers["shown"]
+        )
 
     @property
     def engine_note(self) -> str:
         """What a run's `engine` tells besides; empty: its plans are made as they should be."""
-        is_in_python = self._config.solver == DAQP and compiled_solver() is None
+        is_in_python = self.config.solver == DAQP and compiled_solver() is None
         return "plans in Python" if is_in_python else ""
-
-    @property
-    def trace_key(self) -> Any:
-        """Prerequisites of a plan's values besides the plan."""
-        return self._config.knot_spacing, self._sample_period, self._samples_per_update
-
-    def traced_output(self, port: str, at: TraceContext) -> NDArray:
-        """Value of a port."""
-        if port == "parameters":
-            return _parameters_of(self.states(at)[_VALUES])
-        return super().traced_output(_VALUES if port == "plan" else port, at)
-
-    def traced_update(self, at: TraceContext) -> list[NDArray]:
-        """The states after a sample."""
-        states = self.states(at)
-        plan = _PlanState.view(states[_LAST]).plan(self._config.knot_spacing)
-        states[_VALUES] = traced_plan_values(plan, at.time[0])
-        return [*states.values()]
-
-    def traced_fast_update(self, at: TraceContext) -> FastUpdate:
-        """The states after a sample that has no new plan."""
-        return FastUpdate([*self.states(at).values()], casadi.logic_not(self.is_update(at.time[0])))
-
-    @classmethod
-    def structure(cls, model: Model, config: RecedingHorizonOptimizerConfig) -> tuple[float, float]:
-        """The times of the horizon."""
-        times = timed(config, config.frequency, model.control_period)
-        return times.horizon, times.knot_spacing
 
     @classmethod
     def check(cls, model: Model, config: RecedingHorizonOptimizerConfig) -> None:
@@ -229,47 +208,22 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
         if last.scale != _NO_PLAN:
             return
         numbers = self._numbers_in(context)
-        last = last._replace(nominal=numbers.nominal)
-        context.SetDiscreteState(self._groups[_LAST], last.flat())
-        if _VALUES in self._groups:
-            context.SetDiscreteState(self._groups[_VALUES], _resting(numbers.nominal))
+        begun = last._replace(nominal=numbers.nominal)
+        context.SetDiscreteState(self.flat(self.states(context) | {_LAST: begun.flat()}))
 
-    def _calc_plan(self, context: Context, value: AbstractValue) -> None:
-        value.set_value(self._last(context).plan(self._config.knot_spacing))
-
-    def _plan_in(self, context: Context) -> Plan:
-        return self.get_cache_entry(self._plan_entry).Eval(context)
-
-    def _values_in(self, context: Context) -> NDArray:
-        """The plan's at the last sample; where there is none, of that which is made now."""
-        if self.scalar is float and self._last(context).scale == _NO_PLAN:
-            plan = self._next(context).state.plan(self._config.knot_spacing)
-        elif _VALUES in self._groups:
-            return context.get_discrete_state(self._groups[_VALUES]).CopyToVector()
-        else:
-            plan = self._plan_in(context)
-        return np.array(plan.values(context.get_time()))
-
-    def _go_on(self, context: Context, state: State) -> None:
-        values = self._plan_in(context).values(context.get_time())
-        state.get_mutable_discrete_state().set_value(self._groups[_VALUES], values)
-
-    def updated(self, context: Context) -> Mapping[str, ArrayLike]:
-        """The states after a new plan."""
-        made = self._next(context)
-        after: dict[str, ArrayLike] = {_LAST: made.state.flat(), "solve_time": [made.solve_time]}
-        if _VALUES in self._groups:
-            after[_VALUES] = made.state.plan(self._config.knot_spacing).values(context.get_time())
+    def answer(self, context: Context) -> NDArray:
+        """The state after a new plan."""
+        made, states = self._next(context), self.states(context)
+        after: dict[str, Any] = {_LAST: made.state.flat(), "solve_time": made.solve_time}
         if self.is_enabled(context):
-            states = self.states(InContext(self, context))
             margin = made.slowest_speed - float(self.bound_in(context)[0])
-            after |= self.counted(states, made.outcome, margin, made.missed)
-        return after
+            after |= self.counted_update(states, made.outcome, margin, made.missed)
+        return self.flat(states | after)
 
     def _next(self, context: Context) -> "_Planned":
         """The plan that is made at the time of the context."""
         assert self._planner is not None
-        wind = self.wind(InContext(self, context)).copy() if self._config.wind else STILL_AIR
+        wind = self.input(context, WIND).copy() if self.config.wind else STILL_AIR
         return self._planner.plan(
             context.get_time(),
             self._reference_ahead(context),
@@ -280,14 +234,14 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
         )
 
     def _last(self, context: Context) -> "_PlanState":
-        return _PlanState.view(context.get_discrete_state(self._groups[_LAST]).CopyToVector())
+        return _PlanState.view(self.states(context)[_LAST])
 
     def _reference_ahead(self, context: Context) -> ReferencePreview:
         """The load's reference at times from now on."""
         port = self.GetInputPort(_PREVIEW)
-        if self._config.preview and port.HasValue(context):
+        if self.config.preview and port.HasValue(context):
             preview = port.Eval(context)
-            end = context.get_time() + self._config.horizon
+            end = context.get_time() + self._times.horizon
             require(
                 preview.end_time >= end,
                 f"{_PREVIEW}.end_time",
@@ -299,17 +253,6 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
         assert self._planner is not None
         reference = self.GetInputPort("reference").Eval(context)
         return self._planner.continued(context.get_time(), reference)
-
-
-def _resting(nominal: NDArray) -> NDArray:
-    """The vector (8,) of `plan` at nominal [ξ, A] (2,), at the start."""
-    return np.concatenate([[0.0], nominal, np.zeros(PLANNED_SIZE - 3)])
-
-
-def _parameters_of(values: NDArray) -> NDArray:
-    """[ξ, A] (2,) of the vector (8,) of `plan`."""
-    planned = PlannedParameters.view(values)
-    return np.concatenate([planned.frequency, planned.amplitude])
 
 
 class _PlanState(NamedTuple):

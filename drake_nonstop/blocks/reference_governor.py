@@ -1,23 +1,21 @@
 """A governor that slows the load's trajectory down where no ξ and A keep the limits with it."""
 
-from collections.abc import Callable
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.autodiffutils import AutoDiffXd
-from pydrake.systems.framework import BasicVector, Context, System
+from pydrake.systems.framework import System
 
-from drake_nonstop.blocks.along_trajectory import declare_preview
 from drake_nonstop.mechanics.reference_preview import ReferencePreview
 from drake_nonstop.mechanics.signals import (
     LOAD_REFERENCE_SIZE,
     LOAD_STATE_SIZE,
-    REFERENCE_HIGHER_RATES_SIZE,
     WIND_SIZE,
 )
+from drake_nonstop.model.block import Block, signal_sizes
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.horizon_config import HorizonConfig
 from drake_nonstop.optimization.limits import Of, limits_of
@@ -27,7 +25,6 @@ from drake_nonstop.optimization.problem_config import (
     with_stated_bound,
 )
 from drake_nonstop.optimization.stretched_time import PathDelay, Winds, still_air, stretching
-from drake_nonstop.systems.block import LeafBlock, number, weakly
 from drake_nonstop.systems.wiring import input_names, output_names
 from drake_nonstop.validation import (
     ScenarioError,
@@ -41,7 +38,8 @@ from drake_nonstop.validation import (
 )
 
 _FIELD = "reference_governor"
-_PREVIEW, _WIND, _LOAD_STATE = "reference_preview", "wind_estimate", "load_state"
+_HIGHER_RATES, _PREVIEW = "reference_higher_rates", "reference_preview"
+_WIND, _LOAD_STATE = "wind_estimate", "load_state"
 
 
 @dataclass(kw_only=True)
@@ -59,7 +57,7 @@ class ReferenceGovernorConfig(StrictFields):
     )
 
 
-class ReferenceGovernor(LeafBlock):
+class ReferenceGovernor(Block):
     """The load's trajectory p(s(t)), in a time of its own s = t − d(t) that passes at ṡ ≤ 1.
 
     It takes the place of the trajectory's block, in which a motion that needs no governor stays as
@@ -88,40 +86,51 @@ class ReferenceGovernor(LeafBlock):
             has variables.
     """
 
-    makes = ("reference", "reference_higher_rates", "reference_preview", "reference_delay")
+    makes = ("reference", _HIGHER_RATES, _PREVIEW, "reference_delay")
 
     def __init__(self, preview: ReferencePreview, delay: PathDelay):
-        super().__init__()
-        known = preview.higher_rates is not None
-        higher_rates = partial(delay.stretched_higher_rates, preview) if known else None
-        stretched = ReferencePreview(
+        own = preview.higher_rates
+        higher_rates = None if own is None else partial(delay.stretched_higher_rates, preview)
+        self._delay = delay
+        self._stretched = ReferencePreview(
             lambda time: delay.stretched(preview, np.array([time]))[0],
             references=partial(delay.stretched, preview),
             higher_rates=higher_rates,
         )
-        self._declare("reference", LOAD_REFERENCE_SIZE, stretched)
-        if higher_rates is not None:
-            self._declare("reference_higher_rates", REFERENCE_HIGHER_RATES_SIZE, higher_rates)
-        declare_preview(self, stretched)
-        self._declare("reference_delay", 1, lambda time: delay.at(np.array([time]))[:, 0])
+        super().__init__(None)
 
-    def _declare(self, name: str, size: int, function: Callable[[float], NDArray]) -> None:
-        """Declares an output that is a function of the time in s."""
-        time = weakly(self._time)
+    @staticmethod
+    def equations(*signals: NDArray) -> tuple[NDArray, ...]:
+        return signals
 
-        def calc(context: Context, output: BasicVector) -> None:
-            output.SetFromVector(function(time(context)))
+    def outputs(self, model: Model) -> tuple[str, ...]:
+        is_known = self._stretched.higher_rates is not None
+        return tuple(name for name in self.makes if name != _HIGHER_RATES or is_known)
 
-        self.DeclareVectorOutputPort(name, size, calc, {self.time_ticket()})
+    def fixed_outputs(self) -> Mapping[str, Any]:
+        return {_PREVIEW: self._stretched}
 
-    def _time(self, context: Context) -> float:
-        time = context.get_time()
-        if isinstance(time, AutoDiffXd) and np.any(time.derivatives()):
-            raise ScenarioError(
-                f"time of {self.box()} = a number with derivatives: the governor does not "
-                f"differentiate its references by time; leave {_FIELD} out"
-            )
-        return number(time)
+    def quantities(self, model: Model) -> Mapping[str, int]:
+        return signal_sizes(self, model, [k for k in self.outputs(model) if k != _PREVIEW])
+
+    def precomputed_inputs(self, names: Sequence[str], times: NDArray) -> list[NDArray]:
+        """Rows of the signals at times (k,), s."""
+        return [self._rows(name, times) for name in names]
+
+    def _rows(self, name: str, times: NDArray) -> NDArray:
+        higher_rates = self._stretched.higher_rates
+        if name == "reference_delay":
+            return self._delay.at(times)[:, :1]
+        if name == "reference" or higher_rates is None:
+            return self._stretched.at(times)
+        return np.array([higher_rates(time) for time in times.tolist()])
+
+    def precomputed_input_rates(self, names: Sequence[str], times: NDArray) -> list[NDArray]:
+        """Raises ScenarioError: they are not known."""
+        raise ScenarioError(
+            f"time of {self.box()} = a number with derivatives: the governor does not "
+            f"differentiate its references by time; leave {_FIELD} out"
+        )
 
 
 def governed(

@@ -1,56 +1,51 @@
 """The inputs of sampled controllers, held from one sample to the next."""
 
-from collections.abc import Mapping
-from typing import Any, ClassVar
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.systems.framework import Context, DiagramBuilder, State
+from pydrake.systems.framework import DiagramBuilder
 
-from drake_nonstop.mechanics.signal_layouts import HELD, SIGNALS
-from drake_nonstop.mechanics.signals import (
-    LOAD_REFERENCE_SIZE,
-    LOAD_STATE_SIZE,
-    REFERENCE_HIGHER_RATES_SIZE,
-    WIND_SIZE,
-)
+from drake_nonstop.mechanics.signal_layouts import HELD, SAMPLE_TIME, SIGNALS, Layout
+from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE
+from drake_nonstop.model.block import signal_sizes
 from drake_nonstop.model.system import Model
-from drake_nonstop.systems.block import LeafBlock
-from drake_nonstop.systems.diagram_trace import InContext
+from drake_nonstop.systems.equation_block import EquationBlock
+from drake_nonstop.systems.equations import Equations
 from drake_nonstop.systems.requirements import LoopBlocks
-from drake_nonstop.systems.wiring import WiringError, connect_remaining, require_open
-from drake_nonstop.validation import require
+from drake_nonstop.systems.wiring import (
+    connect_remaining,
+    input_names,
+    require_open,
+)
+from drake_nonstop.validation import ScenarioError, require
 
 SAMPLE_AND_HOLD = "sample_and_hold"  # no scenario chooses it: in front of sampled controllers
 _WIND = "wind_estimate"
 _POSES = ("measured_load_state", "reference")  # begin with a quaternion
 _HIGHER_RATES = "reference_higher_rates"
-HELD_SIGNALS = {
-    "measured_load_state": LOAD_STATE_SIZE,
-    "reference": LOAD_REFERENCE_SIZE,
-    _HIGHER_RATES: REFERENCE_HIGHER_RATES_SIZE,
-}
+HELD_SIGNALS = ("measured_load_state", "reference", _HIGHER_RATES)
 
 
-class SampleAndHold(LeafBlock):
+class SampleAndHold(EquationBlock):
     """Samples the controllers' inputs every `control_period`, and holds them.
 
     The block stands once, in front of all controllers, instead of a hold in each, which
-    would add a sample of delay per block. The sample is taken by an unrestricted update:
-    Drake runs those before discrete ones, so that an optimization layer that updates at
-    the same instant reads the new sample (Drake's ZeroOrderHold is a discrete update and
-    would give it the one before).
+    would add a sample of delay per block. It steps at once with the states of all sampled blocks,
+    before layers read the new sample.
 
     What is left unconnected is held as zero. `add_sample_and_hold` adds it to a builder.
 
     Args:
-        model: its control period.
+        model: its control period, and how many carriers there are.
         initial_values: the signals that are held before the first sample, by their names; those
             that are not given are a load at rest at the origin.
         holds_wind: whether `wind_estimate` is held, too, for a wind that is not constant.
+        others: further signals that are held.
 
     Attributes:
-        period: s, between samples.
+        replaces: the signals that all who read them take as they are held.
     """
 
     reads = ("measured_load_state", "reference", "reference_higher_rates", "wind_estimate")
@@ -63,8 +58,9 @@ class SampleAndHold(LeafBlock):
     )
     where: ClassVar = {"wind_estimate": "it is held", "held_wind_estimate": "it is held"}
 
+    signal_layouts: Mapping[str, Layout | None] = {"sample_time": SIGNALS["sample_time"]}
     optional_inputs = (_HIGHER_RATES,)
-    signal_layouts: ClassVar = {"sample_time": SIGNALS["sample_time"]}
+    is_sampled = True
 
     def __init__(
         self,
@@ -72,37 +68,39 @@ class SampleAndHold(LeafBlock):
         initial_values: Mapping[str, NDArray] | None = None,
         *,
         holds_wind: bool = False,
+        others: Sequence[str] = (),
     ):
-        super().__init__()
-        self._held = HELD_SIGNALS | ({_WIND: WIND_SIZE} if holds_wind else {})
-        initial_values = initial_values or {}
-        for name, size in self._held.items():
-            self.DeclareVectorInputPort(name, size)
-            at_rest = np.eye(size)[0] if name in _POSES else np.zeros(size)
-            initial = self.DeclareDiscreteState(initial_values.get(name, at_rest))
-            self.DeclareStateOutputPort(f"{HELD}{name}", initial)
-        self.DeclareStateOutputPort("sample_time", self.DeclareDiscreteState(1))
-        self.sample_period = period = model.control_period
-        self.DeclareInitializationUnrestrictedUpdateEvent(self._sample)
-        self.DeclarePeriodicUnrestrictedUpdateEvent(period, period, self._sample)
-
-    trace_key = ()
-    updates_first = True  # before others' updates at the same instant
-    updates_at_start = True
-
-    def traced_output(self, port: str, at: Any) -> NDArray:
-        return at.state(1 + int(self.GetOutputPort(port).get_index()))
-
-    def traced_update(self, at: Any) -> list[NDArray]:
-        held = [
-            at.input_or(name, at.state(1 + k)) if name in self.optional_inputs else at.input(name)
-            for k, name in enumerate(self._held)
+        held = (*HELD_SIGNALS, *([_WIND] if holds_wind else []), *others)
+        sizes = signal_sizes(type(self), model, held)
+        given = initial_values or {}
+        parts = [
+            given[name]
+            if name in given and len(given[name]) == size
+            else (np.eye(size)[0] if name in _POSES else np.zeros(size))
+            for name, size in sizes.items()
         ]
-        return [*held, at.time]
+        shown = {f"{HELD}{name}": size for name, size in sizes.items()} | {SAMPLE_TIME: 1}
+        equations = Equations(
+            _sampled,
+            inputs=sizes,
+            outputs={},
+            optional={_HIGHER_RATES: 0.0},
+            state=np.concatenate([*parts, [0.0]]),
+            shown=shown,
+            reads_time=True,
+            period=model.control_period,
+            makes_next_state=True,
+            start=_sampled,
+            starts_first=True,
+            key="hold",
+        )
+        super().__init__(equations)
+        self.replaces = (*sizes,)[: len(sizes) - len(others)]
 
-    def _sample(self, context: Context, state: State) -> None:
-        for k, values in enumerate(self.traced_update(InContext(self, context))):
-            state.get_mutable_discrete_state().set_value(k, values)
+
+def _sampled(held: NDArray, *signals_and_time: NDArray) -> NDArray:
+    """What is held from now on: the signals, and the time."""
+    return np.concatenate(signals_and_time)
 
 
 def hold_of(loop: LoopBlocks) -> SampleAndHold:
@@ -113,11 +111,14 @@ def hold_of(loop: LoopBlocks) -> SampleAndHold:
     holds_wind = is_wanted and not getattr(wind, "is_sampled", False)
     held: dict[str, NDArray] = {}
     for signal in ("reference", "reference_higher_rates"):
-        if (value := loop.at_start(signal, loop.maker_of(signal))) is not None:
+        if (value := loop.at_start(signal)) is not None:
             held[signal] = value
     if "reference" in held:
         held["measured_load_state"] = held["reference"][:LOAD_STATE_SIZE]
-    return SampleAndHold(loop.believed, held, holds_wind=holds_wind)
+    read = {name for own in loop.blocks.values() for name in input_names(own)}
+    others = [name.removeprefix(HELD) for name in sorted(read) if name.startswith(HELD)]
+    others = [n for n in others if n not in (*HELD_SIGNALS, _WIND) and loop.maker_of(n) is not None]
+    return SampleAndHold(loop.believed, held, holds_wind=holds_wind, others=others)
 
 
 def add_sample_and_hold(builder: DiagramBuilder, model: Model) -> SampleAndHold:
@@ -149,7 +150,7 @@ def add_sample_and_hold(builder: DiagramBuilder, model: Model) -> SampleAndHold:
     builder.AddNamedSystem(SAMPLE_AND_HOLD, hold)
     connect_remaining(builder, of=hold)
     if all(source is not hold for source, _ in builder.connection_map().values()):
-        raise WiringError(
+        raise ScenarioError(
             f"{SAMPLE_AND_HOLD} = no open input reads what it holds: add the controllers to the "
             "builder before, and leave their inputs measured_load_state and reference open"
         )

@@ -1,25 +1,18 @@
 """The base of layers of the box "Optimization Layer": ports, states, updates and the bound."""
 
-import weakref
-from collections.abc import Collection, Iterator, Mapping
+import math
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, ClassVar, NamedTuple
 
-import casadi
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydrake.common.value import AbstractValue, Value
-from pydrake.systems.framework import (
-    BasicVector_,
-    Context,
-    DependencyTicket,
-    DiscreteValues,
-    ValueProducer,
-)
+from pydrake.systems.framework import BasicVector_, Context, ValueProducer
 
 from drake_nonstop.mechanics.rigid_load import STILL_AIR
-from drake_nonstop.mechanics.signal_layouts import SIGNALS
-from drake_nonstop.model.block import AIRCRAFT_NUMBERS, BlockParameters
+from drake_nonstop.mechanics.signal_layouts import SIGNALS, Layout
+from drake_nonstop.model.block import Block, BlockParameters
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.diagnostics import (
     DIAGNOSTICS_SIZE,
@@ -36,10 +29,9 @@ from drake_nonstop.optimization.problem_config import (
     with_stated_bound,
 )
 from drake_nonstop.optimization.update_data import OF_CONFIG, OF_MODEL, beliefs_from
-from drake_nonstop.systems.block import LeafBlock, weakly
-from drake_nonstop.systems.diagram_trace import InContext, TraceContext
+from drake_nonstop.systems.block import weakly
 from drake_nonstop.systems.documentation import own_config_class
-from drake_nonstop.systems.parameters import declare_parameters
+from drake_nonstop.systems.parameters import NumericParameters
 from drake_nonstop.systems.requirements import LoopBlocks
 from drake_nonstop.systems.tracing import where
 from drake_nonstop.validation import require
@@ -48,22 +40,25 @@ BOX = "optimization_layer"
 COMMAND = "speed_bound_command"  # an optional input of the box
 WIND = "wind_estimate"  # an optional input of the box, of aircraft
 _MISSED = "missed_limits"
-# Of bowed cables, besides the numbers that layers follow.
-_OF_BOW = ("cable_diameter", "cable_density", "cable_drag", "cable_friction")
+NO_COMMAND = -1e5  # m/s, the value of the command where none is connected
 
 
-class PeriodicLayer(LeafBlock):
-    """A layer that makes an update every some samples of the controllers, and counts how they end.
+class PeriodicLayer(Block):
+    """A layer whose state is what `answer` returns, every some samples of the controllers.
 
-    It declares the inputs of `reads`. A class below calls `declare`; its `updated` makes the states
-    after an update.
+    The state is one vector of the parts that `parts` names, and the counts of updates. Outputs are
+    `equations` of it, of the inputs that are vectors and of the parameters; until the first answer,
+    at the initialization, they show the first state. Where there is no control period answers come
+    once in the layer's own period.
 
     Args:
         model: what the controllers believe.
         config: the layer's, None: the default values.
 
     Attributes:
-        computed: the outputs of `shown`; the others show the states of their names.
+        every: how many samples are from one answer to the next.
+        counted: names of the limits that `missed_limits` counts.
+        counts_bow: whether it plans for the ends of bowed cables.
     """
 
     makes: ClassVar[tuple[str, ...]] = (
@@ -75,29 +70,30 @@ class PeriodicLayer(LeafBlock):
     )
 
     where: ClassVar = {WIND: "there are aircraft", _MISSED: "limits are asked for"}
-    computed: ClassVar[tuple[str, ...]] = ("speed_bound",)
     is_sampled = True
     signal_layouts = LAYER_LAYOUTS
     optional_inputs: tuple[str, ...] = (COMMAND, WIND)
+    counts_bow = False
 
     def __init__(self, model: Model, config: Any = None):
-        super().__init__()
         config = with_stated_bound(BOX, config or own_config_class(type(self))(), model)
         self.check(model, config)
-        self._model, self._config = model, config
-        self.parameters = self.block_parameters(model, config)
-        declare_parameters(self, self.parameters)
-        for name in filter(SIGNALS.__contains__, self.reads):  # others a class below declares
-            if SIGNALS[name] is None:
+        has_counts = _MISSED in self.makes
+        self.counted = missed_limits_of(config, model) if has_counts else ()
+        self.makes = tuple(  # type: ignore[misc]
+            name for name in self.makes if name != _MISSED or self.counted
+        )
+        shared = {"diagnostics": np.zeros(DIAGNOSTICS_SIZE), "solve_time": np.zeros(1)}
+        missed = {_MISSED: np.zeros(len(self.counted))} if self.counted else {}
+        self._state_parts = NumericParameters(self.parts(model, config) | shared | missed)
+        super().__init__(model, config)
+        for name in self.reads:
+            if SIGNALS.get(name, LAYER_LAYOUTS) is None:
                 self.DeclareAbstractInputPort(name, Value(object()))
-            elif name != WIND or model.aircraft is not None:
-                self.DeclareVectorInputPort(name, _size(model, name))
-
-    counts_bow = False  # whether it plans for the ends of bowed cables
 
     def requires(self, loop: LoopBlocks) -> Iterator[str]:
         """Tells that carriers on bowed cables fly other orbits than it plans."""
-        counts_bow = self.counts_bow and self._model.cable_shape is not None
+        counts_bow = self.counts_bow and self.model.cable_shape is not None
         if not counts_bow and getattr(loop.get("cables"), "bears_drag", False):
             yield (
                 f"optimization_layer = {type(self).__name__}: it plans for straight cables, and "
@@ -105,127 +101,113 @@ class PeriodicLayer(LeafBlock):
                 "more; give RecedingHorizonOptimizer, or a speed_bound that is so much higher"
             )
 
-    @classmethod
-    def check(cls, model: Model, config: Any) -> None:
-        """Raises ScenarioError for a config that cannot be used with the model."""
+    # Of a class below
+
+    def parts(self, model: Model, config: Any) -> dict[str, ArrayLike]:
+        """Parts of the first state, by name, besides the counts of updates."""
+        raise NotImplementedError
+
+    def step_period(self, model: Model, config: Any) -> float:
+        """Time from one answer to the next, s."""
+        return float(config.period)
 
     def block_parameters(self, model: Model, config: Any) -> BlockParameters:
         """Fields of system and config that the context holds."""
         raise NotImplementedError
 
-    def updated(self, context: Context) -> Mapping[str, ArrayLike]:
-        """The states that an update changes, by name, after it."""
+    def answer(self, context: Context) -> NDArray:
+        """The next state, of the block's own context."""
         raise NotImplementedError
 
-    def declare(self, period: float, **states: ArrayLike) -> None:
-        """Declares the states, the outputs and the updates, every `period` s.
+    @staticmethod
+    def equations(state: NDArray, *inputs: Any, **numbers: Any) -> tuple[NDArray, ...]:
+        """Outputs of the state, of inputs and of constants and parameters by name."""
+        return outputs_of(state, speed_bound=numbers["speed_bound"], **numbers["shown"])
 
-        `states` are what the first update finds. Those that all layers have come after the first.
-        """
-        counts = _MISSED in self.makes
-        self._counted = missed_limits_of(self._config, self._model) if counts else ()
-        self.signal_layouts = {_MISSED: missed_layout(self._counted)} if self._counted else {}
-        first = next(iter(states))
-        shared = {"diagnostics": np.zeros(DIAGNOSTICS_SIZE), "solve_time": np.zeros(1)}
-        values: dict[str, ArrayLike] = {first: states[first], **shared, **states}
-        if self._counted:
-            values[_MISSED] = np.zeros(len(self._counted))
-        self._groups = {name: self.DeclareDiscreteState(value) for name, value in values.items()}
-        for name in self.makes:
-            if name in self._groups:
-                self.DeclareStateOutputPort(name, self._groups[name])
-            elif name in self.computed:
-                calc, size = self._shown(name), _size(self._model, name)
-                self.DeclareVectorOutputPort(name, size, calc, self.sources_of(name))
-        # An event at each sample of the controllers, of which every `_samples_per_update`-th is an
-        # update. An event of the update's own period would, by rounding, come at some of their
-        # samples and just before others.
-        self._sample_period = self._model.control_period or period
-        self._samples_per_update = round(period / self._sample_period)
-        # Offset = period: with offset 0 the periodic event would repeat the first one.
-        self.DeclareInitializationDiscreteUpdateEvent(self._update)
-        self.DeclarePeriodicDiscreteUpdateEvent(
-            self._sample_period, self._sample_period, self._update_at_sample
-        )
+    # Of a block
 
-    def sources_of(self, output: str) -> set[DependencyTicket]:
-        """Prerequisites of an output that is `computed`."""
-        return self.tickets(COMMAND)
+    def constants(self, model: Model, config: Any) -> dict[str, Any]:
+        """Names of the outputs, and places of the state's parts by name, for `outputs_of`."""
+        places = {name: self._state_parts.place(name) for name in self._state_parts.defaults}
+        return {"shown": {"names": self.makes, "places": places}}
 
-    def shown(self, output: str, context: Context) -> NDArray:
-        """Value of an output that is `computed`."""
-        return self.bound_in(context)
+    def inputs(self, model: Model) -> tuple[str, ...]:
+        """The signals that are vectors, a wind of aircraft alone."""
+        is_of_aircraft = model.aircraft is not None
+        read = [name for name in self.reads if SIGNALS.get(name, LAYER_LAYOUTS) is not None]
+        return tuple(name for name in read if name != WIND or is_of_aircraft)
 
-    def tickets(self, *inputs: str) -> set[DependencyTicket]:
-        """Tickets of the parameters, and of the inputs of these names that there are."""
-        ports = (self.GetInputPort(name) for name in inputs if self.HasInputPort(name))
-        return {
-            self.all_parameters_ticket(),
-            *(self.input_port_ticket(port.get_index()) for port in ports),
-        }
+    def layouts(self, model: Model, config: Any) -> dict[str, Layout]:
+        """Layouts of `diagnostics`, and of `missed_limits` where some are counted."""
+        missed = {_MISSED: missed_layout(self.counted)} if self.counted else {}
+        return {"diagnostics": LAYER_LAYOUTS["diagnostics"]} | missed
 
-    def states(self, at: TraceContext | InContext) -> dict[str, NDArray]:
-        """The states by name, as they were declared."""
-        return {name: at.state(1 + int(group)) for name, group in self._groups.items()}
+    def state(self, model: Model) -> NDArray:
+        """The first state."""
+        return self._state_parts.vector
 
-    def wind(self, at: TraceContext | InContext) -> NDArray:
-        """The wind (3,) that aircraft fly in, m/s, in W; still air where it is not told."""
-        return at.input_or(WIND, STILL_AIR) if self.HasInputPort(WIND) else STILL_AIR
+    # For answers
 
-    def counted(
+    def states(self, context: Context) -> dict[str, NDArray]:
+        """Parts of the state by name, views of a copy."""
+        return self._state_parts.view(context.get_discrete_state(0).CopyToVector())
+
+    def flat(self, states: Mapping[str, Any]) -> NDArray:
+        """The state of all of its parts."""
+        return np.concatenate([np.ravel(states[name]) for name in self._state_parts.defaults])
+
+    def input(self, context: Context, name: str) -> NDArray:
+        """Value of an input; still air where no wind is told."""
+        if name == WIND and not (self.HasInputPort(WIND) and self._has_value(context, WIND)):
+            return STILL_AIR
+        return self.GetInputPort(name).Eval(context)
+
+    def _has_value(self, context: Context, name: str) -> bool:
+        return bool(self.GetInputPort(name).HasValue(context))
+
+    def counted_update(
         self,
-        states: dict[str, NDArray],
+        states: Mapping[str, NDArray],
         outcome: Outcome,
-        margin: Any,
+        margin: float,
         missed: Collection[str] = (),
     ) -> dict[str, NDArray]:
-        """The states that count updates, after one.
+        """The parts of the state that count updates, after one.
 
-        Its speed margin (m/s) may be a symbol; it misses the limits of these names.
+        Its speed margin is in m/s; it misses the limits of these names.
         """
         after = {name: states[name].copy() for name in ("diagnostics", _MISSED) if name in states}
         count_update(after["diagnostics"], outcome, margin)
-        if self._counted:
-            after[_MISSED] += [name in missed for name in self._counted]
+        if self.counted:
+            after[_MISSED] += [name in missed for name in self.counted]
         return after
-
-    def is_update(self, time: Any) -> Any:
-        """Whether a sample at a time (s), a number or symbol, is one of an update."""
-        samples = casadi.floor(time / self._sample_period + 0.5)
-        return casadi.fmod(samples, self._samples_per_update) == 0
-
-    def _update_at_sample(self, context: Context, discrete_state: DiscreteValues) -> None:
-        if self.is_update(context.get_time()):
-            self._update(context, discrete_state)
-
-    def _update(self, context: Context, discrete_state: DiscreteValues) -> None:
-        amplitude = "amplitude 0" if self._model.pattern.is_constant else "amplitude"
-        self.require_floats(
-            f"give ConstantParameters, with its frequency and {amplitude}, in place of "
-            f"{type(self).__name__}"
-        )
-        for name, values in self.updated(context).items():
-            discrete_state.set_value(self._groups[name], values)
 
     def bound_in(self, context: Context) -> NDArray:
         """ε (1,), m/s."""
         values = context.get_numeric_parameter(0).CopyToVector()
         return values[self.parameters.place("speed_bound")]
 
-    def _shown(self, output: str) -> Any:
-        me: Any = weakref.ref(self)
-        return lambda context, vector: vector.SetFromVector(me().shown(output, context))
+    def asked(self, context: Context) -> NDArray:
+        """The answer to an event, of floats."""
+        amplitude = "amplitude 0" if self.model.pattern.is_constant else "amplitude"
+        self.require_floats(
+            f"give ConstantParameters, with its frequency and {amplitude}, in place of "
+            f"{type(self).__name__}"
+        )
+        return super().asked(context)
 
 
-def _size(model: Model, name: str) -> int:
-    """That of a signal which is a vector."""
-    layout = SIGNALS[name]
-    assert layout is not None
-    return layout.count(model.n, model.m)
+def outputs_of(
+    state: NDArray, *, names: Sequence[str], places: Mapping[str, slice], **others: NDArray
+) -> tuple[NDArray, ...]:
+    """Outputs of these names: parts of the state by their places, or others that are given."""
+    return tuple(others[name] if name in others else state[places[name]] for name in names)
 
 
-class CommandedBound(LeafBlock):
+class CommandedBound(Block):
     """A block of which ε is the parameter `speed_bound`, unless there is a command."""
+
+    unconnected: ClassVar = {COMMAND: NO_COMMAND}
 
     def check_bound(self, speed_bound: float, name: str = "speed_bound") -> None:
         """Raises ScenarioError for what is no bound (m/s), by the name that it has in the box."""
@@ -237,21 +219,16 @@ class CommandedBound(LeafBlock):
         Raises:
             ScenarioError: the bound is none of the block, or `speed_bound_command` is connected.
         """
-        self.require_effect(context, "speed_bound", speed_bound)
+        require(
+            not self.GetInputPort(COMMAND).HasValue(context),
+            f"{BOX}.speed_bound",
+            speed_bound,
+            f"the signal {COMMAND} sets the bound: change it in the block that makes that "
+            "signal, or take the signal away",
+        )
         self.check_bound(speed_bound)
         values = context.get_mutable_numeric_parameter(0)
         values.SetAtIndex(self.parameters.place("speed_bound").start, speed_bound)
-
-    def require_effect(self, context: Context, name: str, value: Any) -> None:
-        """Raises ScenarioError where a parameter that is set would have none in this context."""
-        if name == "speed_bound":
-            require(
-                not self.GetInputPort(COMMAND).HasValue(context),
-                f"{BOX}.speed_bound",
-                value,
-                f"the signal {COMMAND} sets the bound: change it in the block that makes that "
-                "signal, or take the signal away",
-            )
 
     def bound_in(self, context: Context) -> NDArray:
         """ε (1,), m/s: what is commanded, or else as it was set."""
@@ -263,6 +240,19 @@ class CommandedBound(LeafBlock):
         if self.scalar is float:
             self.check_bound(float(bound[0]), COMMAND)
         return bound
+
+
+def shown_bound(
+    command: NDArray, speed_bound: NDArray, least: float = 0.0, highest: float = math.inf
+) -> NDArray:
+    """ε (1,), m/s: the command, or without one the parameter.
+
+    NaN where the command is neither 0 nor from the least to below the highest bound.
+    """
+    nothing = np.array([np.nan])
+    below = where(command[0] < highest, command, nothing)
+    commanded = where(command[0] >= least, below, where(command[0] == 0, command, nothing))
+    return where(command[0] == NO_COMMAND, speed_bound, commanded)
 
 
 class LayerNumbers(NamedTuple):
@@ -289,33 +279,25 @@ class SpeedBoundLayer(CommandedBound, PeriodicLayer):
         )
         self._numbers = entry.cache_index()  # the entry would keep this block alive
         self._enabled = self.DeclareNumericParameter(BasicVector_[self.scalar]([1.0]))
-        self.highest_speed_bound = highest_speed_bound(self._config)
+        self.highest_speed_bound = highest_speed_bound(self.config)
 
-    @classmethod
-    def structure(cls, model: Model, config: Any) -> Any:
-        """Values that decide how the layer is built, see `BlockParameters`."""
+    @staticmethod
+    def equations(state: NDArray, *inputs: Any, **numbers: Any) -> tuple[NDArray, ...]:
+        """Outputs, where a command, the last input, takes the place of the speed bound."""
+        bound = shown_bound(inputs[-1], numbers["speed_bound"], LEAST_BOUND, numbers["highest"])
+        return outputs_of(state, speed_bound=bound, **numbers["shown"])
+
+    def constants(self, model: Model, config: Any) -> dict[str, Any]:
+        """Constants of `PeriodicLayer`, and the highest bound, m/s."""
+        return super().constants(model, config) | {"highest": highest_speed_bound(config)}
 
     def block_parameters(self, model: Model, config: Any) -> BlockParameters:
-        """Checks as `PeriodicLayer` does; amplitude bounds of zero are those from the weight."""
-        kind = type(self)
-
-        def check(model: Model, config: Any) -> None:
-            if not any(config.amplitude_bounds):
-                config = replace(config, amplitude_bounds=[])
-            kind.check(model, config)
-            check_bound(highest_speed_bound(config), config.speed_bound)
-
+        """Beliefs, initial values and bounds; amplitude bounds of zero are those of the weight."""
         return BlockParameters(
             model,
             (*OF_MODEL, *model.offset_parameter),
             config=replace(config, amplitude_bounds=config.amplitude_bounds or [0.0, 0.0]),
             own=("speed_bound", *OF_CONFIG),
-            check=check,
-            structure=kind.structure,
-            fixed=(
-                *(AIRCRAFT_NUMBERS if model.aircraft is not None else ()),
-                *(_OF_BOW if model.cable_shape is not None else ()),
-            ),
         )
 
     def check_bound(self, speed_bound: float, name: str = "speed_bound") -> None:
@@ -338,29 +320,12 @@ class SpeedBoundLayer(CommandedBound, PeriodicLayer):
         """Whether the layer is switched on."""
         return bool(context.get_numeric_parameter(self._enabled).CopyToVector()[0])
 
-    def trace_parameters(self, context: Context) -> NDArray:
-        """The speed bound and the highest one (2,), m/s, which are no part of a trace."""
-        return np.array([self._numbers_in(context).speed_bound, self.highest_speed_bound])
-
-    def traced_bound(self, at: TraceContext) -> NDArray:
-        """ε (1,), m/s: as set, or what is commanded; no number where that is out of range."""
-        if not at.has_input(COMMAND):
-            return at.parameters[:1]
-        command, highest = at.input(COMMAND), at.parameters[1]
-        is_bound = casadi.logic_and(command[0] >= LEAST_BOUND, command[0] < highest)
-        is_bound = casadi.logic_or(command[0] == 0, is_bound)
-        return where(is_bound, command, np.array([np.nan]))
-
-    def traced_output(self, port: str, at: TraceContext) -> NDArray:
-        """Value of a port."""
-        return self.traced_bound(at) if port == "speed_bound" else self.states(at)[port]
-
     def _numbers_in(self, context: Context) -> LayerNumbers:
         return self.get_cache_entry(self._numbers).Eval(context)
 
     def _calc_numbers(self, context: Context, value: AbstractValue) -> None:
         values = self.parameters.view(context.get_numeric_parameter(0).CopyToVector())
-        beliefs = beliefs_from(values, self._model.n)
+        beliefs = beliefs_from(values, self.model.n)
         bound = float(values["speed_bound"][0])
         value.set_value(LayerNumbers(bound, beliefs.nominal, np.concatenate(beliefs)))
 

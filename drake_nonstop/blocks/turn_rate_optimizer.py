@@ -1,7 +1,7 @@
 """The variant of box "Optimization Layer" for a load that turns with its aircraft."""
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
@@ -11,12 +11,11 @@ from pydrake.systems.framework import Context
 from drake_nonstop.blocks import load_trajectory, phase
 from drake_nonstop.blocks.speed_bound_layer import BOX, WIND, PeriodicLayer
 from drake_nonstop.model.block import (
-    AIRCRAFT_NUMBERS,
     BlockParameters,
     required_aircraft,
 )
 from drake_nonstop.model.descriptions import TurnRate
-from drake_nonstop.model.system import OFFSET, Model
+from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.constraints import Constraints
 from drake_nonstop.optimization.problem_config import (
     AircraftLimits,
@@ -30,7 +29,6 @@ from drake_nonstop.optimization.problem_config import (
     points,
 )
 from drake_nonstop.optimization.turn_rate import TurnRateSolver, turn_update
-from drake_nonstop.systems.diagram_trace import InContext
 from drake_nonstop.systems.requirements import LoopBlocks
 from drake_nonstop.validation import (
     StrictFields,
@@ -41,8 +39,6 @@ from drake_nonstop.validation import (
     require_period,
     require_ranges,
 )
-
-_FIXED = (*AIRCRAFT_NUMBERS, "cable_stiffness", OFFSET)
 
 
 @dataclass(kw_only=True)
@@ -124,44 +120,37 @@ class TurnRateOptimizer(PeriodicLayer):
     def __init__(self, model: Model, config: TurnRateOptimizerConfig | None = None):
         required_aircraft(model, BOX, "TurnRateOptimizer")
         super().__init__(model, config)
-        config = self._config
-        self._solver = TurnRateSolver(model, Constraints(config), config.orbit_points)
-        self.declare(config.period, parameters=[config.frequency, 0.0])
+        points = self.config.orbit_points
+        self._solver = TurnRateSolver(model, Constraints(self.config), points)
+
+    def parts(self, model: Model, config: Any) -> dict[str, ArrayLike]:
+        """The parameters."""
+        return {"parameters": [config.frequency, 0.0]}
 
     def block_parameters(self, model: Model, config: Any) -> BlockParameters:
         """The bound, which a context can change."""
-        own = ("speed_bound",)
-        return BlockParameters(model, config=config, own=own, check=self.check, fixed=_FIXED)
+        return BlockParameters(model, config=config, own=("speed_bound",))
 
     def describe_response(self) -> TurnRate:
         def updated(period: float, rate: float, motion: NDArray, *others: NDArray) -> float:
-            config = replace(self._config, period=period)
+            config = replace(self.config, period=period)
             update = turn_update(config, float(config.speed_bound), rate, motion, *others)
             return self._solver.solve(update).rate
 
-        return TurnRate(self._config.frequency, self._config.period, updated)
+        return TurnRate(self.config.frequency, self.config.period, updated)
 
-    def updated(self, context: Context) -> Mapping[str, ArrayLike]:
-        """The states after an update."""
-        at = InContext(self, context)
-        states, bound = self.states(at), float(self.bound_in(context)[0])
-        update = turn_update(
-            self._config,
-            bound,
-            states["parameters"][0],
-            at.input("reference"),
-            at.input("wrench"),
-            at.input("wrench_rate"),
-            self.wind(at),
-        )
+    def answer(self, context: Context) -> NDArray:
+        """The state after an update."""
+        states, bound = self.states(context), float(self.bound_in(context)[0])
+        signals = [self.input(context, name) for name in self.reads]
+        update = turn_update(self.config, bound, states["parameters"][0], *signals)
         start = time.perf_counter()
         answer = self._solver.solve(update)
         solve_time = time.perf_counter() - start
-        return {
-            "parameters": [answer.rate, 0.0],
-            "solve_time": [solve_time],
-            **self.counted(states, answer.outcome, answer.slowest_speed - bound, answer.missed),
-        }
+        margin = answer.slowest_speed - bound
+        made = {"parameters": [answer.rate, 0.0], "solve_time": solve_time}
+        counts = self.counted_update(states, answer.outcome, margin, answer.missed)
+        return self.flat(states | made | counts)
 
     @classmethod
     def check(cls, model: Model, config: TurnRateOptimizerConfig) -> None:

@@ -4,14 +4,14 @@ The wind acts on the load by its drag, and on carriers that are aircraft. The ot
 box "carrier_dynamics" have no aerodynamics, and do not feel it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, WIND_SIZE, CarrierStates, LoadState
+from drake_nonstop.mechanics.signals import WIND_SIZE, CarrierStates, LoadState
 from drake_nonstop.mechanics.wind import (
     FOOT,
     GUST_STEP,
@@ -19,15 +19,16 @@ from drake_nonstop.mechanics.wind import (
     SEVERITIES,
     MeanWind,
     gust_samples,
+    power_law,
+    risen_share,
     turbulence_at,
     wave_frequencies,
 )
-from drake_nonstop.model.block import Block
+from drake_nonstop.model.block import Block, BlockParameters
 from drake_nonstop.model.descriptions import Gusts, Wind
 from drake_nonstop.model.system import Model
-from drake_nonstop.systems.block import LeafBlock, number
-from drake_nonstop.systems.diagram_trace import shown
-from drake_nonstop.systems.documentation import own_config_class
+from drake_nonstop.systems.requirements import LoopBlocks
+from drake_nonstop.systems.tracing import where
 from drake_nonstop.validation import (
     ScenarioError,
     StrictFields,
@@ -64,7 +65,6 @@ class StillAir(Block):
 
     makes = ("wind", "load_wind", "mean_wind")
 
-    is_trivial = True  # nothing blows
     is_sampled = True
     of_model = ("n",)
 
@@ -98,7 +98,29 @@ class SteadyWindConfig(_MeanWindFields):
     """A velocity, and when it rises."""
 
 
-class SteadyWind(LeafBlock):
+def _mean_wind(
+    time: NDArray,
+    positions: NDArray,
+    *,
+    velocity: NDArray,
+    start_time: Any = None,
+    rise_time: Any = None,
+    **law: NDArray,
+) -> NDArray:
+    """The mean wind (3k,) at positions (k, 3), m/s, in W; `law` is that of the height, or empty."""
+    if rise_time is not None:
+        velocity = velocity * risen_share(time, start=start_time, rise_time=rise_time)
+    elif start_time is not None:
+        velocity = where(time[0] >= start_time[0], velocity, np.zeros(WIND_SIZE))
+    count = positions.shape[0]
+    if not law:
+        return np.tile(velocity, count)
+    height = positions[:, 2] - law["ground_height"]
+    shares = power_law(height, reference_height=law["reference_height"], exponent=law["exponent"])
+    return np.outer(shares, velocity).ravel()
+
+
+class SteadyWind(Block):
     """The same wind everywhere, from the beginning on or rising linearly from still air.
 
     Raises:
@@ -106,38 +128,50 @@ class SteadyWind(LeafBlock):
     """
 
     makes = StillAir.makes
-    is_traced = False  # it is known beforehand
+    reads_time = True
+    of_model: ClassVar[tuple[str, ...]] = ("n",)
 
-    def __init__(self, model: Model, config: _MeanWindFields | None = None):
-        super().__init__()
-        config = require_ranges(_BOX, config or SteadyWindConfig())
-        mean = MeanWind.of(config, np.array(config.velocity, float))
-        self._wind = Wind(mean, None, config.start_time, config.rise_time)
-        inputs = (("carrier_state", 6 * model.n), ("load_state", LOAD_STATE_SIZE))
-        read = {k: self.DeclareVectorInputPort(k, size) for k, size in inputs if k in self.reads}
-        self.is_sampled = self._wind.is_constant and not read
-        for name in self.makes:
-            sources = {self.nothing_ticket() if self.is_sampled else self.time_ticket()}
-            if read:
-                heights = read["carrier_state" if name == "wind" else "load_state"]
-                sources.add(self.input_port_ticket(heights.get_index()))
-            size = 3 * model.n if name == "wind" else WIND_SIZE
-            self.DeclareVectorOutputPort(name, size, shown(self, name), sources)
+    def __init__(self, model: Model, config: Any = None):
+        super().__init__(model, config)
+        self.is_sampled = not self.reads and self.describe_wind().is_constant
+
+    def requires(self, loop: LoopBlocks) -> Iterator[str]:
+        """Tells of a load that the wind does not act on."""
+        load = loop.maker_of("load_state")
+        if load is not None and not load.HasInputPort("load_wind"):
+            yield (
+                f"load_plant = {type(load).__name__}: no wind acts on the load, since this block "
+                "does not read it; give it an input port load_wind (3), the air's velocity in m/s, "
+                "in W, or have still air by wind=StillAir"
+            )
+
+    @staticmethod
+    def equations(time: NDArray, *, n: int, **mean: NDArray) -> tuple[NDArray, NDArray, NDArray]:
+        wind = _mean_wind(time, np.zeros((1, 3)), **mean)
+        return np.tile(wind, n), wind, wind
+
+    @classmethod
+    def check(cls, model: Model, config: _MeanWindFields) -> None:
+        require_ranges(_BOX, config)
+
+    def block_parameters(self, model: Model, config: Any) -> BlockParameters:
+        return BlockParameters(model, self.system, config=config, own=_moving(model, config))
 
     def describe_wind(self) -> Wind:
-        return self._wind
+        config = self.config
+        mean = MeanWind.of(config, config.velocity)
+        return Wind(mean, None, config.start_time, config.rise_time)
 
-    def traced_output(self, port: str, at: Any) -> NDArray:
-        mean = self._wind.at(at.time, self._positions(port, at)).ravel()
-        return mean + self._gusts_at(port, at)
 
-    def _positions(self, port: str, at: Any) -> NDArray:
-        """Heights (k, 3) of the port's bodies: here none counts."""
-        return np.zeros((self.GetOutputPort(port).size() // WIND_SIZE, 3))
-
-    def _gusts_at(self, port: str, at: Any) -> Any:
-        """The gusts on top of what a port shows."""
-        return 0.0
+def _moving(model: Model, config: Any) -> tuple[str, ...]:
+    """The fields that the mean wind follows from."""
+    rise = ("start_time", "rise_time") if config.rise_time > 0 else ("start_time",)
+    is_law = getattr(config, "exponent", 0.0) > 0
+    return (
+        "velocity",
+        *(rise if config.start_time > 0 or config.rise_time > 0 else ()),
+        *(("exponent", "reference_height", "ground_height") if is_law else ()),
+    )
 
 
 def _exponent(default: float) -> Any:
@@ -181,21 +215,15 @@ class WindProfile(SteadyWind):
     """
 
     reads = ("carrier_state", "load_state")
-    is_traced = True
+    of_model = ()
 
-    def __init__(self, model: Model, config: _ProfileFields | None = None):
-        super().__init__(model, config or WindProfileConfig())
-
-    @property
-    def trace_key(self) -> Any:
-        """The mean wind."""
-        (velocity, *law), _, *rise = self._wind[:4]
-        return velocity.tobytes(), *law, *rise
-
-    def _positions(self, port: str, at: Any) -> NDArray:
-        if port == "wind":
-            return CarrierStates.view(at.input("carrier_state")).positions
-        return LoadState.view(at.input("load_state")).position[None]
+    @staticmethod
+    def equations(  # type: ignore[override]
+        carrier_state: NDArray, load_state: NDArray, time: NDArray, **mean: NDArray
+    ) -> tuple[NDArray, NDArray, NDArray]:
+        at_carriers = _mean_wind(time, CarrierStates.view(carrier_state).positions, **mean)
+        at_load = _mean_wind(time, LoadState.view(load_state).position[None], **mean)
+        return at_carriers, at_load, at_load
 
 
 def _deviation(default: float) -> Any:
@@ -250,8 +278,8 @@ class GustyWind(WindProfile):
     """
 
     def __init__(self, model: Model, config: Any = None):
-        config = config or own_config_class(type(self))()
         super().__init__(model, config)
+        config = self.config
         along = np.append(config.velocity[:2], 0.0) / (np.hypot(*config.velocity[:2]) or 1.0)
         along = along if along.any() else np.eye(3)[0]
         across = np.array([-along[1], along[0], 0.0])
@@ -262,28 +290,54 @@ class GustyWind(WindProfile):
             "wind": _Air.of(config, "", [[config.seed, 1], *carriers], axes * gust),
             "load_wind": _Air.of(config, "load_", [[config.seed, 0]], axes * load_gust),
         }
-        self._coherence = config.coherence
         self._samples: dict[str, NDArray] = {}  # as far as they were asked for
-        self._wind = self._wind._replace(gust=gust, load_gusts=self._bodies["load_wind"].waves())
+
+    @staticmethod
+    def equations(  # type: ignore[override]
+        carrier_state: NDArray,
+        load_state: NDArray,
+        gusts: NDArray,
+        load_gusts: NDArray,
+        time: NDArray,
+        **mean: NDArray,
+    ) -> tuple[NDArray, NDArray, NDArray]:
+        at_carriers, at_load, _ = WindProfile.equations(carrier_state, load_state, time, **mean)
+        return at_carriers + gusts, at_load + load_gusts, at_load
 
     @staticmethod
     def _horizontal_deviations(config: Any) -> tuple[float, float]:
         """Those of carriers and load, m/s."""
         return config.gust, config.load_gust
 
-    def _gusts_at(self, port: str, at: Any) -> Any:
-        return 0.0 if port == "mean_wind" else at.known(port, self.GetOutputPort(port).size())
+    def block_parameters(self, model: Model, config: Any) -> BlockParameters:
+        return BlockParameters(model, self.system, config=config, own=_moving(model, config))
+
+    def describe_wind(self) -> Wind:
+        gust, _ = self._horizontal_deviations(self.config)
+        return (
+            super()
+            .describe_wind()
+            ._replace(gust=gust, load_gusts=self._bodies["load_wind"].waves())
+        )
+
+    def quantities(self, model: Model) -> Mapping[str, int]:
+        return {"wind": WIND_SIZE * model.n, "load_wind": WIND_SIZE}
 
     def precomputed_inputs(self, ports: Sequence[str], times: NDArray) -> list[NDArray]:
         """The gusts on top of what ports show, (k, size), at times (k,) in s; m/s, in W."""
-        instants = np.array([number(time) for time in times]) / GUST_STEP
+        return [self._gusts(port, times)[0] for port in ports]
+
+    def precomputed_input_rates(self, ports: Sequence[str], times: NDArray) -> list[NDArray]:
+        """Their rates, m/s²."""
+        return [self._gusts(port, times)[1] for port in ports]
+
+    def _gusts(self, port: str, times: NDArray) -> tuple[NDArray, NDArray]:
+        """Those of a port with their rates, (k, size) each."""
+        instants = times / GUST_STEP
         before = instants.astype(int)
-        rows = []
-        for port in ports:
-            samples = self._samples_until(port, before.max(initial=0) + 2)
-            step = samples[before + 1] - samples[before]
-            rows.append(samples[before] + (times / GUST_STEP - before)[:, None] * step)
-        return rows
+        samples = self._samples_until(port, before.max(initial=0) + 2)
+        step = samples[before + 1] - samples[before]
+        return samples[before] + (instants - before)[:, None] * step, step / GUST_STEP
 
     def _samples_until(self, port: str, count: int) -> NDArray:
         """The port's gusts (at least count, size): those that were made, or all of them anew."""
@@ -297,7 +351,8 @@ class GustyWind(WindProfile):
             made = self._bodies[port].samples(1 << int(count - 1).bit_length())
             if port == "wind":
                 common, own = np.split(made, [1], axis=1)
-                made = np.sqrt(self._coherence) * common + np.sqrt(1 - self._coherence) * own
+                share = self.config.coherence
+                made = np.sqrt(share) * common + np.sqrt(1 - share) * own
             samples = self._samples[port] = made.reshape(len(made), -1)
         return samples
 

@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 from drake_nonstop.blocks.load_feedback import held_noise
 from drake_nonstop.blocks.wind import check_velocity
 from drake_nonstop.mechanics.signals import WIND_SIZE, CarrierStates
-from drake_nonstop.model.block import Block, BlockParameters, SelectorBlock
+from drake_nonstop.model.block import Block, BlockParameters
 from drake_nonstop.model.system import Model
-from drake_nonstop.systems.traced_block import Start
 from drake_nonstop.validation import (
     StrictFields,
     checked,
@@ -38,12 +37,16 @@ class KnownWindConfig(StrictFields):
     """No parameters."""
 
 
-class KnownWind(SelectorBlock):
+class KnownWind(Block):
     """The mean wind at the load, as it is."""
 
     reads = ("mean_wind",)
     makes = ("wind_estimate",)
     passes_on = "mean_wind"
+
+    @staticmethod
+    def equations(mean_wind: NDArray) -> NDArray:
+        return mean_wind
 
 
 @dataclass(kw_only=True)
@@ -126,7 +129,8 @@ class _WindInstruments(Block):
     is_sampled = True
 
     def block_parameters(self, model: Model, config: Any) -> BlockParameters:
-        return self.parameters_of(model, config, [name for name in vars(config) if name != "seed"])
+        own = [name for name in vars(config) if name != "seed"]
+        return BlockParameters(model, self.system, config=config, own=own)
 
     def quantities(self, model: Model) -> Mapping[str, int]:
         return {"noise": WIND_SIZE * (1 + model.n)}
@@ -244,14 +248,11 @@ class WindObserver(_WindInstruments):
     def state(self, model: Model) -> NDArray:
         return np.concatenate([np.zeros(WIND_SIZE), _START, np.zeros(WIND_SIZE * model.n)])
 
-    def start(self) -> Start:
-        return Start(_mean_of_carriers, ("wind",))
-
-
-def _mean_of_carriers(wind: NDArray) -> NDArray:
-    """The observer's state at the start."""
-    winds = wind.reshape(-1, WIND_SIZE)
-    return np.concatenate([winds.sum(axis=0) / len(winds), _START, wind])
+    @staticmethod
+    def start(state: NDArray, wind: NDArray, *others: NDArray, **numbers: Any) -> NDArray:
+        """The mean of the carriers' winds, and each of these."""
+        winds = wind.reshape(-1, WIND_SIZE)
+        return np.concatenate([winds.sum(axis=0) / len(winds), _START, wind])
 
 
 @dataclass(kw_only=True)
@@ -315,8 +316,12 @@ class LoadAnemometer(_WindInstruments):
     def state(self, model: Model) -> NDArray:
         return np.zeros(WIND_SIZE * (1 + model.n))
 
-    def start(self) -> Start:
-        return Start(lambda load_wind, wind: np.append(load_wind, wind), ("load_wind", "wind"))
+    @staticmethod
+    def start(
+        state: NDArray, load_wind: NDArray, wind: NDArray, *others: NDArray, **numbers: Any
+    ) -> NDArray:
+        """The winds."""
+        return np.concatenate([load_wind, wind])
 
 
 VARIANTS = (KnownWind, NoWind, AssumedWind, WindObserver, LoadAnemometer)

@@ -2,19 +2,27 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.mechanics import wrench
 from drake_nonstop.mechanics.rigid_load import RigidLoad
+from drake_nonstop.mechanics.signal_layouts import SAMPLE_TIME
 from drake_nonstop.mechanics.signals import WRENCH_SIZE, TrackingError
 from drake_nonstop.mechanics.tuning import load_gains, pid_gains
-from drake_nonstop.model.block import AUTO, LOAD, Block, BlockParameters, rigid_load
+from drake_nonstop.model.block import (
+    AUTO,
+    LOAD,
+    Block,
+    BlockParameters,
+    rigid_load,
+    with_this_sample,
+)
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import number
-from drake_nonstop.systems.traced_block import Start
 from drake_nonstop.validation import (
     StrictFields,
     checked,
@@ -32,9 +40,11 @@ _FOLLOWED = ("load_mass", "load_inertia", "cable_length", "gravity")  # by gains
 class _WrenchPid(Block):
     """PID on the load's pose with feedforward, and the exact rate of its wrench."""
 
-    reads = ("measured_load_state", "reference", "wind_estimate")
+    reads = ("measured_load_state", "reference", "wind_estimate", SAMPLE_TIME)
     makes = ("wrench", "wrench_rate", "tracking_error")
+    where: ClassVar = {SAMPLE_TIME: "the model has a control period"}
     system = LOAD
+    of_model = ("control_period",)
     is_sampled = True
     is_joint = True  # a second function for what does not read the wind would take longer
 
@@ -44,15 +54,18 @@ class _WrenchPid(Block):
         state: NDArray,
         reference: NDArray,
         wind: NDArray,
-        *,
+        *sample_time: NDArray,
         law: Callable[..., dict[str, Any]],
+        control_period: float,
         **numbers: NDArray,
     ) -> tuple[NDArray, ...]:
         load = rigid_load(**{name: numbers.pop(name) for name in LOAD})
         numbers.pop("cable_length", None)
         error = wrench.tracking_error(state, reference)
+        rate = np.concatenate(TrackingError.view(error)[:2])  # e_R and e_p
+        rate, integrals = with_this_sample(integrals, rate, sample_time, control_period)
         return (
-            np.concatenate(TrackingError.view(error)[:2]),  # e_R and e_p
+            rate,
             *wrench.wrench_and_rate(
                 load, state, reference, integrals, wind, **law(load, **numbers)
             ),
@@ -72,7 +85,10 @@ class _WrenchPid(Block):
         require_ranges(_BOX, config)
 
     def constants(self, model: Model, config: Any) -> dict[str, Any]:
-        return {"law": self.law}
+        return super().constants(model, config) | {"law": self.law}
+
+    def inputs(self, model: Model) -> tuple[str, ...]:
+        return self.reads if model.control_period > 0 else self.reads[:-1]
 
     def state(self, model: Model) -> NDArray:
         return np.zeros(6)
@@ -86,7 +102,8 @@ class _WrenchPid(Block):
         if AUTO not in asdict(type(config)()).values():
             return super().block_parameters(model, config)
         system = (*LOAD, "cable_length")
-        return self.parameters_of(model, config, asdict(config), system=system, follow=_following)
+        numbers = _numbers(model, config)
+        return BlockParameters(model, system, config=SimpleNamespace(**numbers), own=numbers)
 
     @property
     def gains(self) -> dict[str, Any]:
@@ -291,7 +308,6 @@ class WrenchRate(Block):
     reads = ("wrench",)
     makes = ("wrench_rate",)
     is_sampled = True
-    is_held = True  # of the state before the sample's update, which takes the wrench in
 
     @staticmethod
     def equations(
@@ -303,8 +319,9 @@ class WrenchRate(Block):
     def state(self, model: Model) -> NDArray:
         return np.zeros(WRENCH_SIZE)
 
-    def start(self) -> Start:
-        return Start(np.copy, ("wrench",))
+    @staticmethod
+    def start(state: NDArray, wrench: NDArray, **numbers: NDArray) -> NDArray:
+        return wrench
 
 
 VARIANTS = (WrenchController, PaperWrenchController, GeometricPd, TunedWrenchController)

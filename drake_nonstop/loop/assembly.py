@@ -1,41 +1,32 @@
 """Makes the blocks of a loop from a scenario and its replacements, and connects them."""
 
-import contextlib
 import copy
-import functools
-import pickle
-from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import is_dataclass, replace
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import is_dataclass
 from typing import Any, NamedTuple, Protocol, TypeVar
 
-import numpy as np
-from pydrake.systems.analysis import SimulatorConfig
 from pydrake.systems.framework import Diagram, DiagramBuilder, System
 
-from drake_nonstop.blocks.reference_governor import ReferenceGovernorConfig, governed
+from drake_nonstop.blocks.reference_governor import governed
 from drake_nonstop.blocks.sample_and_hold import SAMPLE_AND_HOLD, hold_of
 from drake_nonstop.blocks.wrench_controller import WrenchRate
-from drake_nonstop.loop.box import Box, block_class, block_of, import_path, kept_parameters
+from drake_nonstop.loop.box import Box, block_of, kept_parameters
 from drake_nonstop.loop.loop_response import speed_margin_for, warn_of_margin
-from drake_nonstop.mechanics.signals import LoadReference
+from drake_nonstop.mechanics.signal_layouts import HELD
 from drake_nonstop.model.descriptions import described
 from drake_nonstop.model.system import (
     Model,
-    PatternConfig,
-    SystemParameters,
-    WatchedModel,
     given_fields,
     overridden,
 )
 from drake_nonstop.optimization.speed_margin import SpeedMargin, with_margin
 from drake_nonstop.systems import wiring
-from drake_nonstop.systems.block import LOOP, is_of_package
-from drake_nonstop.systems.diagnosis import raising_block
-from drake_nonstop.systems.documentation import config_class
+from drake_nonstop.systems.block import LOOP
+from drake_nonstop.systems.diagnosis import block_blamed
+from drake_nonstop.systems.documentation import config_class, declared_by
 from drake_nonstop.systems.energy import LoopDiagram
 from drake_nonstop.systems.requirements import LoopBlocks
-from drake_nonstop.systems.tracing import NotFiniteError
-from drake_nonstop.validation import ScenarioError, called, one_line, require, warn_user
+from drake_nonstop.validation import ScenarioError, called, require, warn_user
 
 LAYER = "optimization_layer"
 EXTRA = "extra"  # the argument for blocks beyond the figure's, among replacements
@@ -45,27 +36,10 @@ Maker = Callable[[Model], System]  # of a block, such as its class
 
 
 class LoopConfig(Protocol):
-    """Interface of a `Scenario`, which also has the config of each box by its name."""
-
-    system: SystemParameters
-    simulated: Any  # `SystemOverrides`
-    simulation_duration: float
-    control_period: float
-    reference_governor: ReferenceGovernorConfig | None
-    optimization_layer: Any  # a config
-    simulator_config: SimulatorConfig
-
-    @property
-    def pattern(self) -> PatternConfig:
-        """The periodic internal force."""
-        ...
+    """A `Scenario`, as far as a loop has to know it."""
 
     def sampled(self) -> Any:
-        """Returns the scenario with numbers drawn for its distributions.
-
-        Raises:
-            ScenarioError: a field cannot be used.
-        """
+        """The scenario with numbers drawn for its distributions."""
         ...
 
 
@@ -74,7 +48,6 @@ class Parts(NamedTuple):
 
     loop: LoopBlocks
     blocks: dict[str, System]  # those of the loop, with the hold in front of sampled controllers
-    watched: dict[str, WatchedModel]  # what blocks read of their models
     margin: SpeedMargin | None  # that was computed for the optimization layer
 
 
@@ -91,103 +64,97 @@ def make_parts(
     """
     is_scenario = callable(getattr(scenario, "sampled", None))
     require(is_scenario, "scenario", scenario, 'give one, such as load_scenario("line")')
-    scenario, others = replaced(boxes, scenario, replacements)
-    scenario = scenario.sampled()
-    believed, simulated = models_of(scenario)
-    cables = others.get("cables", getattr(scenario, "cables", None))
-    simulated = _beside_cables(cables, simulated)
-    trajectory = others.get("carrier_trajectory", getattr(scenario, "carrier_trajectory", None))
-    believed = _beside_cables(trajectory, believed)
-    sizes = _figure_sizes(boxes, believed)
-    blocks: dict[str, System] = {}
-    watched: dict[str, WatchedModel] = {}
-    margin: SpeedMargin | None = None
-    entries = {name: others.get(name, getattr(scenario, name)) for name in boxes}
+    stated, others = replaced(boxes, scenario, replacements)
+    drawn = stated.sampled()
+    entries = {name: others.get(name, getattr(drawn, name)) for name in boxes}
+    believed, simulated = models_of(drawn)
+    # Carriers have no share of the drag that a block counts as the cables'.
+    simulated = _with(simulated, bears_cable_drag=not _bears_drag(entries["cables"]))
+    believed = _with(believed, bears_cable_drag=not _bears_drag(entries["carrier_trajectory"]))
     entries[LAYER] = entries.pop(LAYER)  # it comes last
-    for name, entry in (entries | _checked_extra(boxes, extra)).items():
+    remedy = 'give a mapping from names to blocks, such as {"estimator": Estimator}'
+    require(extra is None or isinstance(extra, Mapping), "extra", extra, remedy)
+    taken = next((name for name in extra or {} if name in (*boxes, SAMPLE_AND_HOLD)), None)
+    remedy = "the figure has a block of that name; give another one, or a box's as box=..."
+    require(taken is None, "extra", taken, remedy)
+    blocks: dict[str, System] = {}
+    margin: SpeedMargin | None = None
+    for name, entry in (entries | dict(extra or {})).items():
         box = boxes.get(name)
         if box is not None and entry is None:
             continue
-        if name == LAYER and getattr(entry, "wants_margin", False):
-            duration = scenario.simulation_duration
-            found = speed_margin_for(believed, simulated, entry, blocks, duration)
-            warn_of_margin(found)
-            margin = found.margin
-            entry = with_margin(entry, margin)
         if name == LAYER:
+            if declared_by(entry, "wants_margin"):
+                duration = drawn.simulation_duration
+                found = speed_margin_for(believed, simulated, entry, blocks, duration)
+                warn_of_margin(found)
+                margin = found.margin
+                entry = with_margin(entry, margin)
             references = described(blocks.get("carrier_trajectory"))
-            believed = copy.copy(believed)
-            believed.cable_shape = getattr(references, "shape", None)
-        is_simulated = box is not None and box.is_simulated
-        model = watched[name] = WatchedModel(simulated if is_simulated else believed)
-        block = blocks[name] = make_block(boxes, name, entry, model)
-        _check_layouts(name, block)
-        expected = ({}, {}) if box is None else box.required_and_optional(believed, block)
-        made = wiring.check_outputs(name, block, *expected)
-        others_made = made.keys() - (box.signals.keys() if box is not None else ())
-        in_place = {signal: size for signal, size in sizes.items() if signal in others_made}
-        wiring.check_outputs(name, block, in_place, {})
+            believed = _with(believed, cable_shape=declared_by(references, "shape"))
+        model = simulated if box is not None and box.is_simulated else believed
+        blocks[name] = make_block(boxes, name, entry, model)
     blocks = {name: blocks[name] for name in [*boxes, *blocks] if name in blocks}
-    made_by_all = {signal for block in blocks.values() for signal in wiring.output_names(block)}
-    if "wrench" in made_by_all and "wrench_rate" not in made_by_all:
-        blocks["wrench_rate"] = WrenchRate(believed)
     loop = LoopBlocks(blocks, believed, simulated)
-    _require_motion(loop)
-    told = [*loop.check(), *_unread(boxes, loop)]
-    _require_made(boxes, loop)
-    _check_preview(loop)
-    for message in told:
+    if loop.maker_of("wrench") is not None and loop.maker_of("wrench_rate") is None:
+        blocks["wrench_rate"] = WrenchRate(believed)
+    for message in [*loop.check()]:
         warn_user(message)
-    if scenario.reference_governor is not None:
+    _require_made(boxes, loop)
+    if drawn.reference_governor is not None:
         trajectory = blocks.get("load_trajectory")
         remedy = "give a block for load_trajectory, or leave reference_governor out"
         require(trajectory is not None, "load_trajectory", None, remedy)
-        slowed = governed(
+        blocks["load_trajectory"] = governed(
             believed,
-            scenario.reference_governor,
+            drawn.reference_governor,
             trajectory,
-            with_margin(scenario.optimization_layer, margin),
-            scenario.simulation_duration,
+            with_margin(drawn.optimization_layer, margin),
+            drawn.simulation_duration,
             *loop.origin_of("wind_estimate"),
         )
-        blocks = blocks | {"load_trajectory": slowed}
-        loop = replace(loop, blocks=blocks)
-    held = {SAMPLE_AND_HOLD: hold_of(loop)} if scenario.control_period > 0 else {}
-    return Parts(loop, blocks | held, watched, margin)
+    held = {SAMPLE_AND_HOLD: hold_of(loop)} if drawn.control_period > 0 else {}
+    return Parts(loop, blocks | held, margin)
 
 
-def _beside_cables(entry: Any, model: Model) -> Model:
-    """The model, in which carriers have no share of the drag that a block counts as the cables'."""
-    kind = block_of(type(entry)) if is_dataclass(entry) else entry
-    if not getattr(kind, "bears_drag", False):
-        return model
+def _with(model: Model, **attributes: Any) -> Model:
+    """A copy of the model with other values of attributes."""
     model = copy.copy(model)
-    model.bears_cable_drag = False
+    vars(model).update(attributes)
     return model
+
+
+def _bears_drag(entry: Any) -> bool:
+    """Whether the block of a box's entry counts the drag of cables."""
+    kind = block_of(type(entry)) if is_dataclass(entry) else entry
+    return bool(declared_by(kind, "bears_drag", False))
 
 
 def connected(boxes: Boxes, parts: Parts, inputs: Collection[str]) -> Diagram:
     """The loop of a scenario's blocks; `inputs` are as of `make_nonstop`."""
-    outside = _signals_left_out(boxes, parts.loop) | wiring.sizes_of_inputs(parts.blocks, inputs)
+    loop = parts.loop
+    needed = {signal.removeprefix(HELD) for name in loop.blocks for signal in loop.needed(name)}
+    left_out = [
+        signal
+        for name, box in boxes.items()
+        for signal in box.signals
+        if name not in loop.blocks and signal in needed and loop.maker_of(signal) is None
+    ]
+    outside = dict.fromkeys(left_out) | wiring.sizes_of_inputs(parts.blocks, inputs)
     builder = DiagramBuilder()
-    wiring.connect_by_name(builder, parts.blocks, inputs=outside)
+    wiring.connect_by_name(builder, parts.blocks, inputs=[*outside])
     diagram = LoopDiagram()
-    with naming_the_block():  # Drake asks the blocks which outputs feed through
+    with block_blamed():  # Drake asks the blocks which outputs feed through
         builder.BuildInto(diagram)
     diagram.set_name(LOOP)
     diagram.speed_margin = parts.margin
-    diagram.watched_models = {
-        name: model
-        for name, model in parts.watched.items()
-        if not is_of_package(parts.blocks.get(name))
-    }
     return diagram
 
 
-def models_of(scenario: LoopConfig) -> tuple[Model, Model]:
+def models_of(scenario: Any) -> tuple[Model, Model]:
     """Models of what the controllers believe, and of what is simulated."""
     others = scenario.pattern, scenario.control_period
-    believed = _model(scenario.system, *others, "system", ())
+    believed = Model(scenario.system, *others)
     plant = overridden(scenario.system, scenario.simulated)
     require(
         len(plant.attachments) == believed.n,
@@ -195,181 +162,53 @@ def models_of(scenario: LoopConfig) -> tuple[Model, Model]:
         plant.attachments,
         f"give as many attachment points as system.attachments has, {believed.n}",
     )
-    return believed, _model(plant, *others, "simulated", tuple(given_fields(scenario.simulated)))
-
-
-def _model(*own: Any) -> Model:
-    """The model of a system, a pattern and what follows these as arguments of `Model`."""
-    try:
-        return _model_of(pickle.dumps(own))
-    except (pickle.PicklingError, AttributeError, TypeError):  # a pattern of the user's own
-        return Model(*own[:3], field=own[3], overridden=own[4])
-
-
-@functools.lru_cache(maxsize=128)
-def _model_of(content: bytes) -> Model:
-    *own, field, overridden = pickle.loads(content)
-    return Model(*own, field=field, overridden=overridden)
-
-
-def _require_motion(loop: LoopBlocks) -> None:
-    """Raises ScenarioError where neither the pattern nor the load moves the carriers."""
-    model = loop.believed
-    reference = loop.at_start("reference") if model.pattern.is_constant else None
-    if reference is not None:
-        require(
-            np.any(LoadReference.view(reference).angular_velocity),
-            "pattern",
-            type(model.pattern_config).__name__.removesuffix("Config"),
-            "its carriers keep their places above the load, which does not turn at the start, and "
-            "would stop; give load_trajectory: !SteadyTurn, or a pattern with orbits",
-        )
+    given = tuple(given_fields(scenario.simulated))
+    return believed, Model(plant, *others, field="simulated", overridden=given)
 
 
 def _require_made(boxes: Boxes, loop: LoopBlocks) -> None:
-    """Raises WiringError where a block needs what a block of a box may make, and does not."""
-    makers = {signal: name for name, box in boxes.items() for signal in box.optional}
+    """Raises ScenarioError where a block needs what the block of a box does not make."""
+    makers = {signal: name for name, box in boxes.items() for signal in box.signals}
     for name, block in loop.blocks.items():
-        needed = loop.needed(name)
-        for signal, maker in makers.items():
-            is_made = loop.maker_of(signal) is not None
-            if signal not in needed or maker not in loop.blocks or is_made:
+        for signal in sorted({s.removeprefix(HELD) for s in loop.needed(name)}):
+            maker = makers.get(signal)
+            if maker is None or maker not in loop.blocks or loop.maker_of(signal) is not None:
                 continue
-            variant = boxes[maker].optional[signal]
-            instead = boxes[name].alternatives.get(signal) if name in boxes else None
-            raise wiring.WiringError(
+            made = [v for v in boxes[maker].variants if signal in v.makes]
+            others = boxes[name].variants if name in boxes else ()
+            instead = [v for v in others if signal not in v.reads]
+            raise ScenarioError(
                 f"{name} = {type(block).__name__}: it reads {signal}, which "
                 f"{maker} = {type(loop.blocks[maker]).__name__} does not make; give "
-                f"{f'{maker}={variant}' if variant else 'it this output'}, or "
-                f"{f'{name}={instead}' if instead else f'another block for {name}'}"
+                f"{f'{maker}={made[0].__name__}' if made else 'it this output'}, or "
+                f"{f'{name}={instead[0].__name__}' if instead else f'another block for {name}'}"
             )
 
 
-def _unread(boxes: Boxes, loop: LoopBlocks) -> Iterator[str]:
-    """Signals made for a box's block, which does not read them."""
-    for box in boxes.values():
-        own = loop.maker_of(next(iter(box.signals)))
-        for signal, sentence in box.expected_inputs.items():
-            maker = loop.maker_of(signal)
-            if own is None or maker in (None, own) or getattr(maker, "is_trivial", False):
-                continue
-            if signal not in wiring.input_names(own):
-                name = next(name for name, block in loop.blocks.items() if block is own)
-                yield f"{name} = {type(own).__name__}: {sentence}"
-
-
-def _check_preview(loop: LoopBlocks) -> None:
-    """Raises ScenarioError where a user's own block does not tell the reference that it makes."""
-    for name, block in loop.blocks.items():
-        if is_of_package(block) or "reference_preview" not in wiring.output_names(block):
-            continue
-        field = f"{name}.reference_preview"
-        if block.num_input_ports() > 0:
-            preview = block.GetOutputPort("reference_preview").Allocate().get_value()
-        else:
-            start = block.CreateDefaultContext()
-            preview = block.GetOutputPort("reference_preview").Eval(start)
-        remedy = "give a ReferencePreview, such as ReferencePreview(reference_at)"
-        is_preview = callable(preview) and hasattr(preview, "end_time")
-        require(is_preview, field, type(preview).__name__, remedy)
-        reference = loop.at_start("reference", block)
-        if reference is None:
-            continue
-        told = np.asarray(preview(0.0), dtype=float)
-        is_equal = told.shape == reference.shape and np.allclose(told, reference, atol=1e-9)
-        remedy = f"at t = 0 it is not what {name} makes as reference; correct one of the two"
-        require(is_equal, field, told.tolist(), remedy)
-
-
 def make_block(boxes: Boxes, name: str, entry: Any, model: Model) -> System:
-    """The block that an entry makes of a model, for a box or beside them."""
-    field, besides = f"replacement {name}", ", or None to leave the box out"
+    """The block that an entry makes of a model, for a box or beside them.
+
+    Raises:
+        ScenarioError: it is no such block, or its constructor does not take the model.
+    """
+    field = f"{'replacement' if name in boxes else 'extra'} {name}"
     if name not in boxes:
-        field, besides = f"extra {name}", ""
         config = _config_class(entry)
         entry = entry if config is None else config()
+    arguments: tuple[Any, ...] = (model,)
     if is_dataclass(entry) and not isinstance(entry, type):
-        entry = _constructor(boxes, name, entry)
-    remedy = f"give a block's config, a function that takes the model and returns a system{besides}"
+        arguments = model, entry
+        entry = block_of(type(entry))
+    remedy = "give a block's config, or a function that takes the model and returns a system"
     require(callable(entry), field, entry, remedy)
     try:
-        block = called(field, remedy, entry, model)
+        block = called(field, remedy, entry, *arguments)
     except SystemExit:
         remedy = "give a function that returns a system, and does not exit"
         raise ScenarioError(f"{field} = SystemExit: {remedy}") from None
     remedy = "return a LeafSystem or Diagram from the function"
     require(isinstance(block, System), field, block, remedy)
     return block
-
-
-@contextlib.contextmanager
-def naming_the_block() -> Iterator[None]:
-    """Has an error of a block of the user's own tell the block and the line, in one sentence."""
-    try:
-        yield
-    except (ScenarioError, NotFiniteError):
-        raise
-    except Exception as error:  # whatever a block may raise
-        blamed = raising_block(error)
-        if not blamed:
-            raise  # Drake's own, such as that of an algebraic loop
-        raise ScenarioError(f"{blamed}{one_line(error)}; correct the block") from error
-
-
-def _check_layouts(name: str, block: System) -> None:
-    """Raises ScenarioError where the layouts that a block declares are not those of its ports."""
-    layouts = getattr(block, "signal_layouts", {})
-    field = f"{name}.signal_layouts"
-    remedy = 'give a mapping from ports to Layouts, such as {"fuel": Layout(Part("", "n", "kg"))}'
-    require(isinstance(layouts, Mapping), field, layouts, remedy)
-    ports = wiring.output_names(block)
-    for port, layout in layouts.items():
-        remedy = f"give the name of an output port, such as {' or '.join(ports[:3])}"
-        require(port in ports, field, port, remedy)
-        field_of_port = f"{field}[{port}]"
-        require(hasattr(layout, "entries"), field_of_port, layout, "give a Layout")
-        size = block.GetOutputPort(port).size()
-        remedy = f"give a Layout of {size} entries, as the port has, or the port another size"
-        require(layout.entries(port, size), field_of_port, f"{layout.size} entries", remedy)
-
-
-def _figure_sizes(boxes: Boxes, model: Model) -> dict[str, int | None]:
-    """The sizes of all the figure's signals."""
-    return {
-        signal: size
-        for box in boxes.values()
-        for signal, size in box.sizes(model.n, model.m).items()
-    }
-
-
-def _signals_left_out(boxes: Boxes, loop: LoopBlocks) -> dict[str, int | None]:
-    """The signals, with their sizes, of boxes left out that no block makes in their place.
-
-    Of the optional ones those that other blocks need.
-    """
-    needed = {signal for name in loop.blocks for signal in loop.needed(name)}
-    sizes = _figure_sizes(boxes, loop.believed)
-    return {
-        signal: sizes[signal]
-        for name, box in boxes.items()
-        if name not in loop.blocks
-        for signal in box.signals
-        if (signal not in box.optional or signal in needed) and loop.maker_of(signal) is None
-    }
-
-
-def _checked_extra(boxes: Boxes, extra: Mapping[str, Any] | None) -> dict[str, Any]:
-    """The blocks beyond the figure's."""
-    remedy = 'give a mapping from names to blocks, such as {"estimator": Estimator}'
-    require(extra is None or isinstance(extra, Mapping), "extra", extra, remedy)
-    for name in extra or {}:
-        taken = name in boxes or name == SAMPLE_AND_HOLD
-        remedy = f"it is a box of the figure; give it as {name}=..., or its block another name"
-        if name == SAMPLE_AND_HOLD:
-            remedy = "the loop has a block of that name; give another one"
-        require(not taken, "extra", name, remedy)
-        wiring.require_name("extra", name)
-    return dict(extra or {})
 
 
 Loop = TypeVar("Loop", bound=LoopConfig)
@@ -390,10 +229,8 @@ def replaced(
     configs: dict[str, Any] = {}
     others: dict[str, Any] = {}
     for name, entry in replacements.items():
-        if name == EXTRA:
-            others[name] = entry
-            continue
-        require(name in boxes, "replacement", name, f"give one of {', '.join(boxes)}")
+        is_known = name in boxes or name == EXTRA
+        require(is_known, "replacement", name, f"give one of {', '.join(boxes)}")
         config = _config_class(entry)
         if config is not None:
             present = getattr(scenario, name)
@@ -407,36 +244,10 @@ def replaced(
     return scenario, others
 
 
-def _config_class(entry: Any) -> type | None:
-    """The dataclass of the parameters of a block class, if its module has one."""
-    if not isinstance(entry, type):
-        return None
-    if is_dataclass(entry):
-        return entry
+def _config_class(entry: Any) -> Any:
+    """The dataclass of the parameters of a block class, if its module has one, or that itself."""
+    if not isinstance(entry, type) or is_dataclass(entry):
+        return entry if isinstance(entry, type) else None
     config = config_class(entry)
-    if isinstance(config, type) and is_dataclass(config) and block_of(config) is entry:
-        return config
-    return None
-
-
-def _constructor(boxes: Boxes, name: str, config: Any) -> Callable[[Model], System]:
-    """Maker of the block of a config for the box of that name, or beside the boxes."""
-    block: Any = block_class(name if name in boxes else f"extra {name}", type(config))
-    if name not in boxes or block in boxes[name].variants:
-        return lambda model: block(model, config)
-    choices = ", ".join(variant.__name__ for variant in boxes[name].variants)
-    is_own = all(block not in box.variants for box in boxes.values())
-    require(is_own, name, block.__name__, f"give one of {choices}")
-
-    def make(model: Model) -> System:
-        try:
-            return block(model, config)
-        except ScenarioError:
-            raise
-        except (Exception, SystemExit) as error:  # whatever a user's constructor may raise
-            raise ScenarioError(
-                f"{name} = !{import_path(type(config))}: correct its constructor, which takes "
-                f"the model and the config ({one_line(error)})"
-            ) from error
-
-    return make
+    is_pair = isinstance(config, type) and block_of(config) is entry
+    return config if is_pair and is_dataclass(config) else None

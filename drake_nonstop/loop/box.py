@@ -8,12 +8,8 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any, NamedTuple
 
-from pydrake.systems.framework import System
-
 from drake_nonstop.mechanics.signal_layouts import SIGNALS, Layout
-from drake_nonstop.model.system import Model
-from drake_nonstop.systems.documentation import config_class
-from drake_nonstop.validation import require
+from drake_nonstop.systems.documentation import config_class, declared_by
 
 
 class Kind(Enum):
@@ -46,11 +42,7 @@ class Box:
         makes: the names of the signals that its block makes.
         signals: these with their layouts, of `mechanics.signal_layouts` or of a variant's own
             `signal_layouts`; None: the signal is no vector.
-        optional: the signals among them that a block may leave out, and a variant that makes each;
-            "": there is none to name.
-        alternatives: signals that some variants read, and one that does without.
-        expected_inputs: signals that its block has to read where they are made, and what to say
-            of one that does not.
+        optional: the signals among them that a block may leave out.
         recorded_where_read: the signals that take time to evaluate and are in a run's recorded
             signals only where a block needs them.
         place: where the drawing has it.
@@ -64,12 +56,10 @@ class Box:
         configs: the dataclasses of the variants' parameters, in their order.
     """
 
-    variants: tuple[type[System], ...]
+    variants: tuple[type[Any], ...]
     makes: tuple[str, ...]
     place: Place
-    optional: Mapping[str, str] = field(default_factory=dict)
-    alternatives: Mapping[str, str] = field(default_factory=dict)
-    expected_inputs: Mapping[str, str] = field(default_factory=dict)
+    optional: tuple[str, ...] = ()
     recorded_where_read: tuple[str, ...] = ()
     is_simulated: bool = False
     is_linearized: bool = True
@@ -81,51 +71,9 @@ class Box:
     def __post_init__(self) -> None:
         known = dict(SIGNALS)
         for variant in self.variants:
-            known |= getattr(variant, "signal_layouts", {})
+            known |= declared_by(variant, "signal_layouts", {})
         object.__setattr__(self, "signals", {name: known[name] for name in self.makes})
         object.__setattr__(self, "configs", tuple(map(config_class, self.variants)))
-
-    def sizes(self, n: int, m: int) -> dict[str, int | None]:
-        """The sizes of its signals for n carriers and m internal-force coordinates.
-
-        None: the signal is abstract.
-        """
-        return {
-            signal: None if layout is None else layout.count(n, m)
-            for signal, layout in self.signals.items()
-        }
-
-    def required_and_optional(
-        self, model: Model, block: System
-    ) -> tuple[dict[str, int | None], dict[str, int | None]]:
-        """The signals that a block of it has to make and those that it may make, with their sizes.
-
-        A block may make some parts of a `SomeOf`.
-        """
-        sizes = self.sizes(model.n, model.m)
-        for signal, own in getattr(block, "signal_layouts", {}).items():
-            layout = self.signals.get(signal)
-            if layout is not None and layout.is_choice and {*own.parts} <= {*layout.parts}:
-                sizes[signal] = own.count(model.n, model.m)
-        optional = {signal: sizes.pop(signal) for signal in self.signals if signal in self.optional}
-        return sizes, optional
-
-
-def block_class(box: str, config: type) -> type[System]:
-    """The block of a dataclass of parameters: X in the module of XConfig.
-
-    Raises:
-        ScenarioError: there is no such block; the message calls the box by that name.
-    """
-    block = block_of(config)
-    require(
-        isinstance(block, type) and issubclass(block, System),
-        box,
-        import_path(config),
-        f"give {config.__module__} a LeafSystem or Diagram of the name "
-        f"{config.__name__.removesuffix('Config')}",
-    )
-    return block
 
 
 def block_of(config: type) -> Any:

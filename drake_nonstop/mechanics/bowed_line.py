@@ -34,6 +34,9 @@ from drake_nonstop.mechanics.rotation import cross, norm, rotate_quaternion, rot
 from drake_nonstop.mechanics.signals import LoadReference, PlannedParameters, ReferenceHigherRates
 
 _UP = np.array([0.0, 0.0, 1.0])
+_FORCE_STEP = 1e-5  # N and N/s, of differences
+_CLOSE = 1e-9  # m and m/s, of an end that is reached
+_ITERATIONS = 15
 _PASSES = 1  # of a segment's direction: leaves 2 mm on 12 nodes, a second one 0.02 mm
 
 
@@ -141,6 +144,64 @@ def bowed_lines(
         bend = change - last_change if len(found) > 1 else bend
         segment = _segment(force, above, cable)
     return BowedLines(np.stack(found), point + segment, force)
+
+
+def lines_between(
+    forces: NDArray,
+    attachments: NDArray,
+    ends: NDArray,
+    wind: NDArray,
+    window: TimeWindow,
+    *,
+    cable: CableMaterial,
+    nodes: int,
+    gusts: NDArray,
+) -> tuple[NDArray, NDArray] | None:
+    """Positions and velocities (N, n, 3), m and m/s, of the nodes of lines to given ends.
+
+    A constant force and one that grows with time are added to each line's pull on the load, such
+    that it ends where its carrier is, as fast: Newton's method. None: it finds no such forces.
+
+    Args:
+        forces: (k, n, 3), N, about what the lines pull with on the load, in W.
+        attachments: (k, n, 3), m, in W.
+        ends: positions and velocities (2, n, 3), m and m/s, of the carriers at present.
+        wind: (3,), m/s, in W, at the load.
+        window: the k instants.
+        cable: what the lines are made of.
+        nodes: N, at least 1.
+        gusts: (n, 3), m/s, in W, of the carriers beyond that wind.
+    """
+    n = len(ends[0])
+    in_time = np.stack([np.ones(len(window.times)), window.times])
+    added = np.zeros((n, 6))  # N and N/s
+    tried = np.concatenate([np.zeros((1, 6)), _FORCE_STEP * np.eye(6)])  # all of them at once
+    many = len(tried)
+    for _ in range(_ITERATIONS):
+        more = (added + tried[:, None]).reshape(many, n, 2, 3)
+        pulls = forces[:, None] + np.einsum("rk,mnrc->kmnc", in_time, more)
+        with np.errstate(all="ignore"):
+            lines = bowed_lines(
+                pulls.reshape(len(in_time[0]), -1, 3),
+                np.tile(attachments, (1, many, 1)),
+                wind,
+                window,
+                cable=cable,
+                nodes=nodes,
+                gusts=np.tile(gusts, (many, 1)),
+            )
+            motion = np.stack(window.at_present(lines.ends)[:2]).reshape(2, many, n, 3)
+        reached = motion.transpose(2, 0, 3, 1).reshape(n, 6, many)
+        if not np.all(np.isfinite(reached)):
+            return None
+        missing = ends.transpose(1, 0, 2).reshape(n, 6) - reached[..., 0]
+        if np.max(np.abs(missing)) < _CLOSE:
+            found = [window.at_present(node[:, :n])[:2] for node in lines.nodes]
+            positions, velocities = zip(*found, strict=True)
+            return np.stack(positions), np.stack(velocities)
+        slopes = (reached[..., 1:] - reached[..., :1]) / _FORCE_STEP
+        added = added + (np.linalg.pinv(slopes) @ missing[..., None])[..., 0]
+    return None
 
 
 def motion_over_window(

@@ -79,26 +79,6 @@ def straight_nodes(
     return np.concatenate([(low + places * (high - low)).ravel() for low, high in lines])
 
 
-def resampled_nodes(
-    state: NDArray, lines: tuple[tuple[NDArray, NDArray], tuple[NDArray, NDArray]], nodes: int
-) -> NDArray:
-    """The state (6Nn,) of `nodes` on splines through those of a `state`, with the `lines`' ends."""
-    from scipy.interpolate import CubicSpline  # here: the import takes long, and few runs need it
-
-    n = len(lines[0][0])
-    if len(state) == 6 * nodes * n:
-        return state
-    given, places = (
-        np.cumsum(segment_shares(count))[:-1] for count in (len(state) // (6 * n), nodes)
-    )
-    breaks = np.concatenate([[0.0], given, [1.0]])
-    found = []
-    for inner, (low, high) in zip(nodes_of(state, n), lines, strict=True):
-        points = np.concatenate([low[None], inner, high[None]])
-        found.append(CubicSpline(breaks, points)(places).ravel())
-    return np.concatenate(found)
-
-
 def lumped_cables(
     state: NDArray,
     load_state: NDArray,

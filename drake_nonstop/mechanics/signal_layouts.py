@@ -86,7 +86,6 @@ class Layout:
     """
 
     parts: tuple[Part, ...]
-    is_choice = False  # whether a block may make some of the parts alone
 
     def __init__(self, *parts: Part):
         for part in parts:
@@ -150,8 +149,6 @@ class Layout:
 class SomeOf(Layout):
     """Parts of which a block makes some: its own `signal_layouts` say which."""
 
-    is_choice = True
-
     @property
     def size(self) -> str:
         """In words."""
@@ -208,6 +205,7 @@ def nodes_layout(nodes: int) -> SomeOf:
 
 SAMPLE_TIME = "sample_time"  # of what is held
 HELD = "held_"  # begins the name of a signal that is held from one sample to the next
+SAMPLED = "sampled_"  # how names begin of what a block makes at samples and moves in between
 
 # By the names of signals; None: one is no vector. Besides, a block may have `signal_layouts`.
 SIGNALS: dict[str, Layout | None] = {
@@ -252,6 +250,8 @@ SIGNALS: dict[str, Layout | None] = {
     "desired_cable_force_rates": Layout(Part("", "3n", "N/s", "W")),
     "carrier_reference": CARRIER_STATES,
     "carrier_reference_acceleration": Layout(Part("", "3n", "m/s²", "W")),
+    "sampled_carrier_reference": CARRIER_STATES,
+    "sampled_carrier_reference_acceleration": Layout(Part("", "3n", "m/s²", "W")),
     "carrier_reference_jerk": Layout(Part("", "3n", "m/s³", "W")),
     "cable_reference": nodes_layout(MOST_NODES),
     "cable_drag_and_weight": Layout(

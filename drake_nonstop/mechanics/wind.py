@@ -14,14 +14,15 @@ SEVERITIES = {"light": 15 * KNOT, "moderate": 30 * KNOT, "severe": 45 * KNOT}  #
 GUST_STEP = 0.01  # s, between the samples of gusts
 
 
-def power_law(height: NDArray, *, reference_height: float, exponent: float) -> NDArray:
+def power_law(height: NDArray, *, reference_height: Any, exponent: Any) -> NDArray:
     """The wind at a height in m above the ground, over that at the reference height.
 
     (z/z_r)^α, with z at least `LOWEST_HEIGHT`; α is some 1/7 over open land (IEC 61400-1 takes 0.2
     for its normal wind profile).
     """
     lifted = LOWEST_HEIGHT + positive_part(height - LOWEST_HEIGHT)
-    return (lifted / reference_height) ** exponent
+    power: NDArray = np.exp(exponent * np.log(lifted / reference_height))
+    return power
 
 
 def risen_share(time: Any, *, start: float, rise_time: float) -> Any:
@@ -98,13 +99,18 @@ def wave_frequencies(
     return np.interp(shares * power[-1], power, x) / correlation_time
 
 
-def coloured_noise(time: Any, waves: Waves, deviation: float | NDArray) -> NDArray:
-    """The noises (noises,) at a time in s, of any scalar type, with these standard deviations.
+def coloured_noise(times: NDArray, waves: Waves) -> NDArray:
+    """The noises (k, noises), of variance 1, at times (k,) in s."""
+    sines = np.sin(waves.frequencies * times[:, None, None] + waves.phases)
+    noises: NDArray = np.sqrt(2 / sines.shape[-1]) * sines.sum(axis=-1)
+    return noises
 
-    At times (k, 1, 1) they are (k, noises).
-    """
-    sines = np.sin(waves.frequencies * time + waves.phases)
-    return deviation * np.sqrt(2 / sines.shape[-1]) * sines.sum(axis=-1)
+
+def coloured_noise_rate(times: NDArray, waves: Waves) -> NDArray:
+    """Their rates (k, noises), 1/s."""
+    cosines = np.cos(waves.frequencies * times[:, None, None] + waves.phases)
+    rates: NDArray = np.sqrt(2 / cosines.shape[-1]) * (waves.frequencies * cosines).sum(axis=-1)
+    return rates
 
 
 def turbulence_at(altitude: float) -> tuple[NDArray, float]:

@@ -6,26 +6,34 @@ import math
 import numbers
 import pickle
 import types
-from collections.abc import Callable, Collection, Iterable, Mapping
-from dataclasses import asdict
+from collections.abc import Callable, Collection, Hashable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from operator import attrgetter
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.systems.primitives import Selector, SelectorParams
+from pydrake.common.value import AbstractValue
+from pydrake.systems.framework import ValueProducer
 
 from drake_nonstop.mechanics.aircraft import Aircraft
 from drake_nonstop.mechanics.rigid_load import RigidLoad
 from drake_nonstop.mechanics.signal_layouts import HELD, SIGNALS, Layout
 from drake_nonstop.model.aircraft import FLIGHT_FIELDS
 from drake_nonstop.model.system import AIRCRAFT, OFFSET, Model
-from drake_nonstop.systems.block import BlockType
-from drake_nonstop.systems.documentation import documented, own_config_class
+from drake_nonstop.systems.block import is_of_package
+from drake_nonstop.systems.documentation import own_config_class
+from drake_nonstop.systems.equation_block import EquationBlock, rates_in
+from drake_nonstop.systems.equations import STATE, BetweenSamples, Equations
 from drake_nonstop.systems.parameters import NumericParameters
-from drake_nonstop.systems.traced_block import BetweenSamples, Start, TracedBlock, TracedDynamics
-from drake_nonstop.systems.tracing import NotFiniteError
-from drake_nonstop.validation import ScenarioError, one_line, require, require_array
+from drake_nonstop.systems.tracing import where
+from drake_nonstop.validation import (
+    ScenarioError,
+    StrictFields,
+    one_line,
+    require,
+    require_array,
+)
 
 # An aircraft's, but for what its motion does not go by.
 AIRCRAFT_NUMBERS = (
@@ -39,14 +47,6 @@ AUTO = "auto"  # in the place of a field of a config that follows from the syste
 LOAD = ("load_mass", "load_inertia", "load_drag", "load_angular_drag", "gravity")
 
 
-def _nothing(model: Model, config: Any) -> None:
-    pass
-
-
-def _none(numbers: Mapping[str, Any]) -> dict[str, Any]:
-    return {}
-
-
 class BlockParameters(NumericParameters):
     """The parameters of a block, at first those of its model and its config.
 
@@ -55,11 +55,6 @@ class BlockParameters(NumericParameters):
         of_system: the names of fields of the system, and of `Model.offset_parameter`.
         config: the block's, None where it has no parameters of its own.
         own: the names of fields of the config.
-        check: raises ScenarioError for a model and a config that do not make the block.
-        structure: what of their numbers decides how it is built, such as whether a gain is zero.
-        fixed: fields of the system that it takes over as it is built.
-        follow: takes the parameters that are of the system, numbers or arrays (1,) or (3, 3), by
-            name, and returns what fields of the config are where they are `AUTO`.
     """
 
     def __init__(
@@ -69,38 +64,10 @@ class BlockParameters(NumericParameters):
         *,
         config: Any = None,
         own: Iterable[str] = (),
-        check: Callable[[Model, Any], None] = _nothing,
-        structure: Callable[[Model, Any], Any] = _nothing,
-        fixed: tuple[str, ...] = (),
-        follow: Callable[[Mapping[str, Any]], dict[str, Any]] = _none,
     ):
-        self.model, self.config, self.fixed = model, config, fixed
-        self.check, self.structure, self.follow = check, structure, follow
-        self.of_system, self.own = tuple(of_system), tuple(own)
+        self.model, self.of_system, self.own = model, tuple(of_system), tuple(own)
         values = {name: model.number(name) for name in self.of_system}
-        following = follow(values)
-        of_config = {
-            name: following[name] if self.is_auto(name) else getattr(config, name)
-            for name in self.own
-        }
-        super().__init__(values | of_config)
-
-    def with_numbers(self, model: Model, config: Any) -> "BlockParameters":
-        """Those of the same block with another model and config."""
-        return BlockParameters(
-            model,
-            self.of_system,
-            config=config,
-            own=self.own,
-            check=self.check,
-            structure=self.structure,
-            fixed=self.fixed,
-            follow=self.follow,
-        )
-
-    def is_auto(self, name: str) -> bool:
-        """Whether a field of the config is `AUTO`."""
-        return bool(getattr(self.config, name) == AUTO)
+        super().__init__(values | {name: getattr(config, name) for name in self.own})
 
 
 def rigid_load(
@@ -136,7 +103,26 @@ def aircraft_of(numbers: Mapping[str, Any]) -> Aircraft:
     return Aircraft._make(given.get(name, math.nan) for name in Aircraft._fields)
 
 
-class Block(TracedBlock):
+def with_this_sample(
+    state: NDArray, rate: NDArray, sample_time: Sequence[NDArray], period: float
+) -> tuple[NDArray, NDArray]:
+    """The rate of a sampled state, and the state after its step, which outputs may go by.
+
+    The first step is made from the second sample on. Without a `sample_time` the state is
+    continuous.
+    """
+    if not sample_time:
+        return rate, state
+    rate = where(sample_time[0][0] > 0, rate, 0 * rate)
+    return rate, state + period * rate
+
+
+@dataclass(kw_only=True)
+class _NoConfig(StrictFields):
+    """No parameters."""
+
+
+class Block(EquationBlock):
     """A block that is made by `X(model, config)` of what its class X declares.
 
     The dataclass of its parameters is XConfig, in the same module; those that are numbers are
@@ -156,23 +142,31 @@ class Block(TracedBlock):
                 force = stiffness * (reference[4:7] - load_state[4:7])
                 return np.concatenate([np.zeros(3), force])
 
-    `equations` takes the state, if there is one, an array (size,) for each signal of `reads`, and
-    the time (1,) in s if `reads_time`. By name it takes what is `of_model`, and the parameters of
-    `system` and of the config, as arrays, numbers as (1,). It returns the state's rate, if there is
-    a state, and an array for each signal of `makes` but `state_port`. It is plain arithmetic that
-    runs on arrays of floats, AutoDiffXd, Expressions and symbols of CasADi alike: no branches on
-    values, no `np.linalg.norm`, no writing into arrays. From it follow what feeds through to what,
-    the derivatives, and the block's part of a compiled loop.
+    `equations` takes the state, if there is one, an array (size,) for each signal of `reads`, then
+    for each of its `quantities`, and the time (1,) in s if `reads_time`. By name it takes what is
+    `of_model`, and the parameters of `system` and of the config, as arrays, numbers as (1,). It
+    returns the state's rate, if there is a state, and an array for each signal of `makes` that does
+    not show the state. It is plain arithmetic that runs on arrays of floats, AutoDiffXd,
+    Expressions and symbols of CasADi alike: no branches on values, no `np.linalg.norm`, no writing
+    into arrays. From it follow what feeds through to what, the derivatives, and the block's part of
+    a compiled loop.
+
+    The states of all sampled blocks step at each sample at once, from what was held since the last
+    one. A class may have a static method `start`, which takes what `equations` takes, and returns
+    the state at the start of a run.
 
     Attributes:
         reads, makes: names of signals.
         optional_inputs: of those that it reads: they may be left unconnected, and then are zero.
+        unconnected: other values of these, by name.
         system: names of fields of the system that `equations` takes, and a context can change.
         of_model: attributes of the `Model` that it takes, and nothing can change, such as
             "attachments" or "pattern.basis", which it takes by the name basis.
-        state_port: the signal that shows the state; None: none does.
+        state_ports: signals that show the state, one part after the other.
         is_sampled: with a control period the state changes at the samples alone.
-        reads_time, is_joint, is_held, updates_first: as of `TracedBlock`.
+        reads_time: `equations` takes the time.
+        makes_next_state: of a sampled state `equations` returns the next one, and not its rate.
+        is_joint: all that `equations` returns is made together.
         model, config: what it was made of, a copy of the config; all hooks find them there.
 
     Raises:
@@ -180,25 +174,20 @@ class Block(TracedBlock):
             cannot be used.
     """
 
-    optional_inputs: tuple[str, ...] = ()
     system: ClassVar[tuple[str, ...]] = ()
     of_model: ClassVar[tuple[str, ...]] = ()
-    state_port: ClassVar[str | None] = None
-    reads_time = False
-    is_joint: ClassVar[bool] = False
-    is_held: ClassVar[bool] = False
-    updates_first = False
+    unconnected: ClassVar[Mapping[str, float]] = {}
+    state_ports: ClassVar[tuple[str, ...]] = ()
+    start: ClassVar[Callable | None] = None
+    equations: ClassVar[Callable | None] = None
+    reads_time = makes_next_state = is_joint = False
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
         own = vars(cls)
-        below = [vars(kind) for kind in cls.__mro__ if kind not in Block.__mro__]
-        if any("state" in members for members in below):
-            cls.has_rates = True
-            if not any("DoCalcTimeDerivatives" in members for members in below):
-                cls.DoCalcTimeDerivatives = (  # type: ignore[method-assign]
-                    TracedDynamics.DoCalcTimeDerivatives
-                )
+        below = {name for kind in cls.__mro__ if kind not in Block.__mro__ for name in vars(kind)}
+        if "state" in below and "DoCalcTimeDerivatives" not in below:
+            cls.DoCalcTimeDerivatives = rates_in
         for name in ("reads", "makes", "optional_inputs", "system", "of_model"):
             remedy = f'give a tuple of names, such as {name} = ("load_mass",)'
             is_tuple = isinstance(own.get(name, ()), tuple)
@@ -207,49 +196,87 @@ class Block(TracedBlock):
         remedy = "make it a @staticmethod, which takes all that it needs as arguments"
         require(is_static, f"{cls.__name__}.equations", "a method", remedy)
 
-    def __init__(self, model: Model, config: Any = None):
-        """Makes the block; it takes a `model` and a `config` (None: the default values)."""
+    def __init__(self, model: Model | None, config: Any = None):
+        """Makes the block; it takes a `model` and a `config` (None: the default values).
+
+        One that is made of other things, and goes by no system, gives None for the model.
+        """
+        if model is None:
+            no_model: Any = types.SimpleNamespace(n=0, m=0, control_period=0.0)
+            model, config = no_model, _NoConfig()
+        assert model is not None
         config = own_config_class(type(self))() if config is None else config
         config = copy.deepcopy(config)  # the caller may change it
         self.model, self.config = model, config
         self.check(model, config)
+        for name in self.system:
+            is_known = name == OFFSET or name.startswith(AIRCRAFT) or hasattr(model.system, name)
+            remedy = "give fields of the scenario's system, such as load_mass"
+            require(is_known, self._said("system"), name, remedy)
         constants, parameters = self.constants(model, config), self.block_parameters(model, config)
-        reads, period = self.inputs(model), model.control_period
+        reads, makes, period = self.inputs(model), self.outputs(model), model.control_period
         state = self.state(model)
         if state is not None:
             state = require_array(self._said("state"), state, [None], "numbers, the first state")
         has_state = state is not None and self.has_state(model, config)
         if layouts := self.layouts(model, config):
             self.signal_layouts = layouts
-        outputs = signal_sizes(self, model, self.makes)
-        self._require_sound(constants, parameters, reads, has_state)
-        made = {name: size for name, size in outputs.items() if name != self.state_port}
-        if state is not None:
-            made = {"the state's rate": len(state)} | made
-        equations: Any = type(self).equations
-        function = self._explained("equations", functools.partial(equations, **constants), made)
-        kept = [(k, v if callable(v) else pickle.dumps(v)) for k, v in constants.items()]
+        fixed = self.fixed_outputs()
+        outputs = signal_sizes(self, model, [name for name in makes if name not in fixed])
+        self._require_sound(constants, parameters, reads, makes, has_state)
+        ports = self.state_ports if has_state else ()
+        between = self.between_samples(model, config) if period > 0 else None
+        moved = () if between is None else between.makes
+        kept = {k: _frozen(v) for k, v in constants.items()}
+        own: Any = type(self)
+        equations: Callable = functools.partial(own.equations, **constants)
+        has_start = has_state and own.start is not None
+        start = functools.partial(own.start, **constants) if has_start else None
         if state is not None and not has_state:
-            function = _without_state(function, state)
-            kept.append(("state", state.tobytes()))
-        super().__init__(
-            function,
+            equations = _without_state(equations, state)
+            kept[STATE] = state.tobytes()
+        own_period = self.step_period(model, config)
+        is_time = math.isfinite(own_period) and own_period >= 0
+        require(is_time, self._said("step_period"), own_period, "give a time in s, 0 or more")
+        remedy = "return a first state by `state`, and a time above 0 by `step_period`"
+        has_steps = has_state and own_period > 0
+        is_sound = self.answer is None or has_steps
+        require(is_sound, self._said("answer"), "that of no sampled state", remedy)
+        samples = own_period / period if period > 0 else 0.0
+        is_multiple = round(samples) > 0 and abs(samples - round(samples)) < 1e-9
+        block = Equations(
+            equations,
             inputs=signal_sizes(self, model, reads),
-            outputs=outputs,
-            optional=[name for name in self.optional_inputs if name in reads],
-            known=self.quantities(model),
+            outputs={k: size for k, size in outputs.items() if k not in (*ports, *moved)},
+            quantities=self.quantities(model),
+            optional={
+                name: self.unconnected.get(name, 0.0)
+                for name in self.optional_inputs
+                if name in reads
+            },
+            state=state if has_state else (),
+            shown={name: outputs[name] for name in ports},
             reads_time=self.reads_time,
             parameters=parameters,
-            key=(equations, has_state, *kept),
-            is_joint=self.is_joint,
-            between=self._moved(outputs) if period > 0 else None,
-            state=state if has_state else None,
-            state_port=self.state_port,
-            period=period if self.is_sampled else 0.0,
-            updates_first=self.updates_first,
-            start=self.start() if has_state else None,
-            is_held=self.is_held,
+            period=own_period,
+            makes_next_state=self.makes_next_state,
+            start=start,
+            answers=self.answer is not None,
+            key=None
+            if None in kept.values()
+            else (own.equations, own.start, has_state, *kept.items()),
+            joint=self.is_joint,
+            title=own.__name__,
+            motion=None if between is None else self._motion(between, outputs),
         )
+        if not is_of_package(self):
+            self._require_pure(block)
+        order = dict.fromkeys([*(name for name in self.makes if name in outputs), *outputs])
+        super().__init__(block, sample_period=period if is_multiple else 0.0, order=[*order])
+        for name, value in fixed.items():
+            allocate = functools.partial(AbstractValue.Clone, AbstractValue.Make(value))
+            known = {self.nothing_ticket()}
+            self.DeclareAbstractOutputPort(name, allocate, ValueProducer.NoopCalc, known)
 
     def _said(self, member: str) -> str:
         """Name of a member of the class in errors."""
@@ -260,14 +287,15 @@ class Block(TracedBlock):
         constants: Mapping[str, Any],
         parameters: BlockParameters,
         reads: Collection[str],
+        makes: Collection[str],
         has_state: bool,
     ) -> None:
         """Raises ScenarioError for declarations that contradict each other."""
         remedy = "write a @staticmethod of arrays, see drake_nonstop.Block"
-        require(hasattr(type(self), "equations"), self._said("equations"), "none", remedy)
-        port, remedy = self.state_port, "name one of the signals that it makes, of a state"
-        is_shown = port is None or (port in self.makes and has_state)
-        require(is_shown, self._said("state_port"), port, remedy)
+        require(self.equations is not None, self._said("equations"), "none", remedy)
+        for port in self.state_ports:
+            remedy = "name signals that it makes, of a state"
+            require(port in makes and has_state, self._said("state_ports"), port, remedy)
         for name in self.optional_inputs:
             remedy = "name signals that it reads"
             is_read = name in reads or name in self.reads
@@ -283,17 +311,33 @@ class Block(TracedBlock):
         remedy = "constants, fields of the system and of the config need different names"
         require(not twice, type(self).__name__, ", ".join(twice), remedy)
 
-    def _moved(self, outputs: Mapping[str, int]) -> BetweenSamples | None:
-        """Outputs that move between samples, checked."""
-        between = self.between_samples(self.model, self.config)
-        if between is None:
-            return None
+    def _motion(self, between: BetweenSamples, outputs: Mapping[str, int]) -> BetweenSamples:
+        """How outputs move between samples, checked, with their sizes."""
         for name in (*between.reads, *between.makes):
             remedy = f"name signals that it makes: {', '.join(outputs)}"
             require(name in outputs, self._said("between_samples"), name, remedy)
         sizes = {name: outputs[name] for name in between.makes}
-        function = self._explained("between_samples", between.function, sizes)
-        return between._replace(function=function)
+        return between._replace(reads=(*between.reads,), makes=sizes, title=type(self).__name__)
+
+    def _require_pure(self, equations: Equations) -> None:
+        """Raises ScenarioError where the equations are others when they are traced again."""
+        given = [np.linspace(0.3, 0.9, size) for size in equations.arguments.values()]
+        values = dict(zip(equations.arguments, given, strict=True))
+        for group in equations.groups:
+            again = Equations._traced(equations)
+            read = [values[name] for name in group.reads]
+            others = [o for o in again if (o.reads, o.makes) == (group.reads, group.makes)]
+            pairs = [
+                zip(group.function.call(read), o.function.call(read), strict=True) for o in others
+            ]
+            are_same = len(pairs) == 1 and all(
+                np.array_equal(a.full(), b.full(), equal_nan=True) for a, b in pairs[0]
+            )
+            remedy = (
+                "evaluated twice, it differs: give it no random numbers, counters or clocks; noise "
+                "is one of the block's `quantities`"
+            )
+            require(are_same, self._said("equations"), "not a pure function", remedy)
 
     @classmethod
     def check(cls, model: Model, config: Any) -> None:
@@ -312,10 +356,22 @@ class Block(TracedBlock):
         """The signals that it reads."""
         return self.reads
 
+    def outputs(self, model: Model) -> tuple[str, ...]:
+        """The signals that it makes."""
+        return self.makes
+
+    def fixed_outputs(self) -> Mapping[str, Any]:
+        """Those that are no vectors but objects, which never change; `equations` make the others.
+
+        They may not refer to the block, which would never be freed.
+        """
+        return {}
+
     def quantities(self, model: Model) -> Mapping[str, int]:
         """Names and sizes of functions of the time that `equations` takes after the signals.
 
-        The methods `precomputed_inputs` and `precomputed_input_rates` make them, see `TracedBlock`.
+        The method `precomputed_inputs(names, times)` makes rows (k, size) of each at times (k,), s,
+        and, where these do not stand still, `precomputed_input_rates` their rates.
         """
         return {}
 
@@ -332,65 +388,28 @@ class Block(TracedBlock):
         """Whether the state moves; if not, `equations` always gets that of a new context."""
         return True
 
-    def start(self) -> Start | None:
-        """Function for the state at the start of a run; None: it stays as it is."""
-        return None
-
     def between_samples(self, model: Model, config: Any) -> BetweenSamples | None:
         """How outputs move between the samples of a control period; None: they do not."""
         return None
 
+    def step_period(self, model: Model, config: Any) -> float:
+        """Time between steps of a sampled state, s; 0: it is continuous."""
+        return model.control_period if self.is_sampled else 0.0
+
     def block_parameters(self, model: Model, config: Any) -> BlockParameters:
         """Fields of system and config that `equations` takes: those that are numbers."""
         own = [name for name, value in asdict(config).items() if _is_numeric(value)]
-        return self.parameters_of(model, config, own)
+        return BlockParameters(model, self.system, config=config, own=own)
 
-    def parameters_of(
-        self,
-        model: Model,
-        config: Any,
-        own: Iterable[str],
-        *,
-        system: Iterable[str] | None = None,
-        **rules: Any,
-    ) -> BlockParameters:
-        """The parameters of these fields of the config, and of the `system`.
 
-        The others are as of `BlockParameters`.
-        """
-        system = self.system if system is None else system
-        for name in system:
-            is_known = name == OFFSET or name.startswith(AIRCRAFT) or hasattr(model.system, name)
-            remedy = "give fields of the scenario's system, such as load_mass"
-            require(is_known, f"{type(self).__name__}.system", name, remedy)
-        rules = {"check": self.check, "structure": self.has_state} | rules
-        return BlockParameters(model, system, config=config, own=own, **rules)
-
-    def _explained(self, member: str, function: Callable, sizes: Mapping[str, int]) -> Callable:
-        """A function that returns arrays of these sizes; what is wrong is said in a sentence.
-
-        It runs when it is traced, and on AutoDiffXd and Expression.
-        """
-        field = self._said(member)
-        remedy = "return an array for each of " + ", ".join(f"{k} ({v})" for k, v in sizes.items())
-
-        def explained(*inputs: NDArray, **values: NDArray) -> tuple[NDArray, ...]:
-            try:
-                made = function(*inputs, **values)
-                made = made if isinstance(made, tuple) else (made,)
-                arrays = tuple(np.asarray(each) for each in made)
-            except (ScenarioError, NotFiniteError):
-                raise
-            except Exception as error:  # whatever a user's own code may raise
-                plain = (
-                    "take what is declared, and compute by arithmetic of arrays, without branches"
-                )
-                raise ScenarioError(f"{field} = {one_line(error)}: {plain}") from error
-            found = [array.size for array in arrays]
-            require(found == [*sizes.values()], field, f"arrays of {found} numbers", remedy)
-            return arrays
-
-        return explained
+def _frozen(value: Any) -> Any:
+    """A constant as part of a key; None: it can neither be hashed nor pickled."""
+    if callable(value) and isinstance(value, Hashable):
+        return value
+    try:
+        return pickle.dumps(value)
+    except Exception:  # whatever an object of a user's own may raise
+        return None
 
 
 def _without_state(function: Callable, state: NDArray) -> Callable:
@@ -419,7 +438,7 @@ def signal_sizes(block: Any, model: Model, names: Iterable[str]) -> dict[str, in
     Raises:
         ScenarioError: there is no vector of a name.
     """
-    layouts = SIGNALS | getattr(block, "signal_layouts", {})
+    layouts = SIGNALS | block.signal_layouts
     sizes = {}
     for name in names:
         layout: Any = layouts.get(name.removeprefix(HELD))
@@ -431,31 +450,3 @@ def signal_sizes(block: Any, model: Model, names: Iterable[str]) -> dict[str, in
         require(layout is not None, f"{kind.__name__} reads or makes", name, remedy)
         sizes[name] = layout.count(model.n, model.m)
     return sizes
-
-
-class SelectorBlock(Selector, metaclass=BlockType):
-    """A block whose signal has entries of those that it reads: without a call into Python."""
-
-    reads: ClassVar[tuple[str, ...]] = ()
-    makes: ClassVar[tuple[str, ...]] = ()
-
-    def __init_subclass__(cls) -> None:
-        documented(cls)
-
-    def __init__(self, model: Model, config: Any = None):
-        """Makes the block; it takes a `model` and a `config` (None: the default values)."""
-        sizes = signal_sizes(type(self), model, self.reads)
-        inputs = [SelectorParams.InputPortParams(name=k, size=size) for k, size in sizes.items()]
-        places = [(i, k) for i, size in enumerate(sizes.values()) for k in range(size)]
-        selections = [
-            SelectorParams.OutputSelection(input_port_index=i, input_offset=k)
-            for i, k in (places[entry] for entry in self.entries(len(places)))
-        ]
-        (name,) = self.makes
-        output = SelectorParams.OutputPortParams(name=name, selections=selections)
-        super().__init__(SelectorParams(inputs=inputs, outputs=[output]))
-
-    @staticmethod
-    def entries(count: int) -> Iterable[int]:
-        """Numbers of the stacked inputs, so many, that the output has: all of them."""
-        return range(count)

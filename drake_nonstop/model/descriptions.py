@@ -16,15 +16,18 @@ from numpy.typing import NDArray
 from drake_nonstop.mechanics.bowed_orbit import CableShape
 from drake_nonstop.mechanics.signals import TRACKING_ERROR_SIZE
 from drake_nonstop.mechanics.wind import MeanWind, risen_share
-from drake_nonstop.systems.block import has_own
-from drake_nonstop.systems.tracing import where
+from drake_nonstop.systems.block import is_of_package
 
 RESPONSE, WIND, WIND_ESTIMATE = "describe_response", "describe_wind", "describe_wind_estimate"
 
 
 def described(block: Any, method: str = RESPONSE) -> Any:
-    """Description of a block by its own method, see `has_own`; None: nothing is known."""
-    return getattr(block, method)() if has_own(block, method) else None
+    """Description of a block by its own method; None: nothing is known.
+
+    What a class of the user's own inherits may not hold for it.
+    """
+    is_own = is_of_package(block) or method in vars(type(block))
+    return getattr(block, method)() if is_own and hasattr(block, method) else None
 
 
 class CarrierControl(NamedTuple):
@@ -116,17 +119,12 @@ class Wind(NamedTuple):
         """Whether the mean wind is there from the beginning on."""
         return self.start == 0 == self.rise_time
 
-    def at(self, time: Any, positions: NDArray) -> NDArray:
-        """The mean wind (..., 3) at a time (1,) in s and positions (..., 3); m/s, in W.
-
-        Of numbers or symbols.
-        """
-        share: Any = 1.0
+    def at(self, time: float, position: NDArray) -> NDArray:
+        """The mean wind (3,) at a time in s and a position (3,) in m; m/s, in W."""
+        now, share = np.array([time]), np.array([float(time >= self.start)])
         if self.rise_time > 0:
-            share = risen_share(time, start=self.start, rise_time=self.rise_time)
-        elif self.start > 0:
-            share = where(time[0] >= self.start, np.ones(1), np.zeros(1))
-        return share * self.mean.at(positions)
+            share = risen_share(now, start=self.start, rise_time=self.rise_time)
+        return share * self.mean.at(position)
 
 
 def described_air(blocks: Mapping[str, Any]) -> Wind | None:

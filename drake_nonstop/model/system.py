@@ -236,39 +236,6 @@ class Model:
         return self.pattern.offset if name == OFFSET else getattr(self.system, name)
 
 
-class WatchedModel(Model):
-    """A model that notes which numbers have been read, for a block that does not declare any.
-
-    Attributes:
-        read: the names of fields of the system, and `OFFSET`.
-    """
-
-    def __init__(self, model: Model):
-        self.__dict__.update(vars(model), read=set())
-
-    def __getattribute__(self, name: str) -> Any:
-        if name in _READ_WITH:
-            object.__getattribute__(self, "read").update(_READ_WITH[name])
-        return object.__getattribute__(self, name)
-
-
-# The fields of the system that follow from attributes of a model.
-_READ_WITH = {
-    "load": ("load_mass", "load_inertia", "load_drag", "load_angular_drag", "gravity"),
-    "load_mass": ("load_mass",),
-    "cable_length": ("cable_length",),
-    "cable_stiffness": ("cable_stiffness",),
-    "cable_compliance": ("cable_stiffness",),
-    "cable_damping": ("cable_damping",),
-    "cable_mass": ("cable_density", "cable_diameter", "cable_length"),
-    "cable_breaking_load": ("cable_breaking_load", "cable_diameter"),
-    "carrier_mass": ("carrier_mass",),
-    "gravity": ("gravity",),
-    "aircraft": ("aircraft", "cable_length", "cable_diameter", "cable_drag", "gravity"),
-    "pattern": (OFFSET,),
-}
-
-
 def breaking_load(system: SystemParameters) -> float:
     """Tension in N that a cable of a system breaks at; inf: it has no diameter."""
     if system.cable_breaking_load is not None:

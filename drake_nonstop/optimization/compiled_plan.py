@@ -11,9 +11,10 @@ import daqp
 import numpy as np
 from numpy.typing import NDArray
 
+from drake_nonstop.optimization.elementwise import tell_not_compiled
 from drake_nonstop.optimization.horizon_motion import HorizonData
 from drake_nonstop.optimization.horizon_problem import MarginFunction
-from drake_nonstop.systems.compilation import CompilationError, compiled_for_processor
+from drake_nonstop.systems.native import CompilationError, shared_library
 from drake_nonstop.systems.tracing import NotFiniteError
 
 if TYPE_CHECKING:
@@ -84,20 +85,16 @@ class _Data(_Structure):
 @functools.cache
 def compiled_solver() -> Callable[..., int] | None:
     """`solve_plan` of solve_plan.c; None: it cannot be compiled, which a ScenarioWarning tells."""
-    told = "plans", "Python makes them, ten times slower,"
-    library = compiled_for_processor(_text, builds=True, told=told)
-    if library is None:
+    try:
+        if not _quadprog():
+            raise CompilationError("the wheel of daqp does not show its function in C")
+        solve = shared_library(_TEXT, "solve_plan").solve_plan
+    except CompilationError as error:
+        tell_not_compiled(str(error))
         return None
-    solve = library.solve_plan
     solve.restype = ctypes.c_int64
     solve.argtypes = [*[ctypes.c_void_p] * 2, ctypes.c_int64, *[ctypes.c_void_p] * 3]
     return solve
-
-
-def _text() -> str:
-    if not _quadprog():
-        raise CompilationError("the wheel of daqp does not show its function in C")
-    return _TEXT
 
 
 def _quadprog() -> int:

@@ -1,6 +1,6 @@
 """How the updates of the optimization layer ended, and how often."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from enum import IntEnum
 from typing import Any, NamedTuple
 
@@ -45,7 +45,7 @@ DIAGNOSTICS = Layout(
 # What `missed_limits` may count: plans that miss the bound, of aircraft, or a limit, by its name.
 BOUND = "airspeed"
 MISSED_LIMITS = SomeOf(*(Part(name, "1") for name in (BOUND, *(limit.name for limit in LIMITS))))
-LAYER_LAYOUTS: Mapping[str, Layout] = {"diagnostics": DIAGNOSTICS, "missed_limits": MISSED_LIMITS}
+LAYER_LAYOUTS: dict[str, Layout] = {"diagnostics": DIAGNOSTICS, "missed_limits": MISSED_LIMITS}
 _PLACES = {name: place for place, name in enumerate(Diagnostics._fields)}
 
 

@@ -33,6 +33,7 @@ from drake_nonstop.mechanics.planned_orbit import (
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.bowed_margins import BowedMargins
 from drake_nonstop.optimization.diagnostics import BOUND
+from drake_nonstop.optimization.elementwise import ElementwiseFunction
 from drake_nonstop.optimization.horizon_config import HorizonConfig, timed
 from drake_nonstop.optimization.horizon_motion import HorizonData, HorizonMotions
 from drake_nonstop.optimization.limits import Of
@@ -45,7 +46,6 @@ from drake_nonstop.optimization.linearization import (
 from drake_nonstop.optimization.plan import DEGREE, Plan, spline_rows
 from drake_nonstop.optimization.problem_config import LimitsConfig
 from drake_nonstop.optimization.update_data import ModelParameters
-from drake_nonstop.systems.elementwise import ElementwiseFunction
 
 _OTHERS_SHARE = 0.3  # of the weight of the speed bound's slack: that of the other limits
 

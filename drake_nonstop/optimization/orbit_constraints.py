@@ -26,6 +26,7 @@ from drake_nonstop.mechanics.rigid_load import STILL_AIR
 from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE, WIND_SIZE
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.constraints import Constraints
+from drake_nonstop.optimization.elementwise import ElementwiseFunction, RowsFunction
 from drake_nonstop.optimization.horizon_config import HorizonConfig
 from drake_nonstop.optimization.limits import Of
 from drake_nonstop.optimization.problem_config import LimitsConfig
@@ -37,7 +38,6 @@ from drake_nonstop.optimization.terminal_set import (
     product_limits,
 )
 from drake_nonstop.optimization.update_data import ModelParameters, model_parameters_of
-from drake_nonstop.systems.elementwise import ElementwiseFunction, RowsFunction
 
 
 class OrbitConstraints:

@@ -1,18 +1,17 @@
 """Plans of ξ and A over time: uniform splines of fourth degree, and the phase that they make."""
 
 import itertools
-from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
-import casadi
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import BsplineBasis
 from pydrake.trajectories import BsplineTrajectory
 
 from drake_nonstop.systems.block import number
+from drake_nonstop.systems.tracing import where
 
 DEGREE = 4  # of ξ and A, whose third rates are continuous
 
@@ -107,25 +106,24 @@ def _values_in_piece(
 
 
 def traced_plan_values(plan: "Plan", time: Any) -> NDArray:
-    """`Plan.values` of a plan in symbols, the vector (8,), at a time in s."""
+    """`Plan.values` as the vector (8,), at a time in s, by one formula for all pieces.
+
+    Plan and time are numbers of any scalar type, or symbols.
+    """
     intervals, coefficients = plan.intervals, plan.coefficients
     place = (time - plan.start_time) / plan.spacing
-    piece = casadi.fmin(casadi.fmax(casadi.floor(place), 0), intervals - 1)
-    is_over = place > intervals
-    late = casadi.if_else(is_over, place - intervals, 0.0)
-    x = casadi.if_else(place - piece < 1, place - piece, 1.0)
-    is_in = [piece == k for k in range(intervals)]
-
-    def of_piece(values: Iterable[Any]) -> Any:
-        """The value of the piece, of those of all."""
-        return sum(here * value for here, value in zip(is_in, values, strict=False))
-
-    window = [[of_piece(row[j:]) for j in range(DEGREE + 1)] for row in coefficients]
-    turns_of = [coefficients[0, k : k + DEGREE + 1] @ _TURN for k in range(intervals)]
-    before = of_piece(itertools.accumulate(turns_of, initial=0.0))
-    polynomials = np.array(window) @ _PIECE.T
-    is_moving = casadi.logic_not(is_over)
-    return np.array(_values_in_piece(plan, before, polynomials, (x, late), is_moving))
+    turns = [coefficients[0, k : k + DEGREE + 1] @ _TURN for k in range(intervals)]
+    before = list(itertools.accumulate(turns, initial=0.0))
+    # Of the piece: its number, by how much θ has turned before it, and its coefficients.
+    chosen = np.zeros(0)
+    for k in range(intervals):
+        piece = np.array([float(k), before[k], *coefficients[:, k : k + DEGREE + 1].ravel()])
+        chosen = where(place >= k, piece, chosen) if k else piece
+    polynomials = chosen[2:].reshape(2, -1) @ _PIECE.T
+    late = place - intervals
+    behind = np.array([1.0, late, 0.0])
+    x, late, is_moving = where(late > 0, behind, np.array([place - chosen[0], 0.0, 1.0]))
+    return np.array(_values_in_piece(plan, chosen[1], polynomials, (x, late), is_moving))
 
 
 @dataclass(frozen=True, eq=False)

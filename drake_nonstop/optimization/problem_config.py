@@ -191,15 +191,10 @@ def tightened_bound(config: LimitsConfig, speed_bound: float) -> float:
     """
     if speed_bound == 0:
         return 0.0
-    slope, margin, growth = bound_tightening(config)
-    return slope * speed_bound + margin * max(1.0, growth * speed_bound)
-
-
-def bound_tightening(config: LimitsConfig) -> tuple[float, float, float]:
-    """Terms of the tightened bound of ε: a slope, a margin in m/s, and its growth, s/m."""
     if not _has_margin(config):
-        return 1 + limit_tightening(config), 0.0, 0.0
-    return 1.0, config.speed_margin, 1 / config.speed_bound if config.speed_bound > 0 else 0.0
+        return (1 + limit_tightening(config)) * speed_bound
+    growth = speed_bound / config.speed_bound if config.speed_bound > 0 else 0.0
+    return speed_bound + config.speed_margin * max(1.0, growth)
 
 
 def _has_margin(config: LimitsConfig) -> bool:

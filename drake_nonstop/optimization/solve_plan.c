@@ -562,6 +562,7 @@ static int reserve(Work *w, Linearization *now, Linearization *there, double **s
    trust region and whether to end with the first plan without slack, and made the cost, the slack,
    the scale, the margin of the slowest speed, and whether it has converged; `margins` are
    those at the end. Returns the number of programs; -1: a value is not finite; -2: no memory. */
+__attribute__((visibility("default")))
 int64_t solve_plan(const Horizon *h, const Data *data, int64_t max_iterations, double *x,
                    double *numbers, double *margins) {
   const double *settings = h->settings;

@@ -13,7 +13,7 @@ from drake_nonstop.mechanics.nonstop import (
     speed_squares,
 )
 from drake_nonstop.mechanics.planned_orbit import OrbitTerms, orbit_directions, term_columns
-from drake_nonstop.systems.elementwise import ElementwiseFunction
+from drake_nonstop.optimization.elementwise import ElementwiseFunction
 from drake_nonstop.systems.tracing import where
 
 

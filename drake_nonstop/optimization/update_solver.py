@@ -2,45 +2,31 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import casadi
 import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.signals import LoadReference
 from drake_nonstop.model.system import Model
-from drake_nonstop.optimization.constraints import FEASIBILITY_TOLERANCE
 from drake_nonstop.optimization.diagnostics import Outcome
 from drake_nonstop.optimization.flight_search import nearest_within_limits
 from drake_nonstop.optimization.local_solver import LocalSolver
 from drake_nonstop.optimization.problem_config import (
     NonstopProblemConfig,
-    bound_tightening,
     tightened_bound,
 )
 from drake_nonstop.optimization.search_problem import FEW, MANY, best_on_grid, nearest_feasible
 from drake_nonstop.optimization.traced_problem import TracedProblem
-from drake_nonstop.optimization.update_data import ModelParameters, UpdateData
+from drake_nonstop.optimization.update_data import UpdateData
 from drake_nonstop.optimization.update_problem import UpdateProblem
-from drake_nonstop.systems.tracing import TracedFunction, where
+from drake_nonstop.systems.tracing import TracedFunction
 
 _NOT_GIVEN = np.zeros(0)
 _STILL_AIR = np.zeros(3)
 _COST_TOLERANCE = 1e-4  # relative; what the global search finds has to be cheaper by more
 _AT_ANCHOR = 1e-6  # relative, of ξ and A
-_IN_DOUBT = 1e-9  # of a margin: so far from feasibility a trace leaves the decision to numbers
 _REST_TOLERANCE = 1e-3  # m/s, rad/s, m/s², rad/s²; a reference that moves less is at rest
-# Fields of the config that the data of an update bring.
-_OF_DATA: dict[str, Any] = {
-    "speed_bound": 0.0,
-    "speed_margin": 0.0,
-    "frequency": 0.0,
-    "amplitude": 0.0,
-    "frequency_bounds": [],
-    "amplitude_bounds": [],
-}
 
 
 class Answer(NamedTuple):
@@ -119,16 +105,6 @@ class UpdateSolver:
             beliefs=_NOT_GIVEN if beliefs is None else beliefs,
         )
 
-    @property
-    def trace_key(self) -> Any:
-        """Key of `traced_check` besides the data; it can be pickled."""
-        return self._traced.geometry, replace(self._config, **_OF_DATA)
-
-    @property
-    def tightening(self) -> NDArray:
-        """How the tightened bound depends on ε (3,), for `traced_tightened`."""
-        return np.array(bound_tightening(self._config))
-
     def problem(self, data: UpdateData) -> UpdateProblem:
         """The problem of one update."""
         return UpdateProblem(self._traced, data)
@@ -160,36 +136,6 @@ class UpdateSolver:
         if order(problem.margins(parameters)) > order(problem.margins(previous)):
             return _answer(problem, parameters, Outcome.RELAXED)
         return _answer(problem, previous, Outcome.HELD)
-
-    def traced_check(self, data: UpdateData, updates: Any) -> tuple[Any, Any]:
-        """Whether the previous parameters are kept, and the slowest speed (m/s), in symbols.
-
-        They are not, too, where rounding might decide, and where a constraint is not traced.
-
-        Args:
-            data: in symbols; of `orbit_turn` and `anchor_weight` any values.
-            updates: how many there were before.
-        """
-        config, previous = self._config, data.previous
-        if self._traced.constraints.min_separation > 0:
-            return 0.0, 0.0
-        number = casadi.fmod(updates, config.orbit_updates)
-        turn = sum(angle * (number == k) for k, (angle,) in enumerate(self._orbit_turns))
-        vector = np.concatenate(data._replace(orbit_turn=np.array([turn])))
-        (margins,) = self._traced.margins.traced(previous, vector)
-        worst = casadi.mmin(casadi.vertcat(*margins))
-        slowest = casadi.mmin(casadi.vertcat(*margins[: self._traced.speed_count]))
-        bound, unit = data.speed_bound[0], data.speed_unit[0]
-        slowest_speed = casadi.sqrt(casadi.fmax(0.0, slowest * unit * unit + bound * bound))
-        is_kept = worst >= -FEASIBILITY_TOLERANCE + _IN_DOUBT
-        if config.anchor_weight > 0:
-            rates = casadi.vertcat(*_rates(data.reference))
-            is_moving = casadi.mmax(casadi.fabs(rates)) > _REST_TOLERANCE
-            nominal = casadi.vertcat(*ModelParameters.view(data.beliefs).nominal)
-            change = casadi.fabs(casadi.vertcat(*previous) - nominal)
-            excess = casadi.mmax(change - _AT_ANCHOR * casadi.fabs(nominal))
-            is_kept = casadi.logic_and(is_kept, casadi.logic_or(is_moving, excess <= 0))
-        return is_kept, slowest_speed
 
     def _is_anchor_active(self, problem: UpdateProblem) -> bool:
         """Whether the anchor asks for something else than the previous parameters."""
@@ -245,13 +191,6 @@ class UpdateSolver:
         # The grid found a feasible range of A so narrow that the search had missed it.
         nearer, lower_cost = nearest_feasible(search_problem, float(parameters[1]))
         return (nearer, lower_cost) if lower_cost < cost else (parameters, cost)
-
-
-def traced_tightened(bound: NDArray, tightening: NDArray) -> NDArray:
-    """Traces `tightened_bound`, of an ε (1,) in symbols, by the solver's `tightening` (3,)."""
-    slope, margin, growth = tightening
-    target_speed = slope * bound[0] + margin * casadi.fmax(1.0, growth * bound[0])
-    return where(bound[0] > 0, np.array([target_speed]), np.zeros(1))
 
 
 def _rates(reference: NDArray) -> NDArray:

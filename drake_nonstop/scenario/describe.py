@@ -12,7 +12,7 @@ from typing import Any
 
 from drake_nonstop.diagrams.nonstop import BOXES, SIGNALS
 from drake_nonstop.loop.box import config_class
-from drake_nonstop.mechanics.signal_layouts import Layout
+from drake_nonstop.mechanics.signal_layouts import HELD, Layout
 from drake_nonstop.model.aircraft import AircraftParameters
 from drake_nonstop.model.system import Model
 from drake_nonstop.scenario.schema import PATTERN, PATTERNS, Scenario
@@ -127,7 +127,7 @@ def _choice(config: type, block: type, model: Model | None) -> Choice:
 
 def _port(name: str, size: int | None, is_optional: bool | None = None) -> Port:
     """The port of that name: its size by the contract, or else as it is for the default n."""
-    layout = SIGNALS.get(name)
+    layout = SIGNALS.get(name.removeprefix(HELD))
     if is_optional is None:
         is_optional = any(name in box.optional for box in BOXES.values())
     text = "abstract" if size is None else str(size)

@@ -15,10 +15,11 @@ from typing import Any
 import numpy as np
 from pydrake.common import RandomGenerator
 from pydrake.systems.analysis import SimulatorConfig
+from pydrake.systems.framework import System
 
 from drake_nonstop.blocks.reference_governor import ReferenceGovernorConfig
 from drake_nonstop.diagrams.nonstop import BOXES, BoxFields
-from drake_nonstop.loop.box import block_class, import_path
+from drake_nonstop.loop.box import block_of, import_path
 from drake_nonstop.model.pattern import (
     CarouselConfig,
     ConstantSpreadConfig,
@@ -401,7 +402,9 @@ def _check_choice(name: str, config: Any) -> None:
     block = kind.__name__.removesuffix("Config")
     require(is_own, name, block, f"give one of {', '.join(names)}")
     if name in BOXES:
-        block_class(name, kind)
+        remedy = f"give {kind.__module__} a LeafSystem or Diagram of the name {block}"
+        is_block = isinstance(block_of(kind), type) and issubclass(block_of(kind), System)
+        require(is_block, name, import_path(kind), remedy)
         for needed, meaning in BOXES[name].config_fields.items():
             remedy = f"give {kind.__name__} a field {needed} ({meaning})"
             require(hasattr(config, needed), name, import_path(kind), remedy)

@@ -7,28 +7,27 @@ from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.systems.analysis import Simulator, SimulatorConfig
+from pydrake.systems.analysis import SimulatorConfig
 from pydrake.systems.framework import Context
 
-from drake_nonstop.loop.block_events import NotCompilableError, sample_times
-from drake_nonstop.loop.compiled_loop import CompiledFlight, CompiledLoop, reason_against
-from drake_nonstop.loop.lanes import Advance, advance_together
 from drake_nonstop.mechanics.signal_layouts import by_name
 from drake_nonstop.mechanics.signals import SIGNAL_PERIOD
 from drake_nonstop.scenario.schema import COMPILED, Scenario
 from drake_nonstop.simulation.monitor import SAME_RATIO, EndingBlocks, Monitor, at_instant
 from drake_nonstop.simulation.recording import LogSignals, RecordingError
-from drake_nonstop.simulation.run import WALL_TIME
-from drake_nonstop.simulation.step_size import FlightSamples, RestorableState, SavedState, flown
-from drake_nonstop.systems.block import is_of_package, release
-from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
-from drake_nonstop.systems.wiring import maker_of
+from drake_nonstop.simulation.short_flights import FlightSamples
+from drake_nonstop.systems.compiled_flight import (
+    Advance,
+    CompiledFlight,
+    advance_together,
+    sample_times,
+)
+from drake_nonstop.systems.compiled_loop import CompiledLoop, reason_against
+from drake_nonstop.systems.tracing import LARGEST
 from drake_nonstop.validation import one_line, warn_user
 
 NOT_COMPILED = "engine = compiled"  # how the warning begins that tells why
 _ROUNDING = 1e-9  # s, of instants
-_SAME = 1e-9  # of 1 + a signal's largest value: what both engines show
-_COMPARED = 3  # samples, of loops with a user's own blocks
 _UNUSUAL = 1e-3 * LARGEST  # a value beyond it may become one that a block of the diagram refuses
 
 Result = TypeVar("Result")
@@ -58,6 +57,7 @@ def compiled_loop_of(
     logs: LogSignals,
     config: SimulatorConfig,
     steering: Sequence[str],
+    flights: int = 1,
 ) -> CompiledLoop | str:
     """The loop as a run flies it by the compiled engine, or why it cannot be, in words.
 
@@ -66,6 +66,7 @@ def compiled_loop_of(
         logs: of its loop.
         config: the integrator's step.
         steering: the arguments of `simulate` that need the Simulator's own steps.
+        flights: how many like it are to be flown.
     """
     period = scenario.control_period
     reason = f"for {steering[0]} the steps of Drake's Simulator are needed" if steering else ""
@@ -78,8 +79,9 @@ def compiled_loop_of(
         )
     if reason:
         return reason
-    samples = int(scenario.simulation_duration / period)
-    return recorded_loop(logs, config, period, samples=samples)
+    loop = recorded_loop(logs, config, period, compiles=None)
+    loop.prepare(int(scenario.simulation_duration / period), flights)
+    return loop
 
 
 def recorded_loop(
@@ -105,25 +107,28 @@ def tell_not_compiled(reason: str, engine: str) -> None:
 
 @dataclass(frozen=True)
 class CompiledState:
-    """A `SavedState` whose context is written when it is asked for, which takes longer."""
+    """A `RestorableState` whose context is written when it is asked for, which takes longer."""
 
     time: float
-    state: NDArray
+    before: NDArray  # the state before the updates at that sample
+    state: NDArray  # and after them
     samples: int  # up to there
     flight: CompiledFlight
-    loop: CompiledLoop
 
     def restore(self, context: Context) -> None:
         """Sets the state of a context of the same diagram."""
         context.SetTime(self.time)
-        self.flight.write_state(context, self.state)
+        self.flight.write_state(context, self.before)
 
     def fly(self, duration: float, config: SimulatorConfig) -> FlightSamples:
         """A flight from it on as of `ShortFlights`, by steps of the config; its own one is over."""
-        self.flight.go_to(self.samples, self.state)
-        loop, period = self.loop, self.loop.control_period
+        flight = self.flight
+        loop, period = flight.loop, flight.loop.control_period
+        flight.loop = loop.with_steps(config)
+        flight.go_to(self.samples, self.state)
         samples = math.ceil(duration / period - _ROUNDING)
-        rows = loop.fly_on(self.flight, samples, config)
+        rows = np.concatenate([flight.advance(1)[0] for _ in range(samples)])
+        flight.loop = loop
         times = self.time + period / loop.shown_per_sample * np.arange(1, len(rows) + 1)
         kept = at_instant(times)
         return FlightSamples.of(times[kept], by_name(loop.signals, rows[kept]))
@@ -137,47 +142,36 @@ class CompiledRun:
         logs: take the signals.
         context: the root context at the start.
         ending: as of `Monitor`.
-        compared: of another diagram of the loop, which the first samples are compared with, for
-            what a user's own blocks may have declared falsely; None: there are no such blocks.
 
     Attributes:
         evaluator: that of the loop's functions, "C" or "virtual machine".
         failure: the error of a block with which it left the rest to the diagram; empty: none.
-        error: that of a user's own block, which the diagram has to meet again; None: there is none.
     """
 
     def __init__(
-        self,
-        loop: CompiledLoop,
-        logs: LogSignals,
-        context: Context,
-        ending: EndingBlocks,
-        compared: Simulator | None = None,
+        self, loop: CompiledLoop, logs: LogSignals, context: Context, ending: EndingBlocks
     ):
         self._loop, self._rows, self._context = loop, logs.rows(context), context
-        self._start = loop.diagram.CreateDefaultContext()
-        self._start.SetTimeStateAndParametersFrom(loop.diagram.GetMyContextFromRoot(context))
-        self._flight = loop.fly(self._start, _UNUSUAL)
+        start = loop.diagram.CreateDefaultContext()
+        start.SetTimeStateAndParametersFrom(loop.diagram.GetMyContextFromRoot(context))
+        self._flight = loop.fly(start, _UNUSUAL)
         self._ending = ending
         self._signal_ends = np.arange(1, loop.shown_per_sample + 1) / loop.shown_per_sample
-        self._recorded = 0, self._flight.state  # samples, and the state after them
+        self._recorded = self._state()
         self._end = 0.0  # s, of what is recorded
         self.evaluator, self.failure = "C" if loop.is_compiled else "virtual machine", ""
-        self.error: BaseException | None = None
-        self._compared, self._expected = compared, np.zeros((0, 0))
 
-    def _state(self) -> RestorableState:
-        """The state of the last sample, for a flight of the diagram from there."""
-        if not self._loop.blocks_beside:
-            flight = self._flight
-            return CompiledState(flight.time, flight.state, flight.samples, flight, self._loop)
-        self._write_state()
-        return SavedState.of(self._loop.diagram.GetMyContextFromRoot(self._context))
+    def _state(self) -> CompiledState:
+        """The state of the last sample, for a flight from there."""
+        flight = self._flight
+        before, state = flight.state_before_updates, flight.state
+        return CompiledState(flight.time, before, state, flight.samples, flight)
 
     def _write_state(self) -> None:
         """Sets the root context to the last sample."""
-        self._context.SetTime(self._flight.time)
-        self._flight.write_state(self._loop.diagram.GetMyMutableContextFromRoot(self._context))
+        own = self._loop.diagram.GetMyMutableContextFromRoot(self._context)
+        self._flight.write_state(own, self._recorded.before)
+        self._context.SetTime(self._recorded.time)
 
     def fly(self, duration: float, monitor: Monitor) -> Flying[bool]:
         """Flies up to a time in s, and sets the context to the end of what was flown.
@@ -185,21 +179,15 @@ class CompiledRun:
         What is left then is less than a sample, or follows an error of a block, a value that is not
         finite, or one so large that it may become one: the Simulator flies that, and tells of it.
         False where nothing was flown.
-
-        Raises:
-            NotCompilableError: a block does what it has not declared: all of the flight is wrong.
         """
         period = self._loop.control_period
         samples = int((duration + _ROUNDING) / period)
         if samples == 0:
             return False
         try:
-            if self._compared is not None:
-                self._expected = self._rows_of(self._compared, min(samples, _COMPARED))
             signals, steps = self._flight.start()
-            self._compare(signals[None])
             self._rows.add(np.zeros(1), signals[None], np.zeros(1), steps[None])
-            self._recorded = 0, self._flight.state
+            self._recorded = self._state()
             monitor.has_ended = self._is_over(steps[None]) is not None
             ends = monitor.ends(0.0, self._state) or monitor.has_ended
             while not ends and self._flight.samples < samples:
@@ -211,23 +199,20 @@ class CompiledRun:
                     ends = self._record(monitor, duration, first, advance)
                 if advance.error is not None and not ends:
                     raise advance.error
-        except (RecordingError, NotCompilableError):
+        except RecordingError:
             raise
         except BaseException as error:  # whatever blocks raise: the diagram does again, at its step
             if monitor.is_interrupted:
                 raise
-            if self._compared is not None and not isinstance(error, NotFiniteError):
-                self.error = error
-            self._go_back()
-            self.failure = f"{one_line(error)}; from t = {self._flight.time:g} s on"
-            self._end = self._flight.time
-            if self._flight.samples == 0:
+            self._end = self._recorded.time
+            self.failure = f"{one_line(error)}; from t = {self._end:g} s on"
+            if self._recorded.samples == 0:
                 return False
         finally:
             self._context.SetTime(self._end)
         if not monitor.has_ended:
             self._write_state()
-        if abs(self._flight.time - duration) < _ROUNDING:
+        if abs(self._recorded.time - duration) < _ROUNDING:
             self._context.SetTime(duration)
         return True
 
@@ -235,7 +220,6 @@ class CompiledRun:
         """Records samples from the first one on; whether the run ends with them."""
         signals, steps, period = advance.signals, advance.step_signals, self._loop.control_period
         samples = len(signals) // self._loop.shown_per_sample
-        self._compare(signals)
         begins = sample_times(np.arange(first, first + samples), period)[:, None]
         ends = np.append(begins[1:, 0], self._flight.time)
         if abs(ends[-1] - duration) < _ROUNDING:
@@ -253,54 +237,10 @@ class CompiledRun:
         if last is not None:
             monitor.has_ended = True
             return True
-        self._recorded = self._flight.samples, self._flight.state
+        self._recorded = self._state()
         return monitor.ends(self._end, self._state)
-
-    def _rows_of(self, simulator: Simulator, samples: int) -> NDArray:
-        """Signals (instants, size) of a diagram like the loop's, of the start and some samples."""
-        simulator.get_mutable_context().SetTimeStateAndParametersFrom(self._start)
-        simulator.Initialize()
-        shown, period = len(self._signal_ends), self._loop.control_period
-        part, whole = np.modf(np.arange(samples * shown + 1) / shown)
-        times = sample_times(whole, period) + part * period
-        rows = flown(simulator, self._loop.signals, times)
-        release(simulator.get_system())
-        return np.hstack([*rows.values()])
-
-    def _compare(self, signals: NDArray) -> None:
-        """Compares the next rows of signals (instants, size) with those of the diagram.
-
-        Raises:
-            NotCompilableError: they differ; it names a user's own block, where one shows it.
-        """
-        now, self._expected = np.split(self._expected, [len(signals)])
-        for row, expected_row in zip(signals, now, strict=False):
-            shown, expected = (by_name(self._loop.signals, each) for each in (row, expected_row))
-            wrong = [
-                (maker_of(self._loop.diagram, name), name)
-                for name in shown
-                if name != WALL_TIME and not _is_same(shown[name], expected[name])
-            ]
-            for maker, name in sorted(wrong, key=lambda one: is_of_package(one[0])):
-                raise NotCompilableError(maker, f"compiled, {name} is not what its diagram shows")
 
     def _is_over(self, steps: NDArray) -> int | None:
         """How many steps there are until a block ends the run; None: none does."""
         last = self._ending.first_end(self._loop.step_signals, steps)
         return None if last is None else last + 1
-
-    def _go_back(self) -> None:
-        """Goes back to the last sample that is recorded."""
-        samples, state = self._recorded
-        if not self._loop.blocks_beside:
-            self._flight.go_to(samples, state)
-            return
-        self._flight = self._loop.fly(self._start, _UNUSUAL)
-        if samples > 0:
-            self._flight.fly(samples)
-
-
-def _is_same(values: NDArray, expected: NDArray) -> bool:
-    """Whether both engines show the same."""
-    tolerance = _SAME * (1 + np.abs(expected).max(initial=0.0))
-    return np.allclose(values, expected, rtol=0, atol=tolerance, equal_nan=True)

@@ -4,7 +4,7 @@ import contextlib
 import dataclasses
 import time
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,17 +14,13 @@ from pydrake.systems.analysis import (
     Simulator,
     SimulatorConfig,
 )
-from pydrake.systems.framework import Context, Diagram, System
+from pydrake.systems.framework import Context, Diagram
 
 from drake_nonstop.diagrams.nonstop import make_nonstop, replaced
-from drake_nonstop.loop.block_events import NotCompilableError
-from drake_nonstop.loop.compiled_loop import CompiledLoop
-from drake_nonstop.loop.equilibrium import set_equilibrium
-from drake_nonstop.loop.plant_states import PlantStates
-from drake_nonstop.loop.traced_start import TracedStart
+from drake_nonstop.loop.start import PlantStates, set_equilibrium
 from drake_nonstop.scenario.proportions import warn_of_angles
 from drake_nonstop.scenario.schema import COMPILED, DIAGRAM, ENGINES, Scenario, check, drawn
-from drake_nonstop.simulation.built_loop import BuiltLoop, SharedLoops, Viewer
+from drake_nonstop.simulation.built_loop import BuiltLoop, Viewer
 from drake_nonstop.simulation.compiled_run import (
     CompiledRun,
     Flying,
@@ -37,11 +33,10 @@ from drake_nonstop.simulation.preparation import (
     LoopMaker,
     cause_of_divergence,
     check_simulation,
-    loop_of,
+    stable_config,
     warn_of_growth,
     warn_of_margins,
     warn_of_other_bound,
-    with_chosen_step,
 )
 from drake_nonstop.simulation.recording import (
     RUN_SIGNALS,
@@ -49,12 +44,9 @@ from drake_nonstop.simulation.recording import (
     require_room,
 )
 from drake_nonstop.simulation.run import Run, RunInterrupted, RunStopped, StepAction, StepCheck
-from drake_nonstop.simulation.step_size import ChosenStep
-from drake_nonstop.systems.block import is_of_package, release
-from drake_nonstop.systems.compilation import tell_not_c
 from drake_nonstop.systems.diagnosis import raising_block, source_of_fault
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
-from drake_nonstop.systems.wiring import nested
+from drake_nonstop.systems.wiring import loop_in
 from drake_nonstop.validation import ScenarioError, ScenarioWarning, one_line, require
 
 
@@ -73,6 +65,7 @@ class Request:
     check_step: StepCheck = StepCheck.WHOLE
     make_loop: LoopMaker = make_nonstop
     engine: str | None = None
+    flights: int = 1  # runs like it that are to be flown; not one of the arguments
     replacements: dict[str, Any] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -104,7 +97,6 @@ class Flight:
 
     Attributes:
         scenario: with the configs of the replacements, and with drawn numbers.
-        is_shared: whether the loop was built for another scenario.
         nonstop: the loop's diagram.
         engine: the one that flies it, as in `Run`.
         context: of the diagram around the loop.
@@ -114,9 +106,7 @@ class Flight:
         ScenarioError: the loop cannot be built.
     """
 
-    def __init__(
-        self, request: Request, interruption: Interruption, shared: SharedLoops | None = None
-    ):
+    def __init__(self, request: Request, interruption: Interruption):
         self._request, self._interruption = request, interruption
         self._is_second = interruption.collect is not None  # of a run that is there already
         self._replacements: dict[str, Any] = {}
@@ -128,21 +118,12 @@ class Flight:
         self.scenario = scenario
         check_simulation(scenario)
         made = request.make_loop, scenario, self._replacements
-        found = None if shared is None or request.viewers else shared.find(*made)
-        self.is_shared = found is not None
-        self._described: Mapping[str, System] = {}
-        if found is None:
-            self._loop = BuiltLoop(*made, request.viewers)
-            context = self._loop.context()
-            if shared is not None:
-                shared.add(self._loop)
-        else:
-            self._loop, context, self._described = found
+        self._loop = BuiltLoop(*made, request.viewers)
         self.nonstop = nonstop = self._loop.nonstop
         self._logs, self._visualizers = self._loop.logs, self._loop.visualizers
-        self._simulator = Simulator(self._loop.diagram, context)
+        self._simulator = Simulator(self._loop.diagram)
         self.context = self._simulator.get_mutable_context()
-        self._ending = EndingBlocks(nested(nonstop, RUN_SIGNALS)[-1], self.context)
+        self._ending = EndingBlocks(loop_in(nonstop, RUN_SIGNALS), self.context)
         self.monitor = Monitor(
             self._simulator,
             nonstop,
@@ -159,39 +140,33 @@ class Flight:
         """The loop's own."""
         return self.nonstop.GetMyMutableContextFromRoot(self.context)
 
-    def prepare(self) -> ChosenStep:
-        """Sets the equilibrium and the step, and warns of what a user may not expect."""
+    def prepare(self) -> SimulatorConfig:
+        """Sets the equilibrium and warns of what a user may not expect; the integrator's config."""
         request, scenario, nonstop = self._request, self.scenario, self.nonstop
         self._interruption.check()  # and again after what takes long
-        traced = self._traced_start()
+        set_equilibrium(nonstop, self.loop_context)
         self._interruption.check()
-        set_equilibrium(nonstop, self.loop_context, traced)
-        self._interruption.check()
-        if traced is not None:
-            traced.take_state(self.loop_context)
-        if not self.is_shared:
-            PlantStates(nonstop).declare_defaults(self.loop_context)
+        PlantStates(nonstop).declare_defaults(self.loop_context)
         warn_of_other_bound(nonstop, self.loop_context, self._stated_bound)
         if not self._is_second:  # it has been said
             warn_of_angles(scenario)
-            warn_of_margins(scenario, nonstop, self.loop_context, self._described)
-            warn_of_growth(scenario, nonstop, self.loop_context, self._described)
-        chosen = with_chosen_step(scenario, nonstop, self.loop_context, traced)
+            warn_of_margins(scenario, nonstop, self.loop_context)
+            warn_of_growth(scenario, nonstop, self.loop_context)
+        config = stable_config(scenario, nonstop, self.loop_context)
         if request.after_step is None:  # which may end a run of any duration
-            config = chosen.config
             require_room(self._logs.sizes, dataclasses.replace(scenario, simulator_config=config))
-        ApplySimulatorConfig(chosen.config, self._simulator)
+        ApplySimulatorConfig(config, self._simulator)
         self._interruption.check()
-        return chosen
+        return config
 
-    def fly(self, chosen: ChosenStep) -> Flying[None]:
+    def fly(self, config: SimulatorConfig) -> Flying[None]:
         """Flies to the end, the compiled engine what it can, Drake's Simulator the rest.
 
         Where the diagram is simulated instead, the run's `engine` says why, and so does a
         ScenarioWarning where `compiled` was asked for.
         """
         engine = self._request.asked_engine
-        compiled = self._compiled(chosen, engine) if engine != DIAGRAM else None
+        compiled = self._compiled(config, engine) if engine != DIAGRAM else None
         self._interruption.check()
         self._simulator.set_monitor(self.monitor)
         self._start = time.perf_counter()
@@ -210,61 +185,24 @@ class Flight:
                 self._simulator.Initialize(parameters)
                 if not self.monitor.has_ended:
                     self._simulator.AdvanceTo(duration)
-                if compiled is not None and compiled.error is not None and not self._is_cut:
-                    raise compiled.error  # of a block that has raised once, and not again
             for visualizer in self._visualizers:  # the last step may have been skipped
                 visualizer.ForcedPublish(visualizer.GetMyContextFromRoot(self.context))
         finally:
             self._simulator.clear_monitor()  # each would keep the other alive
 
-    def _traced_start(self) -> TracedStart | None:
-        """The start by the loop that is compiled with the steps that are asked for."""
-        if self._request.asked_engine == DIAGRAM:
-            return None
-        loop = self._compiled_loop(self.scenario.simulator_config)
-        if isinstance(loop, str) or not TracedStart.is_plain(loop):
-            return None
-        try:
-            return TracedStart(loop, self.loop_context)
-        except NotFiniteError:  # which the diagram tells of
-            return None
-
-    def _compiled_loop(
-        self, config: SimulatorConfig, steering: Sequence[str] = ()
-    ) -> CompiledLoop | str:
-        """The loop that is compiled with these steps, or why it cannot be."""
-        key = config.integration_scheme, config.use_error_control, config.max_step_size
-        found = self._loop.compiled.get(key)
-        if found is None or steering:
-            made = compiled_loop_of(self.scenario, self._logs, config, steering)
-            if isinstance(made, str):
-                return made
-            found = self._loop.compiled[key] = made
-        return found
-
-    def _compiled(self, chosen: ChosenStep, engine: str) -> CompiledRun | None:
+    def _compiled(self, config: SimulatorConfig, engine: str) -> CompiledRun | None:
         """The compiled engine; None: it cannot fly this."""
         request = self._request
         given = {"viewers": request.viewers, "after_step": request.after_step}
         steering = [name for name, value in given.items() if value]
-        loop = self._compiled_loop(chosen.config, steering)
+        flights = self._request.flights
+        loop = compiled_loop_of(self.scenario, self._logs, config, steering, flights)
         if isinstance(loop, str):
             tell_not_compiled(f"{loop};", engine)
             self.engine = f"{DIAGRAM}: {loop}"
             return None
-        loop.prepare(int(self.scenario.simulation_duration / self.scenario.control_period))
-        compared = None
-        if not all(map(is_of_package, self.nonstop.GetSystems())):
-            with without_warnings():
-                other = loop_of(request.make_loop, self.scenario, self._replacements)
-                compared = Simulator(other)
-            ApplySimulatorConfig(chosen.config, compared)
-        compiled = CompiledRun(loop, self._logs, self.context, self._ending, compared)
+        compiled = CompiledRun(loop, self._logs, self.context, self._ending)
         self.engine = f"{COMPILED}: {compiled.evaluator}"
-        if loop.reason_against_c:
-            self.engine += f" ({loop.reason_against_c})"
-            if engine == COMPILED:
-                tell_not_c(loop.reason_against_c)
         return compiled
 
     @property
@@ -280,7 +218,7 @@ class Flight:
         self._interruption.patience = ALL  # nothing may come between a run and who keeps it
         make_loop = self._request.make_loop
         own = {} if make_loop is make_nonstop else {"make_loop": make_loop}
-        blocks = nested(self.nonstop, RUN_SIGNALS)[-1].GetSystems()
+        blocks = loop_in(self.nonstop, RUN_SIGNALS).GetSystems()
         notes = [note for each in blocks if (note := getattr(each, "engine_note", ""))]
         return Run.from_logs(
             self._logs,
@@ -327,10 +265,6 @@ class Flight:
         """
         try:
             yield
-        except NotCompilableError:
-            if not self._loop.can_be_shared:
-                release(self.nonstop)
-            raise
         except GeneratorExit:  # nothing waits for it any more
             raise
         except KeyboardInterrupt:

@@ -1,5 +1,6 @@
 """The loop as an environment of Gymnasium, by Drake's DrakeGymEnv; `make_gym_env` makes it."""
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -8,13 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.common import RandomGenerator
 from pydrake.gym import DrakeGymEnv
-from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
+from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, EventStatus
 from pydrake.systems.primitives import ConstantVectorSource, Multiplexer
 
 from drake_nonstop.diagrams.nonstop import make_nonstop
-from drake_nonstop.loop.block_events import sample_times
-from drake_nonstop.loop.equilibrium import set_equilibrium
+from drake_nonstop.loop.start import set_equilibrium
 from drake_nonstop.mechanics.signals import (
     LOAD_REFERENCE_SIZE,
     LOAD_STATE_SIZE,
@@ -26,6 +26,8 @@ from drake_nonstop.mechanics.signals import (
 from drake_nonstop.model.system import Model
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.monitor import EndingBlocks
+from drake_nonstop.simulation.preparation import stable_config
+from drake_nonstop.systems.compiled_flight import sample_times
 from drake_nonstop.systems.tracing import NotFiniteError
 from drake_nonstop.validation import require
 
@@ -33,6 +35,10 @@ PARAMETERS, WRENCH = "parameters", "wrench"  # what may be the action
 _ACTIONS, _OBSERVATIONS = "actions", "observations"
 OBSERVED = ("load_state", "reference", "carrier_state")
 DIVERGED = -1000.0  # the reward
+_FARTHEST = 100.0  # cable lengths, of a load or a carrier that is plausible
+IMPLAUSIBLE = (
+    f"the load or a carrier is farther than {_FARTHEST:g} cable lengths from the reference"
+)
 _ROUNDING = 1e-6  # of a bound, or a period
 _TINY = np.finfo(float).tiny
 
@@ -44,6 +50,8 @@ class NonstopEnv(DrakeGymEnv):
 
     See `drake_nonstop.make_gym_env`.
     """
+
+    _config: SimulatorConfig | None  # of the integrator; None: not before the first start
 
     def __init__(self, scenario: Scenario, action: str, time_step: float, reward: Reward | None):
         self._given, self._action = scenario, action
@@ -82,16 +90,20 @@ class NonstopEnv(DrakeGymEnv):
         context = simulator.get_mutable_context()
         self.action_port.FixValue(context, self._resting)
         set_equilibrium(self._loop, self._loop.GetMyMutableContextFromRoot(context))
+        if self._config is None:
+            self._config = stable_config(self._scenario, simulator.get_system(), context)
+            ApplySimulatorConfig(self._config, simulator)
         simulator.Initialize()
         self._is_reset, self._steps = True, 0
         return self._observation(), {}
 
     def step(self, action: NDArray) -> tuple[NDArray, float, bool, bool, dict[str, Any]]:
-        """Flies on for `time_step` s under an action.
+        """Flies on under an action, to the last sample at or before the end of the `time_step`.
 
         The episode is truncated at the scenario's `simulation_duration`. It is terminated by a
-        divergence, with the last finite observation, a reward of -1000 and the `message` in the
-        info, and where a block ends the run, such as a stall.
+        divergence, with the observation before it, a reward of -1000 and the `message` in the
+        info, and where a block ends the run, such as a stall. A divergence is a value that is not
+        finite, or a load or a carrier farther than 100 cable lengths from the load's reference.
 
         Raises:
             ScenarioError: the action is not in the action space, the environment has not been
@@ -103,15 +115,18 @@ class NonstopEnv(DrakeGymEnv):
         # To the bit at a sample of the controllers: else some of their updates would come before
         # the observation, and others after it.
         period, self._steps = self._scenario.control_period, self._steps + 1
-        every, end = samples_of(self._given_step, period), self._steps * self._given_step
-        end = sample_times(self._steps * every, period) if every else end
-        self.time_step = end - self.simulator.get_context().get_time()
+        end = self._steps * self._given_step
+        at_sample = sample_times(samples_until(end, period), period) if period > 0 else end
+        end_of_step = at_sample if self._given_step >= period else end
+        self.time_step = end_of_step - self.simulator.get_context().get_time()
         try:
+            self.simulator.AdvancePendingEvents()  # sampled states step under the last action
             observation, _, terminated, truncated, info = super().step(values)
         except NotFiniteError as error:
             return before, DIVERGED, True, False, {"message": str(error)}
-        time = self.simulator.get_context().get_time()
-        is_over = time >= self._scenario.simulation_duration - 1e-9
+        if is_implausible(observation, self._scenario.system.cable_length):
+            return before, DIVERGED, True, False, {"message": IMPLAUSIBLE}
+        is_over = end >= self._scenario.simulation_duration - 1e-9
         reward = checked_reward(self._judge(observation, values))
         return observation.copy(), reward, bool(terminated), bool(truncated or is_over), info
 
@@ -124,7 +139,7 @@ class NonstopEnv(DrakeGymEnv):
         self._resting, actions = actions_of(scenario, self._action)
         diagram, self._loop = _diagram(scenario, self._action)
         simulator = Simulator(diagram)
-        ApplySimulatorConfig(scenario.simulator_config, simulator)
+        self._config = None
 
         def end_of_run(root: Context) -> EventStatus:
             if EndingBlocks(self._loop, root).end_now():
@@ -156,13 +171,32 @@ def default_reward(observations: NDArray, length: Any, bound: Any) -> NDArray:
 
     Of observations (..., size), lengths in m and bounds in m/s, numbers or arrays (...); 0 is none.
     """
-    ends = np.cumsum([LOAD_STATE_SIZE, LOAD_REFERENCE_SIZE])
-    load, reference, carriers = np.split(observations, ends, axis=-1)
-    error = LoadState.view(load).position - LoadReference.view(reference).position
-    speeds = np.linalg.norm(CarrierStates.view(carriers).velocities, axis=-1)
+    load, reference, carriers = _views(observations)
+    error = load.position - reference.position
+    speeds = np.linalg.norm(carriers.velocities, axis=-1)
     lacking = np.maximum(0.0, bound - speeds.min(axis=-1)) / np.maximum(bound, _TINY)
     rewards: NDArray = -np.linalg.norm(error, axis=-1) / length - lacking
     return rewards
+
+
+def is_implausible(observations: NDArray, length: Any) -> NDArray:
+    """Whether load or carriers are farther than 100 cable lengths from the load's reference, (...).
+
+    Of observations (..., size) and lengths in m, a number or an array (...). No action that a task
+    needs leads there, and a loop that diverges goes on from there until its numbers are too large.
+    """
+    load, reference, carriers = _views(observations)
+    bodies = np.concatenate([load.position[..., None, :], carriers.positions], axis=-2)
+    away = np.linalg.norm(bodies - reference.position[..., None, :], axis=-1).max(axis=-1)
+    found: NDArray = away > _FARTHEST * length
+    return found
+
+
+def _views(observations: NDArray) -> tuple[LoadState, LoadReference, CarrierStates]:
+    """The parts of observations (..., size)."""
+    ends = np.cumsum([LOAD_STATE_SIZE, LOAD_REFERENCE_SIZE])
+    load, reference, carriers = np.split(observations, ends, axis=-1)
+    return LoadState.view(load), LoadReference.view(reference), CarrierStates.view(carriers)
 
 
 def checked_reward(reward: Any) -> float:
@@ -172,10 +206,9 @@ def checked_reward(reward: Any) -> float:
     return float(reward)
 
 
-def samples_of(time_step: float, period: float) -> int:
-    """The number of the controllers' samples in a time step (both s); 0 where it is not whole."""
-    count = round(time_step / period) if period > 0 else 0
-    return count if abs(count * period - time_step) < _ROUNDING * period else 0
+def samples_until(time: float, period: float) -> int:
+    """The number of the controllers' last sample at or before a time, of a period, both in s."""
+    return math.floor(time / period + _ROUNDING)
 
 
 def as_actions(actions: Any, space: gymnasium.spaces.Box, *lead: int) -> NDArray:

@@ -4,7 +4,6 @@ The action is a parameter of a block that stands in the place of the layer or th
 that the loop has no inputs. `make_gym_vec_env` makes the environment.
 """
 
-import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, cast
@@ -15,20 +14,17 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 from pydrake.common import RandomGenerator
-from pydrake.systems.framework import Context
 
 from drake_nonstop.diagrams.nonstop import make_nonstop
-from drake_nonstop.loop.compiled_flight import CompiledFlight
-from drake_nonstop.loop.compiled_loop import CompiledLoop
-from drake_nonstop.loop.equilibrium import set_equilibrium
-from drake_nonstop.loop.lanes import Advance, advance_together
-from drake_nonstop.loop.traced_start import TracedStart
+from drake_nonstop.loop.start import set_equilibrium
 from drake_nonstop.mechanics.signals import WRENCH_SIZE
 from drake_nonstop.model.block import Block
 from drake_nonstop.scenario.schema import Scenario, sample
 from drake_nonstop.simulation import gym_environment as single
-from drake_nonstop.simulation.built_loop import goes_by_numbers, take_scenario
 from drake_nonstop.simulation.monitor import EndingBlocks
+from drake_nonstop.simulation.preparation import stable_config
+from drake_nonstop.systems.compiled_flight import Advance, CompiledFlight, advance_together
+from drake_nonstop.systems.compiled_loop import CompiledLoop
 from drake_nonstop.systems.tracing import NotFiniteError
 from drake_nonstop.validation import StrictFields, require
 
@@ -72,66 +68,44 @@ class _Start:
     """The compiled loop of a scenario without distributions, at the start of an episode.
 
     Attributes:
+        scenario: of the loop.
         space: of the actions.
-        samples: of the controllers in a step.
         action: where the action is among the parameters of a flight.
         observation: at the equilibrium under the scenario's own action.
         state: of a flight there.
     """
 
     def __init__(self, scenario: Scenario, action: str, time_step: float):
-        period = scenario.control_period
-        self.samples = single.samples_of(time_step, period)
-        is_whole = self.samples > 0 or period == 0  # which cannot be compiled
-        remedy = f"give a multiple of control_period = {period:g} s"
-        require(is_whole, "make_gym_vec_env.time_step", time_step, remedy)
-        self._kind, (holder, self._box) = action, _HOLDERS[action]
+        self.scenario, self._time_step = scenario, time_step
+        period, (holder, box) = scenario.control_period, _HOLDERS[action]
+        remedy = f"give at least control_period = {period:g} s"
+        require(time_step >= period, "make_gym_vec_env.time_step", time_step, remedy)
         resting, self.space = single.actions_of(scenario, action)
         held = _HeldAction(action=resting.tolist())
         blocks: dict[str, Any] = {"extra": {_HOLDER: lambda own: holder(own, held)}}
-        nonstop = make_nonstop(scenario, at_equilibrium=False, **blocks | {self._box: None})
+        nonstop = make_nonstop(scenario, at_equilibrium=False, **blocks | {box: None})
         context = nonstop.CreateDefaultContext()
-        ends = EndingBlocks(nonstop, context).signals
+        self._ending = EndingBlocks(nonstop, context)
+        ends = self._ending.signals
         shown = (*dict.fromkeys([*single.OBSERVED, *ends]),)
         signals, steps = ((), shown) if ends else (shown, ())  # any step may be the last one
-        config = scenario.simulator_config
+        set_equilibrium(nonstop, context)
+        config = stable_config(scenario, nonstop, context)
         self.loop = CompiledLoop(nonstop, config, period, signals=signals, step_signals=steps)
-        beside = ", ".join(self.loop.blocks_beside)
-        require(not beside, "scenario", beside, "it is stepped by itself; give make_gym_env")
         first = self.loop.parameter_names.index(f"{_HOLDER}.action[0]")
         self.action = slice(first, first + len(resting))
-        self._settle(scenario, context)
+        self._context = context
+        flight = self.flight()
+        self.observation = np.concatenate(flight.start())[: single.observation_size(scenario)]
+        self.state = flight.state
 
-    def _settle(self, scenario: Scenario, context: Context) -> None:
-        """Finds the start of the scenario, whose numbers are in a context of the loop."""
-        nonstop = self.loop.diagram
-        self.scenario, self._context = scenario, context
-        traced = TracedStart(self.loop, context) if TracedStart.is_plain(self.loop) else None
-        set_equilibrium(nonstop, context, traced)
-        self._ending = EndingBlocks(nonstop, context)
-        self._flight = self.loop.fly(context)
-        self.observation = np.concatenate(self._flight.start())[: single.observation_size(scenario)]
-        self.state = self._flight.state
+    def flight(self) -> CompiledFlight:
+        """A new flight."""
+        return self.loop.fly(self._context)
 
-    def of(self, scenario: Scenario) -> "_Start | None":
-        """The start of a scenario in the same loop; None where another one has to be built."""
-        nonstop, other = self.loop.diagram, copy.copy(self)
-        context = nonstop.CreateDefaultContext()
-        given = nonstop, context, self.scenario, scenario, [self._box]
-        if not (goes_by_numbers(nonstop, self.scenario) and take_scenario(*given)):
-            return None
-        holder = nonstop.GetMutableSubsystemContext(nonstop.GetSubsystemByName(_HOLDER), context)
-        resting, _ = single.actions_of(scenario, self._kind)
-        holder.get_mutable_numeric_parameter(0).SetFromVector(resting)
-        other._settle(scenario, context)
-        return other
-
-    def flight(self, other: "_Start") -> CompiledFlight:
-        """A new flight, which shares with that of another start what is the same in both."""
-        flight = self.loop.fly(self._context)
-        if self.loop is other.loop:
-            flight.share(other._flight)
-        return flight
+    def samples(self, steps: int) -> int:
+        """The number of samples at the end of so many steps."""
+        return single.samples_until(steps * self._time_step, self.scenario.control_period)
 
     def ends(self, flown: Sequence[Advance]) -> tuple[NDArray, NDArray]:
         """Observations (k, size) after flights, and whether a block has ended each there (k,)."""
@@ -177,8 +151,8 @@ class NonstopVecEnv(VectorEnv[NDArray, NDArray, NDArray]):
         self.observation_space = batch_space(self.single_observation_space, n)
         seeds = [(scenario.random_seed + i) % (_LARGEST_SEED + 1) for i in range(n)]
         self._generators = [*map(RandomGenerator, seeds)]
-        self._starts, self._flights = n * [start], [start.flight(start) for _ in range(n)]
-        self._observations = np.zeros((n, size))
+        self._starts, self._flights = n * [start], [start.flight() for _ in range(n)]
+        self._observations, self._steps = np.zeros((n, size)), np.zeros(n, int)
         self._numbers = np.ones((3, n))  # cable's length, m, ε, m/s, and duration, s
         self._is_reset = False
 
@@ -214,12 +188,12 @@ class NonstopVecEnv(VectorEnv[NDArray, NDArray, NDArray]):
     def _begin(self, i: int) -> None:
         """Starts an episode of one environment."""
         if self._is_drawn:
-            drawn = self._given.sampled(self._generators[i])
-            own = self._start.of(drawn) or _Start(drawn, *self._kind)
-            self._starts[i], self._flights[i] = own, own.flight(self._start)
+            own = _Start(self._given.sampled(self._generators[i]), *self._kind)
+            self._starts[i], self._flights[i] = own, own.flight()
         start, scenario = self._starts[i], self._starts[i].scenario
         length, duration = scenario.system.cable_length, scenario.simulation_duration
         self._numbers[:, i] = length, scenario.speed_bound, duration
+        self._steps[i] = 0
         self._flights[i].go_to(0, start.state)
         self._observations[i] = start.observation
 
@@ -242,10 +216,13 @@ class NonstopVecEnv(VectorEnv[NDArray, NDArray, NDArray]):
         starts = [self._starts[i] for i in going]
         for i, start in zip(going, starts, strict=True):
             self._flights[i].set_parameters(start.action, values[i])
+        self._steps[going] += 1
         flights = [self._flights[i] for i in going]
-        flown = dict(
-            zip(going, advance_together(flights, [s.samples for s in starts]), strict=True)
-        )
+        counts = [
+            start.samples(self._steps[i]) - start.samples(self._steps[i] - 1)
+            for i, start in zip(going, starts, strict=True)
+        ]
+        flown = dict(zip(going, advance_together(flights, counts), strict=True))
         has_ended, messages = np.zeros(self.num_envs, bool), dict[int, dict[str, str]]()
         lanes: dict[_Start, list[int]] = {}  # of those that have not diverged, by their starts
         for i, each in flown.items():
@@ -256,13 +233,20 @@ class NonstopVecEnv(VectorEnv[NDArray, NDArray, NDArray]):
             else:
                 raise each.error
         for start, own in lanes.items():
-            observations[own], has_ended[own] = start.ends([flown[i] for i in own])
+            shown, ended = start.ends([flown[i] for i in own])
+            is_lost = single.is_implausible(shown, self._numbers[0, own])
+            for i, row, end, is_diverged in zip(own, shown, ended, is_lost, strict=True):
+                has_ended[i] = end or is_diverged
+                if is_diverged:
+                    messages[i] = {"message": single.IMPLAUSIBLE}
+                else:
+                    observations[i] = row
         rewards = np.where(self._is_over, 0.0, single.DIVERGED)
         at = sorted(set(going) - set(messages))
         if at:
             rewards[at] = self._rewards(at, values)
-        times = np.array([flight.time for flight in self._flights])
-        is_truncated = ~has_ended & ~self._is_over & (times >= self._numbers[2] - 1e-9)
+        is_late = self._steps * self._kind[1] >= self._numbers[2] - 1e-9
+        is_truncated = ~has_ended & ~self._is_over & is_late
         for i in np.flatnonzero(self._is_over).tolist():
             self._begin(i)
         ends = has_ended | is_truncated

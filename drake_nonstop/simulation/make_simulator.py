@@ -11,7 +11,7 @@ from drake_nonstop.diagrams.nonstop import make_nonstop, replaced
 from drake_nonstop.model.system import Model
 from drake_nonstop.scenario.schema import Scenario, sample
 from drake_nonstop.simulation.monitor import SampleInstants
-from drake_nonstop.simulation.preparation import check_simulation, with_chosen_step
+from drake_nonstop.simulation.preparation import check_simulation, stable_config
 from drake_nonstop.simulation.recording import control_period_of
 from drake_nonstop.systems.wiring import output_names
 from drake_nonstop.validation import require
@@ -47,7 +47,7 @@ def make_simulator(
     scenario, _ = sample(scenario, generator)
     check_simulation(scenario)
     nonstop = make_nonstop(scenario, **replacements)
-    config = with_chosen_step(scenario, nonstop, nonstop.CreateDefaultContext()).config
+    config = stable_config(scenario, nonstop, nonstop.CreateDefaultContext())
     builder = DiagramBuilder()
     builder.AddSystem(nonstop)
     builder.AddNamedSystem("sample_instants", SampleInstants(control_period_of(nonstop)))

@@ -9,16 +9,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from drake_nonstop.loop.compiled_flight import CompiledFlight
-from drake_nonstop.loop.lanes import Advance, advance_together
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.simulation.built_loop import SharedLoops
 from drake_nonstop.simulation.compiled_run import Flying
 from drake_nonstop.simulation.flight import Request, require_how
 from drake_nonstop.simulation.interruption import Interruption, current_interruption
 from drake_nonstop.simulation.recording import MEMORY_LIMIT, least_size
 from drake_nonstop.simulation.run import Run, RunsInterrupted, StepCheck
 from drake_nonstop.simulation.simulate import simulating
+from drake_nonstop.systems.compiled_flight import Advance, CompiledFlight, advance_together
+from drake_nonstop.systems.native import asking
 from drake_nonstop.validation import listed, require, warn_user
 
 _MOST = 16  # flights at a time
@@ -75,6 +74,7 @@ class _Flyer:
     Attributes:
         number: of the run.
         flying: the run, which asks for samples of its flight.
+        check: raises where the user has interrupted, also while a compiler runs.
         is_recording: whether warnings are kept.
         told: warnings, where it `is_recording`.
         asked: what it waits for, while it has no outcome.
@@ -83,6 +83,7 @@ class _Flyer:
 
     number: int
     flying: Flying[Run]
+    check: Callable[[], None]
     is_recording: bool
     told: list[str] = field(default_factory=list)
     asked: tuple[CompiledFlight, int] = field(init=False)
@@ -90,7 +91,8 @@ class _Flyer:
 
     def go_on(self, advance: Advance | None) -> None:
         """Gives it what it waits for; it then has an outcome, or waits for more."""
-        with warnings.catch_warnings(record=True) if self.is_recording else nullcontext([]) as told:
+        kept: Any = warnings.catch_warnings(record=True) if self.is_recording else nullcontext([])
+        with asking(self.check), kept as told:
             if self.is_recording:
                 warnings.simplefilter("always")
             try:
@@ -123,7 +125,6 @@ def fly_many(
     waiting = iter(range(len(arguments)))
     most = min(_MOST, len(arguments))
     flyers: list[_Flyer] = []
-    shared = SharedLoops()
     with current_interruption() as interruption, interruption.patient(1):
         is_cut = False
         while not (is_cut or interruption.number):
@@ -132,7 +133,9 @@ def fly_many(
                 if number is None:
                     break
                 given = arguments[number]
-                flyer = _Flyer(number, _flying(given, shared), is_recording)
+                flyer = _Flyer(
+                    number, _flying(given, len(arguments)), interruption.check, is_recording
+                )
                 flyer.go_on(None)
                 flyers.append(flyer)
                 if flyer.outcome is None:
@@ -155,11 +158,13 @@ def fly_many(
     raise KeyboardInterrupt
 
 
-def _flying(given: dict[str, Any], shared: SharedLoops) -> Flying[Run]:
+def _flying(given: dict[str, Any], flights: int) -> Flying[Run]:
     """A run by the arguments of `simulate` that are given; no signal ends it before its time."""
     own = {k: v for k, v in given.items() if k in Request.__dataclass_fields__}
     others = {k: v for k, v in given.items() if k not in own}
-    return (yield from simulating(Request(replacements=others, **own), Interruption(), shared))
+    return (
+        yield from simulating(Request(replacements=others, flights=flights, **own), Interruption())
+    )
 
 
 def _flights_at_a_time(most: int, scenario: Scenario) -> int:

@@ -15,7 +15,7 @@ from drake_nonstop.mechanics.signal_layouts import by_name
 from drake_nonstop.mechanics.signals import SIGNAL_PERIOD
 from drake_nonstop.simulation.interruption import Interruption
 from drake_nonstop.simulation.run import StepAction
-from drake_nonstop.simulation.step_size import RestorableState, SavedState, SavedStates
+from drake_nonstop.simulation.short_flights import RestorableState, SavedState, SavedStates
 from drake_nonstop.systems.block import LeafBlock, is_of_package
 
 _WAITING_PERIOD = 0.02  # s of wall time, between two questions of a run that waits

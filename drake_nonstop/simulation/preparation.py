@@ -1,25 +1,23 @@
 """Preparation of a flight: its loop, its step, and its warnings."""
 
 import contextlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from pydrake.systems.analysis import GetIntegrationSchemes
-from pydrake.systems.framework import Context, Diagram, System
+from pydrake.systems.analysis import GetIntegrationSchemes, SimulatorConfig
+from pydrake.systems.framework import Context, Diagram
 
 from drake_nonstop.analysis.aircraft_margins import aircraft_margins_for
 from drake_nonstop.analysis.formation import growth_complaint
 from drake_nonstop.analysis.task import is_known, task_at
 from drake_nonstop.diagrams.nonstop import make_nonstop
-from drake_nonstop.loop.equilibrium import block_named
-from drake_nonstop.loop.traced_start import TracedStart
+from drake_nonstop.loop.step import with_largest_step
 from drake_nonstop.scenario.proportions import out_of_proportion
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.simulation.recording import RUN_SIGNALS
-from drake_nonstop.simulation.step_size import ChosenStep, chosen_step
 from drake_nonstop.systems.block import LOOP
-from drake_nonstop.systems.wiring import innermost, input_names, nested, require_signals
+from drake_nonstop.systems.wiring import context_in, input_names, loop_in, require_signals
 from drake_nonstop.validation import ScenarioError, called, require, require_ranges, warn_user
 
 # Makes the loop's diagram of a scenario, and of replacements as `make_nonstop` takes them.
@@ -60,44 +58,26 @@ def check_simulation(scenario: Scenario) -> None:
     require_ranges("scene", scenario.scene)
 
 
-def with_chosen_step(
-    scenario: Scenario, nonstop: Diagram, context: Context, traced: TracedStart | None = None
-) -> ChosenStep:
-    """The scenario's `simulator_config`, or one with a shorter step, which a warning tells."""
+def stable_config(scenario: Scenario, nonstop: Diagram, context: Context) -> SimulatorConfig:
+    """The scenario's `simulator_config` as of `with_largest_step`.
+
+    Raises:
+        ScenarioError: steps would have to be too short; it names what is out of proportion.
+    """
     try:
-        with block_named(nonstop, context):
-            chosen = chosen_step(
-                scenario.simulator_config,
-                nonstop,
-                context,
-                control_period=scenario.control_period,
-                duration=scenario.simulation_duration,
-                length=scenario.system.cable_length,
-                traced=traced,
-            )
+        return with_largest_step(scenario.simulator_config, nonstop, context)
     except ScenarioError as error:
         raise ScenarioError("; ".join([str(error), *out_of_proportion(scenario)])) from None
-    if chosen.reasons:
-        warn_user(
-            f"simulator_config.max_step_size = {scenario.simulator_config.max_step_size:g}: "
-            f"steps of {chosen.config.max_step_size:.3g} s are taken instead, for the sake of "
-            f"{' and '.join(chosen.reasons)}"
-        )
-    return chosen
 
 
-def warn_of_margins(
-    scenario: Scenario, nonstop: Diagram, context: Context, described: Mapping[str, System]
-) -> None:
-    """Warns where aircraft cannot fly the orbit above the resting load within their limits.
-
-    The blocks `described` are as of `warn_of_growth`.
-    """
+def warn_of_margins(scenario: Scenario, nonstop: Diagram, context: Context) -> None:
+    """Warns where aircraft cannot fly the orbit above the resting load within their limits."""
     if not nonstop.HasOutputPort("aircraft_state"):
         return
     with contextlib.suppress(ScenarioError):  # there is no such orbit
-        loop, context = innermost(nonstop, context, RUN_SIGNALS)
-        found = aircraft_margins_for(scenario, loop, context, described)
+        loop = loop_in(nonstop, RUN_SIGNALS)
+        context = context_in(nonstop, loop, context)
+        found = aircraft_margins_for(scenario, loop, context)
         if not found.is_flyable:
             message = f"{found.verdict}; drake-nonstop check shows all margins"
             warn_user(message)
@@ -108,28 +88,23 @@ def _growth_complaint(
     nonstop: Diagram,
     context: Context,
     time: float,
-    described: Mapping[str, System],
     *,
     in_samples: bool = False,
 ) -> str:
     """A sentence on a formation that is unstable at the start, in a flight of a time in s."""
     with contextlib.suppress(ScenarioError):  # what is no formation
-        loop, context = innermost(nonstop, context, RUN_SIGNALS)
+        loop = loop_in(nonstop, RUN_SIGNALS)
+        context = context_in(nonstop, loop, context)
         if is_known(loop):
-            task = task_at(scenario, loop, context, described)
+            task = task_at(scenario, loop, context)
             return growth_complaint(task, time, in_samples=in_samples)
     return ""
 
 
-def warn_of_growth(
-    scenario: Scenario, nonstop: Diagram, context: Context, described: Mapping[str, System]
-) -> None:
-    """Warns where a small deviation of the load grows from the start on.
-
-    The blocks `described` tell what they do in place of those of their boxes in the loop.
-    """
+def warn_of_growth(scenario: Scenario, nonstop: Diagram, context: Context) -> None:
+    """Warns where a small deviation of the load grows from the start on."""
     duration = scenario.simulation_duration
-    complaint = _growth_complaint(scenario, nonstop, context, duration, described)
+    complaint = _growth_complaint(scenario, nonstop, context, duration)
     if complaint:
         warn_user(complaint)
 
@@ -142,11 +117,11 @@ def cause_of_divergence(scenario: Scenario, nonstop: Diagram, time: float) -> st
     cause = "; ".join(out_of_proportion(scenario))
     if not cause:
         context = nonstop.CreateDefaultContext()
-        cause = _growth_complaint(scenario, nonstop, context, time, {}, in_samples=True)
+        cause = _growth_complaint(scenario, nonstop, context, time, in_samples=True)
     cause = cause or "the loop may be unstable, or simulator_config.max_step_size too large"
     gains = [
         f"{block.get_name()}.{name} = {np.array2string(np.asarray(value), formatter=_FOUR_DIGITS)}"
-        for block in nested(nonstop, RUN_SIGNALS)[-1].GetSystems()
+        for block in loop_in(nonstop, RUN_SIGNALS).GetSystems()
         for name, value in getattr(block, "gains", {}).items()
     ]
     return f"{cause}; gains in use: {', '.join(gains)}" if gains else cause

@@ -25,7 +25,14 @@ from pydrake.systems.primitives import Multiplexer
 
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold
 from drake_nonstop.diagrams.nonstop import BOXES, SIGNALS
-from drake_nonstop.mechanics.signal_layouts import HELD, Entry, Layout, by_name, numbered_entries
+from drake_nonstop.mechanics.signal_layouts import (
+    HELD,
+    SAMPLED,
+    Entry,
+    Layout,
+    by_name,
+    numbered_entries,
+)
 from drake_nonstop.mechanics.signals import (
     LOAD_REFERENCE_SIZE,
     LOAD_STATE_SIZE,
@@ -37,11 +44,12 @@ from drake_nonstop.simulation.monitor import AT_INSTANT, SampleInstants, at_inst
 from drake_nonstop.simulation.run import WALL_TIME
 from drake_nonstop.systems.block import LOOP, LeafBlock, title
 from drake_nonstop.systems.wiring import (
-    maker_of,
-    nested,
+    loop_in,
     optional_inputs,
     require_open,
     require_signals,
+    source_of,
+    systems_in,
 )
 from drake_nonstop.validation import ScenarioError, require
 
@@ -341,7 +349,7 @@ class LogSignals:
 
 def control_period_of(nonstop: Diagram) -> float:
     """That of the controllers in a loop, s; 0 where none is known."""
-    holds = (s for s in nested(nonstop, RUN_SIGNALS)[-1].GetSystems() if type(s) is SampleAndHold)
+    holds = (s for s in loop_in(nonstop, RUN_SIGNALS).GetSystems() if type(s) is SampleAndHold)
     return next((hold.sample_period for hold in holds), 0.0)
 
 
@@ -352,10 +360,11 @@ def _names_and_entries(
 
     A block's own `signal_layouts` come first, then the layouts of the figure's signals.
     """
-    *_, loop = nested(nonstop, RUN_SIGNALS) if all(s in sampled for s in RUN_SIGNALS) else [nonstop]
+    loop = loop_in(nonstop, RUN_SIGNALS)
     names, found = {}, {}
     for port, output in sampled.items():
-        maker = maker_of(loop if loop.HasOutputPort(port) else nonstop, port)
+        exporting = loop if loop.HasOutputPort(port) else nonstop
+        maker = source_of(exporting.GetOutputPort(port)).get_system()
         name, size = f"{title(maker).replace('.', '_')}.{port}", output.size()
         own = getattr(maker, "signal_layouts", {}).get(port)
         layout = own or SIGNALS.get(port.removeprefix(HELD))
@@ -399,8 +408,7 @@ def require_room(recorded: Sizes, scenario: Scenario) -> None:
 
 def _recorded_ports(nonstop: Diagram) -> tuple[dict[str, OutputPort], dict[str, OutputPort]]:
     """The ports, by name, that are recorded at 100 Hz and at every step."""
-    is_loop = all(map(nonstop.HasOutputPort, RUN_SIGNALS))
-    loops = nested(nonstop, RUN_SIGNALS) if is_loop else [nonstop]
+    loops = [system for system in systems_in(nonstop) if isinstance(system, Diagram)]
     optional = {block: optional_inputs(block) for loop in loops for block in loop.GetSystems()}
     read = {
         source.get_output_port(index).get_name()
@@ -408,6 +416,7 @@ def _recorded_ports(nonstop: Diagram) -> tuple[dict[str, OutputPort], dict[str, 
         for (reader, at), (source, index) in loop.connection_map().items()
         if reader.get_input_port(at).get_name() not in optional[reader]
     }
+    read = {name.removeprefix(SAMPLED) for name in read}
     if_read = {name for box in BOXES.values() for name in box.recorded_where_read}
     if_read |= {f"{HELD}{name}" for name in if_read}
     outputs = [nonstop.get_output_port(i) for i in range(nonstop.num_output_ports())]
@@ -416,11 +425,18 @@ def _recorded_ports(nonstop: Diagram) -> tuple[dict[str, OutputPort], dict[str, 
         for port in outputs
         if port.get_data_type() == PortDataType.kVectorValued
         and port.get_name() not in if_read - read
+        and not _is_of_samples(port.get_name())
     }
     return (
         {name: port for name, port in ports.items() if name != WALL_TIME},
         {name: port for name, port in ports.items() if name in EVERY_STEP},
     )
+
+
+def _is_of_samples(name: str) -> bool:
+    """Whether a signal is what sampled blocks read in place of another, which is recorded."""
+    is_held = name.startswith(HELD) and name.removeprefix(HELD) not in SampleAndHold.reads
+    return is_held or name.startswith(SAMPLED)
 
 
 def recorded_sizes(nonstop: Diagram) -> Sizes:

@@ -8,16 +8,17 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Diagram
 
 from drake_nonstop.diagrams.nonstop import make_nonstop
-from drake_nonstop.loop.block_events import NotCompilableError
-from drake_nonstop.scenario.schema import DIAGRAM, Scenario
-from drake_nonstop.simulation.built_loop import SharedLoops, Viewer
-from drake_nonstop.simulation.compiled_run import Flying, flown_alone, tell_not_compiled
+from drake_nonstop.loop.step import with_step
+from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.simulation.built_loop import Viewer
+from drake_nonstop.simulation.compiled_run import Flying, flown_alone
 from drake_nonstop.simulation.flight import Flight, Request, without_warnings
 from drake_nonstop.simulation.interruption import Interruption, current_interruption
 from drake_nonstop.simulation.preparation import LoopMaker
 from drake_nonstop.simulation.run import Run, RunInterrupted, RunStopped, StepAction, StepCheck
-from drake_nonstop.simulation.step_check import compared, growth_in_doubt, in_doubt, is_in_doubt
-from drake_nonstop.simulation.step_size import ChosenStep, finer, with_step
+from drake_nonstop.simulation.short_flights import finer
+from drake_nonstop.simulation.step_check import compared, in_doubt, is_in_doubt
+from drake_nonstop.systems.native import asking
 from drake_nonstop.validation import ScenarioError, require
 
 
@@ -34,8 +35,8 @@ def simulate(
 ) -> Run:
     """Simulates a scenario from its equilibrium and returns all signals.
 
-    The step is the scenario's, or a shorter one where the loop's fastest mode or the commanded
-    motion needs it; a ScenarioWarning says so. Parts of the run are flown again with half the
+    The step is the scenario's, or a shorter one where the loop's fastest mode needs it, see
+    `with_largest_step`; a ScenarioWarning says so. Parts of the run are flown again with half the
     step. Where that makes a difference the whole run is, and `Run.unresolved` says which metrics
     move.
 
@@ -78,10 +79,14 @@ def simulate(
     return _simulated(request)
 
 
-def _simulated(request: Request, shared: SharedLoops | None = None) -> Run:
-    with current_interruption() as interruption, interruption.patient(1):
+def _simulated(request: Request) -> Run:
+    with (
+        current_interruption() as interruption,
+        interruption.patient(1),
+        asking(interruption.check),
+    ):
         try:
-            run = flown_alone(simulating(request, interruption, shared))
+            run = flown_alone(simulating(request, interruption))
         except RunStopped:
             raise
         except Exception:
@@ -93,53 +98,24 @@ def _simulated(request: Request, shared: SharedLoops | None = None) -> Run:
     return run
 
 
-def simulating(
-    request: Request, interruption: Interruption, shared: SharedLoops | None = None
-) -> Flying[Run]:
+def simulating(request: Request, interruption: Interruption) -> Flying[Run]:
     """The run of a request as `simulate` makes it, whose flight may be one of several.
 
-    A loop that is `shared` may be that of another scenario; where something is wrong with the run,
-    its own is built, and tells of it.
+    It is flown again with half its step where that is in doubt.
     """
-    flight, reason = Flight(request, interruption, shared), ""
-    try:
-        return (yield from _simulating(flight, request, shared))
-    except NotCompilableError as error:
-        tell_not_compiled(f"{error};", request.asked_engine)
-        request, reason = dataclasses.replace(request, engine=DIAGRAM), f": {error}"
-    except (RunStopped, ScenarioError):
-        if not flight.is_shared:
-            raise
-    with without_warnings():
-        own = Flight(request, interruption)
-        own.engine += reason
-        return (yield from _simulating(own, request))
-
-
-def _simulating(flight: Flight, request: Request, shared: SharedLoops | None = None) -> Flying[Run]:
-    """Prepares, flies, and makes the run, flown again with half its step where it is in doubt."""
+    flight = Flight(request, interruption)
     with flight.kept():
-        chosen = flight.prepare()
-        yield from flight.fly(chosen)
+        yield from flight.fly(flight.prepare())
     if flight.early_end is not None:
         return flight.run(flight.early_end)  # as it is: another step may end it elsewhere
     run = flight.run()
-    doubt = "" if request.check_step is StepCheck.NOTHING else _doubt(run, flight, chosen)
-    if not doubt:
+    states = flight.monitor.saved.states
+    if request.check_step is StepCheck.NOTHING or not is_in_doubt(run, states, flight.loop_context):
         return run
-    is_partly = request.check_step is StepCheck.PARTS or request.after_step is not None
-    if chosen.unresolved or is_partly:
+    doubt = in_doubt(run)
+    if request.check_step is StepCheck.PARTS or request.after_step is not None:
         return dataclasses.replace(run, unresolved=(doubt,))
-    return _verified(run, request.progress, doubt, request.engine, shared)
-
-
-def _doubt(run: Run, flight: Flight, chosen: ChosenStep) -> str:
-    """Why half the step may change a run's metrics; empty: nothing tells so."""
-    if chosen.unresolved:
-        return chosen.unresolved
-    if is_in_doubt(run, flight.monitor.saved.states, flight.loop_context):
-        return in_doubt(run)
-    return growth_in_doubt(run) if chosen.is_in_doubt else ""
+    return _verified(run, request.progress, doubt, request.engine)
 
 
 def verify_step(run: Run, *, progress: Callable[[float], None] | None = None) -> Run:
@@ -166,7 +142,6 @@ def _verified(
     progress: Callable[[float], None] | None,
     doubt: str = "",
     engine: str | None = None,
-    shared: SharedLoops | None = None,
 ) -> Run:
     """Verifies the step; an interrupted run keeps the doubt for which it is flown again."""
     config = finer(with_step(run.scenario.simulator_config, run.step), 2)
@@ -187,7 +162,7 @@ def _verified(
                 engine=engine,
                 replacements=replacements,
             )
-            half = _simulated(request, shared)
+            half = _simulated(request)
     except RunInterrupted:
         raise RunInterrupted(doubted) from None
     except (RunStopped, ScenarioError) as error:

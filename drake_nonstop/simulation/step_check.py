@@ -8,12 +8,13 @@ from numpy.typing import NDArray
 from pydrake.systems.analysis import SimulatorConfig
 from pydrake.systems.framework import Context
 
+from drake_nonstop.loop.step import with_step
 from drake_nonstop.mechanics.signals import SIGNAL_PERIOD, CarrierStates
 from drake_nonstop.simulation.compiled_run import CompiledState
 from drake_nonstop.simulation.metrics import compute_metrics
 from drake_nonstop.simulation.moved_metrics import moved_metrics
 from drake_nonstop.simulation.run import Run
-from drake_nonstop.simulation.step_size import (
+from drake_nonstop.simulation.short_flights import (
     COMPARED,
     FlightSamples,
     RestorableState,
@@ -22,7 +23,6 @@ from drake_nonstop.simulation.step_size import (
     finer,
     tolerated_speeds,
     tolerated_tensions,
-    with_step,
 )
 
 _MARGIN = 0.85  # of what a metric may move by, in a run that counts as resolved
@@ -136,11 +136,6 @@ def compared(run: Run, half: Run) -> Run:
 def in_doubt(run: Run) -> str:
     """Text of `Run.unresolved` for a run in doubt that cannot be flown again."""
     return f"parts of the run, flown again with half the step, differ from it; {_remedy(run)}"
-
-
-def growth_in_doubt(run: Run) -> str:
-    """The same of a run whose loop is unstable, so that what a step changes grows."""
-    return f"a small deviation at the start grows, and so may what the step changes; {_remedy(run)}"
 
 
 def _steps(run: Run) -> str:

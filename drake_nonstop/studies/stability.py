@@ -22,16 +22,16 @@ from drake_nonstop.blocks.phase import AccumulatedPhaseConfig
 from drake_nonstop.blocks.wind import DrydenConfig, GustyWindConfig, WindProfileConfig
 from drake_nonstop.blocks.wind_estimator import LoadAnemometerConfig, WindObserverConfig
 from drake_nonstop.diagrams.nonstop import BOXES, SAMPLE_AND_HOLD, box_of, make_nonstop
-from drake_nonstop.loop.compiled_loop import CompiledLoop, reason_against
-from drake_nonstop.loop.equilibrium import set_equilibrium
+from drake_nonstop.loop.start import port_slopes, set_equilibrium
+from drake_nonstop.loop.step import with_largest_step
 from drake_nonstop.mechanics.rotation import quaternion_rate
 from drake_nonstop.mechanics.sampled_loop import map_of_turn
 from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, LoadState
 from drake_nonstop.optimization.problem_config import with_fields_of
 from drake_nonstop.scenario.schema import Scenario, check
-from drake_nonstop.simulation.step_size import stable_config
 from drake_nonstop.studies.run_all import Progress, no_progress
-from drake_nonstop.systems.port_state import PortState, set_state_values, state_values
+from drake_nonstop.systems.block import set_state_values, state_values
+from drake_nonstop.systems.compiled_loop import CompiledLoop, reason_against
 from drake_nonstop.validation import require
 
 _NOISES = ("position_noise", "orientation_noise", "velocity_noise", "angular_velocity_noise")
@@ -42,7 +42,7 @@ NEUTRAL = 1 + 1e-4  # above the multipliers of slow integrators, with rounding
 _CHANGES_OF_WIND = ("start_time", "rise_time")  # fields of its blocks
 _LOAD = box_of("load_state")
 # Whose states are not perturbed.
-_EXOGENOUS = (SAMPLE_AND_HOLD, *(name for name, box in BOXES.items() if not box.is_linearized))
+_EXOGENOUS = [name for name, box in BOXES.items() if not box.is_linearized]
 
 
 @dataclass(kw_only=True)
@@ -155,17 +155,18 @@ def linearize(scenario: Scenario, progress: Progress = no_progress) -> Stability
     sample = scenario.control_period or 0.01
     turn = 2 * math.pi / resting.optimization_layer.frequency
     samples = max(1, round(turn / sample))
-    config = stable_config(resting.simulator_config, nonstop, context)
+    config = with_largest_step(resting.simulator_config, nonstop, context)
 
     states = _States(nonstop)
     own = states.deviations(context)
     loop = None
-    if not reason_against(nonstop, config, sample, compiles=False):
+    if not reason_against(nonstop, config, sample):
         loop = CompiledLoop(nonstop, config, sample, signals=(), compiles=False)
 
-    # Before each phase the loop runs from its equilibrium until the delays are filled.
+    # Before each phase the loop runs from its equilibrium until the delays are filled. Sampled
+    # states step from the second sample on.
     delay = getattr(scenario.load_feedback, "delay", 0.0)
-    lead = 1 + math.ceil(delay / sample - 1e-9)
+    lead = 2 + math.ceil(delay / sample - 1e-9)
     steps = []
     for k in range(_PHASES):
         progress("linearizing", k / _PHASES)
@@ -189,6 +190,8 @@ def linearize(scenario: Scenario, progress: Progress = no_progress) -> Stability
     ends = np.cumsum([matrix.shape[1] for matrix in own.values()])
     parts = np.split(weights / weights.sum(), ends[:-1])
     shares = {name: float(part.sum()) for name, part in zip(own, parts, strict=True)}
+    held = shares.pop(SAMPLE_AND_HOLD, 0.0)  # what other blocks showed a sample before
+    shares = {name: share / (1 - held) for name, share in shares.items()}
     return Stability(
         period=samples * sample,
         multipliers=multipliers[order],
@@ -234,12 +237,9 @@ def _differenced_map(states: "_States", simulator: Simulator, lead: int, sample:
 
 def _exact_map(states: "_States", loop: CompiledLoop, context: Context, lead: int) -> NDArray:
     """The same by a loop's exact derivatives, from a context at the start of a flight."""
-    places = states.places_in(loop)
-    flight = loop.fly_with_derivatives(context)
-    nothing = flight.start(np.zeros((len(flight.state), 0)))
-    for _ in range(lead):
-        flight.advance(nothing)
-    return flight.advance(np.eye(len(flight.state))[:, places])[places]
+    places, flight = states.places_in(loop), loop.fly(context)
+    flight.fly(lead)
+    return flight.map_jacobian()[np.ix_(places, places)]
 
 
 class _States:
@@ -297,6 +297,6 @@ def _load_deviations(load: System, context: Context) -> NDArray:
     quaternion = LoadState.view(port.Eval(context)).quaternion
     rotations = [quaternion_rate(quaternion, axis) for axis in np.eye(3)]
     shown = block_diag(np.transpose(rotations), np.eye(LOAD_STATE_SIZE - 4))
-    slopes = PortState(load, port).slopes(context)
+    slopes = port_slopes(port, context)
     hidden = null_space(slopes, rcond=_SMALLEST)
     return np.hstack([np.linalg.pinv(slopes, rcond=_SMALLEST) @ shown, hidden])

@@ -1,7 +1,8 @@
 """Which block a run stopped at."""
 
+import contextlib
+import re
 import traceback
-from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -9,15 +10,16 @@ import numpy as np
 from pydrake.systems.framework import (
     Context,
     Diagram,
+    InputPort,
     LeafSystem,
-    OutputPortIndex,
+    OutputPort,
     PortDataType,
     System,
 )
 
 from drake_nonstop.systems.block import box_of, is_converted
-from drake_nonstop.systems.diagram_trace import Wires
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
+from drake_nonstop.validation import ScenarioError, one_line
 
 
 def raising_block(error: BaseException) -> str:
@@ -30,29 +32,42 @@ def raising_block(error: BaseException) -> str:
     return blamed
 
 
+@contextlib.contextmanager
+def block_blamed() -> Iterator[None]:
+    """Turns an error of a block of the user's own into a ScenarioError with the block and line."""
+    try:
+        yield
+    except (ScenarioError, NotFiniteError):
+        raise
+    except Exception as error:  # whatever a block may raise
+        blamed = raising_block(error)
+        if not blamed:
+            raise  # Drake's own, such as that of an algebraic loop
+        open_input = re.search(r"\((\w+)\) of System .* is not connected", str(error))
+        said = f"its input {open_input[1]} is not connected" if open_input else one_line(error)
+        raise ScenarioError(
+            f"{blamed}{said}; correct the block, or what its inputs read"
+        ) from error
+
+
 def source_of_fault(error: NotFiniteError, nonstop: Diagram, context: Context) -> str:
     """The name of the block that made the value that is not finite, or is too large.
 
-    Where a block was given it, the wires are followed back to the nearest block whose inputs are
-    all sound. There is none where the loop as a whole diverges: it is the block of the error then.
-    The context is the diagram's at the instant of the error.
+    It is the first block with such an output whose inputs are all sound, and the block of the
+    error where that was given sound values, or the loop as a whole diverges.
+
+    Args:
+        error: of the block.
+        nonstop: the diagram that it is in.
+        context: the diagram's, at the instant of the error.
     """
-    shown = {block: box_of(block) for block in _blocks(nonstop)}
-    starts = [block for block in shown if shown[block] == error.block]
-    wires, waiting, seen = Wires(nonstop), deque(starts), {*starts}
-    while waiting and error.was_given:
-        block = waiting.popleft()
-        unsound = []
-        for index in range(block.num_input_ports()):
-            source, port = wires.source(block, index) or (None, 0)
-            while source is not None and source not in shown:
-                source, port = source.get_output_port_locator(OutputPortIndex(port))
-            if source is not None and _is_unsound(source, port, nonstop, context):
-                unsound.append(source)
-        if not unsound and block not in starts:
-            return shown[block]
-        waiting += [source for source in unsound if source not in seen]
-        seen.update(unsound)
+    for block in _blocks(nonstop) if error.was_given else ():
+        own = nonstop.GetSubsystemContext(block, context)
+        inputs = map(block.get_input_port, range(block.num_input_ports()))
+        outputs = map(block.get_output_port, range(block.num_output_ports()))
+        was_given = any(_is_unsound(port, own) for port in inputs)
+        if not was_given and any(_is_unsound(port, own) for port in outputs):
+            return box_of(block)
     return error.block
 
 
@@ -65,15 +80,14 @@ def _blocks(diagram: Diagram) -> Iterator[System]:
             yield part
 
 
-def _is_unsound(source: System, index: int, nonstop: Diagram, context: Context) -> bool:
-    """Whether an output is not finite or too large, or cannot be evaluated for that reason."""
-    port = source.get_output_port(index)
+def _is_unsound(port: InputPort | OutputPort, context: Context) -> bool:
+    """Whether a port's value is not finite or too large, or cannot be evaluated for that reason."""
     if port.get_data_type() != PortDataType.kVectorValued:
         return False
     try:
-        value = port.Eval(nonstop.GetSubsystemContext(source, context))
+        value = port.Eval(context)
     except NotFiniteError:
         return True
-    except Exception:  # the error of the run is reported, whatever else fails after it
+    except Exception:  # such as of an open input; the error of the run is reported
         return False
     return not np.all(np.abs(value) < LARGEST)

@@ -19,6 +19,14 @@ from drake_nonstop.validation import ScenarioError
 _Kind = TypeVar("_Kind", bound=type)
 
 
+def declared_by(block: Any, name: str, default: Any = None) -> Any:
+    """An attribute of a block, or of its class; the default for one that does not declare it.
+
+    A user's own block may be any System of Drake's.
+    """
+    return getattr(block, name, default)
+
+
 def config_class(block: type) -> Any:
     """The dataclass of a block's parameters, XConfig in the module of X; None: it has none."""
     return getattr(sys.modules.get(block.__module__), f"{block.__name__}Config", None)
@@ -49,7 +57,7 @@ def documented(block: _Kind) -> _Kind:
 
 
 def _declared_names(kind: Any) -> list[str]:
-    return [*getattr(kind, "reads", ()), *getattr(kind, "makes", ())]
+    return [*kind.reads, *kind.makes]
 
 
 class _Docstring:
@@ -79,8 +87,7 @@ def _declared(kind: Any) -> str:
         return ""
     lines, lists = [".. pydrake_system::", "", f"    name: {kind.__name__}"], []
     for word, head, attribute in (("input", "Reads", "reads"), ("output", "Makes", "makes")):
-        names = getattr(kind, attribute, ())
-        if names:
+        if names := getattr(kind, attribute):
             lines += [f"    {word}_ports:", *(f"    - {_where(kind, name)}" for name in names)]
             lists.append(_list(f"{head}:", (_port(kind, name) for name in names)))
     config = config_class(kind)
@@ -91,16 +98,16 @@ def _declared(kind: Any) -> str:
 
 
 def _where(kind: Any, name: str) -> str:
-    where = getattr(kind, "where", {}).get(name, "")
+    where = kind.where.get(name)
     return f"{name} (where {where})" if where else name
 
 
 def _port(kind: Any, name: str) -> str:
-    layout = (SIGNALS | getattr(kind, "signal_layouts", {})).get(name.removeprefix(HELD))
+    layout = (SIGNALS | kind.signal_layouts).get(name.removeprefix(HELD))
     size, about = ("abstract", "") if layout is None else (layout.size, str(layout))
     said = f": {about}" if about else ""
-    when = [f"where {where}"] if (where := getattr(kind, "where", {}).get(name)) else []
-    when += ["may be left unconnected"] if name in getattr(kind, "optional_inputs", ()) else []
+    when = [f"where {where}"] if (where := kind.where.get(name)) else []
+    when += ["may be left unconnected"] if name in kind.optional_inputs else []
     return f"`{name}` ({', '.join([size, *when])}){said}"
 
 

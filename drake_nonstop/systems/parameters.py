@@ -4,14 +4,14 @@ A leaf system that goes by them has them as its attribute `parameters`. The vect
 numeric parameter, one of Drake's own.
 """
 
-from collections.abc import Callable, Iterator, Mapping
-from typing import Any
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydrake.systems.framework import BasicVector_, Context, Diagram, System
 
 from drake_nonstop.systems.block import LeafBlock
+from drake_nonstop.systems.documentation import declared_by
 
 
 def declared(system: System, first: int = 0) -> Iterator[tuple[System, "NumericParameters", int]]:
@@ -20,7 +20,7 @@ def declared(system: System, first: int = 0) -> Iterator[tuple[System, "NumericP
     Each with these, and with the index of their vector among the numeric parameters of the
     system's context, counted from `first` on.
     """
-    own = getattr(system, "parameters", None)
+    own = declared_by(system, "parameters")
     if isinstance(own, NumericParameters):
         yield system, own, first
     if isinstance(system, Diagram):
@@ -41,7 +41,10 @@ class NumericParameters:
     Attributes:
         defaults: by name, as arrays; a number has the shape ().
         vector: the defaults in one.
+        of_system: the names of those that are fields of the scenario's system.
     """
+
+    of_system: tuple[str, ...] = ()
 
     def __init__(self, defaults: Mapping[str, ArrayLike]):
         self.defaults = {name: np.array(value, float) for name, value in defaults.items()}
@@ -66,17 +69,7 @@ class NumericParameters:
             for name, place in self._places.items()
         }
 
-    def as_argument(self, function: Callable, place: int) -> Callable:
-        """The function with the vector as its argument of that place, in front of later ones."""
-
-        def with_vector(*arguments: Any) -> Any:
-            others = arguments[:place] + arguments[place + 1 :]
-            return function(*others, **self.view(arguments[place]))
-
-        return with_vector
-
 
 def declare_parameters(block: LeafBlock, parameters: NumericParameters) -> None:
     """Declares them as the block's first numeric parameter."""
-    scalar: type = getattr(block, "scalar", float)
-    block.DeclareNumericParameter(BasicVector_[scalar](parameters.vector))
+    block.DeclareNumericParameter(BasicVector_[block.scalar](parameters.vector))

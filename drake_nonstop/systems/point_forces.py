@@ -12,7 +12,7 @@ from pydrake.multibody.tree import BodyIndex, RigidBody
 from pydrake.symbolic import Expression
 from pydrake.systems.framework import Context
 
-from drake_nonstop.systems.block import InnerBlock
+from drake_nonstop.systems.block import LeafBlock
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
 
 
@@ -31,7 +31,7 @@ def applied_force(
     return entry
 
 
-class PointForces(InnerBlock):
+class PointForces(LeafBlock):
     """Forces at points of the bodies of a MultibodyPlant, for blocks with physics of one's own.
 
     .. pydrake_system::
@@ -42,7 +42,7 @@ class PointForces(InnerBlock):
         output_ports:
         - spatial_forces
 
-    `forces` (3k) in N, in W, such as the signals `cable_forces` and `carrier_forces`;
+    `forces` (3k) in N, in W;
     `spatial_forces` is abstract, for the plant's `get_applied_spatial_force_input_port()`.
 
     Args:
@@ -52,8 +52,6 @@ class PointForces(InnerBlock):
     Raises:
         NotFiniteError: a force is not finite, or is far too large.
     """
-
-    is_for_users = True
 
     def __init__(self, bodies: Sequence[RigidBody], points: ArrayLike):
         super().__init__()

@@ -6,13 +6,13 @@ for what it cannot be flown with, and yields a sentence for each thing that a us
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 from numpy.typing import NDArray
 from pydrake.systems.framework import System
 
-from drake_nonstop.systems import wiring
+from drake_nonstop.systems.documentation import declared_by
+from drake_nonstop.systems.wiring import input_names, optional_inputs
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,46 +34,30 @@ class LoopBlocks:
         return self.blocks.get(box)
 
     def maker_of(self, signal: str) -> System | None:
-        """The block that makes a signal; None: none does."""
-        return self._makers.get(signal)
+        """The block that makes a signal, the first one; None: none does."""
+        return next((b for b in self.blocks.values() if b.HasOutputPort(signal)), None)
 
     def origin_of(self, signal: str) -> tuple[System | None, str]:
         """The block that makes a signal, and its name; of one that is handed on, its origin's."""
         maker = self.maker_of(signal)
-        passed = getattr(maker, "passes_on", None)
+        passed = declared_by(maker, "passes_on")
         return (maker, signal) if passed is None else self.origin_of(passed)
-
-    @cached_property
-    def _makers(self) -> dict[str, System]:
-        pairs = [*self.blocks.values()][::-1]  # the first one counts
-        return {signal: block for block in pairs for signal in wiring.output_names(block)}
 
     def reads(self, box: str, signal: str) -> bool:
         """Whether a block is there, and has an input port of that name."""
-        return box in self.blocks and signal in wiring.input_names(self.blocks[box])
+        return box in self.blocks and self.blocks[box].HasInputPort(signal)
 
     def needed(self, box: str) -> set[str]:
         """The signals that a block cannot do without."""
-        return self._needed[box]
+        return {*input_names(self.blocks[box])} - optional_inputs(self.blocks[box])
 
-    @cached_property
-    def _needed(self) -> dict[str, set[str]]:
-        return {
-            name: {*wiring.input_names(block)} - wiring.optional_inputs(block)
-            for name, block in self.blocks.items()
-        }
-
-    def at_start(self, signal: str, maker: System | None = None) -> NDArray | None:
-        """Output of a block at t = 0, of `load_trajectory` unless another one is given.
-
-        None: it needs other blocks for it.
-        """
-        trajectory = maker or self.get("load_trajectory")
-        if trajectory is None or trajectory.num_input_ports() > 0:
+    def at_start(self, signal: str) -> NDArray | None:
+        """A signal at t = 0; None: no block makes it, or one that needs other blocks for it."""
+        maker = self.maker_of(signal)
+        if maker is None or maker.num_input_ports() > 0:
             return None
         try:
-            context = trajectory.CreateDefaultContext()
-            return trajectory.GetOutputPort(signal).Eval(context).copy()
+            return maker.GetOutputPort(signal).Eval(maker.CreateDefaultContext()).copy()
         except Exception:  # the start of the run tells it, with the block's name
             return None
 
@@ -84,8 +68,5 @@ class LoopBlocks:
             ScenarioError: a block cannot be flown with the others.
         """
         for block in self.blocks.values():
-            yield from getattr(block, "requires", _nothing)(self) or ()
-
-
-def _nothing(loop: LoopBlocks) -> tuple[str, ...]:
-    return ()
+            if requires := declared_by(block, "requires"):
+                yield from requires(self) or ()

@@ -2,23 +2,24 @@
 
 The function is run once on CasADi symbols; the expression graph that results is then
 evaluated by CasADi's virtual machine, about ten times faster than NumPy on arrays of
-this size. CasADi is used here and nowhere else.
+this size.
 """
 
+import itertools
 import math
+import pickle
 import threading
+from collections import OrderedDict
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import casadi
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.autodiffutils import AutoDiffXd, ExtractValue
-from pydrake.symbolic import Formula, Variable, if_then_else
-
-from drake_nonstop.systems.recent_traces import recent_trace
+from pydrake.symbolic import Formula, if_then_else
 
 LARGEST = 1e9  # SI units; no rate or force of a load on cables comes near it
+_MOST_TRACES = 400  # that a process keeps
 
 
 class NotFiniteError(ArithmeticError):
@@ -37,7 +38,7 @@ class TracedFunction:
 
     Args:
         function: takes one flat array per entry of `input_sizes` and returns an array
-            or a tuple of arrays of any shape. It may be a trace already, see `_traced`.
+            or a tuple of arrays of any shape.
         input_sizes: the length of each input.
         name: tells what evaluates the function, for the error.
         largest: an output whose norm exceeds it counts as a divergence; SI units.
@@ -65,12 +66,14 @@ class TracedFunction:
         jacobian_of: int | None = None,
         key: Any = None,
     ):
-        self._function: casadi.Function = function
-        if not isinstance(function, casadi.Function):
-            self._function = _traced(function, input_sizes, jacobian_of, key)
-        self._count = self._function.n_out() - (2 if jacobian_of is not None else 1)
-        self._scratch = _Scratch(self._function, self._count)
-        self._largest, self._largest_squared = largest, largest**2
+        self._function: casadi.Function = recent(
+            lambda: _traced(function, input_sizes, jacobian_of),
+            tuple(input_sizes),
+            jacobian_of,
+            key,
+        )
+        self._count = self._function.n_out() - (jacobian_of is not None)
+        self._evaluate = Evaluator(self._function, self._count, largest)
         self._name = name
 
     @property
@@ -80,213 +83,109 @@ class TracedFunction:
 
     def traced(self, *inputs: NDArray) -> tuple[NDArray, ...]:
         """The outputs, each flat, for symbolic inputs: as a part of another trace."""
-        outputs = self._function(casadi.vertcat(*np.concatenate(inputs)))
+        outputs = self._function.call([casadi.SX(casadi.vertcat(*values)) for values in inputs])
         return tuple(object_array(output) for output in outputs[: self._count])
 
     def expressions(self, *inputs: casadi.MX) -> tuple[casadi.MX, ...]:
         """The outputs as expressions of CasADi's, for its solvers."""
-        return tuple(self._function(casadi.vertcat(*inputs)))[: self._count]
+        return tuple(self._function.call(inputs))[: self._count]
 
     def __call__(self, *inputs: NDArray) -> tuple[NDArray, ...]:
         """The outputs for flat inputs of the declared sizes."""
-        vector, evaluate, squared_norm, results = self._scratch.parts
-        if len(inputs) == 1:
-            vector[:] = inputs[0]
-        else:
-            np.concatenate(inputs, out=vector)
-        evaluate()
-        if not squared_norm[0] < self._largest_squared:
-            self._raise(vector)
-        return results
+        return self._evaluate(inputs, self._name)
 
-    def of_vectors(self, inputs: Sequence[NDArray]) -> NDArray:
-        """The output, where there is one: as by a call, but sooner."""
-        vector, evaluate, squared_norm, results = self._scratch.parts
-        np.concatenate(inputs, out=vector)
-        evaluate()
-        if not squared_norm[0] < self._largest_squared:
-            self._raise(vector)
-        return results[0]
 
-    def _raise(self, vector: NDArray) -> None:
-        was_given = not np.all(np.abs(vector) < self._largest)
-        raise NotFiniteError(self._name(), was_given=was_given)
+class Evaluator(threading.local):
+    """Evaluates a function of CasADi's with floats, in memory that belongs to the thread.
+
+    Args:
+        function: of columns, to dense results.
+        checked: so many of its results have to be finite.
+        largest: that their norm may have; SI units.
+    """
+
+    def __init__(self, function: casadi.Function, checked: int, largest: float = LARGEST):
+        given, arguments = _rows([function.numel_in(k) for k in range(function.n_in())])
+        made, results = _rows([function.numel_out(k) for k in range(function.n_out())])
+        self._kept_alive, evaluate = bound(function, arguments, results)
+        shaped = [v.reshape(function.size_out(k), order="F") for k, v in enumerate(results)]
+        outputs = (*results[:checked], *shaped[checked:])
+        own = made[: sum(map(len, results[:checked]))]
+        self._parts = given, evaluate, own, outputs, largest
+
+    def __call__(self, values: Sequence[NDArray], name: Callable[[], str]) -> tuple[NDArray, ...]:
+        """The results, in views that the next call overwrites: flat, others of their shapes.
+
+        Raises:
+            NotFiniteError: those that are checked are not finite, or beyond the largest.
+        """
+        given, evaluate, made, outputs, largest = self._parts
+        if values:
+            np.concatenate(values, out=given)
+        evaluate()
+        if not np.vdot(made, made) < largest * largest:
+            raise NotFiniteError(name(), was_given=not np.all(np.abs(given) < largest))
+        return outputs
+
+
+def _rows(sizes: Sequence[int]) -> tuple[NDArray, list[NDArray]]:
+    """Memory for vectors of these sizes, in a row, and each of them."""
+    whole, ends = np.zeros(sum(sizes)), np.cumsum([0, *sizes]).tolist()
+    return whole, [whole[start:end] for start, end in itertools.pairwise(ends)]
 
 
 def bound(
     function: casadi.Function, inputs: Iterable[NDArray], outputs: Sequence[NDArray]
 ) -> tuple[Any, Callable[[], None]]:
-    """Evaluator of a function from arrays into arrays, and what has to live as long as it."""
+    """Evaluator of a function from flat arrays into flat arrays, and what has to live as long."""
     buffer, evaluate = function.buffer()
     for i, array in enumerate(inputs):
         buffer.set_arg(i, array.data)
     for i, array in enumerate(outputs):
-        buffer.set_res(i, array.reshape(-1, order="F").data)
+        buffer.set_res(i, array.data)
     return (buffer, function, inputs, outputs), evaluate
 
 
-class _Scratch(threading.local):
-    """The memory in which a thread evaluates a function: each thread has its own.
-
-    `parts` are the input, what evaluates it, the square of the outputs' norm, and the results.
-    """
-
-    def __init__(self, function: casadi.Function, count: int):
-        vector = np.zeros(function.size1_in(0))
-        outputs = [np.zeros(function.size_out(i), order="F") for i in range(function.n_out())]
-        self._kept_alive, evaluate = bound(function, [vector], outputs)
-        results = tuple([array[:, 0] for array in outputs[:count]] + outputs[count + 1 :])
-        self.parts = vector, evaluate, outputs[count][:, 0], results
+_recent: OrderedDict[Any, Any] = OrderedDict()
+_lock = threading.RLock()
 
 
-# Numbers of inputs, and of the outputs that depend on the same ports among them.
-OutputGroup = tuple[list[int], list[int]]
+def recent(make: Callable[[], Any], *key: Any) -> Any:
+    """What was made for an equal key lately, or is made now; a key that ends with None has none."""
+    if key[-1] is None:
+        return make()
+    own = tuple(map(_hashed, key))
+    with _lock:
+        if own not in _recent:
+            _recent[own] = make()
+        _recent.move_to_end(own)
+        if len(_recent) > _MOST_TRACES:
+            _recent.popitem(last=False)
+        return _recent[own]
 
 
-def grouped_outputs(
-    dependence: list[set[int]], made: Sequence[int], inner: set[int], *, has_state: bool = False
-) -> list[OutputGroup]:
-    """Outputs `made` in groups, by their `dependence` on ports, in the order of their first ones.
-
-    Inputs that are `inner` are no ports. Where there `has_state`, the first output goes into the
-    state: no port shows on which inputs it depends, and it is made with others that read these and
-    more.
-    """
-    ports = {i: frozenset(dependence[i] - inner) for i in made}
-    if has_state:
-        wider = [ports[i] for i in made[1:] if ports[i] >= ports[0]]
-        ports[0] = min(wider, key=len, default=ports[0])
-    groups = []
-    for own in dict.fromkeys(ports.values()):
-        makes = [i for i, other in ports.items() if other == own]
-        groups.append((sorted(set().union(*(dependence[i] for i in makes))), makes))
-    return groups
-
-
-class Trace:
-    """A function, traced once, and its parts: some of its outputs of some of its inputs.
-
-    The arguments are as of `TracedFunction`.
-
-    Attributes:
-        output_sizes: the length of each output, flat.
-        dependence: for each output the inputs, by their numbers, on which an entry depends.
-        calls: whether it calls functions, see `for_each`.
-    """
-
-    def __init__(self, function: Callable, input_sizes: Sequence[int], *, key: Any = None):
-        self._function, self.input_sizes = function, list(input_sizes)
-        self._expressions: _Expressions = recent_trace(
-            lambda: _Expressions(function, self.input_sizes), "parts", self.input_sizes, key
-        )
-        self.output_sizes = self._expressions.output_sizes
-        self.dependence = self._expressions.dependence
-        self.calls = self._expressions.calls
-
-    @property
-    def identity(self) -> object:
-        """The same for traces of one function with one key; it can be hashed."""
-        return self._expressions
-
-    def part(self, reads: Sequence[int], makes: Sequence[int]) -> casadi.Function:
-        """The function of the inputs `reads`, stacked, to the outputs `makes` and their size.
-
-        Where it reads none, it takes a number (1,), and leaves that alone.
-        """
-        return self._expressions.part(tuple(reads), tuple(makes))
-
-    def evaluator(
-        self, reads: Sequence[int], makes: Sequence[int], scalar: type, name: Callable[[], str]
-    ) -> Callable[[Sequence[NDArray]], NDArray]:
-        """Evaluates a part on vectors of that scalar type: their outputs, stacked.
-
-        On AutoDiffXd and Expression it calls the function itself. It raises NotFiniteError, as
-        `TracedFunction` does, but on Expressions.
-        """
-        if scalar is float:
-            function = self.part(reads, makes)
-            return TracedFunction(function, [function.size1_in(0)], name=name).of_vectors
-        unread = scalar(1.0) if scalar is AutoDiffXd else scalar(Variable("unread"))
-        ends = np.cumsum([self.input_sizes[i] for i in reads])
-
-        def evaluate(inputs: Sequence[NDArray]) -> NDArray:
-            values = np.concatenate(inputs)
-            given = [np.full(size, unread) for size in self.input_sizes]
-            for i, read in zip(reads, np.split(values, ends[:-1]), strict=False):
-                given[i] = read
-            with np.errstate(invalid="ignore"):  # Expression raises the flag without a cause
-                outputs = self._function(*given)
-            if not isinstance(outputs, tuple):
-                outputs = (outputs,)
-            stacked = np.concatenate([np.ravel(outputs[i]) for i in makes])
-            stacked = np.array([v if isinstance(v, scalar) else scalar(v) for v in stacked])
-            if scalar is AutoDiffXd and not np.linalg.norm(ExtractValue(stacked)) < LARGEST:
-                was_given = not np.all(np.abs(ExtractValue(values)) < LARGEST)
-                raise NotFiniteError(name(), was_given=was_given)
-            return stacked
-
-        return evaluate
-
-
-class _Expressions:
-    """Expressions that a function makes of symbols, and functions of parts of it."""
-
-    def __init__(self, function: Callable, input_sizes: Sequence[int]):
-        self._inputs, self._outputs = _expressions(function, input_sizes)
-        self.output_sizes = [output.numel() for output in self._outputs]
-        every_input, every_output = tuple(range(len(input_sizes))), tuple(range(len(self._outputs)))
-        self._parts: dict[tuple, casadi.Function] = {}
-        whole = self.part(every_input, every_output)
-        codes = map(whole.instruction_id, range(whole.n_instructions()))
-        self.calls = casadi.OP_CALL in codes
-        rows, columns = whole.jac_sparsity(0, 0).get_triplet()
-        numbers = np.searchsorted(np.cumsum(self.output_sizes), rows, "right")
-        read = np.searchsorted(np.cumsum(input_sizes), columns, "right")
-        self.dependence: list[set[int]] = [{*read[numbers == i].tolist()} for i in every_output]
-
-    def part(self, reads: tuple[int, ...], makes: tuple[int, ...]) -> casadi.Function:
-        """Outputs, stacked, and the square of their norm, of inputs, stacked."""
-        if (reads, makes) not in self._parts:
-            read = casadi.vertcat(*[self._inputs[i] for i in reads] or [casadi.SX.sym("nothing")])
-            stacked = casadi.vertcat(*[self._outputs[i] for i in makes])
-            made = [stacked, casadi.densify(casadi.sumsqr(stacked))]
-            function = casadi.Function("mechanics", [read], made, {"allow_free": True})
-            if function.has_free():  # what is given to a function that is called, for other outputs
-                unread = function.free_sx()
-                made = casadi.substitute(made, unread, [casadi.SX(0)] * len(unread))
-                function = casadi.Function("mechanics", [read], made)
-            self._parts[reads, makes] = function
-        return self._parts[reads, makes]
-
-
-def _expressions(
-    function: Callable, input_sizes: Sequence[int]
-) -> tuple[list[casadi.SX], list[casadi.SX]]:
-    """A symbol for each input, and the outputs, each dense and flat."""
-    symbols = [casadi.SX.sym(f"input_{i}", size) for i, size in enumerate(input_sizes)]
-    outputs = function(*map(object_array, symbols))
-    if not isinstance(outputs, tuple):
-        outputs = (outputs,)
-    flat = [casadi.SX(casadi.vertcat(*output.ravel())) for output in outputs]
-    return symbols, [casadi.densify(output) for output in flat]
+def _hashed(key: Any) -> Any:
+    """A key as it is, or pickled where it cannot be hashed."""
+    try:
+        hash(key)
+    except TypeError:
+        return pickle.dumps(key)
+    return key
 
 
 def _traced(
-    function: Callable, input_sizes: Sequence[int], jacobian_of: int | None, key: Any
+    function: Callable, input_sizes: Sequence[int], jacobian_of: int | None
 ) -> casadi.Function:
-    """The outputs, the square of their norm and the Jacobian that was asked for, of one input."""
-
-    def make() -> casadi.Function:
-        symbols, expressions = _expressions(function, input_sizes)
-        expressions = casadi.cse(expressions)  # before a Jacobian, of which it would take long
-        stacked = casadi.vertcat(*expressions)
-        expressions.append(casadi.densify(casadi.sumsqr(stacked)))
-        if jacobian_of is not None:
-            jacobian = casadi.jacobian(stacked, symbols[jacobian_of])
-            expressions.append(casadi.densify(jacobian))
-        return casadi.Function("mechanics", [casadi.vertcat(*symbols)], expressions)
-
-    return recent_trace(make, list(input_sizes), jacobian_of, key)
+    """The function of flat inputs to the outputs, flat, and the Jacobian that was asked for."""
+    symbols = [casadi.SX.sym(f"input_{i}", size) for i, size in enumerate(input_sizes)]
+    outputs = function(*map(object_array, symbols))
+    outputs = outputs if isinstance(outputs, tuple) else (outputs,)
+    expressions = [casadi.densify(casadi.SX(casadi.vertcat(*v.ravel()))) for v in outputs]
+    expressions = casadi.cse(expressions)  # before a Jacobian, of which it would take long
+    if jacobian_of is not None:
+        jacobian = casadi.jacobian(casadi.vertcat(*expressions), symbols[jacobian_of])
+        expressions.append(casadi.densify(jacobian))
+    return casadi.Function("mechanics", symbols, expressions)
 
 
 def object_array(symbol: casadi.SX) -> NDArray:
@@ -299,8 +198,7 @@ def for_each(
 ) -> NDArray:
     """What a function makes (n, ...) of the rows of arrays (n, ...), and of `shared` ones.
 
-    In a trace it is one function that is called with all rows: traced once, and once in the C,
-    which makes rows side by side (`lane_code.with_rows_side_by_side`).
+    In a trace it is one function that is called with all rows: traced once, and once in the C.
     """
     if not any(isinstance(entry, casadi.SX) for array in own for entry in array.flat):
         return np.stack([function(*entries, *shared) for entries in zip(*own, strict=True)])
@@ -318,11 +216,6 @@ def for_each(
     each = [np.concatenate([*(e.ravel() for e in own), *rest]) for own in zip(*own, strict=True)]
     found = called(casadi.reshape(casadi.vertcat(*np.concatenate(each)), inputs.shape))
     return object_array(casadi.vec(found)).reshape(n, *made.shape)
-
-
-def to_symbols(values: NDArray) -> NDArray:
-    """Numbers as entries of a trace."""
-    return object_array(casadi.SX(casadi.DM(values)))
 
 
 _Values = NDArray | Callable[[], NDArray]

@@ -1,8 +1,7 @@
 """Builds a Diagram from named blocks: wires follow from the names of the ports."""
 
-from collections.abc import Collection, Iterator, Mapping
-from itertools import pairwise
-from typing import Any
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from typing import NamedTuple
 
 from pydrake.systems.framework import (
     Context,
@@ -15,23 +14,23 @@ from pydrake.systems.framework import (
     System,
 )
 
-from drake_nonstop.mechanics.signal_layouts import HELD, SAMPLE_TIME
-from drake_nonstop.systems.block import box_of, title
-from drake_nonstop.validation import ScenarioError, listed, require
+from drake_nonstop.mechanics.signal_layouts import HELD
+from drake_nonstop.systems.block import box_of
+from drake_nonstop.systems.documentation import declared_by
+from drake_nonstop.validation import listed, require
 
-OUTSIDE = "outside"  # what wires call the diagram's own input ports
-
-_HOLD_REMEDY = (
-    f"a SampleAndHold makes {SAMPLE_TIME} and the {HELD}... signals of sampled controllers; add "
-    "SampleAndHold(model) to the blocks of connect_by_name, call add_sample_and_hold of a builder, "
-    "or make them with a control period of 0"
-)
+INPUTS = "inputs"  # the maker, in a wire, of signals that come from outside of the diagram
 
 Sizes = Mapping[str, int | None]  # of ports or signals, by name; None: abstract-valued
 
 
-class WiringError(ScenarioError):
-    """The blocks do not make a complete diagram."""
+class Wire(NamedTuple):
+    """A connection of a block's output, or of an input of the diagram, to a block's input."""
+
+    maker: str
+    signal: str
+    reader: str
+    port: str
 
 
 def output_names(block: System) -> list[str]:
@@ -50,7 +49,7 @@ def optional_inputs(block: System) -> set[str]:
     They are those of its attribute `optional_inputs`, and of a Diagram those that lead to such
     ports of its subsystems only.
     """
-    found = set(getattr(block, "optional_inputs", ()))
+    found = set(declared_by(block, "optional_inputs", ()))
     if isinstance(block, Diagram):
         for i, name in enumerate(input_names(block)):
             readers = block.GetInputPortLocators(InputPortIndex(i))
@@ -64,139 +63,101 @@ def optional_inputs(block: System) -> set[str]:
 
 def output_sizes(block: System) -> Sizes:
     """The sizes of the block's output ports, in order."""
-    ports = [block.get_output_port(i) for i in range(block.num_output_ports())]
-    return {port.get_name(): _size(port) for port in ports}
+    return _sizes(map(block.get_output_port, range(block.num_output_ports())))
 
 
 def input_sizes(block: System) -> Sizes:
     """The sizes of the block's input ports, in order."""
-    ports = [block.get_input_port(i) for i in range(block.num_input_ports())]
-    return {port.get_name(): _size(port) for port in ports}
+    return _sizes(map(block.get_input_port, range(block.num_input_ports())))
 
 
-def _size(port: InputPort | OutputPort) -> int | None:
-    return port.size() if port.get_data_type() == PortDataType.kVectorValued else None
+def _sizes(ports: Iterable[InputPort | OutputPort]) -> Sizes:
+    vector = PortDataType.kVectorValued
+    return {p.get_name(): p.size() if p.get_data_type() == vector else None for p in ports}
 
 
-def check_outputs(name: str, block: System, required: Sizes, optional: Sizes) -> Sizes:
-    """Checks the outputs of the block that goes by that name, and returns all of them.
-
-    It may have others besides.
-
-    Raises:
-        WiringError: a required output is missing, or one of either kind has another size.
-    """
-    given = output_sizes(block)
-    expected = {**optional, **required}
-    lacks = required.keys() - given.keys()
-    differs = any(given[port] != expected[port] for port in given.keys() & expected.keys())
-    if lacks or differs:
-        besides = f", optional {_listed(optional)}" if optional else ""
-        raise WiringError(
-            f"{name} = {type(block).__name__} with outputs {_listed(given)}: expected "
-            f"{_listed(required)}{besides}; rename or resize the ports"
-        )
-    return given
+def _sized(name: str, size: int | None) -> str:
+    """The port or signal as "force (3)"."""
+    return f"{name} ({'abstract' if size is None else size})"
 
 
-def _listed(sizes: Sizes) -> str:
-    """The ports or signals as "force (3), pose (7)"."""
-    named = [f"{name} ({'abstract' if size is None else size})" for name, size in sizes.items()]
-    return ", ".join(named) or "none"
+def wires(
+    blocks: Mapping[str, System],
+    inputs: Collection[str] = (),
+    *,
+    takes: Callable[[Wire], bool] | None = None,
+) -> list[Wire]:
+    """The wires that the names of the ports imply, see `connect_by_name`.
 
+    Ports named in the attribute `optional_inputs` of a block have no wire where there is no such
+    signal.
 
-def _remedy(wrong: Sizes, signals: Sizes) -> str:
-    """Remedy for input ports that no signal can be connected to."""
-    unknown = [name for name in wrong if name not in signals]
-    if any(map(_is_of_hold, unknown)):
-        return _HOLD_REMEDY
-    if not unknown:
-        return "rename or resize the ports"
-    return f"rename or resize the ports, or give make_nonstop or connect_by_name inputs={unknown}"
-
-
-def _expected(wrong: Sizes, signals: Sizes) -> str:
-    """Conditions for input ports that no signal can be connected to."""
-    expected = {name: signals[name] for name in wrong if name in signals}
-    unknown = {name: size for name, size in wrong.items() if name not in signals}
-    parts = [f"expected {_listed(expected)}"] if expected else []
-    if unknown:
-        parts.append(
-            f"{_listed(unknown)} {'is' if len(unknown) == 1 else 'are'} not among the signals "
-            f"{_listed(dict(sorted(signals.items())))}"
-        )
-    return " and ".join(parts)
-
-
-def wires(blocks: Mapping[str, System], inputs: Collection[str] | Sizes = ()) -> list[str]:
-    """The wires "block.port -> block.port" that the names of the ports imply.
-
-    Those that `connect_by_name` makes. The wires of `inputs` come from "outside.port". Ports named
-    in the attribute `optional_inputs` of a block have no wire where there is no such signal.
+    Args:
+        blocks: by their names.
+        inputs: signals from outside, as of `connect_by_name`.
+        takes: which of the wires are asked for, where inputs may stay open; None: all.
 
     Raises:
-        WiringError: two blocks make the same signal, or an input names no signal, or one of
+        ScenarioError: two blocks make the same signal, or an input names no signal, or one of
             another size, or an entry of `inputs` is made by a block, or read by none.
     """
-    outside = sizes_of_inputs(blocks, inputs)
-    sources: dict[str, str] = dict.fromkeys(outside, OUTSIDE)
-    sizes: dict[str, int | None] = dict(outside)
-    made = {name: output_sizes(block) for name, block in blocks.items()}
-    read_by = {name: input_sizes(block) for name, block in blocks.items()}
-    for block_name in blocks:
-        for signal, size in made[block_name].items():
-            if signal in outside:
-                raise WiringError(
-                    f"inputs = {signal}: {block_name} has an output port of that name; leave it "
-                    "out of the inputs, or rename the port"
-                )
-            if signal in sources:
-                raise WiringError(
-                    f"{block_name}.{signal} = output: {sources[signal]} has an output port of "
-                    "that name already; rename one of the two, or leave one of the blocks out"
-                )
-            sources[signal], sizes[signal] = block_name, size
+    sizes = sizes_of_inputs(blocks, inputs)
+    makers = {signal: [INPUTS] for signal in sizes}
+    called = {name: type(b).__name__ if "@" in name else name for name, b in blocks.items()}
+    called[INPUTS] = INPUTS
+    for name, block in blocks.items():
+        for signal, size in output_sizes(block).items():
+            makers.setdefault(signal, []).append(name)
+            sizes.setdefault(signal, size)
+
+    def require_one_maker(signal: str) -> None:
+        first, *_ = names = [called[name] for name in makers[signal]]
+        remedy = "rename one of the two, leave one of them out, or connect by hand what reads it"
+        said = f"{first} has a port of that name already; {remedy}"
+        require(len(names) == 1, f"{names[-1]}.{signal}", "output", said)
+
+    for signal in makers if takes is None else ():
+        require_one_maker(signal)
+    known = ", ".join(_sized(*pair) for pair in sorted(sizes.items()))
     result = []
-    for block_name, read in signals_read(blocks, sources).items():
-        block, given = blocks[block_name], read_by[block_name]
-        wrong = {
-            port: given[port]
-            for port, signal in read.items()
-            if signal not in sources or sizes[signal] != given[port]
-        }
-        if wrong:
-            raise WiringError(
-                f"{block_name} = {type(block).__name__} with inputs {_listed(given)}: "
-                f"{_expected(wrong, sizes)}; {_remedy(wrong, sizes)}"
-            )
-        result += [
-            f"{sources[signal]}.{signal} -> {block_name}.{port}" for port, signal in read.items()
-        ]
+    for name, read in _signals_read(blocks, makers).items():
+        for port, signal in read.items():
+            found = [Wire(maker, signal, name, port) for maker in makers.get(signal, ())]
+            if takes is not None and not any(map(takes, found)):
+                continue
+            size = input_sizes(blocks[name])[port]
+            field = called[name]
+            value = f"{type(blocks[name]).__name__} with input {_sized(port, size)}"
+            remedy = f"rename the port, or give make_nonstop or connect_by_name inputs={[port]}"
+            require(found, field, value, f"it is not among the signals {known}; {remedy}")
+            require_one_maker(signal)
+            other = f"{called[found[0].maker]} makes {_sized(signal, sizes[signal])}"
+            remedy = "rename or resize one of the ports"
+            require(size == sizes[signal], field, value, f"{other}; {remedy}")
+            result += found
     return result
 
 
-def signals_read(
-    blocks: Mapping[str, System], sources: Mapping[str, str]
-) -> dict[str, dict[str, str]]:
+def _signals_read(blocks: Mapping[str, System], made: Collection[str]) -> dict[str, dict[str, str]]:
     """The signal that each input port is named after, or what is held of it, by names of blocks.
 
-    `sources` are the names of the signals' makers. An optional input of no signal is left out.
+    An optional input of no signal is left out.
     """
     held = {
         port: f"{HELD}{port}"
         for block in blocks.values()
-        for port in input_names(block)
+        for port in declared_by(block, "replaces") or input_names(block)
         if block.HasOutputPort(f"{HELD}{port}")
     }
-    upstream = {sources.get(signal) for pair in held.items() for signal in pair}
+    upstream = {*held, *held.values()}
     result = {}
     for name, block in blocks.items():
-        replaced = {} if name in upstream else held
+        replaced = {} if upstream & {*output_names(block)} else held
         optional = optional_inputs(block)
         result[name] = {
             port: replaced.get(port, port)
             for port in input_names(block)
-            if port in sources or port not in optional
+            if port in made or port not in optional
         }
     return result
 
@@ -216,39 +177,31 @@ def connect_remaining(builder: DiagramBuilder, *, of: System | None = None) -> N
     """
     require_open(builder, "connect_remaining")
     blocks = {block.get_name(): block for block in builder.GetMutableSystems()}
-    makers: dict[str, list[str]] = {}
-    for name, block in blocks.items():
-        for signal in output_names(block):
-            makers.setdefault(signal, []).append(name)
-    sources = {signal: names[0] for signal, names in makers.items()}
-    for name, read in signals_read(blocks, sources).items():
-        for port, signal in read.items():
-            reader = blocks[name].GetInputPort(port)
-            made = [blocks[maker] for maker in makers.get(signal, [])]
-            is_asked = of is None or of is blocks[name] or of in made
-            if not made or not is_asked or builder.IsConnectedOrExported(reader):
-                continue
-            if len(made) > 1:
-                raise WiringError(
-                    f"{title(made[1])}.{signal} = output: {title(made[0])} has an output port of "
-                    f"that name already; rename one of the two, or connect {title(blocks[name])}."
-                    f"{port} before"
-                )
-            source = made[0].GetOutputPort(signal)
-            if _size(source) != _size(reader):
-                raise WiringError(
-                    f"{title(blocks[name])}.{port} = {_listed({port: _size(reader)})}: expected "
-                    f"{_listed({signal: _size(source)})}; rename or resize the port"
-                )
-            builder.Connect(source, reader)
+
+    def takes(wire: Wire) -> bool:
+        is_asked = of is None or of in (blocks[wire.maker], blocks[wire.reader])
+        port = blocks[wire.reader].GetInputPort(wire.port)
+        return is_asked and not builder.IsConnectedOrExported(port)
+
+    _connect(builder, blocks, wires(blocks, takes=takes))
 
 
-def sizes_of_inputs(
-    blocks: Mapping[str, System], inputs: Collection[str] | Sizes
-) -> dict[str, int | None]:
-    """The sizes of signals from outside: as they are given, or as the first reader has them."""
-    if isinstance(inputs, Mapping):
-        return dict(inputs)
+def _connect(builder: DiagramBuilder, blocks: Mapping[str, System], planned: list[Wire]) -> None:
+    """Makes the wires, and inputs of the diagram where they come from outside."""
+    exported: set[str] = set()
+    for wire in planned:
+        port = blocks[wire.reader].GetInputPort(wire.port)
+        if wire.maker != INPUTS:
+            builder.Connect(blocks[wire.maker].GetOutputPort(wire.signal), port)
+        elif wire.signal in exported:
+            builder.ConnectInput(wire.signal, port)
+        else:
+            builder.ExportInput(port, wire.signal)
+            exported.add(wire.signal)
+
+
+def sizes_of_inputs(blocks: Mapping[str, System], inputs: Collection[str]) -> dict[str, int | None]:
+    """The sizes of signals from outside, as the first reader of each has them."""
     remedy = 'give a list of signals that blocks read, such as ["wind_speed"]'
     sizes: dict[str, int | None] = {}
     for signal in listed("inputs", inputs, remedy):
@@ -263,7 +216,7 @@ def connect_by_name(
     builder: DiagramBuilder,
     blocks: Mapping[str, System],
     *,
-    inputs: Collection[str] | Sizes = (),
+    inputs: Collection[str] = (),
 ) -> None:
     """Adds blocks to a builder, wires them by the names of their ports, exports every signal.
 
@@ -285,7 +238,8 @@ def connect_by_name(
     remedy = 'give a mapping from names to blocks, such as {"estimator": Estimator(model)}'
     require(isinstance(blocks, Mapping), "blocks", blocks, remedy)
     for name, block in blocks.items():
-        require_name("blocks", name)
+        is_name = isinstance(name, str) and name and not {":", "."} & set(name)
+        require(is_name, "blocks", name, "name each block by a text without colons and dots")
         remedy = "give a LeafSystem or Diagram"
         require(isinstance(block, System), f"blocks.{name}", block, remedy)
         is_new = not builder.HasSubsystemNamed(name)
@@ -294,28 +248,12 @@ def connect_by_name(
     for block_name, block in blocks.items():
         block.set_name(block_name)
         builder.AddSystem(block)
-    exported = set()
-    for wire in planned:
-        (source, signal), target = (end.split(".", 1) for end in wire.split(" -> "))
-        port = blocks[target[0]].GetInputPort(target[1])
-        if source != OUTSIDE:
-            builder.Connect(blocks[source].GetOutputPort(signal), port)
-        elif signal in exported:
-            builder.ConnectInput(signal, port)
-        else:
-            builder.ExportInput(port, signal)
-            exported.add(signal)
+    _connect(builder, blocks, planned)
     # Drake's FirstOrderTaylorApproximation takes the first output, and crashes where that depends
     # on no state, as the signals of a block without inputs.
     for block in sorted(blocks.values(), key=lambda block: block.num_input_ports() == 0):
         for signal in output_names(block):
             builder.ExportOutput(block.GetOutputPort(signal), signal)
-
-
-def require_name(field: str, name: Any) -> None:
-    """Raises ScenarioError for what cannot be the name of a block."""
-    is_name = isinstance(name, str) and name and not {":", "."} & set(name)
-    require(is_name, field, name, "name each block by a text without colons and dots")
 
 
 def require_open(builder: DiagramBuilder, function: str) -> None:
@@ -325,9 +263,23 @@ def require_open(builder: DiagramBuilder, function: str) -> None:
     require(not builder.already_built(), "builder", "built", remedy)
 
 
-def maker_of(diagram: Diagram, signal: str) -> System:
-    """The subsystem with the output port that a diagram exports by that name."""
-    return source_of(diagram.GetOutputPort(signal)).get_system()
+# Diagrams that are built
+
+
+def connections(diagram: Diagram) -> list[str]:
+    """The wires "block.port -> block.port" that a built diagram has."""
+    return [
+        f"{source.get_name()}.{source.get_output_port(k).get_name()} -> "
+        f"{target.get_name()}.{target.get_input_port(i).get_name()}"
+        for (target, i), (source, k) in diagram.connection_map().items()
+    ]
+
+
+def systems_in(system: System) -> Iterator[System]:
+    """A system, and all systems inside of it, each followed by what is in it."""
+    yield system
+    for part in system.GetSystems() if isinstance(system, Diagram) else ():
+        yield from systems_in(part)
 
 
 def source_of(exported: OutputPort) -> OutputPort:
@@ -352,50 +304,49 @@ def ports_of(diagram: Diagram, signal: str) -> list[OutputPort]:
     return found
 
 
+def loop_in(diagram: Diagram, signals: Collection[str]) -> Diagram:
+    """The innermost diagram, in one or that itself, that all ports of these signals are in."""
+    makers = {port.get_system() for signal in signals for port in ports_of(diagram, signal)}
+    for part in diagram.GetSystems():
+        is_around = isinstance(part, Diagram) and makers <= {*systems_in(part)}
+        if is_around and all(ports_of(part, signal) for signal in signals):
+            return loop_in(part, signals)
+    return diagram
+
+
+def context_in(diagram: Diagram, part: System, context: Context) -> Context:
+    """The context of a part of a diagram, or the diagram's, which Drake would never free."""
+    return context if part is diagram else diagram.GetMutableSubsystemContext(part, context)
+
+
 def require_signals(
     diagram: Diagram, sizes: Sizes, field: str, *, is_exporting: bool = True
 ) -> None:
-    """Checks that a diagram exports signals, or else that each is made once in it, however deep.
+    """Checks that a diagram makes signals, each in one place, and exports them if it has to.
 
     `sizes` are those of the ports, None for any, and `field` is what the error calls the diagram.
 
     Raises:
-        WiringError: it lacks some, they have other sizes, or two blocks make the same.
+        ScenarioError: it lacks some, they have other sizes, or two blocks make the same.
     """
-    found = {
-        signal: ports_of(diagram, signal)
-        if diagram.HasOutputPort(signal) or not is_exporting
-        else []
-        for signal in sizes
-    }
+    found = {signal: ports_of(diagram, signal) for signal in sizes}
     wrong = [
-        name
-        for name, size in sizes.items()
-        if not found[name] or size not in (None, found[name][0].size())
+        signal
+        for signal, size in sizes.items()
+        if not found[signal]
+        or size not in (None, found[signal][0].size())
+        or (is_exporting and not diagram.HasOutputPort(signal))
     ]
-    if wrong:
-        pairs = sizes.items()
-        needed = ", ".join(name if size is None else f"{name} ({size})" for name, size in pairs)
-        remedy = f"give it blocks that make {needed}, by ports of these names"
-        if is_exporting:
-            remedy = f"export {needed} by these names, as connect_by_name does"
-        raise WiringError(
-            f"{field} = {type(diagram).__name__} without output ports {', '.join(wrong)}: {remedy}"
-        )
+    pairs = sizes.items()
+    needed = ", ".join(name if size is None else f"{name} ({size})" for name, size in pairs)
+    lacking = f"{type(diagram).__name__} without output ports {', '.join(wrong)}"
+    remedy = f"give it blocks that make {needed}, and export these by their names, as "
+    require(not wrong, field, lacking, f"{remedy}connect_by_name does")
     for name, ports in found.items():
-        if len(ports) > 1:
-            makers = " and ".join(box_of(port.get_system()) for port in ports)
-            raise WiringError(
-                f"{field} = {type(diagram).__name__} where {makers} make {name}: export the loop's "
-                "by this name, rename the port of the other, or give the diagram with one of them"
-            )
-
-
-def require_own_context(field: str, diagram: Diagram, context: Context) -> None:
-    """Requires as `require_context` does, of a diagram of floats."""
-    remedy = "give a Diagram of floats, such as make_nonstop builds; converted ones cannot be set"
-    require(isinstance(diagram, Diagram), field, type(diagram).__name__, remedy)
-    require_context(field, diagram, context)
+        makers = " and ".join(box_of(port.get_system()) for port in ports)
+        remedy = "rename the port of the other, or give the diagram with one of them"
+        twice = f"{type(diagram).__name__} where {makers} make {name}"
+        require(len(ports) == 1, field, twice, f"export the loop's by this name, {remedy}")
 
 
 def require_context(field: str, system: System, context: Context) -> None:
@@ -403,84 +354,14 @@ def require_context(field: str, system: System, context: Context) -> None:
 
     Drake's own functions end the process where they copy states of other sizes.
     """
-    remedy = "give a context, such as diagram.CreateDefaultContext()"
-    require(isinstance(context, Context), field, type(context).__name__, remedy)
+    is_own = isinstance(system, System)  # of floats
     try:
         system.ValidateContext(context)
-    except RuntimeError:
-        raise ScenarioError(
-            f"{field} = a context of another system: give that of the diagram, inside of "
-            "a bigger one diagram.GetMyMutableContextFromRoot(root)"
-        ) from None
-
-
-def nested(diagram: Diagram, signals: Collection[str]) -> list[Diagram]:
-    """A diagram that makes signals, and those inside of it that make all of them.
-
-    The outermost is the first, and no subsystem of the last makes all of them.
-    """
-    parts = [part for part in diagram.GetSystems() if isinstance(part, Diagram)]
-    inner = next((part for part in parts if _makes(part, diagram, signals)), None)
-    return [diagram] if inner is None else [diagram, *nested(inner, signals)]
-
-
-def _makes(part: Diagram, diagram: Diagram, signals: Collection[str]) -> bool:
-    """Whether all signals of a diagram come from ports of a part of it, or inside of that."""
-    inside = {*systems_in(part)}
-    return all(
-        port.get_system() in inside and ports_of(part, signal)
-        for signal in signals
-        for port in ports_of(diagram, signal)
+    except (RuntimeError, TypeError):
+        is_own = False
+    value = f"{type(context).__name__} of another system than this {type(system).__name__}"
+    remedy = (
+        "give that of a diagram of floats, such as diagram.CreateDefaultContext(), and "
+        "diagram.GetMyMutableContextFromRoot(root) inside of a bigger one"
     )
-
-
-def systems_in(system: System) -> Iterator[System]:
-    """A system, and all systems inside of it, each followed by what is in it."""
-    yield system
-    for part in system.GetSystems() if isinstance(system, Diagram) else ():
-        yield from systems_in(part)
-
-
-def innermost(
-    diagram: Diagram, context: Context, signals: Collection[str]
-) -> tuple[Diagram, Context]:
-    """The last of the diagrams that are `nested`, and its context in that of the first."""
-    diagrams = nested(diagram, signals)
-    for outer, inner in pairwise(diagrams):
-        context = outer.GetMutableSubsystemContext(inner, context)
-    return diagrams[-1], context
-
-
-def unconnected(diagram: Diagram, context: Context) -> str:
-    """A sentence that names the first input without a value of a diagram's blocks, if any."""
-    for i in range(diagram.num_input_ports()):
-        port = diagram.get_input_port(i)
-        name = port.get_name()
-        if not port.HasValue(context) and name not in optional_inputs(diagram):
-            return f"{name} = no value: connect the diagram's input port, or fix its value"
-    for block in diagram.GetSystems():
-        own, optional = diagram.GetSubsystemContext(block, context), optional_inputs(block)
-        for name in input_names(block):
-            if name not in optional and not block.GetInputPort(name).HasValue(own):
-                remedy = "connect it, or wire the blocks with connect_by_name or connect_remaining"
-                remedy = _HOLD_REMEDY if _is_of_hold(name) else remedy
-                return f"{title(block)}.{name} = not connected: {remedy}"
-    for block in diagram.GetSystems():
-        if type(block) is Diagram:
-            found = unconnected(block, diagram.GetSubsystemContext(block, context))
-            if found:
-                return found
-    return ""
-
-
-def _is_of_hold(port: str) -> bool:
-    return port == SAMPLE_TIME or port.startswith(HELD)
-
-
-def connections(diagram: Diagram) -> list[str]:
-    """The wires "block.port -> block.port" that a built diagram really has."""
-    return [
-        f"{source.get_name()}.{source.get_output_port(k).get_name()} -> "
-        f"{target.get_name()}.{target.get_input_port(i).get_name()}"
-        for (target, i), (source, k) in diagram.connection_map().items()
-    ]
+    require(is_own, field, value, remedy)

@@ -275,6 +275,7 @@ def _as_interpreter(program: Callable[[], int]) -> int:
 
 _PROGRESS = re.compile(
     r"\|[.#0-9 █▏▎▍▌▋▊▉]*\||x real time|^\s*$|^warning: |^watch |^usage: |^ {6,}\S|^\s*\d+%"
+    r"|^the loop is compiled as C, once"
 )
 
 

@@ -57,7 +57,9 @@ _ALIENS = (
 _RUN = "run = simulate(load_scenario('quintic', ['simulation_duration=0.02']))\n"
 _LOOP = (
     "loop = make_nonstop(load_scenario('{name}'))\n"
-    "context = loop.CreateDefaultContext()\nfound = parameters(loop, context)\n"
+    "context = loop.CreateDefaultContext()\n"
+    "blocks = [block for block in loop.GetSystems() if hasattr(block, 'parameters')]\n"
+    "found = [f'{{b.get_name()}}.{{name}}' for b in blocks for name in b.parameters.defaults]\n"
 )
 _BUILT = (
     "builder = DiagramBuilder()\nloop = builder.AddSystem(make_nonstop(Scenario()))\n"
@@ -132,7 +134,6 @@ _CALLS = (
     "HamiltonianCycleConfig().make({})",
     "LinearPatternConfig(matrix={}).make(np.array(SystemParameters().attachments))",
     "SpreadCarouselConfig().make({})",
-    "TracedBlock({})",
     "SampleAndHold({})",
     "LoadTrajectory({})",
     "NonstopVisualizer({}, Scenario())",
@@ -169,8 +170,6 @@ _CALLS = (
     *(
         _LOOP.format(name="aircraft_rest") + call
         for call in (
-            "parameters(loop, {})",
-            "parameters({}, context)",
             "get_parameter(loop, context, {})",
             "set_parameter(loop, context, {}, {})",
             "set_parameter(loop, {}, 'system.load_mass', 1.0)",
@@ -182,7 +181,7 @@ _CALLS = (
 # What takes an object of the package in its first place.
 _OF_OBJECTS = (
     *("set_equilibrium(", "compute_metrics(", "record_replay(", "draw_diagram(", "verify_step("),
-    *("Model(", "TracedBlock(", "SampleAndHold(", "LoadTrajectory("),
+    *("Model(", "SampleAndHold(", "LoadTrajectory("),
     *("NonstopVisualizer(", "show_in(", "next(iter(run_live(", "RunProgress(", "TaskProgress("),
     *("HamiltonianCycleConfig().make(", "SpreadCarouselConfig().make(", "NonstopGeometry("),
 )
@@ -315,7 +314,7 @@ def _parameter(rng: np.random.Generator) -> tuple[str, bool]:
     """A parameter of a loop's context, set to anything."""
     value = str(rng.choice([*_BAD_VALUES, *_ALIENS]))
     loop = _LOOP.format(name=scenario_name(rng))
-    path = f"found[{rng.integers(200)} % len(found)].path"
+    path = f"found[{rng.integers(200)} % len(found)]"
     return f"{loop}set_parameter(loop, context, {path}, {value})", value in _SENSELESS
 
 

@@ -1,6 +1,5 @@
 """How much faster many flights are side by side than one by one."""
 
-import copy
 import importlib.util
 import os
 import statistics
@@ -15,7 +14,6 @@ from pydrake.systems.framework import DiagramBuilder
 from drake_nonstop import load_scenario
 from drake_nonstop.benchmarks.running import PACKAGES
 from drake_nonstop.diagrams.nonstop import make_nonstop
-from drake_nonstop.loop.functions import Evaluation
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.scenario.schema import COMPILED, DIAGRAM, Scenario
 from drake_nonstop.simulation.compiled_run import recorded_loop
@@ -23,21 +21,17 @@ from drake_nonstop.simulation.flight import without_warnings
 from drake_nonstop.simulation.make_gym_env import make_gym_env, make_gym_vec_env
 from drake_nonstop.simulation.many import simulate_many
 from drake_nonstop.simulation.metrics import compute_metrics, versions
-from drake_nonstop.simulation.preparation import with_chosen_step
+from drake_nonstop.simulation.preparation import stable_config
 from drake_nonstop.simulation.recording import LogSignals
 from drake_nonstop.simulation.run import StepCheck
 from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.studies.sweep import sweep
 from drake_nonstop.studies.sweep_spec import SweepSpec
-from drake_nonstop.systems.compilation import (
-    Compiled,
-    c_text,
-    compiled_for_processor,
-    compiler,
-)
+from drake_nonstop.systems.compiled_flight import advance_together
+from drake_nonstop.systems.native import LANES, compiler
 from drake_nonstop.validation import require
 
-_FLIGHTS, _SAMPLES, _CALLS = 8, 40, 25  # how many of which are timed at once
+_SAMPLES, _CALLS = 40, 25  # of each flight that are timed at once
 _SUCCESS: dict[str, Any] = {  # as examples/success_study.yaml has it
     "overrides": ["load_disturbance=!DisturbanceForce {}"],
     "draws": {
@@ -47,7 +41,7 @@ _SUCCESS: dict[str, Any] = {  # as examples/success_study.yaml has it
     },
 }
 _CONSTANT = "optimization_layer=ConstantParameters"
-_OTHERS_IN_LANES = "aircraft_transfer", "aircraft_transfer_cables"  # the last calls functions
+_OTHERS_IN_LANES = "aircraft_transfer", "aircraft_transfer_cables"
 _PREPARED = 16  # runs whose preparation is timed
 
 
@@ -183,48 +177,38 @@ def environment_ratio(
 def lanes_ratio(scenario: Scenario, *, repeats: int = 5) -> dict[str, Any]:
     """The time of samples flown one flight after the other, by that in lanes, alternately.
 
-    Both by C of the same function, with the same options for this processor. Returns the medians
-    of the repeats, per flight and sample.
+    Both by C. Returns the medians of the repeats, per flight and sample.
 
     Raises:
-        ScenarioError: there are no lanes for the scenario, or its blocks make updates themselves.
+        ScenarioError: the scenario cannot be compiled, or there is no compiler for its lanes.
     """
     nonstop = make_nonstop(scenario)
     context = nonstop.CreateDefaultContext()
-    config = with_chosen_step(scenario, nonstop, context).config
+    config = stable_config(scenario, nonstop, context)
     builder = DiagramBuilder()
     builder.AddSystem(nonstop)
     loop = recorded_loop(LogSignals(builder, nonstop), config, scenario.control_period)
     loop.prepare_lanes()
-    flight = loop.fly(context)
-    flight.start()
-    flight.advance()
-    inputs = flight.lane_inputs(_SAMPLES)
-    function = copy.copy(flight.side_by_side)
-    lanes = function.lanes if function else None
-    remedy = "choose a layer that makes no updates itself, and a compiler with vector extensions"
-    is_fit = function is not None and function.argument_sizes[-1] == 0 and lanes is not None
-    require(is_fit, "optimization_layer", scenario.optimization_layer, remedy)
-    assert function is not None
-    assert lanes is not None
-    text = c_text(function.function) + function.besides
-    library = compiled_for_processor(lambda: text, builds=True)
-    assert library is not None  # as of the lanes
-    function.compiled = Compiled(function.function, library)
-    alone = Evaluation(function, compiles=True)
-    state = [inputs.state, inputs.parameters, np.zeros(0)]
+    is_fit = loop.is_compiled and loop.lanes() is not None
+    require(is_fit, "lanes", "none", "name a compiler with vector extensions in CC")
+    flights = [loop.fly(context) for _ in range(LANES)]
+    for flight in flights:
+        flight.start()
+    start = flights[0].state
     seconds: dict[str, list[float]] = {"one by one": [], "in lanes": []}
     for _ in range(repeats):
-        start = time.process_time()
-        for _ in range(_CALLS * _FLIGHTS):
-            alone.fly(state, inputs.times, inputs.outside, inputs.largest)
-        between = time.process_time()
-        for _ in range(_CALLS):
-            lanes.fly([inputs] * _FLIGHTS)
-        seconds["one by one"].append(between - start)
-        seconds["in lanes"].append(time.process_time() - between)
+        for found, groups in zip(
+            seconds.values(), ([[f] for f in flights], [flights]), strict=True
+        ):
+            for flight in flights:
+                flight.go_to(0, start)
+            before = time.process_time()
+            for group in groups:
+                for _ in range(_CALLS):
+                    advance_together(group, [_SAMPLES] * len(group))
+            found.append(time.process_time() - before)
     one, many = seconds.values()
-    samples = _CALLS * _FLIGHTS * len(inputs.times)
+    samples = LANES * _SAMPLES * _CALLS
     return {
         "scenario": scenario.name,
         "us_per_sample": {w: 1e6 * statistics.median(s) / samples for w, s in seconds.items()},

@@ -5,6 +5,7 @@ import pytest
 from helpers import fix, model, output
 
 from drake_nonstop.blocks.optimization_layer import ConstantParameters, ConstantParametersConfig
+from drake_nonstop.systems.tracing import NotFiniteError
 from drake_nonstop.validation import ScenarioError
 
 
@@ -38,6 +39,9 @@ def test_a_commanded_bound_is_reported_in_place_of_the_one_that_is_set():
     np.testing.assert_array_equal(output(block, context, "speed_bound"), [0.4])
     with pytest.raises(ScenarioError, match=r"speed_bound = 0.5: the signal speed_bound_command"):
         block.set_speed_bound(context, 0.5)
-    fix(block, context, speed_bound_command=np.array([np.nan]))
-    with pytest.raises(ScenarioError, match=r"^optimization_layer.speed_bound_command = nan: give"):
-        output(block, context, "speed_bound")
+    fix(block, context, speed_bound_command=np.zeros(1))
+    np.testing.assert_array_equal(output(block, context, "speed_bound"), [0.0])
+    for command, said in ((np.nan, "was given"), (-0.1, "made")):
+        fix(block, context, speed_bound_command=np.array([command]))
+        with pytest.raises(NotFiniteError, match=f"{said} a value that is not finite"):
+            output(block, context, "speed_bound")

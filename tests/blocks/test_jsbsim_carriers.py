@@ -65,7 +65,7 @@ def block(n=3, config=None, speed=15.0, **inputs):
     fix(made, context, **given | inputs)
     state = np.concatenate([np.arange(3.0 * n), np.tile([speed, 0, 0], n)])
     made.SetCarrierState(context, state)
-    made.TrimCarriersTo(context, np.zeros(3 * n))
+    made.trim(context, np.zeros(3 * n))
     return made, context
 
 

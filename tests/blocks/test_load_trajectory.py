@@ -21,7 +21,7 @@ from drake_nonstop.blocks.load_trajectory import (
     Waypoints,
     WaypointsConfig,
 )
-from drake_nonstop.loop.box import block_class
+from drake_nonstop.loop.box import block_of
 from drake_nonstop.validation import ScenarioError
 
 START = {"start_position": [0.5, -1.0, 2.0], "start_roll_pitch_yaw": [0.2, -0.3, 0.4]}
@@ -503,7 +503,7 @@ def test_a_bad_file_is_told_in_a_sentence(tmp_path, text, words):
 )
 def test_bad_parameter_is_named(config, field):
     with pytest.raises(ScenarioError, match=f"load_trajectory.{field}.*: give"):
-        block_class("load_trajectory", type(config))(model(), config)
+        block_of(type(config))(model(), config)
 
 
 @pytest.mark.parametrize(
@@ -518,7 +518,7 @@ def test_bad_parameter_is_named(config, field):
 )
 def test_times_lost_in_rounding_end_with_a_sentence(config):
     with pytest.raises(ScenarioError, match=r"load_trajectory \(instants in s\) = .*: give times"):
-        block_class("load_trajectory", type(config))(model(), config)
+        block_of(type(config))(model(), config)
 
 
 def test_steady_turn_is_the_rest_to_rest_move_of_a_load_that_turns_at_all_times():

@@ -6,10 +6,9 @@ from helpers import fix, model, output
 
 from drake_nonstop.blocks.cables import Cables, LumpedCables
 from drake_nonstop.diagrams.nonstop import make_nonstop
-from drake_nonstop.loop import compiled_loop
-from drake_nonstop.loop.compiled_loop import CompiledLoop
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.simulation.simulate import simulate
+from drake_nonstop.systems.compiled_loop import CompiledLoop
 from drake_nonstop.validation import ScenarioError
 
 
@@ -23,7 +22,7 @@ def test_trimmed_cables_pull_as_straight_ones_at_both_ends():
         fix(block, context, load_state=load, carrier_state=carriers)
         if isinstance(block, LumpedCables):
             fix(block, context, wind=np.zeros(12), load_wind=np.zeros(3))
-            block.TrimCables(context)
+            block.trim(context)
             shares = np.array([0.5, 11.5])[:, None, None] / 12
             state = output(block, context, "cable_state").reshape(2, 12, 4, 3)
             expected = made.attachments + shares * (above - made.attachments)
@@ -57,22 +56,6 @@ def flown(*changes):
     scenario = load_scenario("aircraft_rest", ["cables=LumpedCables", "cables.nodes=2", *changes])
     diagram = make_nonstop(scenario)
     return scenario, diagram
-
-
-def test_a_loop_that_calls_functions_is_that_of_one_function_to_rounding(monkeypatch):
-    scenario, diagram = flown("wind=!SteadyWind {velocity: [2, 1, 0], rise_time: 0.1}")
-    context = diagram.CreateDefaultContext()
-    rows = []
-    for most in (1e9, 0):
-        monkeypatch.setattr(compiled_loop, "_MOST_OPERATIONS", most)
-        monkeypatch.setattr(compiled_loop, "_recent_functions", compiled_loop.LruCache())
-        loop = CompiledLoop(
-            diagram, scenario.simulator_config, scenario.control_period, compiles=False
-        )
-        rows.append(loop.run(context, 0.4)[1])
-    for name, values in rows[0].items():
-        np.testing.assert_allclose(values, rows[1][name], atol=1e-9, err_msg=name)
-    assert np.ptp(rows[0]["cable_state"], axis=0).max() > 1
 
 
 def test_aircraft_have_no_drag_of_cables_that_have_their_own():

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from helpers import fix, model
+from helpers import fix, model, output
 from nonstop_cases import (
     START,
     cables,
@@ -70,13 +70,18 @@ def test_they_are_the_same_of_all_scalar_types_and_of_several_phases(quantity):
     np.testing.assert_allclose(values[:, 0], expected[1], rtol=1e-12)
 
 
-def updated(kind, inputs, **fields):
-    """The states after an update of a layer that begins with `START`."""
-    block = kind(model(), NlpLayerConfig(**fields))
+def answered(block, inputs):
+    """What a layer shows after an update."""
     context = block.CreateDefaultContext()
     fix(block, context, **inputs)
-    states = block.updated(context)
-    return states["parameters"], Diagnostics.view(states["diagnostics"])
+    context.SetDiscreteState(block.answer(context))
+    diagnostics = Diagnostics.view(output(block, context, "diagnostics"))
+    return output(block, context, "parameters"), diagnostics
+
+
+def updated(kind, inputs, **fields):
+    """What a layer that begins with `START` shows after an update."""
+    return answered(kind(model(), NlpLayerConfig(**fields)), inputs)
 
 
 @pytest.mark.parametrize("solver", ["snopt", "ipopt", "nlopt"])
@@ -136,14 +141,9 @@ class Light(NlpLayer):
 
 def test_a_cost_and_constraints_of_ones_own_with_a_signal_more():
     inputs = on_its_reference(1) | {"carrier_state": np.full(24, 0.5)}
-    block = Light(model(), LightConfig(largest=10.0, **PAPER))
-    context = block.CreateDefaultContext()
-    fix(block, context, **inputs)
-    np.testing.assert_allclose(block.updated(context)["parameters"], [2.5, 2.0], atol=1e-5)
-    tight = Light(model(), LightConfig(largest=2.8, **PAPER))
-    context = tight.CreateDefaultContext()
-    fix(tight, context, **inputs)
-    x = tight.updated(context)["parameters"]
+    x, _ = answered(Light(model(), LightConfig(largest=10.0, **PAPER)), inputs)
+    np.testing.assert_allclose(x, [2.5, 2.0], atol=1e-5)
+    x, _ = answered(Light(model(), LightConfig(largest=2.8, **PAPER)), inputs)
     tensions = cable_tensions(*arguments(inputs), *x, inputs["phase"][0])
     assert tensions.max() == pytest.approx(2.8, abs=1e-5)
 
@@ -192,5 +192,5 @@ def test_a_layer_of_aircraft_has_the_layouts_of_its_ports_alone():
     scenario = load_scenario("aircraft_rest")
     own = Model(scenario.system, scenario.pattern, scenario.control_period)
     layer = NlpLayer(own, NlpLayerConfig(speed_bound=11.0, frequency=0.6, period=0.04))
-    assert layer.signal_layouts == {}
+    assert {*layer.signal_layouts} == {"diagnostics"}
     assert layer.HasInputPort("wind_estimate")

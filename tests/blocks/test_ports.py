@@ -10,7 +10,7 @@ import re
 import numpy as np
 import pytest
 import yaml
-from helpers import Motion, difference, fix, model, output, vector_outputs
+from helpers import Motion, difference, fix, model, output, sizes_of, vector_outputs
 from pydrake.autodiffutils import AutoDiffXd, ExtractValue
 from pydrake.symbolic import Expression
 from pydrake.systems.framework import DiagramBuilder
@@ -72,7 +72,7 @@ from drake_nonstop.blocks.load_trajectory import (
 from drake_nonstop.blocks.lumped_cables import LumpedCables, LumpedCablesConfig
 from drake_nonstop.blocks.optimization_layer import ConstantParameters, NonstopOptimizer
 from drake_nonstop.blocks.phase import AccumulatedPhase, PaperPhase, ShapedPhase
-from drake_nonstop.blocks.sample_and_hold import HELD_SIGNALS, SampleAndHold
+from drake_nonstop.blocks.sample_and_hold import SampleAndHold
 from drake_nonstop.blocks.wind import (
     GustyWind,
     GustyWindConfig,
@@ -338,9 +338,9 @@ BLOCKS = {
         ["load_state", "carrier_state", "wind", "load_wind"],
         ["cable_state", *_CABLES],
         [
-            ("load_state", "cable_forces"),
-            ("load_state", "tensions"),
-            ("carrier_state", "carrier_cable_forces"),
+            (source, target)  # one function makes all ends of a cable
+            for source in ("load_state", "carrier_state", "wind", "load_wind")
+            for target in _CABLES
         ],
     ),
     NoDisturbance: ([], ["disturbance_wrench"], []),
@@ -372,19 +372,31 @@ BLOCKS = {
     LoadPlant: (["cable_forces", "disturbance_wrench", "load_wind"], ["load_state"], []),
 }
 
-# What a control period adds: the time of the sample.
+_MOVED = ("carrier_reference", "carrier_reference_acceleration")
+_WRENCH = ("wrench", "wrench_rate", "tracking_error")  # go by the integrals after the sample
+# The outputs that the time of the sample, which a control period adds, feeds through to.
 SAMPLED = {
-    PaperPhase: ("sample_time", "phase", "planned"),
-    CarrierTrajectory: ("sample_time", "carrier_reference", "carrier_reference_acceleration"),
-    InextensibleCarrierTrajectory: (
-        "sample_time",
-        "carrier_reference",
-        "carrier_reference_acceleration",
-    ),
-    bowed_trajectory: ("sample_time", "carrier_reference", "carrier_reference_acceleration"),
-    first_order_trajectory: ("sample_time", "carrier_reference"),
-    MeasuredCarrierTrajectory: ("sample_time", "carrier_reference"),
+    PaperPhase: ("phase", "planned"),
+    **dict.fromkeys((WrenchController, PaperWrenchController, TunedWrenchController), _WRENCH),
+    GeometricPd: (),
+    CarrierTrajectory: _MOVED,
+    InextensibleCarrierTrajectory: _MOVED,
+    bowed_trajectory: _MOVED,
+    first_order_trajectory: _MOVED[:1],
+    MeasuredCarrierTrajectory: _MOVED[:1],
+    FixedWingController: (),
 }
+# What the sampled controller of aircraft reads in place of the signals at all times.
+AT_SAMPLES = {name: f"sampled_{name}" for name in _MOVED} | {
+    name: f"held_{name}" for name in ("carrier_state", "aircraft_state", "carrier_acceleration")
+}
+
+# What ends of cables of nodes go by, which are all made by one call.
+_ENDS = (
+    ("load_state", "cable_forces"),
+    ("load_state", "tensions"),
+    ("carrier_state", "carrier_cable_forces"),
+)
 
 PERIODS = (0.0, 0.01)  # s, of continuous and of sampled controllers
 
@@ -412,26 +424,30 @@ def built(make, n, period):
 
 def expected_ports(make, period):
     inputs, outputs, feedthrough = BLOCKS[make]
-    if period > 0 and make is FixedWingController:  # its commands are held
-        return inputs, outputs, []
-    if period > 0 and make in (CarrierTrajectory, InextensibleCarrierTrajectory):
+    if period == 0 or make not in SAMPLED:
+        return inputs, outputs, feedthrough
+    if make is FixedWingController:
+        inputs = [AT_SAMPLES.get(name, name) for name in inputs]
+        feedthrough = [(AT_SAMPLES.get(source, source), target) for source, target in feedthrough]
+    made = [name for name in _MOVED if name in outputs]  # at samples, and moved in between
+    outputs = [*outputs[:3], *(f"sampled_{name}" for name in made), *outputs[3:]]
+    feedthrough = [*feedthrough, *((s, f"sampled_{t}") for s, t in feedthrough if t in made)]
+    if make in (CarrierTrajectory, InextensibleCarrierTrajectory):
         feedthrough = [*feedthrough, *((source, "carrier_reference") for source in _ORBIT)]
-    if period > 0 and make in SAMPLED:
-        source, *targets = SAMPLED[make]
-        times = [(source, target) for target in targets]
-        return [*inputs, source], outputs, [*feedthrough, *times]
-    return inputs, outputs, feedthrough
+    times = [("sample_time", target) for target in SAMPLED[make]]
+    return [*inputs, "sample_time"], outputs, [*feedthrough, *times]
 
 
 def size(signal, n, m):
     """The contract's size, for n carriers and m internal-force coordinates."""
-    sizes = {s: k for box in BOXES.values() for s, k in box.sizes(n, m).items()}
-    held = {f"held_{name}": size for name, size in HELD_SIGNALS.items()} | {"held_wind_estimate": 3}
-    return (sizes | held | {"sample_time": 1, "speed_bound_command": 1})[signal]
+    sizes = {s: k for box in BOXES.values() for s, k in sizes_of(box, n, m).items()}
+    own = {"sample_time": 1, "speed_bound_command": 1}
+    return (sizes | own)[signal.removeprefix("held_").removeprefix("sampled_")]
 
 
 def values(signal, seed, n):
     """A value for a signal, such as the loop might have, that differs from seed to seed."""
+    signal = signal.removeprefix("held_").removeprefix("sampled_")
     rng = np.random.default_rng([seed, *signal.encode()])
     if signal in ("reference", "load_state", "measured_load_state"):
         return Motion(10 * seed + len(signal)).reference(0.4)[: size(signal, n, n)]
@@ -481,8 +497,12 @@ def feedthrough(block):
 
 @of_every(BLOCKS)
 def test_direct_feedthrough(make, period):
-    block = built(make, 4, period)
-    assert feedthrough(block) == set(expected_ports(make, period)[2])
+    found = feedthrough(built(make, 4, period))
+    expected = set(expected_ports(make, period)[2])
+    if make is lumped_cables:  # CasADi 3.6 sees through the function of a cable
+        assert set(_ENDS) <= found <= expected
+    else:
+        assert found == expected
 
 
 def set_states(context, seed):
@@ -553,11 +573,14 @@ def test_what_feeds_through_changes_the_output(make, period):
     for source, target in feedthrough(block):
         if source == "wind_estimate" and target not in _DERIVATIVES:
             continue  # made by one call with what it changes; a whole feedforward cancels its rate
+        if (make is lumped_cables and (source, target) not in _ENDS) or target == "tracking_error":
+            continue  # likewise
         if target == "command_saturation":
             continue  # 0 or 1, whatever most inputs are
         if source == "parameters" and "plan" in inputs:
             continue  # the plan takes their place
-        after = fresh(block, inputs | {source: values(source, 2, 4)}, 1, 5.5)
+        other = np.zeros(1) if source == "sample_time" else values(source, 2, 4)
+        after = fresh(block, inputs | {source: other}, 1, 5.5)
         assert not np.array_equal(before[target], after[target]), (source, target)
 
 
@@ -658,9 +681,13 @@ SECTION = re.compile(r"\.\. pydrake_system::\n\n((?:    .*\n)+)")
 def test_the_declared_ports_are_those_that_it_has(block, period):
     made = built(block, 4, period)
     absent = ["is false", "are not all zero", *(["control period"] if period <= 0 else [])]
-    is_there = [name for name in block.reads if not any(a in where(block, name) for a in absent)]
-    assert is_there == input_names(made)
-    assert list(block.makes) == output_names(made)
+
+    def is_there(name):
+        return not any(reason in where(block, name) for reason in absent)
+
+    read = [name.removeprefix("sampled_").removeprefix("held_") for name in input_names(made)]
+    assert read == [name for name in block.reads if is_there(name)]
+    assert output_names(made) == [name for name in block.makes if is_there(name)]
 
 
 def where(block, name):

@@ -35,6 +35,12 @@ def layer(control_period=SAMPLE, **fields):
     )
 
 
+def fix_time(block, context, time):
+    """Tells the sample's time (s) to a layer that reads it."""
+    if block.HasInputPort("sample_time"):
+        fix(block, context, sample_time=np.array([float(time)]))
+
+
 class Flight:
     """The layer alone in a simulator, with the preview of a move; its outputs at samples."""
 
@@ -43,12 +49,14 @@ class Flight:
         self.context = self.simulator.get_mutable_context()
         fix(block, self.context, reference=preview(0.0))
         block.GetInputPort("reference_preview").FixValue(self.context, Value(preview))
+        fix_time(block, self.context, 0.0)
         self.simulator.Initialize()
 
     def advanced(self, start, end, step=SAMPLE):
         """`plan` (k, 8) at the samples from a time to another, both in s."""
         rows = []
         for time in np.arange(round(start / step), round(end / step)) * step:
+            fix_time(self.block, self.context, time)
             self.simulator.AdvanceTo(time + step / 2)
             rows.append(output(self.block, self.context, "plan").copy())
         return np.array(rows)
@@ -235,6 +243,7 @@ def test_parameters_of_the_context_are_those_of_the_first_plan():
     simulator = Simulator(block)
     context = simulator.get_mutable_context()
     fix(block, context, reference=preview(0.0))
+    fix_time(block, context, 0.0)
     place = block.parameters.place("frequency").start
     context.get_mutable_numeric_parameter(0).SetAtIndex(place, 2.5)
     block.begin_anew(context)
@@ -270,6 +279,7 @@ def test_what_cannot_be_used_is_refused(fields, sentence):
 def test_numbers_of_another_type_keep_the_plan_and_refuse_a_new_one():
     block = layer().ToAutoDiffXd()
     context = block.CreateDefaultContext()
+    fix_time(block, context, 0.0)
     values = output(block, context, "plan")
     assert [float(value.value()) for value in values[:3]] == [0.0, 2.0, 1.2]
     with pytest.raises(ScenarioError, match="give ConstantParameters"):

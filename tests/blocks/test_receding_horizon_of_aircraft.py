@@ -37,7 +37,7 @@ def planned(told_wind=None, **fields):
     block = RecedingHorizonOptimizer(aircraft_model(), RecedingHorizonOptimizerConfig(**fields))
     simulator = Simulator(block)
     context = simulator.get_mutable_context()
-    fix(block, context, reference=AT_REST)
+    fix(block, context, reference=AT_REST, sample_time=np.zeros(1))
     if told_wind is not None:
         fix(block, context, wind_estimate=told_wind)
     simulator.Initialize()

@@ -153,7 +153,7 @@ def test_check_looks_at_the_motion_that_the_governor_lets_pass():
 def test_it_slows_down_for_the_margin_that_is_computed(monkeypatch):
     margins = []
 
-    def recorded(model, config, trajectory, layer, duration, wind):
+    def recorded(model, config, trajectory, layer, duration, *wind):
         margins.append(layer.speed_margin)
         return trajectory
 

@@ -203,7 +203,7 @@ def test_a_falling_load_approaches_its_terminal_velocity_in_wind(plant):
     context = simulator.get_mutable_context()
     wind = np.array([3.0, -2.0, 1.0])
     fix(block, context, cable_forces=np.zeros(12), disturbance_wrench=np.zeros(6), load_wind=wind)
-    block.SetLoadState(context, np.eye(13)[0])
+    context.SetContinuousState(np.eye(13)[0])
     simulator.get_mutable_integrator().set_target_accuracy(1e-9)
     simulator.AdvanceTo(3.0)
     terminal = wind - np.array([0, 0, 9.81 / 0.7])  # m = 1 kg

@@ -31,7 +31,9 @@ def observed(wind, times, speed=15.0, **fields):
     angles = np.pi / 2 * np.arange(4)
     velocities = speed * np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=-1)
     blocks = {"wind": wind(own), "observer": WindObserver(own, WindObserverConfig(**fields))}
-    connect_by_name(builder, blocks, inputs={"carrier_state": 24, "load_state": 13})
+    sizes = {"carrier_state": 24, "load_state": 13}
+    read = {k for k in sizes if any(each.HasInputPort(k) for each in blocks.values())}
+    connect_by_name(builder, blocks, inputs={k: sizes[k] for k in read})
     diagram = builder.Build()
     simulator = Simulator(diagram)
     context = simulator.get_mutable_context()

@@ -24,6 +24,7 @@ from drake_nonstop.loop.box import config_class
 from drake_nonstop.mechanics.rigid_load import RigidLoad
 from drake_nonstop.mechanics.tuning import load_gains
 from drake_nonstop.mechanics.wrench import tracking_error, wrench_and_rate
+from drake_nonstop.systems.compiled_flight import sample_times
 from drake_nonstop.validation import ScenarioError
 
 GAINS = {
@@ -51,7 +52,9 @@ def test_wrench_controller_gives_wrench_rate_and_error(rng, period):
         context.SetDiscreteState(integrals)
     else:
         context.SetContinuousState(integrals)
-    fix(block, context, measured_load_state=state, reference=reference, wind_estimate=WIND)
+    signals = {"measured_load_state": state, "reference": reference, "wind_estimate": WIND}
+    signals |= {"sample_time": np.zeros(1)} if period else {}  # its integrals are the state
+    fix(block, context, **signals)
     wrench, rate = wrench_and_rate(LOAD, state, reference, integrals, WIND, **GAINS)
     error = tracking_error(state, reference)
     for name, expected in (("wrench", wrench), ("wrench_rate", rate), ("tracking_error", error)):
@@ -79,7 +82,8 @@ def test_integrals_of_a_sampled_controller_step_once_a_period():
     simulator = Simulator(block)
     context = simulator.get_mutable_context()
     state, reference = Motion(51).state(0.3), Motion(52).reference(0.3)
-    fix(block, context, measured_load_state=state, reference=reference, wind_estimate=WIND)
+    signals = {"measured_load_state": state, "reference": reference, "wind_estimate": WIND}
+    fix(block, context, **signals, sample_time=np.array([0.02]))
     simulator.Initialize()
     error = tracking_error(state, reference)[:6]
     for time, steps in ((0.0, 0), (0.01, 0), (0.03, 1), (0.05, 2)):
@@ -237,11 +241,13 @@ def test_a_filtered_difference_lags_and_is_the_rate_of_what_grows_steadily():
     block = WrenchRate(model(4, 0.01), WrenchRateConfig(time_constant=0.02))
     simulator = Simulator(block)
     context = simulator.get_mutable_context()
-    for k in range(40):
+    fix(block, context, wrench=np.full(6, 3.0))
+    simulator.Initialize()
+    np.testing.assert_allclose(output(block, context, "wrench_rate"), 0, atol=1e-12)
+    for k in range(1, 40):
+        simulator.AdvanceTo(sample_times(k, 0.01))
+        simulator.AdvancePendingEvents()
         fix(block, context, wrench=np.full(6, 3.0 + 0.2 * k * 0.01))
-        simulator.AdvanceTo(k * 0.01)
-        if k == 0:
-            np.testing.assert_allclose(output(block, context, "wrench_rate"), 0, atol=1e-12)
     np.testing.assert_allclose(output(block, context, "wrench_rate"), 0.2, rtol=1e-6)
 
 

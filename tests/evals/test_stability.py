@@ -5,11 +5,10 @@ import pytest
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 
 from drake_nonstop.diagrams.nonstop import make_nonstop
-from drake_nonstop.loop.equilibrium import set_equilibrium
-from drake_nonstop.loop.plant_states import PlantStates
+from drake_nonstop.loop.start import PlantStates, set_equilibrium
+from drake_nonstop.loop.step import with_largest_step
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.scenario.overrides import changed
-from drake_nonstop.simulation.step_size import stable_config
 from drake_nonstop.studies.stability import at_rest, linearize
 from drake_nonstop.systems.tracing import NotFiniteError
 
@@ -24,7 +23,7 @@ def growth_per_turn(resting, turns):
     nonstop = make_nonstop(resting)
     equilibrium = nonstop.CreateDefaultContext()
     set_equilibrium(nonstop, equilibrium)
-    config = stable_config(resting.simulator_config, nonstop, equilibrium)
+    config = with_largest_step(resting.simulator_config, nonstop, equilibrium)
     runs = []
     for size in (0.0, 1e-8):
         context = equilibrium.Clone()

@@ -1,7 +1,9 @@
-"""The traced loop shows what its diagram shows, to rounding."""
+"""The compiled loop shows what its diagram shows, to rounding."""
 
 import gc
 import weakref
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -10,11 +12,13 @@ from drawn_loops import drawn_loop, largest_difference
 from drawn_tasks import aircraft_task, carriers_task
 from helpers import nightly_beyond
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
-from pydrake.systems.framework import LeafSystem, PortDataType
+from pydrake.systems.framework import EventStatus, LeafSystem
 
 from drake_nonstop import (
+    Block,
     ConstantParameters,
     DisturbanceForce,
+    DisturbanceForceConfig,
     ScenarioError,
     StepCheck,
     load_scenario,
@@ -24,27 +28,26 @@ from drake_nonstop import (
     set_parameter,
     simulate,
 )
-from drake_nonstop.loop import compiled_loop
-from drake_nonstop.loop.compiled_loop import CompiledLoop, reason_against
+from drake_nonstop.loop.step import with_largest_step
 from drake_nonstop.scenario.overrides import changed
-from drake_nonstop.simulation.step_size import stable_config
-from drake_nonstop.systems.block import LeafBlock
-from drake_nonstop.systems.compilation import compiler
-from drake_nonstop.systems.recent_traces import LruCache
-from drake_nonstop.systems.tracing import NotFiniteError, to_symbols
+from drake_nonstop.systems.compiled_loop import CompiledLoop, reason_against
+from drake_nonstop.systems.native import compiler
+from drake_nonstop.systems.tracing import NotFiniteError
 
 NONSTOP = "optimization_layer=NonstopOptimizer"
 CONSTANT = "optimization_layer=ConstantParameters"
 DURATION = 0.24  # s, a multiple of all control periods
 
 
-def traced(scenario, **options):
+def made(scenario):
     diagram = make_nonstop(scenario)
-    context = diagram.CreateDefaultContext()
-    config = stable_config(scenario.simulator_config, diagram, context)
+    return diagram, diagram.CreateDefaultContext()
+
+
+def traced(scenario, **options):
+    diagram, context = made(scenario)
+    config = with_largest_step(scenario.simulator_config, diagram, context)
     shown = min(0.01, scenario.control_period)
-    if options.get("compiles") is False:
-        options = {"samples": 1, **options}  # short flights
     loop = CompiledLoop(diagram, config, scenario.control_period, signal_period=shown, **options)
     return loop, context
 
@@ -83,7 +86,7 @@ MIXED = [
         "internal_force=InternalForceTrajectory",
     ],
     [
-        "load_feedback=!NoisyFeedback {position_noise: 0.01, period: 0.007}",
+        "load_feedback=!NoisyFeedback {position_noise: 0.01, period: 0.02}",
         *("carrier_dynamics=LoadedCarrierDynamics", "carrier_controller=LoadedCarrierPid"),
         *("phase=PaperPhase", "carrier_trajectory=InextensibleCarrierTrajectory", CONSTANT),
         *("cables=IndividualCables", "load_trajectory=Circle"),
@@ -131,7 +134,7 @@ def test_mixed_blocks_are_the_same(overrides):
         ["wind=!GustyWind {velocity: [1, 0, 0], rise_time: 0.1}", "system.load_drag=0.1"],
         ["load_feedback=!NoisyFeedback {position_noise: 0.01, orientation_noise: 0.02}"],
         ["load_feedback=!NoisyFeedback {delay: 0.02, velocity_noise: 0.01, seed: 3}"],
-        ["load_feedback=!NoisyFeedback {position_noise: 0.01, period: 0.007}"],
+        ["load_feedback=!NoisyFeedback {position_noise: 0.01, period: 0.02}"],
         ["load_feedback=!EstimatedFeedback {position_noise: 0.01, orientation_noise: 0.02}"],
         ["load_feedback=!EstimatedFeedback {delay: 0.03, angular_velocity_noise: 0.1}"],
         ["load_trajectory=PlannedTurn", NONSTOP, "simulator_config.max_step_size=0.0025"],
@@ -194,96 +197,38 @@ def test_a_layer_keeps_its_parameters_by_its_context(is_enabled):
 
 
 OTHER_NUMBERS = [
-    "simulated.load_mass=1.07",
-    "simulated.load_drag=0.2",
-    "load_trajectory.start_time=0.05",
-    "random_seed=3",
+    *("simulated.load_mass=1.07", "simulated.load_drag=0.2", "random_seed=3"),
+    *("load_trajectory.start_time=0.05", "wind.gust=1", "wind.seed=4", "load_feedback.seed=2"),
+    *("optimization_layer.frequency=2.2", "carrier_controller.velocity_gain=9"),
+    "load_disturbance=!DisturbanceForce {gust_force: 1}",
 ]
-GUSTY_AND_NOISY = ["wind=GustyWind", "load_feedback=NoisyFeedback"]
-SAME_TRACES = [
-    (
-        partial(load_scenario, "three_carriers", [NONSTOP]),
-        [
-            *OTHER_NUMBERS,
-            "system.load_mass=1.2",
-            "system.cable_length=1.1",
-            "wrench_controller.position_gain=11",
-            "carrier_controller.velocity_gain=9",
-            "optimization_layer.speed_bound=0.45",
-            "optimization_layer.frequency=2.1",
-            "optimization_layer.amplitude_bounds=[0.3, 2]",
-        ],
-    ),
-    (
-        partial(load_scenario, "quintic", [CONSTANT, *GUSTY_AND_NOISY]),
-        [
-            *OTHER_NUMBERS,
-            *("wind.gust=1", "wind.seed=4", "load_feedback.seed=2"),
-            "optimization_layer.frequency=2.2",
-            "load_disturbance=!DisturbanceForce {gust_force: 1}",
-        ],
-    ),
-    (partial(load_scenario, "quintic", GUSTY_AND_NOISY), OTHER_NUMBERS),
-    (partial(load_scenario, "paper_quintic"), [*OTHER_NUMBERS, "system.load_mass=1.1"]),
-    *((partial(carriers_task, seed), OTHER_NUMBERS) for seed in range(4100, 4104)),
-    *((partial(aircraft_task, seed), OTHER_NUMBERS) for seed in range(4100, 4102)),
-]
-OTHER_TRACES = [
-    "wind=!GustyWind {velocity: [1, 0, 0]}",
-    "load_feedback=!NoisyFeedback {delay: 0.01}",
-    "load_feedback=!EstimatedFeedback {process_acceleration: 0.1}",
+OTHER_EQUATIONS = [
+    "wind=!SteadyWind {velocity: [1, 0, 0]}",
+    "load_feedback=!NoisyFeedback {delay: 0.02}",
     "simulated.attachments=[[0.4, 0, 0], [0, 0.5, 0], [-0.5, 0, 0], [0, -0.5, 0]]",
     "carrier_trajectory.hold=velocity",
     "carrier_controller.integral_gain=1",
-    "simulator_config.max_step_size=0.0025",
     "pattern=Carousel",
-    f"{NONSTOP.replace('=', '=!')} {{max_tension: 9}}",
+    NONSTOP,
     "wrench_controller=PaperWrenchController",
 ]
 
 
-def key_and_functions(scenario, monkeypatch):
-    """The key of a loop's functions, and these as bytes."""
-    known = {}
-    monkeypatch.setattr(compiled_loop._recent_functions, "entries", known)
-    loop, _ = traced(scenario, compiles=False)
-    functions = loop._functions
-    (key,) = known
-    parts = functions.at_start, functions.shown, functions.after_sample, *functions.of_samples
-    return key, [function.function.serialize() for function in parts]
-
-
-@pytest.mark.parametrize(("make", "overrides"), nightly_beyond(1, "engines", SAME_TRACES))
-def test_loops_of_other_numbers_share_a_trace_that_is_theirs(make, overrides, monkeypatch):
-    """What the key of a shared trace leaves out are inputs: anew it would be the same one."""
-    scenario = make()
-    source = [o for o in overrides if o.startswith("load_disturbance=")]
-    one = key_and_functions(
-        changed(scenario, ["load_disturbance=DisturbanceForce"] * len(source)), monkeypatch
+def test_loops_of_equal_equations_share_their_functions():
+    random = ["wind=GustyWind", "load_feedback=NoisyFeedback", "load_disturbance=DisturbanceForce"]
+    scenario = load_scenario("quintic", [CONSTANT, *random])
+    loop, other = (
+        traced(changed(scenario, overrides), compiles=False)[0] for overrides in ([], OTHER_NUMBERS)
     )
-    other = key_and_functions(changed(scenario, overrides), monkeypatch)
-    assert one[0] == other[0]
-    assert one[1] == other[1]
-
-
-def test_loops_of_another_kind_have_another_key():
-    keys = []
-    for override in (CONSTANT, NONSTOP, *OTHER_TRACES):
-        scenario = load_scenario("quintic", [CONSTANT, override])
-        diagram = make_nonstop(scenario, at_equilibrium=False)
-        loop = CompiledLoop(diagram, scenario.simulator_config, 0.01, compiles=False)
-        assert loop._key() not in keys, override
-        keys.append(loop._key())
-
-
-@pytest.mark.nightly("engines")
-@pytest.mark.parametrize("override", OTHER_TRACES)
-def test_loops_of_another_kind_have_another_trace(override, monkeypatch):
-    scenario = load_scenario("quintic", [NONSTOP])
-    one = key_and_functions(scenario, monkeypatch)
-    other = key_and_functions(changed(scenario, [override]), monkeypatch)
-    assert one[0] != other[0]
-    assert one[1] != other[1]
+    assert loop.functions is other.functions
+    assert loop.sample is other.sample
+    for override in OTHER_EQUATIONS:
+        other, _ = traced(changed(scenario, [override]), compiles=False)
+        assert loop.functions is not other.functions, override
+        assert loop.equations.structure.key != other.equations.structure.key, override
+    smaller = [*OTHER_NUMBERS, "simulator_config.max_step_size=0.0025"]
+    other, _ = traced(changed(scenario, smaller), compiles=False)
+    assert loop.sample is not other.sample
 
 
 def test_a_run_depends_on_nothing_that_ran_before():
@@ -300,8 +245,8 @@ def test_a_run_depends_on_nothing_that_ran_before():
         (["control_period=0"], "control_period = 0: it goes from sample to sample"),
         (["load_plant=MultibodyLoadPlant"], "load_plant = MultibodyLoadPlant: it has no equations"),
         (
-            ["load_feedback=!NoisyFeedback {delay: 0.02, period: 0.02}"],
-            "load_feedback = NoisyFeedback: it updates every 0.02 s",
+            ["load_feedback=!NoisyFeedback {delay: 0.015, period: 0.015}"],
+            "load_feedback = NoisyFeedback: it steps every 0.015 s, no multiple of the control",
         ),
         (["simulator_config.use_error_control=true"], "without error control"),
     ],
@@ -318,8 +263,9 @@ def test_what_cannot_be_traced_is_named(overrides, said):
 class Faster(ConstantParameters):
     """Makes other values than the block that it inherits a trace from."""
 
-    def _calc_parameters(self, context, output):
-        output.SetFromVector([2.4, 1.2])
+    @staticmethod
+    def equations(command, *, frequency, amplitude, speed_bound):
+        return np.array([2.4, 1.2]), speed_bound
 
 
 class Drifting(LeafSystem):
@@ -364,7 +310,7 @@ def test_a_block_of_ones_own_that_a_trace_would_get_wrong_is_named(box, block):
     scenario = load_scenario("quintic", [CONSTANT])
     diagram = make_nonstop(scenario, **{box: block})
     reason = reason_against(diagram, scenario.simulator_config, scenario.control_period)
-    assert reason == f"{box} = {block.__name__}: it has no equations to be traced"
+    assert reason.startswith(f"{box} = {block.__name__}: it has no equations")
 
 
 def test_a_loop_with_inputs_is_named():
@@ -397,55 +343,15 @@ def test_a_value_that_is_not_finite_is_no_result():
     state = own.get_continuous_state_vector().CopyToVector()
     state[4] = np.nan
     own.SetContinuousState(state)
-    with pytest.raises(NotFiniteError):
+    with pytest.raises(NotFiniteError, match=r"\w+, at t = 0 s, made") as raised:
         loop.run(context, DURATION)
-
-
-class Push(LeafSystem):
-    """A constant force, with a trace that no key tells from that of another one."""
-
-    def __init__(self, force):
-        super().__init__()
-        self.force = force
-        self.DeclareVectorOutputPort("disturbance_wrench", 6, self.calc, {self.nothing_ticket()})
-
-    def calc(self, context, output):
-        output.SetFromVector([0, 0, 0, self.force, 0, 0])
-
-    def traced_output(self, port, at):
-        return to_symbols(np.array([0, 0, 0, self.force, 0, 0]))
-
-
-def test_a_loop_of_many_samples_is_shorter_and_shows_the_same_to_the_bit(monkeypatch):
-    monkeypatch.setattr(compiled_loop, "_recent_functions", LruCache())
-    scenario = load_scenario("quintic", [CONSTANT])
-    shown, sizes = [], []
-    for samples in (1_000, 100, 400):  # 1,500 are many
-        loop, context = traced(scenario, compiles=False, samples=samples)
-        shown.append(loop.run(context, DURATION)[1])
-        sizes.append(loop._functions.whole.function.n_instructions())
-    assert sizes[0] == sizes[1] > 2 * sizes[2]
-    for name, values in shown[0].items():
-        np.testing.assert_array_equal(shown[2][name], values, err_msg=name)
-
-
-@pytest.mark.nightly("engines")
-def test_a_trace_without_a_key_is_not_shared():
-    scenario = load_scenario("quintic", [CONSTANT])
-    ends = []
-    for force in (0.0, 1.0):
-        diagram = make_nonstop(scenario, load_disturbance=lambda model, force=force: Push(force))
-        options = {"signals": ["disturbance_wrench"], "compiles": False}
-        loop = CompiledLoop(diagram, scenario.simulator_config, 0.01, **options)
-        _, signals = loop.run(diagram.CreateDefaultContext(), 0.02)
-        ends.append(signals["disturbance_wrench"][-1, 3])
-    assert ends == [0.0, 1.0]
+    assert loop.diagram.HasSubsystemNamed(raised.value.block.partition(",")[0])
 
 
 def test_what_a_diagram_checks_or_samples_otherwise_is_named():
     scenario = load_scenario("quintic", [CONSTANT])
     diagram = make_nonstop(scenario)
-    for period, said in ((0.02, "it samples every 0.01 s"), (-0.01, "^control_period")):
+    for period, said in ((0.02, "no multiple of the control period"), (-0.01, "^control_period")):
         with pytest.raises(ScenarioError, match=said):
             CompiledLoop(diagram, scenario.simulator_config, period)
     with pytest.raises(ScenarioError, match=r"^signals = load_stat"):
@@ -454,26 +360,27 @@ def test_what_a_diagram_checks_or_samples_otherwise_is_named():
 
 SOURCES = [
     ("load_trajectory", "Circle", {"start_time": 0.02, "move_time": 0.2}),
-    ("load_trajectory", "SteadyTurn", {}),
+    ("load_trajectory", "SteadyTurn", {"displacement": [1, 0, 0], "move_time": 0.5}),
     ("load_trajectory", "Waypoints", {"move_times": [0.1], "rest_times": [0.03]}),
-    ("load_disturbance", "DisturbanceForce", {"gust_force": 1.0, "start_time": 0.05}),
+    ("load_disturbance", "DisturbanceForce", {"gust_force": 1.0}),
+    ("wind", "GustyWind", {"load_gust": 1.0}),
 ]
 
 
 @pytest.mark.parametrize(("box", "name", "fields"), SOURCES)
-def test_rows_for_many_times_are_what_the_ports_show(box, name, fields):
+def test_rows_of_quantities_are_those_of_each_time_and_have_their_rates(box, name, fields):
     scenario = load_scenario("quintic", [CONSTANT, f"{box}=!{name} {fields}"])
     block = make_nonstop(scenario, at_equilibrium=False).GetSubsystemByName(box)
-    context, times = block.CreateDefaultContext(), np.linspace(0.0, 0.4, 41)
-    ports = [block.get_output_port(k) for k in range(block.num_output_ports())]
-    ports = [port for port in ports if port.get_data_type() == PortDataType.kVectorValued]
-    given = (context,) if hasattr(block, "take_config") else ()
-    rows = block.precomputed_outputs([port.get_name() for port in ports], times, *given)
-    for k, instant in enumerate(times):
-        context.SetTime(instant)
-        for port, values in zip(ports, rows, strict=True):
-            np.testing.assert_allclose(values[k], port.Eval(context), rtol=1e-13, atol=1e-13)
-    assert any(np.ptp(values, axis=0).max() > 0.01 for values in rows)
+    times, names = np.linspace(0.0, 0.4, 41), [*block.quantities(block.model)]
+    for name, rows in zip(names, block.precomputed_inputs(names, times), strict=True):
+        each = [block.quantity_at(name, instant) for instant in times]
+        np.testing.assert_array_equal(rows, each)
+        assert np.ptp(rows, axis=0).max() > 0.01
+        between, h = times[1:-1] + 0.003, 1e-6  # s
+        (rates,) = block.precomputed_input_rates([name], between)
+        ahead, behind = (block.precomputed_inputs([name], between + d)[0] for d in (h, -h))
+        scale = max(1.0, np.abs(rates).max())
+        np.testing.assert_allclose(rates, (ahead - behind) / (2 * h), atol=1e-6 * scale)
 
 
 @pytest.mark.nightly("engines")
@@ -486,32 +393,30 @@ def test_drawn_blocks_and_up_to_16_carriers_are_the_same(seed):
 class SteadyPush(DisturbanceForce):
     """Shows another force than the block that it is made of."""
 
-    def _calc(self, context, output):
-        output.SetFromVector([0.0, 0.0, 0.0, 0.5, 0.0, 0.0])
+    @staticmethod
+    def equations(noise, time, **numbers):
+        return np.array([0.0, 0.0, 0.0, 0.5, 0.0, 0.0])
 
 
-class NarrowRows(LeafBlock):
-    """Gives rows that are no outputs of its port."""
+class FailingPush(DisturbanceForce):
+    """Is no number after 0.1 s."""
 
-    is_sampled = True
+    late = np.nan
 
-    def __init__(self, model):
-        super().__init__()
-        self.DeclareVectorOutputPort("disturbance_wrench", 6, self.calc, {self.time_ticket()})
+    def precomputed_inputs(self, names, times):
+        rows = super().precomputed_inputs(names, times)
+        return [np.where(times[:, None] > 0.1 + 1e-9, self.late, own) for own in rows]
 
-    def calc(self, context, output):
-        output.SetFromVector(np.zeros(6))
 
-    def precomputed_outputs(self, ports, times):
-        return [np.zeros((len(times), 3)) for _ in ports]
+class HugePush(FailingPush):
+    """Is larger than any number of a flight after 0.1 s."""
+
+    late = 1e200
 
 
 def loop_with(scenario, *, compiles=False, **replacements):
     diagram = make_nonstop(scenario, **replacements)
-    samples = None if compiles else 1
-    return CompiledLoop(
-        diagram, scenario.simulator_config, 0.01, compiles=compiles, samples=samples
-    )
+    return CompiledLoop(diagram, scenario.simulator_config, 0.01, compiles=compiles)
 
 
 def test_a_block_below_one_with_rows_shows_its_own_values():
@@ -521,57 +426,99 @@ def test_a_block_below_one_with_rows_shows_its_own_values():
     np.testing.assert_array_equal(signals["disturbance_wrench"][:, 3], 0.5)
 
 
-class FailingPush(NarrowRows):
-    """Is no number after 0.1 s."""
-
-    def precomputed_outputs(self, ports, times):
-        late = np.where(np.asarray(times) > 0.1 + 1e-9, np.nan, 0.0)
-        return [np.outer(late, np.ones(6)) for _ in ports]
-
-
+@pytest.mark.parametrize("block", [FailingPush, HugePush])
 @pytest.mark.parametrize("compiles", [False, True])
-def test_what_becomes_no_number_in_flight_ends_it(compiles):
-    scenario = load_scenario("quintic", [CONSTANT])
-    loop = loop_with(scenario, compiles=compiles, load_disturbance=FailingPush)
+def test_what_becomes_no_number_in_flight_ends_it(compiles, block):
+    scenario, config = load_scenario("quintic", [CONSTANT]), DisturbanceForceConfig(gust_force=1.0)
+    push = partial(block, config=config)
+    loop = loop_with(scenario, compiles=compiles, load_disturbance=push)
     assert loop.is_compiled == (compiles and compiler() is not None)
     flight = loop.fly(loop.diagram.CreateDefaultContext())
     flight.start()
     while flight.samples < 10:
         flight.advance(100)
+    state = flight.state
     with pytest.raises(NotFiniteError):
         flight.advance(100)
     assert flight.samples == 10
+    np.testing.assert_array_equal(flight.state, state)
 
 
-def test_rows_of_another_size_are_named():
-    scenario = load_scenario("quintic", [CONSTANT])
-    loop = loop_with(scenario, load_disturbance=NarrowRows)
-    with pytest.raises(ValueError, match=r"^load_disturbance.precomputed_outputs: rows .* \(6\)"):
-        loop.run(loop.diagram.CreateDefaultContext(), 0.2)
-
-
-class EndingSource(LeafBlock):
+class EndingSource(DisturbanceForce):
     """Is known until 0.2 s."""
 
-    is_sampled = True
-
-    def __init__(self, model):
-        super().__init__()
-        self.DeclareVectorOutputPort("disturbance_wrench", 6, self.calc, {self.time_ticket()})
-
-    def calc(self, context, output):
-        if context.get_time() > 0.2 + 1e-9:
+    def precomputed_inputs(self, names, times):
+        if np.max(times) > 0.2 + 1e-9:
             raise ValueError("nothing is known after 0.2 s")
-        output.SetFromVector(np.zeros(6))
+        return super().precomputed_inputs(names, times)
 
 
-def test_a_source_is_read_no_longer_than_the_flight():
-    scenario = load_scenario("quintic", [CONSTANT])
-    loop = loop_with(scenario, load_disturbance=EndingSource)
+@pytest.mark.parametrize("layer", [CONSTANT, NONSTOP])
+def test_a_source_is_read_no_longer_than_the_flight(layer):
+    loop = loop_with(load_scenario("quintic", [layer]), load_disturbance=EndingSource)
     times, _ = loop.run(loop.diagram.CreateDefaultContext(), 0.2)
     assert len(times) == 21
     with pytest.raises(ValueError, match="nothing is known"):
         loop.run(loop.diagram.CreateDefaultContext(), 0.3)
+
+
+def test_threads_fly_one_loop_at_once():
+    loop, context = traced(load_scenario("quintic", [CONSTANT]), compiles=False)
+    expected = loop.run(context, DURATION)[1]
+    with ThreadPoolExecutor(4) as pool:
+        runs = [*pool.map(lambda _: loop.run(context, DURATION)[1], range(8))]
+    for signals in runs:
+        for name, values in expected.items():
+            np.testing.assert_array_equal(signals[name], values, err_msg=name)
+
+
+def test_signals_of_steps_are_those_of_a_log_of_each_step():
+    scenario = load_scenario("quintic", [CONSTANT, "simulator_config.max_step_size=0.004"])
+    diagram, context = made(scenario)
+    loop = CompiledLoop(
+        diagram,
+        scenario.simulator_config,
+        0.01,
+        signals=["parameters"],
+        step_signals=["load_state", "carrier_state"],
+        compiles=False,
+    )
+    np.testing.assert_allclose(loop.step_ends, [0.004, 0.008, 0.01])
+    flight = loop.fly(context)
+    flight.start()
+    signals, steps = flight.advance(6)
+    assert signals.shape == (6, 2)
+    simulator = Simulator(diagram, context)
+    ApplySimulatorConfig(scenario.simulator_config, simulator)
+    shown = []
+
+    def show(root):
+        if root.get_time() > 0:
+            shown.append(
+                np.concatenate(
+                    [diagram.GetOutputPort(name).Eval(root) for name in loop.step_signals]
+                )
+            )
+        return EventStatus.Succeeded()
+
+    simulator.set_monitor(show)
+    simulator.AdvanceTo(0.06)
+    np.testing.assert_allclose(steps, shown, rtol=1e-9, atol=1e-9)
+
+
+@dataclass
+class CommandConfig:
+    """It has no parameters."""
+
+
+class Command(Block):
+    """Asks for a speed that one of two loops allows."""
+
+    makes = ("speed_bound_command",)
+
+    @staticmethod
+    def equations():
+        return np.array([0.6])
 
 
 LAYERS = ["RecedingHorizonOptimizer", "NonstopOptimizer"]
@@ -580,36 +527,19 @@ LAYERS = ["RecedingHorizonOptimizer", "NonstopOptimizer"]
 @pytest.mark.parametrize("layer", nightly_beyond(1, "engines", LAYERS))
 def test_what_a_command_may_be_is_that_of_each_loop(layer):
     """Loops whose highest bounds differ share a trace, which does not have them."""
-
-    class Command(LeafBlock):
-        def __init__(self, model):
-            super().__init__()
-            self.DeclareVectorOutputPort("speed_bound_command", 1, self.calc)
-
-        def calc(self, context, output):
-            output.SetFromVector([0.6])
-
     shown = []
     for highest in (0.5, 3.0):
         fields = f"{{speed_bound: 0.3, max_speed: {highest}}}"
         scenario = load_scenario("quintic", [f"optimization_layer=!{layer} {fields}"])
         diagram = make_nonstop(scenario, at_equilibrium=False, extra={"command": Command})
-        loop = CompiledLoop(diagram, scenario.simulator_config, 0.01, compiles=False)
-        flight = loop.fly(diagram.CreateDefaultContext(), np.inf)
-        with np.errstate(invalid="ignore"):
-            values = flight._shown(
-                [flight.state, flight._parameters, np.zeros(1), *outside(flight)]
-            )
-        ends = np.cumsum([*loop.signals.values()])
-        place = [*loop.signals].index("speed_bound")
-        shown.append(values[0][ends[place] - 1])
-    assert np.isnan(shown[0])
-    assert shown[1] == 0.6
-
-
-def outside(flight):
-    """What the signals at the start read."""
-    return [flight._value(reading, 0.0, 0.01) for reading in flight._shown.readings]
+        loop = CompiledLoop(
+            diagram, scenario.simulator_config, 0.01, signals=["speed_bound"], compiles=False
+        )
+        flight = loop.fly(diagram.CreateDefaultContext())
+        shown.append(flight)
+    with pytest.raises((ScenarioError, NotFiniteError)):
+        shown[0].start()
+    assert shown[1].start()[0] == 0.6
 
 
 def test_what_loops_share_keeps_no_diagram():

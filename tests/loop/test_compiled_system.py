@@ -7,7 +7,8 @@ from pydrake.systems.framework import DiagramBuilder, TriggerType
 from pydrake.systems.primitives import LogVectorOutput
 
 from drake_nonstop import ScenarioError, load_scenario, make_nonstop
-from drake_nonstop.loop.compiled_loop import CompiledLoop, CompiledSystem
+from drake_nonstop.systems.compiled_loop import CompiledLoop
+from drake_nonstop.systems.compiled_system import CompiledSystem
 
 DURATION = 0.6
 NONSTOP = "optimization_layer=NonstopOptimizer"
@@ -16,8 +17,7 @@ NONSTOP = "optimization_layer=NonstopOptimizer"
 def loop_of(*overrides, **options):
     scenario = load_scenario("quintic", overrides)
     diagram = make_nonstop(scenario)
-    given = {"compiles": False, "samples": 1, **options}
-    return CompiledLoop(diagram, scenario.simulator_config, 0.01, **given)
+    return CompiledLoop(diagram, scenario.simulator_config, 0.01, compiles=False, **options)
 
 
 def logged(system, name):
@@ -69,16 +69,7 @@ def test_a_run_begins_anew_in_a_new_context():
     np.testing.assert_array_equal(*shown)
 
 
-def test_what_has_states_of_its_own_is_named():
-    scenario = load_scenario("quintic", ["optimization_layer=ConstantParameters"])
-
-    class OwnLayer(type(make_nonstop(scenario).GetSubsystemByName("optimization_layer"))):
-        """Below one with a trace, which is stepped by itself."""
-
-    diagram = make_nonstop(scenario, optimization_layer=OwnLayer)
-    loop = CompiledLoop(diagram, scenario.simulator_config, 0.01, compiles=False)
-    with pytest.raises(ScenarioError, match=r"^loop = optimization_layer: it has a state of its"):
-        CompiledSystem(loop)
+def test_a_loop_that_shows_signals_between_samples_is_named():
     with pytest.raises(ScenarioError, match=r"^loop.signal_period = 2: give signal_period=None"):
         CompiledSystem(loop_of(signal_period=0.005))
 

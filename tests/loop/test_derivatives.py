@@ -1,18 +1,24 @@
 """A loop's derivatives are those that differences of its flights show."""
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 from helpers import nightly_beyond
 
 from drake_nonstop import (
+    Block,
     CompiledLoop,
     ScenarioError,
     load_scenario,
     make_nonstop,
     set_parameter,
 )
-from drake_nonstop.simulation.step_size import stable_config
+from drake_nonstop.loop.step import with_largest_step
+from drake_nonstop.mechanics.rotation import norm
+from drake_nonstop.mechanics.signals import LoadState
 from drake_nonstop.systems.parameters import parameters_in
+from drake_nonstop.systems.tracing import NotFiniteError
 
 CONSTANT = "optimization_layer=ConstantParameters"
 COLUMNS = 16  # that are compared, of some 150
@@ -21,7 +27,7 @@ COLUMNS = 16  # that are compared, of some 150
 def loop_of(scenario):
     diagram = make_nonstop(scenario)
     context = diagram.CreateDefaultContext()
-    config = stable_config(scenario.simulator_config, diagram, context)
+    config = with_largest_step(scenario.simulator_config, diagram, context)
     options = {"signals": (), "compiles": False}
     return CompiledLoop(diagram, config, scenario.control_period, **options), context
 
@@ -57,7 +63,7 @@ def test_they_are_those_of_central_differences(name, overrides, duration, rng):
     sizes = len(found.state_names), len(found.parameter_names)
     assert slopes.shape == (sizes[0], sum(sizes))
     flight = loop.fly(context)
-    start = np.concatenate([flight.state, flight._parameters])
+    start = np.concatenate([flight.state, flight.parameters])
     samples = round(duration / loop.control_period)
     expected = state_after(loop, context, samples, np.zeros(sum(sizes)))
     np.testing.assert_allclose(found.state, expected, rtol=1e-9, atol=1e-9)
@@ -98,7 +104,87 @@ def test_parameters_and_states_have_their_names():
     assert loop.state_of(context)[height] == load_state[6]
 
 
+def test_signals_and_metrics_have_the_gradients_of_differences():
+    """By states and parameters, along the flight; the chain rule gives those of any metric."""
+    scenario = load_scenario("quintic", [*GUSTY, "wrench_controller=GeometricPd"])
+    diagram = make_nonstop(scenario)
+    context, duration = diagram.CreateDefaultContext(), 0.2
+    names = ["load_state", "carrier_state"]
+    options = {"signals": names, "compiles": False}
+    loop = CompiledLoop(diagram, scenario.simulator_config, scenario.control_period, **options)
+    found = loop.sensitivities(context, duration)
+    samples = round(duration / loop.control_period)
+    states, parameters = len(found.state_names), len(found.parameter_names)
+    for name in names:
+        size = loop.signals[name]
+        assert found.signals[name].shape == (samples, size)
+        assert found.signals_by_state[name].shape == (samples, size, states)
+        assert found.signals_by_parameters[name].shape == (samples, size, parameters)
+
+    def shown(change):
+        flight = loop.fly(context)
+        flight._state = flight._state + change[:states]
+        flight._parameters = flight._parameters + change[states:]
+        rows = flight.fly(samples)[1:]
+        return {"load_state": rows[:, :13], "carrier_state": rows[:, 13:]}
+
+    start = loop.fly(context)
+    values = np.concatenate([start.state, start.parameters])
+    box = "carrier_controller.position_gain", "wrench_controller.velocity_gain"
+    columns = [states + found.parameter_names.index(name) for name in box]
+    columns += [k for k, name in enumerate(found.state_names) if name == "load_plant[6]"]
+    columns += [states + k for k, name in enumerate(found.parameter_names) if "load_mass" in name]
+    assert len(columns) >= 4
+
+    def metric(signals):
+        """The mean square of the load's distance from the origin, m²."""
+        return np.mean(np.sum(signals["load_state"][:, 4:7] ** 2, axis=1))
+
+    by_row = np.zeros_like(found.signals["load_state"])
+    by_row[:, 4:7] = 2 * found.signals["load_state"][:, 4:7] / samples
+    by_all = [found.signals_by_state["load_state"], found.signals_by_parameters["load_state"]]
+    gradient = np.tensordot(by_row, np.concatenate(by_all, axis=2), 2)
+    for column in columns:
+        step = 3e-5 * max(1.0, abs(values[column]))
+        change = step * np.eye(states + parameters)[column]
+        ends = [shown(sign * change) for sign in (1, -1, 2, -2)]
+        for name in names:
+            one, other, far, farther = (end[name] for end in ends)
+            expected = (8 * (one - other) - (far - farther)) / (12 * step)
+            by = [found.signals_by_state[name], found.signals_by_parameters[name]]
+            slopes = np.concatenate(by, axis=2)[:, :, column]
+            np.testing.assert_allclose(slopes, expected, atol=1e-6 * (1 + np.abs(expected).max()))
+        one, other, far, farther = map(metric, ends)
+        expected = (8 * (one - other) - (far - farther)) / (12 * step)
+        assert gradient[column] == pytest.approx(expected, rel=1e-6, abs=1e-7)
+
+
 def test_a_layer_that_searches_is_named():
     loop, context = loop_of(load_scenario("quintic", ["optimization_layer=NonstopOptimizer"]))
-    with pytest.raises(ScenarioError, match="optimization_layer = NonstopOptimizer: its updates"):
-        loop.fly_with_derivatives(context)
+    with pytest.raises(ScenarioError, match="optimization_layer = NonstopOptimizer: its answers"):
+        loop.sensitivities(context, 0.1)
+
+
+@dataclass
+class DragConfig:
+    """It has no parameters."""
+
+
+class Drag(Block):
+    """A force against the load's motion: a norm has no slope where the load rests."""
+
+    reads, makes = ("load_state",), ("disturbance_wrench",)
+
+    @staticmethod
+    def equations(load_state):
+        velocity = LoadState.view(load_state).velocity
+        return np.concatenate([np.zeros(3), -0.3 * norm(velocity) * velocity])
+
+
+def test_derivatives_that_are_no_numbers_are_refused():
+    diagram = make_nonstop(load_scenario("quintic", [CONSTANT]), load_disturbance=Drag)
+    context = diagram.CreateDefaultContext()
+    scenario = load_scenario("quintic", [CONSTANT])
+    loop = CompiledLoop(diagram, scenario.simulator_config, 0.01, signals=(), compiles=False)
+    with pytest.raises(NotFiniteError, match="derivatives, such as those of a norm at zero"):
+        loop.sensitivities(context, 0.02)

@@ -5,10 +5,10 @@ import pytest
 from helpers import nightly_beyond
 
 from drake_nonstop import ScenarioError, load_scenario, make_nonstop
-from drake_nonstop.loop.compiled_loop import CompiledLoop
-from drake_nonstop.loop.lanes import advance_together
 from drake_nonstop.scenario.overrides import changed
-from drake_nonstop.systems.compilation import compiler
+from drake_nonstop.systems.compiled_flight import advance_together
+from drake_nonstop.systems.compiled_loop import CompiledLoop
+from drake_nonstop.systems.native import compiler
 from drake_nonstop.systems.tracing import NotFiniteError
 
 CONSTANT = "optimization_layer=ConstantParameters"
@@ -41,7 +41,7 @@ IN_LANES = [
     (
         "quintic",  # short, so that it compiles soon
         [[*own, "control_period=0.005"] for own in masses(1, 1.05, 1.1, 1.15, 1.2)],
-        {"signals": ["load_state"], "samples": 1600},
+        {"signals": ["load_state"]},
     ),
     ("quintic", masses(1.0, 1.05, 1.1), {}),
     ("three_carriers", [[f"simulated.load_mass={m}"] for m in (0.95, 1.0, 1.05, 1.1, 1.15)], {}),
@@ -79,7 +79,7 @@ def alone(flight, samples):
 
 def test_flights_go_on_by_their_own_samples():
     counts = [3, 1, 5]
-    starts = makers("quintic", masses(1.0, 1.1, 1.2), compiles=False, samples=1)
+    starts = makers("quintic", masses(1.0, 1.1, 1.2), compiles=False)
     flights = [start() for start in starts]
     shown = [advance_together(flights, counts) for _ in range(2)][1]
     for start, flight, count, own in zip(starts, flights, counts, shown, strict=True):
@@ -102,7 +102,7 @@ def test_flights_in_lanes_show_the_bits_of_each_alone(name, numbers, options, mo
     for flight, alone_flight, count in zip(flights, expected, counts, strict=True):
         alone(flight, count)
         alone(alone_flight, count)
-        assert flight.side_by_side.lanes is not None
+        assert flight.loop.lanes() is not None
     for factor in (1, 40, 3):
         shown = advance_together(flights, [factor * count for count in counts])
         for flight, alone_flight, count, own in zip(flights, expected, counts, shown, strict=True):
@@ -113,7 +113,7 @@ def test_flights_in_lanes_show_the_bits_of_each_alone(name, numbers, options, mo
 
 
 def test_a_flight_that_diverges_keeps_what_it_showed_and_harms_no_other():
-    start, start_bad = makers("quintic", masses(1.0, 1.1), compiles=False, samples=1)
+    start, start_bad = makers("quintic", masses(1.0, 1.1), compiles=False)
     flight, bad = start(), start_bad()
     advance_together([flight, bad], [2, 2])
     bad.go_to(2, np.full(len(bad.state), np.nan))
@@ -128,6 +128,6 @@ def test_a_flight_that_diverges_keeps_what_it_showed_and_harms_no_other():
 
 
 def test_a_number_of_samples_is_one_or_more():
-    (start,) = makers("quintic", masses(1.0), compiles=False, samples=1)
+    (start,) = makers("quintic", masses(1.0), compiles=False)
     with pytest.raises(ScenarioError, match="samples = 0: give 1 or more"):
         advance_together([start()], [0])

@@ -11,12 +11,12 @@ from drawn_tasks import draw
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import LeafSystem
 
-from drake_nonstop.analysis.linearized_loop import LinearizedLoop
 from drake_nonstop.analysis.task import task_at, task_of
 from drake_nonstop.blocks.carrier_controller import CarrierPid
 from drake_nonstop.diagrams.nonstop import make_blocks, make_nonstop
 from drake_nonstop.loop.loop_response import loop_response, speed_margin_for
-from drake_nonstop.loop.plant_states import PlantStates
+from drake_nonstop.loop.start import PlantStates
+from drake_nonstop.loop.step import rates_jacobian
 from drake_nonstop.mechanics.sampled_loop import noise_deviation, responses
 from drake_nonstop.mechanics.signals import CarrierStates, LoadState
 from drake_nonstop.mechanics.wind import MeanWind
@@ -114,8 +114,7 @@ def test_without_feedback_the_modes_are_those_of_the_linearized_diagram():
     scenario = load_scenario("three_carriers", RESTING)
     scenario.optimization_layer.amplitude = 1.2
     loop = make_nonstop(scenario)
-    linearized = LinearizedLoop(loop, loop.CreateDefaultContext(), scenario.control_period)
-    modes = np.linalg.eigvals(linearized._dynamics)
+    modes = np.linalg.eigvals(rates_jacobian(loop, loop.CreateDefaultContext()))
     expected = modes[np.abs(modes) > 1e-6]  # the quaternion's norm has none
     assert len(expected) == 12 + 6 * 3
     model = Model(scenario.system, scenario.pattern, scenario.control_period)

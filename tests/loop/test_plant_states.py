@@ -10,7 +10,6 @@ from pydrake.common.value import Value
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 from pydrake.systems.framework import (
-    BasicVector,
     DiagramBuilder,
     InputPortSelection,
     LeafSystem,
@@ -28,13 +27,13 @@ from drake_nonstop import (
     make_nonstop,
     simulate,
 )
-from drake_nonstop.loop.equilibrium import set_equilibrium
+from drake_nonstop.loop.start import set_equilibrium
 from drake_nonstop.mechanics.carrier import double_integrator_rate
 from drake_nonstop.mechanics.rigid_load import load_state_rate
 from drake_nonstop.mechanics.rotation import rotate_quaternion
 from drake_nonstop.mechanics.signals import LoadState
 from drake_nonstop.studies.stability import _States, at_rest
-from drake_nonstop.systems.port_state import set_state_values, state_values
+from drake_nonstop.systems.block import set_state_values, state_values
 from drake_nonstop.systems.tracing import NotFiniteError
 from examples import articulated_load, own_physics
 
@@ -228,15 +227,15 @@ class FrozenCarriers(LeafSystem):
 class MovedByTrim(MappedLoad):
     """A load that is elsewhere once it is trimmed."""
 
-    def TrimLoad(self, context):  # noqa: N802
+    def trim(self, context):
         context.SetContinuousState(self.map @ (np.eye(13)[0] + np.eye(13)[4] - self.shift))
 
 
 class ImmeasurableLoad(MappedLoad):
     """A load whose acceleration is not finite."""
 
-    def CalcLoadAcceleration(self, context):  # noqa: N802
-        return np.full(6, np.nan)
+    def rate(self, context):
+        return np.full(13, np.nan)
 
 
 @pytest.mark.parametrize(
@@ -249,13 +248,13 @@ class ImmeasurableLoad(MappedLoad):
         ),
         (
             {"load_plant": lambda model: ShiftedLoad(model, 3)},
-            r"load_plant\.load_state\[4\] = 0\.001: its initial state was set to 0; correct "
-            r"ShiftedLoad\.SetLoadState\(context, value\)",
+            r"load_plant\.load_state\[4\] = 0\.001: its initial state was set to 0; give "
+            r"ShiftedLoad a method SetLoadState\(context, value\) .*, or correct it",
         ),
         (
             {"load_plant": lambda model: MovedByTrim(model, 3)},
-            r"load_plant\.load_state\[4\] = 1: its initial state was set to 0; correct "
-            r"MovedByTrim\.TrimLoad\(context\), after which the port has to show it still",
+            r"load_plant\.load_state\[4\] = 1: its initial state was set to 0; .*"
+            r"or correct it, or trim, which has to keep it",
         ),
         (
             {"load_plant": lambda model: ImmeasurableLoad(model, 3)},
@@ -349,15 +348,6 @@ def test_the_remedy_works():
     assert apart.max() < 5e-4  # of a first-order scheme
 
 
-def test_an_acceleration_of_another_size_is_refused():
-    class Wrong(LoadPlant):
-        def CalcLoadAcceleration(self, context):  # noqa: N802
-            return np.zeros(3)
-
-    with pytest.raises(ScenarioError, match="load_plant = Wrong: correct CalcLoadAcceleration"):
-        simulate(short(0.05), load_plant=Wrong)
-
-
 def test_a_loop_without_the_ports_is_told_which_one_it_lacks():
     builder = DiagramBuilder()
     source = builder.AddSystem(ConstantVectorSource(np.eye(22)[0]))
@@ -399,7 +389,7 @@ def test_a_load_trims_its_further_states():
             w, _, y, _ = plant.GetPositions(own)[:4]
             plant.GetJointByName("hinge").set_angle(own, -2 * np.arctan2(y, w))
 
-        block.TrimLoad = trim
+        block.trim = trim
         return block
 
     for make, hangs in ((articulated_load.load, False), (trimmed, True)):
@@ -464,20 +454,6 @@ def test_a_block_whose_defaults_cannot_be_set_is_named_and_set_equilibrium_helps
     shown = diagram.GetOutputPort("load_state").Eval(simulator.get_context())
     expected = simulate(scenario, **own).signal("load_state")[-1]
     np.testing.assert_allclose(shown, expected, rtol=0, atol=1e-10)
-
-
-@pytest.mark.filterwarnings("error")
-def test_a_block_may_set_its_own_defaults():
-    told = []
-
-    class Own(LoadPlant):
-        def SetDefaultLoadState(self, value):  # noqa: N802
-            told.append(value)
-            self.DeclareContinuousState(BasicVector(value))
-
-    diagram = make_nonstop(short(0.1), load_plant=Own)
-    shown = diagram.GetOutputPort("load_state").Eval(diagram.CreateDefaultContext())
-    np.testing.assert_array_equal(shown, told[0])
 
 
 def test_a_force_that_is_not_finite_is_told_by_the_block_that_makes_it():

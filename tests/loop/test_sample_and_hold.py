@@ -51,7 +51,7 @@ def unsampled(made):
 def test_wires_of_the_hold_and_of_what_remains_are_the_figures(overrides, names):
     made = scenario(overrides)
     blocks, of_figure, builder = unsampled(made)
-    expected = wires(blocks | {"sample_and_hold": of_figure})
+    expected = ["{}.{} -> {}.{}".format(*w) for w in wires(blocks | {"sample_and_hold": of_figure})]
     for name, block in blocks.items():
         builder.AddNamedSystem(name, block) if names else builder.AddSystem(block)
     called = {block.get_name(): name for name, block in blocks.items()}
@@ -206,19 +206,20 @@ def refused(said, blocks, function=add_sample_and_hold, given=None):
 def test_what_cannot_be_connected_is_said_in_a_sentence():
     blocks = controllers() | {"camera": Ports({}, {"reference": 22})}
     refused(
-        "camera.reference = output: trajectory has an output port of that name already; rename "
-        "one of the two, or connect feedback.reference before",
+        "camera.reference = output: trajectory has a port of that name already; rename one of the "
+        "two, leave one of them out, or connect by hand what reads it",
         blocks,
         connect_remaining,
     )
     blocks = controllers() | {"camera": Ports({}, {"reference": 22})}
     refused(
-        "camera.reference = output: trajectory has an output port of that name already; rename "
-        "one of the two, or connect sample_and_hold.reference before",
+        "camera.reference = output: trajectory has a port of that name already; rename one of the "
+        "two, leave one of them out, or connect by hand what reads it",
         blocks,
     )
     refused(
-        "small.sample_time = sample_time (2): expected sample_time (1); rename or resize the port",
+        "small = Ports with input sample_time (2): sample_and_hold makes sample_time (1); rename "
+        "or resize one of the ports",
         controllers() | {"small": Ports({"sample_time": 2}, {})},
     )
     refused(

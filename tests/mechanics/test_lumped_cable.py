@@ -6,7 +6,6 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import LinearSpringDamper, SpatialInertia, UnitInertia
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
 
-from drake_nonstop.loop.trace import Step, runge_kutta3
 from drake_nonstop.mechanics.cable import cable_forces_and_tensions
 from drake_nonstop.mechanics.lumped_cable import (
     CableMaterial,
@@ -16,6 +15,7 @@ from drake_nonstop.mechanics.lumped_cable import (
     segment_shares,
     straight_nodes,
 )
+from drake_nonstop.systems.loop_equations import Step, runge_kutta3
 
 LENGTH, STIFFNESS, GRAVITY, AIR = 150.0, 120.0, 9.81, 1.225
 CABLE = CableMaterial(LENGTH, STIFFNESS, 2.0, 1e-3, 970.0, 1.1, 0.0, AIR, GRAVITY)

@@ -164,7 +164,6 @@ class Counter(Block):
     makes = ("count",)
     signal_layouts = {"count": Layout(Part("", "1"))}  # noqa: RUF012
     is_sampled = True
-    is_held = True
 
     @staticmethod
     def equations(count, load, *, rate):
@@ -247,7 +246,7 @@ REFUSED = {
     r"Own.equations = arrays of \[3\] numbers: return .* each of disturbance_wrench \(6\)": {
         "equations": staticmethod(lambda load, *, gain: np.zeros(3))
     },
-    r"Own.equations = arrays of \[6\] numbers: return .* the state's rate \(2\), dist": {
+    r"Own.equations = arrays of \[6\] numbers: return .* the next state \(2\), dist": {
         "equations": staticmethod(lambda state, load, *, gain: np.zeros(6)),
         "state": lambda self, model: np.zeros(2),
     },
@@ -261,8 +260,8 @@ REFUSED = {
         "system": ("mass",),
         "equations": ZEROS,
     },
-    "Own.state_port = disturbance_wrench: name one of the signals": {
-        "state_port": "disturbance_wrench",
+    "Own.state_ports = disturbance_wrench: name signals": {
+        "state_ports": ("disturbance_wrench",),
         "equations": ZEROS,
     },
     "Own.optional_inputs = wind: name signals that it reads": {

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
-from helpers import regular
+from helpers import regular, sizes_of
 from pydrake.systems.framework import LeafSystem
 
 from drake_nonstop.cli.main import main
@@ -129,7 +129,7 @@ def test_every_port_is_listed_with_its_size_whatever_n_and_m_are(boxes, n, m):
         attachments=regular(n).tolist(), aircraft=AircraftParameters(model="rascal_110")
     )
     model = Model(system, pattern, 0.01)
-    sizes = {s: k for box in BOXES.values() for s, k in box.sizes(n, m).items()}
+    sizes = {s: k for box in BOXES.values() for s, k in sizes_of(box, n, m).items()}
     texts = {
         signal: "abstract" if layout is None else layout.size
         for box in BOXES.values()
@@ -146,9 +146,10 @@ def test_every_port_is_listed_with_its_size_whatever_n_and_m_are(boxes, n, m):
             ):
                 assert [port.name for port in told] == list(ports)
                 for port in told:
-                    assert port.size == texts[port.name]
+                    signal = port.name.removeprefix("held_")
+                    assert port.size == texts[signal]
                     own = getattr(built, "signal_layouts", {}).get(port.name)
-                    size = sizes[port.name] if own is None else own.count(n, m)
+                    size = sizes[signal] if own is None else own.count(n, m)
                     assert size == ports[port.name]
 
 
@@ -170,9 +171,9 @@ def test_one_box_is_shown_alone(capsys):
     assert (
         "  RecedingHorizonOptimizer (default)\n"
         "    Plans ξ and A over a horizon such that every carrier stays at or above ε.\n"
-        "    in   reference (22), reference_preview (abstract, optional), "
-        "wind_estimate (3, optional),\n"
-        "         speed_bound_command (1, optional)\n"
+        "    in   reference (22), wind_estimate (3, optional), speed_bound_command (1, optional), "
+        "sample_time\n"
+        "         (1), reference_preview (abstract, optional)\n"
         "    out  parameters (2), plan (8), diagnostics (7), solve_time (1), speed_bound (1), "
         "missed_limits\n"
         "         (some)\n"

@@ -3,12 +3,16 @@
 import os
 import signal
 import warnings
+from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 import pytest
 from helpers import nightly_beyond
 
 from drake_nonstop import (
+    Block,
+    DisturbanceForce,
     LoadPlant,
     RunInterrupted,
     RunStopped,
@@ -20,13 +24,13 @@ from drake_nonstop import (
     load_scenario,
     simulate,
 )
-from drake_nonstop.loop import compiled_loop
+from drake_nonstop.mechanics.signal_layouts import Layout, Part
 from drake_nonstop.optimization import compiled_plan
 from drake_nonstop.simulation import recording
 from drake_nonstop.studies.run_all import attempts
-from drake_nonstop.systems import compilation
-from drake_nonstop.systems.block import LeafBlock
-from drake_nonstop.systems.compilation import compiler
+from drake_nonstop.systems import compiled_loop, equation_loop, native
+from drake_nonstop.systems.native import compiler
+from drake_nonstop.systems.tracing import where
 
 NONSTOP = "optimization_layer=NonstopOptimizer"
 NOTHING = StepCheck.NOTHING
@@ -169,26 +173,28 @@ def test_by_default_what_needs_the_diagram_is_told_by_the_run_alone(overrides, a
 @pytest.mark.slow
 def test_c_and_the_virtual_machine_fly_the_same_to_the_bit(tmp_path, monkeypatch):
     overrides = [CONSTANT, "simulation_duration=1.1", "system.load_drag=0.05"]
-    compiled_loop._recent_functions.entries.clear()
+    equation_loop._kept.clear()
     with monkeypatch.context() as patched:
         patched.setenv("DRAKE_NONSTOP_CACHE", str(tmp_path))
         slow, _ = flown("quintic", overrides, None)
     assert slow.engine == "compiled: virtual machine"
-    for functions in compiled_loop._recent_functions.entries.values():
-        functions.prepare(None, compiles=True)
+    for functions in equation_loop._kept.values():
+        for key in functions._samples:
+            functions.native(key, 1, builds=True)
     fast, _ = flown("quintic", overrides, None)
     assert fast.engine == "compiled: C"
     assert_same(fast, slow, tolerance=0)
 
 
-@pytest.mark.slow
-def test_without_a_compiler_the_run_tells_it_and_only_who_asks_is_warned(monkeypatch):
+def test_without_a_compiler_a_long_run_tells_it_once(monkeypatch):
     monkeypatch.setenv("CC", "no-such-compiler")
-    compiled_loop._recent_functions.entries.clear()
-    compilation._tell.cache_clear()
-    for engine, count in ((None, 0), ("compiled", 1)):
-        run, told = flown("quintic", [CONSTANT, "simulation_duration=1.1"], engine)
-        assert run.engine.startswith("compiled: virtual machine (there is no C compiler (CC = ")
+    monkeypatch.setattr(compiled_loop, "_WORTH_LOOKING", 0.0)
+    monkeypatch.setattr(compiled_loop, "_WORTH_C", 0.0)
+    equation_loop._kept.clear()
+    native._tell.cache_clear()
+    for count in (1, 0):
+        run, told = flown("quintic", [CONSTANT, "simulation_duration=0.5"], None)
+        assert run.engine == "compiled: virtual machine"
         assert len([message for message in told if "no C compiler" in message]) == count
 
 
@@ -211,17 +217,15 @@ def test_the_diagram_loses_no_sample_of_the_controllers(period):
     np.testing.assert_allclose(held, period * samples, atol=1e-9)
 
 
-class Fails(LeafBlock):
+class Fails(DisturbanceForce):
     """A disturbance that fails in the middle of a sample."""
 
-    def __init__(self, model):
-        super().__init__()
-        self.DeclareVectorOutputPort("disturbance_wrench", 6, self.calc, {self.time_ticket()})
+    last = 0.051  # s
 
-    def calc(self, context, output):
-        if context.get_time() > 0.051:
+    def precomputed_inputs(self, names, times):
+        if np.max(times) > self.last:
             raise ValueError("it broke")
-        output.SetFromVector(np.zeros(6))
+        return super().precomputed_inputs(names, times)
 
 
 def test_a_block_that_fails_ends_the_run_at_the_diagrams_step():
@@ -232,34 +236,33 @@ def test_a_block_that_fails_ends_the_run_at_the_diagrams_step():
     assert_same(run, expected)
 
 
-class FailsOnce(Fails):
-    """One that does not fail where it is asked again."""
+class FailsBeside(Fails):
+    """One that does not fail where it is asked for one time, as by the diagram."""
 
-    has_failed = False
-
-    def calc(self, context, output):
-        if self.has_failed:
-            output.SetFromVector(np.zeros(6))
-            return
-        self.has_failed = context.get_time() > 0.051
-        super().calc(context, output)
+    def precomputed_inputs(self, names, times):
+        return super().precomputed_inputs(names, 0 * times if len(times) == 1 else times)
 
 
 def test_an_error_is_not_lost_where_the_diagram_does_not_meet_it_again():
     scenario = load_scenario("quintic", [CONSTANT, "simulation_duration=0.1"])
-    with pytest.raises(RunStopped, match="it broke"):
-        simulate(scenario, load_disturbance=FailsOnce, check_step=NOTHING)
+    run = simulate(scenario, load_disturbance=FailsBeside, check_step=NOTHING)
+    assert "diagram: ValueError: it broke; from t = " in run.engine
 
 
-class Clock(LeafBlock):
+@dataclass
+class ClockConfig:
+    """It has no parameters."""
+
+
+class Clock(Block):
     """Shows the time."""
 
-    def __init__(self, model):
-        super().__init__()
-        self.DeclareVectorOutputPort("now", 1, self.calc, {self.time_ticket()})
+    makes, reads_time = ("now",), True
+    signal_layouts: ClassVar = {"now": Layout(Part("time", "1", "s"))}
 
-    def calc(self, context, output):
-        output.SetFromVector([context.get_time()])
+    @staticmethod
+    def equations(time):
+        return time
 
 
 @pytest.mark.parametrize(
@@ -275,10 +278,7 @@ def test_each_row_has_the_signals_of_its_time(period):
 class FailsAtOnce(Fails):
     """A disturbance that fails in the first sample."""
 
-    def calc(self, context, output):
-        if context.get_time() > 0.001:
-            raise ValueError("it broke")
-        output.SetFromVector(np.zeros(6))
+    last = 0.001
 
 
 def test_a_run_that_ends_in_its_first_sample_has_each_step_once():
@@ -294,17 +294,21 @@ def test_a_study_may_ask_for_an_engine():
     assert_same(found[1].run, found[0].run)
 
 
-class CommandedBound(LeafBlock):
+@dataclass
+class CommandedBoundConfig:
+    """What the bound is later."""
+
+    later: float = 0.4  # m/s
+
+
+class CommandedBound(Block):
     """A bound that changes from 0.4 m/s at 0.1 s; a layer may refuse what it is then."""
 
-    def __init__(self, model, later):
-        super().__init__()
-        self.later = later
-        ticket = self.time_ticket()
-        self.DeclareVectorOutputPort("speed_bound_command", 1, self.calc, {ticket})
+    makes, reads_time = ("speed_bound_command",), True
 
-    def calc(self, context, output):
-        output.SetFromVector([0.4 if context.get_time() < 0.1 else self.later])
+    @staticmethod
+    def equations(time, *, later):
+        return where(time[0] < 0.1, [0.4], [later])
 
 
 @pytest.mark.parametrize(
@@ -322,7 +326,7 @@ class CommandedBound(LeafBlock):
 def test_a_commanded_bound_counts_and_is_checked_as_in_the_diagram(layer, later):
     runs = []
     for engine in ("diagram", "compiled"):
-        extra = {"bound": lambda model: CommandedBound(model, later)}
+        extra = {"bound": lambda model: CommandedBound(model, CommandedBoundConfig(later))}
         run, told = flown("quintic", [layer, "simulation_duration=0.2"], engine, extra=extra)
         assert later < 1e-3 or not any("engine" in message for message in told)
         runs.append(run)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from helpers import nightly_beyond
 
-from drake_nonstop import ScenarioError, load_scenario, make_gym_env, simulate
+from drake_nonstop import ScenarioError, load_scenario, make_gym_env, make_gym_vec_env, simulate
 
 pytest.importorskip("gymnasium")
 BRIEF = ["simulation_duration=0.3"]
@@ -52,6 +52,42 @@ def test_a_divergence_ends_the_episode():
     assert "not finite" in info["message"]
     observation, _ = env.reset()
     assert not env.step(np.array([0, 0, 0, 0, 0, 9.81]))[2]
+
+
+@pytest.mark.parametrize("is_vector", [False, True])
+def test_a_load_far_away_ends_the_episode_as_a_divergence(is_vector):
+    push = "load_disturbance=!DisturbanceForce {force: [0, 0, 100000], start_time: 0.05}"
+    scenario, action = load_scenario("quintic", [*BRIEF, push]), np.array([2.0, 1.2])
+    make = (
+        (lambda *given, **more: make_gym_vec_env(*given, 1, **more)) if is_vector else make_gym_env
+    )
+    env = make(scenario, time_step=0.01)
+    env.reset()
+    for _ in range(20):
+        observation, reward, terminated, truncated, info = env.step(
+            action[None] if is_vector else action
+        )
+        if terminated:
+            break
+    assert (terminated, truncated, reward) == (True, False, -1000)
+    message = info["final_info"]["message"][0] if is_vector else info["message"]
+    last = info["final_obs"][0] if is_vector else observation
+    assert "farther than 100 cable lengths" in message
+    assert 40 < np.linalg.norm(last[4:7]) < 80
+
+
+STIFF = "system.load_inertia=[[0.0015,0,0],[0,0.0015,0],[0,0,0.0015]]"
+
+
+@pytest.mark.parametrize("is_vector", [False, True])
+def test_the_step_is_that_of_simulate_where_the_loop_needs_a_shorter_one(is_vector):
+    scenario = load_scenario("quintic", [*BRIEF, STIFF])
+    env = make_gym_vec_env(scenario, 1) if is_vector else make_gym_env(scenario)
+    env.reset()
+    action = np.array([[2.0, 1.2]]) if is_vector else np.array([2.0, 1.2])
+    for _ in range(2):
+        observation = env.step(action)[0]
+    assert np.abs(observation.ravel()[4:7]).max() < 0.01
 
 
 def test_slow_carriers_cost_reward_and_a_reward_may_be_given():

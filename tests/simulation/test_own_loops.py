@@ -188,8 +188,8 @@ def test_a_loop_that_cannot_be_logged_is_refused(scenario):
         LogSignals.AddToBuilder(DiagramBuilder(), cables)
     assert str(error.value) == (
         "LogSignals = Diagram without output ports load_state, reference, carrier_state, "
-        "parameters: export load_state (13), reference (22), carrier_state, tensions, "
-        "parameters (2) by these names, as connect_by_name does"
+        "parameters: give it blocks that make load_state (13), reference (22), carrier_state, "
+        "tensions, parameters (2), and export these by their names, as connect_by_name does"
     )
     with pytest.raises(ScenarioError, match=r"^make_loop = Diagram without output ports"):
         simulate(scenario, make_loop=lambda scenario: cables)

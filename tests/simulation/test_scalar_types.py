@@ -2,16 +2,17 @@
 
 import numpy as np
 import pytest
-from helpers import difference, nightly_beyond
+from helpers import difference, nightly_beyond, output
 from pydrake.autodiffutils import AutoDiffXd, ExtractGradient, ExtractValue, InitializeAutoDiff
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, Simulator_
 from pydrake.systems.framework import LeafSystem
 from pydrake.systems.primitives import FirstOrderTaylorApproximation
 
 from drake_nonstop import ScenarioError, load_scenario, make_nonstop, set_equilibrium
-from drake_nonstop.analysis.linearized_loop import LinearizedLoop
-from drake_nonstop.loop.parameters import parameters, set_parameter
+from drake_nonstop.loop.parameters import set_parameter
+from drake_nonstop.loop.step import largest_step
 from drake_nonstop.systems.block import number
+from drake_nonstop.systems.wiring import output_sizes
 
 CONSTANT = "optimization_layer=ConstantParameters"
 SWAPS = [  # the default optimizer, and constant parameters with everything else
@@ -90,7 +91,7 @@ def test_linearization_has_all_states_and_equals_central_differences(linearized)
 def test_spectrum_has_the_fastest_mode(linearized):
     loop, context, matrix = linearized
     fastest = np.max(np.abs(np.linalg.eigvals(matrix)))
-    assert fastest == pytest.approx(LinearizedLoop(loop, context, 0.0).fastest_mode, rel=1e-4)
+    assert largest_step(loop, context) == pytest.approx(1.6 / fastest, rel=1e-4)
 
 
 @swaps(len(SWAPS))
@@ -106,12 +107,19 @@ def test_rates_are_those_of_floats(overrides):
 
 
 def flown(config, loop, context, time):
-    """All states at that time of a flight from the context on."""
+    """All states at that time of a flight from the context on, and what the layer shows."""
     simulator = Simulator(loop, context)
     ApplySimulatorConfig(config.simulator_config, simulator)
     simulator.AdvanceTo(time)
-    groups = [context.get_discrete_state(i) for i in range(context.num_discrete_state_groups())]
-    parts = [group.CopyToVector() for group in groups if group.size() != 1]  # not the wall times
+    layer = loop.GetSubsystemByName("optimization_layer")
+    parts = []
+    for block in loop.GetSystems():
+        own = loop.GetSubsystemContext(block, context)
+        if block is not layer:  # whose state has the wall time
+            groups = range(own.num_discrete_state_groups())
+            parts += [own.get_discrete_state(i).CopyToVector() for i in groups]
+    own = loop.GetSubsystemContext(layer, context)
+    parts += [output(layer, own, name) for name in output_sizes(layer) if name != "solve_time"]
     return np.concatenate([context.get_continuous_state_vector().CopyToVector(), *parts])
 
 
@@ -194,11 +202,12 @@ def test_gradient_by_every_gain_equals_central_differences():
     state[4:7] += [0.001, -0.002, 0.001]
     state[1] += 0.004  # the quaternion's x
     context.SetContinuousState(state)
-    boxes = ("wrench_controller", "carrier_controller")
     gains = {
-        entry.path: float(entry.value)
-        for entry in parameters(loop, context)
-        if entry.path.startswith(boxes) and entry.value != 0  # one of zero is no part of the law
+        f"{box}.{name}": float(value)
+        for box in ("wrench_controller", "carrier_controller")
+        for own in (loop.GetSubsystemByName(box).parameters,)
+        for name, value in own.defaults.items()
+        if name in own.own and value != 0  # one of zero is no part of the law
     }
     assert len(gains) == 9
 

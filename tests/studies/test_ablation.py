@@ -385,7 +385,6 @@ def test_a_variant_that_makes_nan_is_a_result(tmp_path, serial_runs):
     _, row = ablate(scenario, {"nan": {"optimization_layer": NanLater}}, tmp_path, replay=False)
     assert row.ending == DIVERGED
     assert "optimization_layer made a value that is not finite" in row.message
-    assert row.metrics["optimizer"]["xi_final_rad_s"] is None
     text = (tmp_path / "nan" / "metrics.json").read_text()
     assert json.loads(text, parse_constant=pytest.fail) == row.metrics
     with np.load(tmp_path / "nan" / "signals.npz") as signals:

@@ -19,7 +19,7 @@ from drake_nonstop.blocks.carrier_dynamics import (
 from drake_nonstop.blocks.load_plant import LoadPlant, MultibodyLoadPlant
 from drake_nonstop.blocks.optimization_layer import ConstantParametersConfig
 from drake_nonstop.diagrams.nonstop import make_nonstop
-from drake_nonstop.loop.equilibrium import set_equilibrium
+from drake_nonstop.loop.start import set_equilibrium
 from drake_nonstop.mechanics.signals import CarrierStates, LoadState
 from drake_nonstop.model.system import SystemParameters
 from drake_nonstop.scenario.schema import Scenario

@@ -51,5 +51,5 @@ def test_what_blocks_make_and_need_is_told_by_their_ports():
     assert loop.reads("reader", "spare")
     assert not loop.reads("nothing", "force")
     assert loop.needed("reader") == {"force"}
-    assert loop.at_start("force") is None
+    assert loop.at_start("spare") is None
     assert [*loop.check()] == []

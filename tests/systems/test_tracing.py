@@ -1,13 +1,15 @@
 import gc
 import operator
+from collections import OrderedDict
 from copy import copy
 
 import numpy as np
 import pytest
 from pydrake.autodiffutils import ExtractGradient, InitializeAutoDiff
 
-from drake_nonstop.systems.elementwise import ElementwiseFunction, RowsFunction
-from drake_nonstop.systems.tracing import NotFiniteError, Trace, TracedFunction, for_each
+from drake_nonstop.optimization.elementwise import ElementwiseFunction, RowsFunction
+from drake_nonstop.systems import tracing
+from drake_nonstop.systems.tracing import NotFiniteError, TracedFunction, for_each, recent
 
 
 def equations(a, b):
@@ -239,12 +241,14 @@ def test_a_function_for_each_is_traced_once_and_has_the_values_and_derivatives_o
     assert each(*inputs).ravel() == pytest.approx(values, rel=1e-14)
 
 
-def test_a_part_takes_what_it_depends_on_though_the_function_that_it_calls_takes_more():
-    def both(a, b):
-        made = for_each(lambda a, b: np.concatenate([np.sin(a), a * b]), [a[:, None]], [b])
-        return made[:, 0], made[:, 1]
+def test_what_is_made_for_an_equal_key_is_made_once_and_what_was_not_used_longest_goes(monkeypatch):
+    monkeypatch.setattr(tracing, "_MOST_TRACES", 2)
+    monkeypatch.setattr(tracing, "_recent", OrderedDict())
+    made = []
 
-    trace = Trace(both, [2, 1])
-    assert trace.dependence == [{0}, {0, 1}]
-    sines = trace.evaluator([0], [0], float, lambda: "some_block")([np.array([0.3, 0.4])])
-    assert sines == pytest.approx(np.sin([0.3, 0.4]))
+    def value_of(*key):
+        return recent(lambda: made.append(key) or len(made), *key)
+
+    assert [value_of(name, [1]) for name in "abaca"] == [1, 2, 1, 3, 1]
+    assert value_of("b", [1]) == 4
+    assert [value_of("a", None), value_of("a", None)] == [5, 6]

@@ -13,7 +13,7 @@ from pydrake.systems.primitives import LogVectorOutput
 
 from drake_nonstop.blocks.optimization_layer import ConstantParameters
 from drake_nonstop.diagrams.nonstop import make_nonstop
-from drake_nonstop.loop.equilibrium import set_equilibrium
+from drake_nonstop.loop.start import set_equilibrium
 from drake_nonstop.model.system import SystemParameters
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.simulation.simulate import simulate

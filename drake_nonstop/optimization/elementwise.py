@@ -15,25 +15,23 @@ import casadi
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.systems.compilation import compiled_for_processor
-from drake_nonstop.systems.lane_code import side_by_side
-from drake_nonstop.systems.recent_traces import recent_trace
-from drake_nonstop.systems.tracing import LARGEST, NotFiniteError, bound
+from drake_nonstop.systems.native import LANES, CompilationError, shared_library
+from drake_nonstop.systems.tracing import LARGEST, NotFiniteError, bound, recent
+from drake_nonstop.validation import warn_user
 
 _ROWS = 60  # that a `RowsFunction` evaluates at once
-_MOST_LANES = 8
 _EVALUATE = """
-#include <string.h>
-void evaluate(const long long *memory) { /* the inputs, the outputs, and the number of entries */
+__attribute__((visibility("default")))
+void evaluate(const casadi_int *memory) { /* inputs, outputs, and the number of entries */
   const double *inputs = (const double *)memory[0];
   double *outputs = (double *)memory[1];
-  const long long entries = memory[2];
-  for (long long i, e = 0; e < entries; e += W) {
-    lanes input[INPUTS], results[RESULTS];
-    if (e > entries - W) e = entries - W; /* the last ones once more */
-    for (i = 0; i < INPUTS; i++) memcpy(input + i, inputs + i * entries + e, sizeof(lanes));
-    side_by_side(input, results);
-    for (i = 0; i < RESULTS; i++) memcpy(outputs + i * entries + e, results + i, sizeof(lanes));
+  casadi_real x[INPUTS], y[RESULTS], *res[] = {y};
+  const casadi_real *arg[] = {x};
+  for (casadi_int i, e = 0, entries = memory[2]; e < entries; e += WIDTH) {
+    if (e > entries - WIDTH) e = entries - WIDTH; /* the last ones once more */
+    for (i = 0; i < INPUTS; i++) __builtin_memcpy(x + i, inputs + i * entries + e, sizeof(*x));
+    entry(arg, res, 0, 0, 0);
+    for (i = 0; i < RESULTS; i++) __builtin_memcpy(outputs + i * entries + e, y + i, sizeof(*y));
   }
 }
 """
@@ -70,19 +68,14 @@ class ElementwiseFunction:
         by_count = input_sizes[0] if has_derivatives else 0
         sizes, entries = [*input_sizes, by_count], math.prod(shape)
         library = None
-        if compiles and entries >= _MOST_LANES:
-            library = recent_trace(
+        if compiles and entries >= LANES:
+            library = recent(
                 lambda: _library(_elementwise(function, input_sizes, 1, by_count)),
-                "elementwise lanes",
-                sizes,
-                key,
+                *("elementwise lanes", *sizes, key),
             )
-        made = library or recent_trace(
+        made = library or recent(
             lambda: _elementwise(function, input_sizes, entries, by_count),
-            "elementwise",
-            sizes,
-            shape,
-            key,
+            *("elementwise", *sizes, shape, key),
         )
         self._scratch = _ElementwiseScratch(made, input_sizes, shape, by_count)
 
@@ -153,14 +146,22 @@ def _library(function: casadi.Function) -> _Library | None:
     """A function of MX of one entry as C; None: it cannot be compiled, which a warning tells."""
     argument = casadi.SX.sym("x", function.n_in())
     results = function.expand().call(casadi.vertsplit(argument))
-    own = casadi.Function("entry", [argument], [casadi.cse(casadi.vertcat(*results))])
-    sizes = f"enum {{ INPUTS = {function.n_in()}, RESULTS = {function.n_out()} }};"
-    library = compiled_for_processor(
-        lambda: "\n".join([side_by_side(own, shares_angles=True), sizes, _EVALUATE]),
-        builds=True,
-        told=("plans", "Python makes them, ten times slower,"),  # as of their own C
-    )
-    return None if library is None else _Library(library, function)
+    generator = casadi.CodeGenerator("entry", {"with_header": False})
+    stacked = [casadi.cse(casadi.vertcat(*results))]
+    generator.add(casadi.Function("entry", [argument], stacked))
+    sizes = f"INPUTS = {function.n_in()}, RESULTS = {function.n_out()}, WIDTH = {LANES}"
+    text = f"{generator.dump()}\nenum {{ {sizes} }};{_EVALUATE}"
+    try:
+        return _Library(shared_library(text, "evaluate", lanes=LANES), function)
+    except CompilationError as error:
+        tell_not_compiled(str(error))
+    return None
+
+
+@functools.cache
+def tell_not_compiled(reason: str) -> None:
+    """Warns of plans that no C makes, once for each reason."""
+    warn_user(f"plans: {reason}; Python makes them, ten times slower, instead")
 
 
 class ElementwiseMemory(NamedTuple):

@@ -1,0 +1,113 @@
+"""The longest stable step of a loop, alone and inside of a bigger diagram."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import LinearSystem
+
+from drake_nonstop import (
+    Block,
+    ScenarioError,
+    largest_step,
+    load_scenario,
+    make_nonstop,
+    with_largest_step,
+)
+from drake_nonstop.mechanics.rotation import norm
+from drake_nonstop.mechanics.signals import LoadState
+
+CONSTANT = "optimization_layer=ConstantParameters"
+STIFF = "system.load_inertia=[[0.0015,0,0],[0,0.0015,0],[0,0,0.0015]]"
+
+
+@dataclass
+class QuadraticDragConfig:
+    """It has no parameters."""
+
+
+class QuadraticDrag(Block):
+    """Drag of the load, whose equation has no derivative at rest."""
+
+    reads, makes = ("load_state",), ("disturbance_wrench",)
+
+    @staticmethod
+    def equations(load_state):
+        velocity = LoadState.view(load_state).velocity
+        return np.concatenate([np.zeros(3), -0.3 * norm(velocity) * velocity])
+
+
+def loop_with(*overrides, name="quintic"):
+    scenario = load_scenario(name, [CONSTANT, *overrides])
+    loop = make_nonstop(scenario)
+    return scenario.simulator_config, loop, loop.CreateDefaultContext()
+
+
+def test_states_around_the_loop_count_too():
+    _, loop, context = loop_with()
+    alone = largest_step(loop, context)
+    for rate, expected in ((-10.0, alone), (-1e4, 1.6e-4)):
+        builder = DiagramBuilder()
+        builder.AddSystem(loop.Clone())
+        beside = LinearSystem([[rate]], np.zeros((1, 0)), np.zeros((0, 1)), np.zeros((0, 0)))
+        builder.AddSystem(beside)
+        diagram = builder.Build()
+        root = diagram.CreateDefaultContext()
+        before = root.get_continuous_state_vector().CopyToVector()
+        assert largest_step(diagram, root) == pytest.approx(expected, rel=1e-6)
+        np.testing.assert_array_equal(root.get_continuous_state_vector().CopyToVector(), before)
+
+
+def test_a_shorter_step_is_a_whole_part_of_the_signals_period_and_flies():
+    config, loop, context = loop_with(STIFF)
+    with pytest.warns(UserWarning, match="for the sake of the fastest mode"):
+        taken = with_largest_step(config, loop, context)
+    assert config.max_step_size == 0.005
+    longest = largest_step(loop, context)
+    assert longest / 2 < taken.max_step_size <= longest < 0.005
+    assert 0.01 / taken.max_step_size == pytest.approx(round(0.01 / taken.max_step_size))
+    simulator = Simulator(loop, context)
+    ApplySimulatorConfig(taken, simulator)
+    simulator.AdvanceTo(0.5)
+    load, reference = (
+        loop.GetOutputPort(each).Eval(simulator.get_context())
+        for each in ("load_state", "reference")
+    )
+    np.testing.assert_allclose(load[4:7], reference[4:7], atol=0.01)
+
+
+def test_other_steps_are_the_users_own():
+    config, loop, context = loop_with()
+    assert with_largest_step(config, loop, context) is config  # it is short enough
+    for other in (
+        SimulatorConfig(integration_scheme="runge_kutta2", max_step_size=0.1),
+        SimulatorConfig(integration_scheme="runge_kutta3", max_step_size=0.1),  # error control
+    ):
+        assert with_largest_step(other, loop, context) is other
+
+
+def test_a_diagram_that_is_no_loop_is_refused():
+    diagram = DiagramBuilder()
+    diagram.AddSystem(LinearSystem([[1.0]], np.zeros((1, 0)), np.zeros((0, 1)), np.zeros((0, 0))))
+    built = diagram.Build()
+    with pytest.raises(ScenarioError, match="load_state"):
+        largest_step(built, built.CreateDefaultContext())
+
+
+def test_equations_without_a_slope_where_the_flight_starts_have_a_step_all_the_same():
+    scenario = load_scenario("quintic", [CONSTANT])
+    loop = make_nonstop(scenario, load_disturbance=QuadraticDrag)
+    _, other, context = loop_with()
+    own = largest_step(loop, loop.CreateDefaultContext())
+    assert own == pytest.approx(largest_step(other, context), rel=1e-3)
+
+
+def test_a_block_that_makes_no_number_is_named():
+    _, loop, context = loop_with()
+    plant = loop.GetSubsystemByName("load_plant")
+    state = np.zeros(13)  # its quaternion is none
+    loop.GetMutableSubsystemContext(plant, context).SetContinuousState(state)
+    with pytest.raises(ScenarioError, match=r"start = .*not finite"):
+        largest_step(loop, context)

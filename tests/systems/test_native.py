@@ -1,0 +1,435 @@
+"""Functions as C: the virtual machine's numbers, in lanes as well, from a cache that is sound."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+import warnings
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import casadi
+import numpy as np
+import pytest
+
+from drake_nonstop.systems import native as module
+from drake_nonstop.systems.native import LANES, Interpreted, asking, compiler, is_cached, native
+from drake_nonstop.validation import ScenarioWarning
+
+needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
+VERSION = "[ $1 = --version ] && exit 0"
+LARGEST = 1e3
+BINARY = [
+    *("ADD", "SUB", "MUL", "DIV", "LT", "LE", "EQ", "NE", "AND", "OR", "IF_ELSE_ZERO"),
+    *("ATAN2", "POW", "CONSTPOW", "FMIN", "FMAX", "FMOD", "REMAINDER", "HYPOT", "COPYSIGN"),
+]
+UNARY = [
+    *("NEG", "SQ", "TWICE", "INV", "FABS", "NOT", "SIGN", "SQRT", "SIN", "COS", "TAN", "ASIN"),
+    *("ACOS", "ATAN", "SINH", "COSH", "TANH", "ASINH", "ACOSH", "ATANH", "EXP", "LOG", "EXPM1"),
+    *("LOG1P", "ERF", "FLOOR", "CEIL"),
+]
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    """A cache folder of its own, and warnings that have not been told yet."""
+    monkeypatch.setenv("DRAKE_NONSTOP_CACHE", str(tmp_path / "cache"))
+    module._tell.cache_clear()
+    module._own_folder.cache_clear()
+    return tmp_path / "cache"
+
+
+@pytest.fixture
+def use_compiler(tmp_path, monkeypatch):
+    """A function that makes a shell script the compiler."""
+
+    def use(script):
+        path = tmp_path / "compiler"
+        path.write_text(f"#!/bin/sh\n{script}\n")
+        path.chmod(0o755)
+        monkeypatch.setenv("CC", str(path))
+        module._version.cache_clear()
+        return path
+
+    return use
+
+
+def function(factor=2.0, sizes=(2, 1, 1), make=None, kind=casadi.SX):
+    """x grows by the row times a factor; the times and what `make` returns are shown."""
+    x, p, row = (kind.sym(name, size) for name, size in zip("xpr", sizes, strict=True))
+    t = kind.sym("t", 2)
+    shown = casadi.vertcat(t, *(make(x, t, p, row) if make else []))
+    after = x + factor * casadi.vertcat(*[casadi.sum1(row)] * sizes[0])
+    return casadi.Function("sample", [x, t, p, row], [after, shown, casadi.vertcat(x, x)])
+
+
+def arrays(function, samples, lanes=(), seed=1):
+    """Times, x, p and rows, and room for what is shown and for steps."""
+    generator = np.random.default_rng(seed)
+    x, p, row = (generator.normal(size=(function.numel_in(k), *lanes)) for k in (0, 2, 3))
+    rows = generator.normal(size=(samples, *row.shape))
+    times = np.cumsum(generator.uniform(0.1, 1.0, (samples + 1, *lanes)), axis=0)
+    room = [np.zeros((samples, function.numel_out(k), *lanes)) for k in (1, 2)]
+    return [times, x, p, rows, *room]
+
+
+def copies(values):
+    return [array.copy() for array in values]
+
+
+def lane(values, k):
+    return [np.ascontiguousarray(array[..., k]) for array in values]
+
+
+def assert_same_bits(values, expected):
+    for one, other in zip(values, expected, strict=True):
+        both = np.isnan(one) & np.isnan(other)
+        assert ((one.view(np.int64) == other.view(np.int64)) | both).all()
+
+
+def library(folder):
+    (path,) = folder.glob("*.so")
+    return path
+
+
+def all_operations(x, t, p, row):
+    unary = [casadi.SX.unary(getattr(casadi, f"OP_{name}"), v) for name in UNARY for v in (x, p)]
+    pairs = [(x[0], row), (p, x[1]), (x[0], x[0])]
+    codes = [getattr(casadi, f"OP_{name}") for name in BINARY]
+    binary = [casadi.SX.binary(code, *pair) for code in codes for pair in pairs]
+    powers = [x**3, x**2.5, x**-1, 2.0**x, x**0.5, x**p, -0.0 * x, casadi.inf * x, x * 1e-310]
+    values = casadi.vertcat(*unary, *binary, *powers)
+    is_number = casadi.fabs(values) < 100  # to be shown, and not to end the flight
+    return [casadi.if_else(is_number, values, -7.0), casadi.if_else(values != values, 5.0, values)]
+
+
+def calls(x, t, p, row):
+    """A function for each column, called from MX, and operations of MX on vectors."""
+    own = casadi.SX.sym("own", 2)
+    results = [casadi.sin(own[0]) * own[1], casadi.if_else(own[0] > 0, own[1], casadi.sign(own[0]))]
+    each = casadi.Function("each", [own], [casadi.vertcat(*results)]).map(3)
+    columns = casadi.horzcat(x, x[[1, 0]], -x)
+    a = casadi.reshape(casadi.vertcat(x, x), 2, 2)
+    made = [casadi.vec(each(columns)), casadi.if_else(p > 0, x, 2 * x), casadi.logic_not(x)]
+    made += [casadi.logic_and(x, x), casadi.logic_or(x, p), casadi.fmin(x, p), casadi.fmax(x, 0.1)]
+    made += [casadi.dot(x, x), casadi.norm_2(x), a @ x, casadi.mmax(x)]
+    made += [casadi.sum1(x), casadi.fmod(x, 0.3), casadi.sign(x), x**3, x**2]
+    return [*made, casadi.mmin(x), casadi.bilin(a, x, x), casadi.floor(x), casadi.atan2(x, p)]
+
+
+CASES = [(all_operations, casadi.SX), (calls, casadi.MX)]
+
+
+@needs_compiler
+@pytest.mark.parametrize(("make", "kind"), CASES)
+def test_all_operations_give_the_bits_of_the_virtual_machine_in_lanes_too(make, kind):
+    f = function(0.1, make=make, kind=kind)
+    if make is all_operations:
+        codes = {f.instruction_id(k) for k in range(f.n_instructions())}
+        needed = {getattr(casadi, f"OP_{name}") for name in UNARY} - {casadi.OP_TWICE}
+        assert needed <= codes  # CasADi 3.6 adds a number to itself
+    wide, one, interpreted = native(f, lanes=LANES), native(f), Interpreted(f)
+    in_lanes = arrays(f, 5, (LANES,))
+    special = np.array([[0.0, -0.0, 1.0, -0.7], [0.0, 0.5, 1.0, 0.7]])
+    in_lanes[1][:, :4] = special[:, :LANES]
+    in_lanes[2][:, :3] = [0.0, 1.0, -0.0][:LANES]
+    begin = copies(in_lanes)
+    flights = [lane(in_lanes, k) for k in range(LANES)]
+    counts = wide.fly_lanes(flights, np.inf)
+    for k in range(LANES):
+        alone, expected = lane(begin, k), lane(begin, k)
+        assert interpreted.fly(*expected, np.inf) == one.fly(*alone, np.inf) == counts[k]
+        count = counts[k]
+        shown = [[a[:count] for a in values[4:]] for values in (alone, expected, flights[k])]
+        assert_same_bits([alone[1], *shown[0]], [expected[1], *shown[1]])
+        assert_same_bits([flights[k][1], *shown[2]], [expected[1], *shown[1]])
+
+
+@needs_compiler
+@pytest.mark.parametrize("place", ["shown", "steps", "state", "times"])
+def test_a_flight_ends_before_what_is_not_finite_and_other_lanes_go_on(place):
+    x, t, p, row = (
+        casadi.SX.sym(name, size) for name, size in zip("xtpr", (2, 2, 0, 1), strict=True)
+    )
+    after = x + casadi.vertcat(1.0, row if place == "state" else 0)
+    shown = row if place == "shown" else x[0]
+    f = casadi.Function("f", [x, t, p, row], [after, shown, row if place == "steps" else x[1]])
+    in_lanes = arrays(f, 9, (LANES,))
+    in_lanes[1][:], in_lanes[3][:] = 0.0, 1.0
+    for k, value in enumerate([np.nan, np.inf, -np.inf, 2 * LARGEST, -2 * LARGEST][:LANES]):
+        (in_lanes[0][1:, None] if place == "times" else in_lanes[3])[k, 0, k] = value
+    begin = copies(in_lanes)
+    flights = [lane(in_lanes, k) for k in range(LANES)]
+    counts = native(f, lanes=LANES).fly_lanes(flights, LARGEST)
+    np.testing.assert_array_equal(counts, [0, 1, 2, 3, 4, 9, 9, 9][:LANES])
+    np.testing.assert_array_equal([flight[1][0] for flight in flights], counts)
+    for k, evaluated in enumerate(([native(f), Interpreted(f)] * 4)[:LANES]):
+        alone = lane(begin, k)
+        assert evaluated.fly(*alone, LARGEST) == counts[k]
+        np.testing.assert_array_equal(alone[1], flights[k][1])
+        np.testing.assert_array_equal(alone[4][: counts[k]], flights[k][4][: counts[k]])
+
+
+@needs_compiler
+def test_lanes_may_have_samples_of_their_own_or_no_flight():
+    f = function(0.1, make=all_operations)
+    samples = [5, 0, 3, 1, 5, 2, 4][: LANES - 1]
+    flights = [arrays(f, count, seed=k) for k, count in enumerate(samples)]
+    begin = [copies(flight) for flight in flights]
+    counts = native(f, lanes=LANES).fly_lanes(flights, np.inf)
+    for flight, alone, count, own in zip(flights, begin, counts, samples, strict=True):
+        assert native(f).fly(*alone, np.inf) == count <= own
+        written = [[each[1], each[4][:count], each[5][:count]] for each in (flight, alone)]
+        assert_same_bits(*written)
+
+
+@needs_compiler
+@pytest.mark.parametrize("sizes", [(0, 0, 0), (0, 1, 1), (2, 0, 1), (2, 1, 0)])
+def test_sizes_may_be_zero(sizes):
+    f = function(sizes=sizes)
+    for samples in (0, 1, 3):
+        values = arrays(f, samples)
+        for evaluated in (native(f), Interpreted(f)):
+            assert evaluated.fly(*copies(values), LARGEST) == samples
+        wide = native(f, lanes=LANES)
+        flights = [arrays(f, samples) for _ in range(LANES)]
+        assert wide.fly_lanes(flights, LARGEST) == [samples] * LANES
+
+
+def test_arrays_and_functions_that_do_not_fit_are_refused():
+    f = function()
+    values = arrays(f, 3)
+    for k, array in enumerate(values):
+        for strange in (array[..., :0], array.astype(int), np.stack([array] * 2)):
+            with pytest.raises(ValueError, match="give "):
+                Interpreted(f).fly(*[*values[:k], strange, *values[k + 1 :]], LARGEST)
+    with pytest.raises(ValueError, match="give "):
+        Interpreted(f).fly(np.arange(8.0)[::2], *values[1:], LARGEST)
+    with pytest.raises(ValueError, match="give "):
+        Interpreted(f).fly_lanes([values, arrays(f, 3, (LANES,))], LARGEST)
+    x, *others = (casadi.SX.sym("x", 2) for _ in range(4))
+    for results in ([x, x], [x, casadi.SX(2, 1), x], [x[0], x, x]):
+        with pytest.raises(ValueError, match="dense"):
+            Interpreted(casadi.Function("f", [x, *others], results))
+
+
+@needs_compiler
+def test_threads_fly_at_once():
+    f = function(make=all_operations)
+    for evaluated in (native(f), Interpreted(f)):
+        expected = arrays(f, 300)
+        evaluated.fly(*expected, np.inf)
+
+        def fly(_, evaluated=evaluated):
+            values = arrays(f, 300)
+            evaluated.fly(*values, np.inf)
+            return values
+
+        with ThreadPoolExecutor(4) as pool:
+            for values in pool.map(fly, range(12)):
+                assert_same_bits(values, expected)
+
+
+@needs_compiler
+def test_an_entry_is_used_again_and_each_function_has_its_own(folder):
+    assert not is_cached(function())
+    assert native(function(), builds=False) is None
+    assert native(function()) is not None
+    before = library(folder).stat().st_ino
+    assert native(function()) is not None
+    assert library(folder).stat().st_ino == before
+    assert is_cached(function())
+    assert not is_cached(function(), LANES)
+    assert not is_cached(function(3.0))
+    assert [path.suffix for path in folder.iterdir()] == [".so"]
+    assert library(folder).stat().st_mode & 0o777 == 0o600
+
+
+@needs_compiler
+def test_an_entry_is_of_one_processor(monkeypatch):
+    native(function())
+    monkeypatch.setattr(module, "_processor", lambda: "another")
+    assert not is_cached(function())
+
+
+@needs_compiler
+@pytest.mark.parametrize("damage", ["bytes", "no symbol", "mode", "owner", "link", "folder"])
+def test_an_entry_that_is_not_sound_is_made_again(folder, damage, tmp_path, monkeypatch):
+    native(function())
+    path = library(folder)
+    if damage == "bytes":
+        path.unlink()  # this process has loaded it
+        path.write_bytes(b"no library")
+    elif damage == "no symbol":  # and a name that is right
+        path.unlink()
+        source, made = tmp_path / "empty.c", tmp_path / "empty.so"
+        source.write_text("int other;")
+        subprocess.run([compiler(), "-shared", str(source), "-o", str(made)], check=True)
+        made.chmod(0o600)
+        path = path.with_name(f"{path.name[:64]}-{module._checksum(made)}.so")
+        made.rename(path)
+    elif damage == "mode":
+        path.chmod(0o666)
+    elif damage == "owner":
+        monkeypatch.setattr(module.os, "getuid", lambda: 12345)
+    else:
+        path.rename(tmp_path / "elsewhere")
+        path.mkdir() if damage == "folder" else path.symlink_to(tmp_path / "elsewhere")
+    assert not is_cached(function())
+    if damage == "folder":
+        (path / "mine").touch()
+        with pytest.warns(ScenarioWarning, match="kept for this process alone"):
+            assert native(function()) is not None
+        assert (path / "mine").exists()
+        return
+    values = arrays(function(), 3)
+    assert native(function()).fly(*values, LARGEST) == 3
+    assert damage == "owner" or is_cached(function())
+    assert not library(folder).is_symlink()
+
+
+@needs_compiler
+def test_entries_used_last_are_kept_and_what_is_no_entry(folder, monkeypatch):
+    for factor in (1.0, 2.0, 3.0):
+        native(function(factor))
+        for path in folder.glob("*.so"):
+            os.utime(path, (0, path.stat().st_mtime - 100))
+    assert is_cached(function(1.0))  # it is used
+    (folder / "mine").write_bytes(bytes(100_000))
+    for name in (".new-old", ".new-now"):
+        (folder / name).mkdir()
+    os.utime(folder / ".new-old", (0, 0))
+    monkeypatch.setattr(module, "_LARGEST_CACHE", 2.5 * next(folder.glob("*.so")).stat().st_size)
+    native(function(4.0))
+    assert [is_cached(function(factor)) for factor in (1.0, 2.0, 3.0, 4.0)] == [1, 0, 0, 1]
+    others = {path.name for path in folder.iterdir() if path.suffix != ".so"}
+    assert others == {"mine", ".new-now"}
+
+
+@needs_compiler
+def test_a_folder_that_cannot_be_written_is_told_and_another_one_used(monkeypatch, tmp_path):
+    (tmp_path / "file").write_text("mine")
+    monkeypatch.setenv("DRAKE_NONSTOP_CACHE", str(tmp_path / "file" / "cache"))
+    with pytest.warns(ScenarioWarning, match=r"file.* cannot be used \(Not a dir") as told:
+        assert native(function()) is not None
+    assert len(told) == 1
+    assert is_cached(function())
+    assert native(function(3.0)) is not None  # and nothing is told once more
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+@needs_compiler
+def test_a_user_without_a_home_directory_is_told(monkeypatch):
+    def no_home():
+        raise RuntimeError("Could not determine home directory.")
+
+    for name in ("DRAKE_NONSTOP_CACHE", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(module.Path, "home", no_home)
+    with pytest.warns(ScenarioWarning, match="no home directory; set DRAKE_NONSTOP_CACHE"):
+        assert native(function()) is not None
+
+
+def test_without_a_compiler_one_line_tells_it_once(monkeypatch):
+    monkeypatch.setenv("CC", "no-such-compiler")
+    with pytest.warns(ScenarioWarning, match="there is no C compiler") as told:
+        assert native(function()) is None
+    assert len(told) == 1
+    assert "\n" not in str(told[0].message)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert native(function()) is None
+        assert not is_cached(function())
+
+
+FAILURES = [
+    (f"{VERSION}\necho note >&2\necho error: out of memory >&2\nexit 1", "error: out of memory"),
+    ("while [ $# -gt 1 ]; do [ $1 = -o ] && echo no > $2; shift; done", "nothing that can be"),
+    (f"{VERSION}\nsleep 60 &\nsleep 60", r"took more than 0\.5 s"),
+    ("exit 3", "failed"),
+    ("sleep 60", r"took more than 0\.5 s"),
+]
+
+
+@pytest.mark.parametrize(("script", "reason"), FAILURES)
+def test_a_compiler_that_fails_is_told(use_compiler, folder, monkeypatch, script, reason):
+    use_compiler(script)
+    limits = ("_VERSION_TIME_LIMIT", "_TIME_LIMIT") if "sleep" in script else ()
+    for name in limits:
+        monkeypatch.setattr(module, name, 0.5)
+    with pytest.warns(ScenarioWarning, match=reason) as told:
+        assert native(function(), lanes=LANES) is None
+    assert len(told) == 1
+    assert str(told[0].message).endswith("flights go one by one instead")
+    begin = time.monotonic()
+    assert native(function(), lanes=LANES) is None  # which is not tried again
+    assert time.monotonic() - begin < 0.4
+    assert not [*folder.glob("*")]
+
+
+@needs_compiler
+def test_a_version_that_is_no_utf_8_is_none_the_less_a_version(use_compiler):
+    version = "[ $1 = --version ] && printf 'gcc \\251 FSF\\n' && exit 0"
+    real = compiler()
+    use_compiler(f'{version}\nexec {real} "$@"')
+    assert native(function()) is not None
+
+
+IN_A_PROCESS = """
+import sys
+sys.path[:0] = {folder!r},
+import test_native as t
+values = t.arrays(t.function(), 3)
+print(t.native(t.function({factor})).fly(*values, 1e3), values[1].tolist())
+"""
+
+
+def start(factor=2.0, **options):
+    text = IN_A_PROCESS.format(folder=os.path.dirname(__file__), factor=factor)
+    return subprocess.Popen([sys.executable, "-c", text], stdout=subprocess.PIPE, **options)
+
+
+@needs_compiler
+@pytest.mark.slow
+def test_two_processes_at_once_do_no_harm(folder):
+    values = arrays(function(), 3)
+    Interpreted(function()).fly(*values, LARGEST)
+    processes = [start() for _ in range(2)]
+    printed = [process.communicate(timeout=100)[0].decode().strip() for process in processes]
+    assert printed == [f"3 {values[1].tolist()}"] * 2
+    assert {path.suffix for path in folder.iterdir()} == {".so"}
+    assert is_cached(function())
+
+
+@pytest.mark.slow
+def test_the_first_interrupt_ends_the_compiler(use_compiler, folder, tmp_path):
+    use_compiler(
+        f"{VERSION}\nsleep 60 &\necho $! > {tmp_path}/new; mv {tmp_path}/new {tmp_path}/id; wait"
+    )
+    process = start(stderr=subprocess.PIPE)
+    while not (tmp_path / "id").exists():
+        time.sleep(0.02)
+    process.send_signal(signal.SIGINT)
+    begin = time.monotonic()
+    _, told = process.communicate(timeout=30)
+    assert b"KeyboardInterrupt" in told
+    assert process.returncode != 0
+    assert time.monotonic() - begin < 5
+    assert not [*folder.glob("*")]
+    status = Path(f"/proc/{int((tmp_path / 'id').read_text())}/stat")
+    assert not status.exists() or status.read_text().split()[2] == "Z"
+
+
+def test_a_compiler_ends_where_a_check_raises(use_compiler, folder):
+    """As of a Ctrl-C that `simulate` only notes."""
+    use_compiler(f"{VERSION}\nsleep 60")
+    begin = time.monotonic()
+
+    def check():
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt), asking(check):
+        native(function())
+    assert time.monotonic() - begin < 5
+    assert not [*folder.glob("*")]
