@@ -99,7 +99,8 @@ def moved_numbers(name: str, share: float) -> Numbers:
 
 def numbers_of(run: Run, metrics: dict, few: tuple[str, ...] | None = None) -> Numbers:
     """The numbers of a run, with some of its metrics or all."""
-    numbers: Numbers = {"outcome": str(metrics["outcome"])}
+    engine = run.engine.partition(":")[0]
+    numbers: Numbers = {"outcome": str(metrics["outcome"]), "engine": engine}
     last = len(run.time) - 1
     names = {name.partition(".")[2] for name in run.signals}
     for share, chosen in ((1 / 3, OF_THE_WAY), (2 / 3, OF_THE_WAY), (1, OF_THE_WAY + AT_THE_END)):
