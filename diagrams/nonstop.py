@@ -47,6 +47,17 @@ from drake_nonstop.loop.start import set_default_equilibrium
 from drake_nonstop.systems import wiring
 from drake_nonstop.validation import require_flags
 
+# What a carrier_trajectory may make, too.
+_BESIDE_THE_REFERENCE = (
+    "carrier_reference_acceleration",
+    "carrier_reference_jerk",
+    "sampled_carrier_reference",
+    "sampled_carrier_reference_acceleration",
+    "cable_drag_and_weight",
+    "cable_drag_and_weight_rates",
+    "cable_reference",
+)
+
 # The boxes of the figure, in its order.
 BOXES: dict[str, Box] = {
     "load_trajectory": Box(
@@ -97,34 +108,9 @@ BOXES: dict[str, Box] = {
     ),
     "carrier_trajectory": Box(
         variants=carrier_trajectory.VARIANTS,
-        makes=(
-            "carrier_reference",
-            "carrier_reference_acceleration",
-            "carrier_reference_jerk",
-            "sampled_carrier_reference",
-            "sampled_carrier_reference_acceleration",
-            "cable_drag_and_weight",
-            "cable_drag_and_weight_rates",
-            "cable_reference",
-        ),
-        optional=(
-            "carrier_reference_acceleration",
-            "carrier_reference_jerk",
-            "sampled_carrier_reference",
-            "sampled_carrier_reference_acceleration",
-            "cable_drag_and_weight",
-            "cable_drag_and_weight_rates",
-            "cable_reference",
-        ),
-        recorded_where_read=(
-            "carrier_reference_acceleration",
-            "carrier_reference_jerk",
-            "sampled_carrier_reference",
-            "sampled_carrier_reference_acceleration",
-            "cable_drag_and_weight",
-            "cable_drag_and_weight_rates",
-            "cable_reference",
-        ),
+        makes=("carrier_reference", *_BESIDE_THE_REFERENCE),
+        optional=_BESIDE_THE_REFERENCE,
+        recorded_where_read=_BESIDE_THE_REFERENCE,
         place=Place(4, 2, 1, Kind.INNER_LOOP),
     ),
     "carrier_controller": Box(

@@ -2,6 +2,7 @@
 
 import signal
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,7 +17,9 @@ from pydrake.systems.framework import Context, LeafSystem, System
 from drake_nonstop.analysis.carriers_along import resting_carriers
 from drake_nonstop.blocks.optimization_layer import NonstopOptimizerConfig
 from drake_nonstop.mechanics.planned_orbit import PlannedOrbit
-from drake_nonstop.mechanics.rotation import rotation_matrix
+from drake_nonstop.mechanics.rotation import norm, rotation_matrix
+from drake_nonstop.mechanics.signals import LoadState
+from drake_nonstop.model.block import Block
 from drake_nonstop.model.pattern import HamiltonianCycleConfig
 from drake_nonstop.model.system import Model, SystemParameters
 from drake_nonstop.scenario.schema import Scenario
@@ -44,6 +47,22 @@ def nightly_beyond(count: int, nightly_class: str, cases: Iterable[Any]) -> list
     mark = pytest.mark.nightly(nightly_class)
     listed = [case if isinstance(case, tuple) else (case,) for case in cases]
     return [pytest.param(*c, marks=() if k < count else mark) for k, c in enumerate(listed)]
+
+
+@dataclass
+class QuadraticDragConfig:
+    """It has no parameters."""
+
+
+class QuadraticDrag(Block):
+    """Drag of the load, whose equation has no derivative at rest."""
+
+    reads, makes = ("load_state",), ("disturbance_wrench",)
+
+    @staticmethod
+    def equations(load_state):
+        velocity = LoadState.view(load_state).velocity
+        return np.concatenate([np.zeros(3), -0.3 * norm(velocity) * velocity])
 
 
 def sizes_of(box: Any, n: int, m: int) -> dict[str, int | None]:

@@ -7,14 +7,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.systems.analysis import (
-    ApplySimulatorConfig,
-    InitializeParams,
-    Simulator,
-)
-from pydrake.systems.framework import (
-    Context,
-)
+from pydrake.systems.analysis import ApplySimulatorConfig, InitializeParams, Simulator
+from pydrake.systems.framework import Context
 
 from drake_nonstop.mechanics.signal_layouts import by_name
 from drake_nonstop.systems.block import set_state_values

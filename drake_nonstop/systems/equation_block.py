@@ -17,11 +17,12 @@ from pydrake.systems.framework import (
     InputPort,
     LeafSystem,
     LeafSystem_,
+    PortDataType,
     State_,
     ValueProducer,
 )
 
-from drake_nonstop.systems.block import LeafBlock, number, state_values, weakly
+from drake_nonstop.systems.block import LeafBlock, is_of_package, number, state_values, weakly
 from drake_nonstop.systems.equations import (
     NUMBERS,
     START,
@@ -34,6 +35,8 @@ from drake_nonstop.systems.equations import (
 from drake_nonstop.systems.parameters import declare_parameters
 from drake_nonstop.systems.tracing import LARGEST, Evaluator, NotFiniteError
 from drake_nonstop.validation import require
+
+_OURS = __name__.partition(".")[0], "pydrake"
 
 _LARGE = 600  # operations of a group whose results are kept in the cache
 
@@ -232,6 +235,22 @@ class EquationBlock(LeafBlock):
         if self.every == 1:
             return True
         return round(number(context.get_time()) / self.sample_period) % self.every == 0
+
+    @functools.cached_property
+    def is_told_by_equations(self) -> bool:
+        """Whether the equations make all ports, states, rates and events; once it is whole."""
+        own, context = self.equations_of_block, self.CreateDefaultContext()
+        ports = map(self.get_output_port, range(self.num_output_ports()))
+        vectors = [p for p in ports if p.get_data_type() == PortDataType.kVectorValued]
+        moved = {} if own.motion is None else own.motion.makes
+        rates = type(self).DoCalcTimeDerivatives  # Drake's, where the block has none
+        return not (
+            self.computes_besides
+            or (self.declares_besides and not is_of_package(self))
+            or len(vectors) != len({**own.outputs, **own.shown, **moved})
+            or len(state_values(context)) != len(own.state)
+            or rates.__module__.partition(".")[0] not in _OURS
+        )
 
     # Events
 

@@ -14,12 +14,10 @@ from pydrake.systems.framework import (
     Diagram,
     InputPortIndex,
     OutputPortIndex,
-    PortDataType,
     System,
 )
 
 from drake_nonstop.systems.block import (
-    is_of_package,
     set_state_values,
     state_values,
     title,
@@ -30,7 +28,6 @@ from drake_nonstop.systems.native import Interpreted, Native, native
 from drake_nonstop.systems.wiring import require_context
 from drake_nonstop.validation import ScenarioError
 
-_OURS = __name__.partition(".")[0], "pydrake"
 _MOST_LOOPS = 32  # whose equations and functions are kept
 
 
@@ -40,34 +37,12 @@ def without_equations(diagram: Diagram) -> str:
         names = [diagram.get_input_port(k).get_name() for k in range(diagram.num_input_ports())]
         return f"inputs = {', '.join(names)}: it has none from outside of the loop"
     for block in diagram.GetSystems():
-        if not isinstance(block, EquationBlock) or _computes_besides(block):
+        if not isinstance(block, EquationBlock) or not block.is_told_by_equations:
             return (
                 f"{title(block)} = {type(block).__name__}: it has no equations; a Block with "
                 "static `equations` would be compiled"
             )
     return ""
-
-
-def _computes_besides(block: EquationBlock) -> bool:
-    """Whether a block has ports, states, rates or events that its equations do not make."""
-    own, context = block.equations_of_block, block.CreateDefaultContext()
-    vectors = [
-        port
-        for port in map(block.get_output_port, range(block.num_output_ports()))
-        if port.get_data_type() == PortDataType.kVectorValued
-    ]
-    moved = {} if own.motion is None else own.motion.makes
-    sizes = [
-        context.get_discrete_state(k).size() for k in range(context.num_discrete_state_groups())
-    ]
-    rates = type(block).DoCalcTimeDerivatives  # Drake's, where the block has none
-    return (
-        block.computes_besides
-        or (block.declares_besides and not is_of_package(block))
-        or len(vectors) != len({**own.outputs, **own.shown, **moved})
-        or context.num_continuous_states() + sum(sizes) != len(own.state)
-        or rates.__module__.partition(".")[0] not in _OURS
-    )
 
 
 class LoopFunctions:

@@ -197,8 +197,7 @@ class Equations:
         return (STATE,) if result in self.shown else self.group_of[result].reads
 
     def _traced(self) -> list[Group]:
-        symbols = {name: casadi.SX.sym(name, size) for name, size in self.arguments.items()}
-        values = {name: object_array(symbol) for name, symbol in symbols.items()}
+        symbols, values = _symbols(self.arguments)
         made = self.compute(values)
         if self._start is not None:
             made |= self.compute(values, starts=True)
@@ -208,7 +207,7 @@ class Equations:
             require(
                 not is_lost, f"{self._title}.equations", f"NaN in {_SAID.get(name, name)}", remedy
             )
-        results = {k: casadi.densify(casadi.SX(casadi.vertcat(*v))) for k, v in made.items()}
+        results = _stacked(made)
         reads = _dependence(symbols, results)
         if self._joint or _calls_functions(results):
             everything = tuple(k for k in symbols if any(k in read for read in reads.values()))
@@ -222,12 +221,20 @@ class Equations:
     def _traced_motion(self, motion: BetweenSamples) -> list[Group]:
         """The outputs that move, each a function of outputs of the block, and of two times."""
         sizes = {name: self.outputs[name] for name in motion.reads} | {SAMPLE_TIME: 1, TIME: 1}
-        symbols = {name: casadi.SX.sym(name, size) for name, size in sizes.items()}
-        values = {name: object_array(symbol) for name, symbol in symbols.items()}
-        made = motion.compute(values)
-        results = {k: casadi.densify(casadi.SX(casadi.vertcat(*v))) for k, v in made.items()}
+        symbols, values = _symbols(sizes)
+        results = _stacked(motion.compute(values))
         reads = _dependence(symbols, results)
         return [_group(symbols, results, [name], reads[name]) for name in results]
+
+
+def _symbols(sizes: Mapping[str, int]) -> tuple[dict[str, casadi.SX], dict[str, NDArray]]:
+    """Symbols of these sizes, and arrays of their entries."""
+    symbols = {name: casadi.SX.sym(name, size) for name, size in sizes.items()}
+    return symbols, {name: object_array(symbol) for name, symbol in symbols.items()}
+
+
+def _stacked(made: Mapping[str, NDArray]) -> dict[str, casadi.SX]:
+    return {k: casadi.densify(casadi.SX(casadi.vertcat(*v))) for k, v in made.items()}
 
 
 def _dependence(

@@ -340,16 +340,8 @@ class Interpreted(Native):
             buffer.set_res(k, array.data)
         (state, t, parameters, row), (after, signals, of_steps) = given, results
 
-        def evaluate(
-            samples: int,
-            times: NDArray,
-            x: NDArray,
-            p: NDArray,
-            rows: NDArray,
-            shown: NDArray,
-            steps: NDArray,
-            largest: float,
-        ) -> int:
+        def evaluate(samples: int, *arrays_and_largest: Any) -> int:
+            times, x, p, rows, shown, steps, largest = arrays_and_largest
             state[:], parameters[:] = x, p
             are_times = np.append(np.abs(times) < largest, False)
             samples = min(samples, max(0, int(np.argmin(are_times)) - 1))

@@ -1,13 +1,10 @@
 """A loop's derivatives are those that differences of its flights show."""
 
-from dataclasses import dataclass
-
 import numpy as np
 import pytest
-from helpers import nightly_beyond
+from helpers import QuadraticDrag, nightly_beyond
 
 from drake_nonstop import (
-    Block,
     CompiledLoop,
     ScenarioError,
     load_scenario,
@@ -15,8 +12,6 @@ from drake_nonstop import (
     set_parameter,
 )
 from drake_nonstop.loop.step import with_largest_step
-from drake_nonstop.mechanics.rotation import norm
-from drake_nonstop.mechanics.signals import LoadState
 from drake_nonstop.systems.parameters import parameters_in
 from drake_nonstop.systems.tracing import NotFiniteError
 
@@ -165,24 +160,8 @@ def test_a_layer_that_searches_is_named():
         loop.sensitivities(context, 0.1)
 
 
-@dataclass
-class DragConfig:
-    """It has no parameters."""
-
-
-class Drag(Block):
-    """A force against the load's motion: a norm has no slope where the load rests."""
-
-    reads, makes = ("load_state",), ("disturbance_wrench",)
-
-    @staticmethod
-    def equations(load_state):
-        velocity = LoadState.view(load_state).velocity
-        return np.concatenate([np.zeros(3), -0.3 * norm(velocity) * velocity])
-
-
 def test_derivatives_that_are_no_numbers_are_refused():
-    diagram = make_nonstop(load_scenario("quintic", [CONSTANT]), load_disturbance=Drag)
+    diagram = make_nonstop(load_scenario("quintic", [CONSTANT]), load_disturbance=QuadraticDrag)
     context = diagram.CreateDefaultContext()
     scenario = load_scenario("quintic", [CONSTANT])
     loop = CompiledLoop(diagram, scenario.simulator_config, 0.01, signals=(), compiles=False)

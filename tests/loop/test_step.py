@@ -1,42 +1,22 @@
 """The longest stable step of a loop, alone and inside of a bigger diagram."""
 
-from dataclasses import dataclass
-
 import numpy as np
 import pytest
+from helpers import QuadraticDrag
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import LinearSystem
 
 from drake_nonstop import (
-    Block,
     ScenarioError,
     largest_step,
     load_scenario,
     make_nonstop,
     with_largest_step,
 )
-from drake_nonstop.mechanics.rotation import norm
-from drake_nonstop.mechanics.signals import LoadState
 
 CONSTANT = "optimization_layer=ConstantParameters"
 STIFF = "system.load_inertia=[[0.0015,0,0],[0,0.0015,0],[0,0,0.0015]]"
-
-
-@dataclass
-class QuadraticDragConfig:
-    """It has no parameters."""
-
-
-class QuadraticDrag(Block):
-    """Drag of the load, whose equation has no derivative at rest."""
-
-    reads, makes = ("load_state",), ("disturbance_wrench",)
-
-    @staticmethod
-    def equations(load_state):
-        velocity = LoadState.view(load_state).velocity
-        return np.concatenate([np.zeros(3), -0.3 * norm(velocity) * velocity])
 
 
 def loop_with(*overrides, name="quintic"):
