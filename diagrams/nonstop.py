@@ -58,6 +58,16 @@ _BESIDE_THE_REFERENCE = (
     "cable_reference",
 )
 
+# What an optimization_layer may make, too.
+_OF_LAYERS = (
+    "diagnostics",
+    "plan",
+    "solve_time",
+    "speed_bound",
+    "missed_limits",
+    "measured_margin",
+)
+
 # The boxes of the figure, in its order.
 BOXES: dict[str, Box] = {
     "load_trajectory": Box(
@@ -81,8 +91,8 @@ BOXES: dict[str, Box] = {
     ),
     "optimization_layer": Box(
         variants=optimization_layer.VARIANTS,
-        makes=("parameters", "diagnostics", "plan", "solve_time", "speed_bound", "missed_limits"),
-        optional=("plan", "diagnostics", "solve_time", "speed_bound", "missed_limits"),
+        makes=("parameters", *_OF_LAYERS),
+        optional=_OF_LAYERS,
         place=Place(3, 0, 1, Kind.OPTIMIZATION),
         config_fields={"speed_bound": "m/s, which its runs are judged by"},
     ),
@@ -146,8 +156,8 @@ BOXES: dict[str, Box] = {
     ),
     "wind_estimator": Box(
         variants=wind_estimator.VARIANTS,
-        makes=("wind_estimate", "wind_variance", "carrier_gust_estimate"),
-        optional=("wind_variance", "carrier_gust_estimate"),
+        makes=("wind_estimate", "carrier_gust_estimate"),
+        optional=("carrier_gust_estimate",),
         recorded_where_read=("carrier_gust_estimate",),
         place=Place(2, 4, 1, Kind.ADDITION),
     ),
@@ -192,6 +202,7 @@ PLACES: dict[str, Place] = {name: box.place for name, box in BOXES.items()} | {
 # front of the controllers: of `measured_load_state`, `reference` and `reference_higher_rates`.
 WIRES = """
 load_trajectory.reference -> wrench_controller.reference
+load_trajectory.reference_higher_rates -> wrench_controller.reference_higher_rates
 load_trajectory.reference -> optimization_layer.reference
 load_trajectory.reference_preview -> optimization_layer.reference_preview
 load_trajectory.reference -> carrier_trajectory.reference

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 from drake_nonstop.version import __version__ as __version__
 
 _FORMER = {
+    "NonstopOptimizer": "PaperLayer",
+    "NonstopOptimizerConfig": "PaperLayerConfig",
     "Wind": "DisturbanceForce",
     "WindConfig": "DisturbanceForceConfig",
 }

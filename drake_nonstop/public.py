@@ -47,6 +47,7 @@ from drake_nonstop.optimization.carriers import (
     carrier_speeds as carrier_speeds,
     cable_tensions as cable_tensions,
     carrier_distances as carrier_distances,
+    flight_margins as flight_margins,
 )
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold as SampleAndHold
 from drake_nonstop.systems.point_forces import PointForces as PointForces

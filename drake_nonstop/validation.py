@@ -76,7 +76,7 @@ def _refusal(field: str, value: Any, remedy: str) -> ScenarioError:
 def require_installed(what: str, **packages: str) -> None:
     """Raises ScenarioError unless what needs these packages, by the names of modules, has them.
 
-    A package may be an extra, "drake-nonstop[jsbsim]".
+    A package may be an extra, "drake-nonstop[video]".
     """
     for module, package in packages.items():
         is_installed = importlib.util.find_spec(module) is not None
@@ -166,6 +166,18 @@ def number_with(condition: Callable[[Any], Any], remedy: str) -> Callable[[str, 
         require(is_one and condition(value), field, value, remedy)
 
     return check
+
+
+def number_or_list(check: Callable[[str, Any], Any]) -> Callable[[str, Any], None]:
+    """A check of a number, or of each number in a list."""
+
+    def check_all(field: str, value: Any) -> None:
+        for i, number in enumerate(value if isinstance(value, list) else ()):
+            check(f"{field}[{i}]", number)
+        if not isinstance(value, list):
+            check(field, value)
+
+    return check_all
 
 
 def whole(default: int, least: int, most: int) -> Any:
@@ -284,10 +296,15 @@ def require_fields(path: str, config: Any) -> None:
         require_type(name, value, field.type)
 
 
-def of_given(kind: Any) -> Any:
-    """The type of what a field holds where it is not None, nor a word in a number's place."""
+def of_given(kind: Any, value: Any = None) -> Any:
+    """The type of what a field holds where it is not None, nor a word in a number's place.
+
+    Where it may hold a number or a list of numbers, the value tells which.
+    """
     if typing.get_origin(kind) in (typing.Union, types.UnionType):
         options = [option for option in typing.get_args(kind) if option is not types.NoneType]
+        if options == [float, list[float]]:
+            return options[isinstance(value, list)]
         return options[0] if len(options) == 1 or options == [float, str] else kind
     return kind
 
@@ -316,12 +333,12 @@ def require_type(field: str, value: Any, kind: Any) -> None:
     Numbers, texts, truth values, lists of those and what may be None are checked, and numbers
     for their size; all else is taken as it is.
     """
-    part = of_given(kind)
+    part = of_given(kind, value)
     if part is not kind:
-        if type(None) not in typing.get_args(kind):  # a number, or a word that stands for one
-            require_type(field, value, str if isinstance(value, str) else float)
-        elif value is not None:
-            require_type(field, value, part)
+        options = typing.get_args(kind)
+        if value is not None or type(None) not in options:
+            is_word = isinstance(value, str) and str in options
+            require_type(field, value, str if is_word else part)
     elif typing.get_origin(kind) is list:
         require(isinstance(value, list), field, value, "give a list in [ ]")
         for i, item in enumerate(value):

@@ -19,7 +19,7 @@ from drake_nonstop.systems.tracing import where
 
 @dataclass(kw_only=True)
 class HurryConfig:
-    """Fields that `NonstopOptimizer` has too: a swap keeps their values."""
+    """Fields that `PaperLayer` has too: a swap keeps their values."""
 
     speed_bound: float = 0.2  # m/s
     frequency: float = 2.0  # rad/s, at least

@@ -52,7 +52,7 @@ class PaperProblem(NlpLayer):
 
 LAYERS = {
     "RecedingHorizonOptimizer": ("quintic", {}),
-    "NonstopOptimizer": ("quintic", {"optimization_layer": "NonstopOptimizer"}),
+    "PaperLayer": ("quintic", {"optimization_layer": "PaperLayer"}),
     "NlpLayer": ("quintic_nlp", {}),
     "PaperProblem": ("quintic_nlp", {}),
 }

@@ -47,12 +47,7 @@ TASKS: dict[str, Callable[[int], Scenario]] = {
     "aircraft": aircraft_task,
 }
 
-_ANY_RATE = [f"optimization_layer.max_{name}_rate=.inf" for name in ("frequency", "amplitude")]
-# What looks one sample ahead was never given limits of rates.
-GRID = {
-    name: settings + _ANY_RATE * (name in ("one sample", "filter"))
-    for name, settings in read_grid("foresight").variants.items()
-}
+GRID = read_grid("foresight").variants
 # What each changes of a task, the one first that the others are compared with.
 VARIANTS: dict[str, list[str]] = {"one sample": GRID["one sample"], "horizon": [], **GRID}
 
@@ -103,7 +98,7 @@ def scenario_of(tasks: str, seed: int, condition: str, overrides: Sequence[str])
     given = [*overrides]
     if tasks == "aircraft":  # which have controllers of their own, and their sampling period
         given = [o for o in given if not o.startswith(("carrier_controller", "wrench_controller"))]
-        if "optimization_layer=NonstopOptimizer" in given:
+        if "optimization_layer=NlpLayer" in given:
             given.append(f"optimization_layer.period={task.control_period}")
     return changed(task, [*given, *others])
 

@@ -15,7 +15,7 @@ from drake_nonstop.analysis.aircraft_margins import margins_at_rest
 from drake_nonstop.blocks.load_trajectory import RestToRest, RestToRestConfig
 from drake_nonstop.mechanics.aircraft import stall_speed
 from drake_nonstop.mechanics.grasp import grasp_matrix
-from drake_nonstop.mechanics.planned_orbit import OrbitTerms, PlannedOrbit, planned_speeds
+from drake_nonstop.mechanics.rigid_load import STILL_AIR
 from drake_nonstop.model.pattern import HamiltonianCycleConfig
 from drake_nonstop.model.system import Model, SystemParameters
 from drake_nonstop.optimization.horizon_config import HorizonConfig, timed
@@ -183,7 +183,7 @@ class _Orbit:
         self._model = Model(system, HamiltonianCycleConfig())
         limits = LimitsConfig(amplitude=amplitude, frequency=frequency)
         horizon = timed(HorizonConfig(), frequency, 0.0)
-        self._problem = HorizonProblem(self._model, limits, horizon, lambda: "drawn task")
+        self._problem = HorizonProblem(self._model, limits, horizon)
         self._amplitude, self._frequency = amplitude, frequency
         at_rest = RestToRestConfig(move_time=2 * np.pi / frequency)
         self.least_resting_speed = self.least_speed(at_rest)  # m/s, of any carrier
@@ -194,14 +194,11 @@ class _Orbit:
         context = trajectory.CreateDefaultContext()
         preview = trajectory.GetOutputPort("reference_preview").Eval(context)
         times = motion.start_time + np.arange(0.0, motion.move_time, STEP)
-        terms = self._problem.all_terms(preview.references(times))
-        squares, _ = planned_speeds(
-            OrbitTerms.view(np.array(terms)),
-            self._problem.axes,
-            PlannedOrbit.constant(self._frequency * times, self._frequency, self._amplitude),
-            rest_length=self._model.cable_length,
-            compliance=self._model.cable_compliance,
-        )
+        squares = []
+        for time, reference in zip(times, preview.references(times), strict=True):
+            orbit = self._frequency * time, self._frequency, self._amplitude
+            planned = np.append(orbit, np.zeros(5))[:, None]
+            squares.append(self._problem.squared_speeds(planned, reference, STILL_AIR))
         return float(np.sqrt(np.min(squares)))
 
 

@@ -45,8 +45,16 @@ def _settings(settings: dict[str, object]) -> list[str]:
     return [f"{path}={value}" for path, value in settings.items()]
 
 
+def _circle(radius: float, duration: float) -> list[list[float]]:
+    """Poses [t, x, y, z] on a circle in m, once around from rest to rest in a time in s."""
+    shares = np.linspace(0, 1, 31)
+    angles = 2 * np.pi * shares**3 * (10 - 15 * shares + 6 * shares**2)
+    x, y = radius * (np.cos(angles) - 1), radius * np.sin(angles)
+    return np.column_stack([duration * shares, x, y, 0 * x]).round(4).tolist()
+
+
 _ONE_SAMPLE_AHEAD = [
-    *("optimization_layer=NonstopOptimizer", "phase=AccumulatedPhase"),
+    *("optimization_layer=NlpLayer", "phase=AccumulatedPhase"),
     *("internal_force=InternalForceTrajectory", "carrier_trajectory.hold=velocity"),
 ]
 _SHORT_MOTION = "!RestToRest {displacement: [0.2, 0.1, 0.1], start_time: 0.2, move_time: 2.0}"
@@ -57,7 +65,7 @@ DRAWN: dict[str, tuple[str, list[str]]] = {
         "three_carriers",
         [
             "simulation_duration=4",
-            "load_trajectory=!Circle {radius: 0.5, start_time: 0.5, move_time: 6, turns: 1}",
+            f"load_trajectory=!SampledTrajectory {{samples: {_circle(0.5, 6.0)}}}",
             "load_feedback=!EstimatedFeedback {position_noise: 0.002, orientation_noise: 0.002}",
             "wind=!SteadyWind {velocity: [0.5, 0.2, 0], start_time: 0.5, rise_time: 1}",
             *("system.load_drag=0.1", "wrench_controller=!TunedWrenchController {}"),
@@ -71,10 +79,10 @@ DRAWN: dict[str, tuple[str, list[str]]] = {
             "load_trajectory=!Waypoints {positions: [[0.5, 0, 0.2], [0, 0.4, 0]], "
             "roll_pitch_yaw: [[0.1, 0.1, 0.3], [0, 0, 0]], move_times: [2, 2], "
             "start_roll_pitch_yaw: [0.15, -0.1, 0.4]}",
-            *("carrier_controller=LoadedCarrierPid", "carrier_dynamics=LoadedCarrierDynamics"),
-            "cables=!IndividualCables {rest_length: [0.8, 0.79, 0.8, 0.81, 0.8]}",
+            "carrier_dynamics=!LimitedCarriers {has_weight: true, feels_cable: true}",
+            "simulated.cable_length=[0.8, 0.79, 0.8, 0.81, 0.8]",
             *("simulated.load_mass=1.05", "optimization_layer.amplitude=0.6"),
-            "optimization_layer.speed_bound=0.2",
+            *("optimization_layer.speed_bound=0.2", "optimization_layer.tightening=0.02"),
         ],
     ),
     "six_noisy": (
@@ -83,11 +91,11 @@ DRAWN: dict[str, tuple[str, list[str]]] = {
             *_carriers(6, regular, simulation_duration=3),
             *_ONE_SAMPLE_AHEAD,
             *("optimization_layer.amplitude=0.7", "optimization_layer.speed_bound=0.4"),
-            "limits.time_below_bound=0.1",  # its step is too long for what else it shows
+            "limits.time_below_bound=0.4",  # its step is too long for what else it shows
             "pattern=!SpreadCarousel {spread: 1.5}",
             "load_feedback=!NoisyFeedback {position_noise: 0.002, delay: 0.02, seed: 3}",
             "load_disturbance=!DisturbanceForce {force: [0.5, 0.2, 0], gust_force: 0.2}",
-            *("carrier_controller=!TunedCarrierPid {}", "wrench_controller=PaperWrenchController"),
+            *("carrier_controller=CarrierPid", "wrench_controller=PaperWrenchController"),
         ],
     ),
     "seven_gusty": (
@@ -100,13 +108,15 @@ DRAWN: dict[str, tuple[str, list[str]]] = {
             "wind_estimator=WindObserver",
             *("system.load_drag=0.1", "optimization_layer.amplitude=0.5"),
             *("optimization_layer.speed_bound=0.2", "simulator_config.max_step_size=0.004"),
+            "optimization_layer.tightening=0.02",
         ],
     ),
     "eight_by_drakes_body": (
         "quintic",
         [
             *_carriers(8, regular, simulation_duration=1.5),
-            *("load_plant=MultibodyLoadPlant", "wind=!WindProfile {velocity: [0.5, 0, 0]}"),
+            "load_plant=MultibodyLoadPlant",
+            "wind=!SteadyWind {velocity: [0.5, 0, 0]}",
             f"load_trajectory={_SHORT_MOTION}",
             *("optimization_layer.amplitude=0.5", "optimization_layer.speed_bound=0.2"),
         ],
@@ -117,21 +127,18 @@ DRAWN: dict[str, tuple[str, list[str]]] = {
             *("simulation_duration=2", "pattern=!LinearPattern {}"),
             *("carrier_trajectory=MeasuredCarrierTrajectory", "carrier_controller=CarrierPid"),
             "force_distribution=!BoundedTensionDistribution {min_tension: 2.4}",
-            "wrench_controller=GeometricPd",
+            "wrench_controller=!WrenchController {feedforward: 0, position_integral_gain: 0, "
+            "orientation_integral_gain: 0}",
             *("optimization_layer=ConstantParameters", "load_feedback=DesiredAttitudeFeedback"),
             "wind_estimator=NoWind",
         ],
     ),
-    "four_ideal_governed": (
+    "four_governed": (
         "quintic",
         [
-            *("simulation_duration=4", "reference_governor={}", "carrier_dynamics=IdealCarriers"),
+            *("simulation_duration=4", "reference_governor={}"),
             f"load_trajectory={_SHORT_MOTION}",
         ],
-    ),
-    "rigid_aircraft": (
-        "aircraft_rest",
-        ["simulation_duration=2", "carrier_dynamics=JsbsimCarriers"],
     ),
     "with_bowed_cables": (
         "aircraft_rest",
@@ -144,14 +151,19 @@ DRAWN: dict[str, tuple[str, list[str]]] = {
     "that_falls": (
         "quintic",
         [
-            *("simulation_duration=0.8", "carrier_controller=LoadedCarrierPid"),
-            "wind_estimator=!AssumedWind {velocity: [0, 0, 0]}",
-            "carrier_dynamics=!LoadedCarrierDynamics {max_force: 1.0}",
+            *("simulation_duration=0.8", "wind_estimator=NoWind"),
+            "optimization_layer.tightening=0.02",
+            "carrier_dynamics=!LimitedCarriers {max_acceleration: 10, has_weight: true, "
+            "feels_cable: true}",
         ],
     ),
     "that_stalls": (
         "aircraft_three",
-        ["simulation_duration=4", "wind=!Dryden {velocity: [9, 0, 0], rise_time: 3}"],
+        [
+            "simulation_duration=4",
+            "wind=!GustyWind {velocity: [9, 0, 0], rise_time: 3, gust: 1.064881436101872, "
+            "load_gust: 1.3867002685825582}",
+        ],
     ),
     "that_diverges": (
         "quintic",

@@ -15,10 +15,9 @@ from pydrake.math import RollPitchYaw_, RotationMatrix
 from pydrake.systems.framework import Context, LeafSystem, System
 
 from drake_nonstop.analysis.carriers_along import resting_carriers
-from drake_nonstop.blocks.optimization_layer import NonstopOptimizerConfig
-from drake_nonstop.mechanics.planned_orbit import PlannedOrbit
-from drake_nonstop.mechanics.rotation import norm, rotation_matrix
-from drake_nonstop.mechanics.signals import LoadState
+from drake_nonstop.blocks.optimization_layer import NlpLayerConfig
+from drake_nonstop.mechanics.rotation import norm
+from drake_nonstop.mechanics.signals import LoadState, constant_plan
 from drake_nonstop.model.block import Block
 from drake_nonstop.model.pattern import HamiltonianCycleConfig
 from drake_nonstop.model.system import Model, SystemParameters
@@ -183,12 +182,10 @@ def resting_orbits(
 ) -> WorldOrbits:
     """The motion of `resting_carriers` at times (k,), s, with the phase θ = ξ t, in W."""
     carriers = resting_carriers(model, model, pose, times, yaw_rate=yaw_rate, load_wind=load_wind)
-    R_WL = rotation_matrix(carriers.references[:, :4])
     frequency, amplitude = parameters
-    motion = carriers.motion(PlannedOrbit.constant(frequency * times, frequency, amplitude))
-    forces, cables, velocities, accelerations = (part @ R_WL.swapaxes(1, 2) for part in motion)
-    ends = pose[4:7] + model.attachments @ R_WL.swapaxes(1, 2)
-    return WorldOrbits(ends + cables, velocities, accelerations, forces, ends)
+    motion = carriers.motion(constant_plan(frequency * times, frequency, amplitude))
+    ends = pose[4:7] + carriers.terms.motion.attached(model.attachments).rates[0]
+    return WorldOrbits(pose[4:7] + motion.positions, *motion[2:], motion.forces, ends)
 
 
 def rotation(quaternion: NDArray) -> NDArray:
@@ -257,7 +254,7 @@ def circling_run(n=4, duration=0.5, cable_length=0.8):
         scenario=Scenario(
             system=system,
             simulation_duration=duration,
-            optimization_layer=NonstopOptimizerConfig(speed_bound=0.7),
+            optimization_layer=NlpLayerConfig(speed_bound=0.7),
         ),
         diagram=None,
         time=time,

@@ -1,18 +1,11 @@
 """Inputs of the optimization layer, and the speeds that follow from first principles."""
 
-import functools
-
 import numpy as np
-from helpers import INERTIA, Motion, difference, model, regular, rotation
+from helpers import INERTIA, Motion, difference, regular, rotation
 from pydrake.common.eigen_geometry import AngleAxis
 from pydrake.math import RotationMatrix
 
-from drake_nonstop.blocks.optimization_layer import NonstopOptimizerConfig
-from drake_nonstop.optimization.update_solver import UpdateSolver
-
 LENGTH, COMPLIANCE, SHARE = 0.8, 1 / 500, 9.81 / 4  # of the default model, n = 4
-PERIOD, TIGHTENING = 0.01, 0.01
-SOLVERS = ("search", "grid", "snopt", "ipopt", "nlopt")
 START = np.array([2.0, 1.2])
 AT_REST = {
     "measured_load_state": np.array([1.0, *np.zeros(12)]),
@@ -100,34 +93,10 @@ def speed_bound_above(inputs, share, **arguments):
     return (1 + share) * np.min(carrier_speeds(START, inputs, **arguments))
 
 
-def config(speed_bound, orbit_points=1, **fields):
-    """The default config, but for the orbit ahead, which has tests of its own."""
-    return NonstopOptimizerConfig(speed_bound=speed_bound, orbit_points=orbit_points, **fields)
-
-
-@functools.cache
-def update_solver(**fields):
-    """The solver of the default model; the data of an update have its speed bound."""
-    return UpdateSolver(model(), config(0.0, **fields), lambda: "optimization_layer")
-
-
-def update_data(inputs, speed_bound, previous=START, updates=None):
-    """The data of one update, with the wrench's rate taken to be constant."""
-    return (updates or update_solver()).update_data(
-        previous,
-        inputs["phase"],
-        inputs["measured_load_state"],
-        inputs["reference"],
-        inputs["wrench"],
-        inputs["wrench_rate"],
-        np.zeros(6),
-        speed_bound,
-    )
-
-
 def change_cost(x, inputs, previous=START):
-    """Eq. 26 for the default model and an accumulated phase, written out."""
-    phases = inputs["phase"][0] + np.pi / 2 * np.arange(4)
-    jump = (x[1] - previous[1]) * np.cos(phases)
-    rate_jump = (x[0] * x[1] - previous[0] * previous[1]) * np.sin(phases)
+    """Eq. 26 for the default model, written out."""
+    before = inputs["phase"][0] + np.pi / 2 * np.arange(4)
+    after = before + (x[0] - previous[0]) * inputs["phase"][1]
+    jump = x[1] * np.cos(after) - previous[1] * np.cos(before)
+    rate_jump = x[0] * x[1] * np.sin(after) - previous[0] * previous[1] * np.sin(before)
     return np.sum((x - previous) ** 2) + np.sum(jump**2) + np.sum(rate_jump**2)

@@ -18,7 +18,7 @@ from drake_nonstop.cli.main import main
 from drake_nonstop.cli.parser import make_parser
 
 ROOT = Path(__file__).parent.parent
-EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+EXAMPLES = sorted([*(ROOT / "examples").glob("*.py"), *(ROOT / "examples").glob("*/fly.py")])
 PAGES = {
     path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8")
     for path in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
@@ -28,12 +28,19 @@ WITH_CODE = [name for name, blocks in BLOCKS.items() if blocks]
 COMMANDS = {name: re.findall(r"```sh\n(.*?)```", text, re.DOTALL) for name, text in PAGES.items()}
 
 
+def name_of(path):
+    return path.relative_to(ROOT / "examples").as_posix()
+
+
 def test_there_are_examples_and_blocks():
     assert EXAMPLES
     assert len(WITH_CODE) >= 9
 
 
 def imported(path, monkeypatch):
+    if path.parent.name == "six_degrees_of_freedom":
+        pytest.importorskip("jsbsim")
+        monkeypatch.syspath_prepend(path.parent)
     spec = importlib.util.spec_from_file_location(path.stem, path)
     module = importlib.util.module_from_spec(spec)
     monkeypatch.setitem(sys.modules, path.stem, module)
@@ -41,7 +48,7 @@ def imported(path, monkeypatch):
     return module
 
 
-@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", EXAMPLES, ids=name_of)
 def test_example_can_be_imported_and_shortened(path, monkeypatch):
     main_of_example = imported(path, monkeypatch).main
     assert "duration" in inspect.signature(main_of_example).parameters
@@ -59,7 +66,7 @@ def test_quick_example_runs(name, capsys, monkeypatch, tmp_path):
 
 
 @pytest.mark.nightly("examples")
-@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", EXAMPLES, ids=name_of)
 def test_example_runs(path, monkeypatch, tmp_path):
     """In a process of its own: Drake's renderer has ended the one that it drew in."""
     arguments = short_arguments(imported(path, monkeypatch), 1.0)
@@ -214,7 +221,7 @@ def test_a_layer_of_a_page_runs_in_an_ablation(tmp_path, monkeypatch):
     )
     table = (tmp_path / "out" / "table.md").read_text()
     assert "Faster" in table
-    assert "NonstopOptimizer" in table
+    assert "PaperLayer" in table
 
 
 def module_of(page, name, tmp_path, monkeypatch):

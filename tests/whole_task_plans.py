@@ -10,7 +10,7 @@ MAX_ITERATIONS = 20
 TOLERANCE = 3e-4
 
 
-def plan_task(model, limits, reference, duration, *, name, config=None):
+def plan_task(model, limits, reference, duration, *, config=None):
     """Plans of a whole task, the best first, each from another start.
 
     The starts are what a receding horizon makes, the constant ξ and A that the global search finds,
@@ -20,10 +20,10 @@ def plan_task(model, limits, reference, duration, *, name, config=None):
     """
     config = timed(config or HorizonConfig(), limits.frequency, model.control_period)
     intervals = round(duration / config.knot_spacing)
-    short = HorizonProblem(model, limits, config, name)
+    short = HorizonProblem(model, limits, config)
     flown, _ = receding_coefficients(short, reference, intervals, limits.speed_bound)
     whole = replace(config, horizon=intervals * config.knot_spacing)
-    problem = HorizonProblem(model, limits, whole, name)
+    problem = HorizonProblem(model, limits, whole)
     data = problem.data(0.0, 0.0, reference, limits.speed_bound)
     solver = HorizonSolver(problem)
     starts = [flown, solver.first_guess(data), problem.nominal_coefficients()]

@@ -35,10 +35,8 @@ from drake_nonstop.mechanics.aircraft import (
     thrust_power,
 )
 from drake_nonstop.mechanics.bowed_orbit import BowedMotion, CableShape
-from drake_nonstop.mechanics.planned_orbit import PlannedOrbit
-from drake_nonstop.mechanics.rotation import rotation_matrix
-from drake_nonstop.mechanics.signals import LoadReference, Parameters, Pose
-from drake_nonstop.mechanics.wind import MeanWind
+from drake_nonstop.mechanics.rigid_load import STILL_AIR
+from drake_nonstop.mechanics.signals import LoadReference, Parameters, constant_plan
 from drake_nonstop.model.system import Model
 from drake_nonstop.scenario.schema import Scenario, check
 from drake_nonstop.validation import require
@@ -51,7 +49,6 @@ _WIND_TRIALS = 10  # halvings of the range of the largest wind
 
 _CARRIERS_APART = ROWS["separation"]
 _CABLES_APART = dataclasses.replace(_CARRIERS_APART, words="cables apart")
-_STILL_AIR = MeanWind(np.zeros(3))
 _ENVELOPE = FlightEnvelope()
 
 
@@ -96,7 +93,7 @@ class AircraftMargins:
     stall_speed: float
     propulsive_power: float
     drawn_power: float
-    wind: MeanWind
+    wind: NDArray
     possible_wind: float | None = None
 
     @property
@@ -121,9 +118,9 @@ class AircraftMargins:
                 f"{missed}; give another pattern, frequency, amplitude or cable_length, or other "
                 "aircraft"
             )
-        possible = np.trunc(100 * self.possible_wind * self.wind.velocity) / 100 + 0.0
+        possible = np.trunc(100 * self.possible_wind * self.wind) / 100 + 0.0
         return (
-            f"wind.velocity = {self.wind.velocity.tolist()}: the aircraft cannot fly the resting "
+            f"wind.velocity = {self.wind.tolist()}: the aircraft cannot fly the resting "
             f"orbit in it within their limits: {missed}; give at most {possible.tolist()}"
         )
 
@@ -173,7 +170,7 @@ def margins_table(found: AircraftMargins) -> str:
     power = f"{found.propulsive_power:.0f} W of thrust, {found.drawn_power:.0f} W drawn"
     lines.append(f"{'mean power of each':{widths[0]}}  {power}")
     lines.append(f"{'a turn':{widths[0]}}  {found.turn:.2f} s")
-    said = f"{found.wind.velocity.tolist()} m/s, without gusts"
+    said = f"{found.wind.tolist()} m/s, without gusts"
     lines.append(f"{'wind':{widths[0]}}  {said}")
     return "\n".join(lines)
 
@@ -185,7 +182,7 @@ def margins_dictionary(found: AircraftMargins) -> dict[str, Any]:
         "is_flyable": found.is_flyable,
         "verdict": found.verdict,
         "turn_s": found.turn,
-        "wind_m_s": found.wind.velocity.tolist(),
+        "wind_m_s": found.wind.tolist(),
         "possible_share_of_wind": found.possible_wind,
         "margins": [margin.dictionary for margin in found.margins],
         "ranges": found.ranges.dictionary | {"cables": found.cables.dictionary},
@@ -226,7 +223,7 @@ def margins_at_rest(
     parameters: NDArray,
     *,
     believed: Model | None = None,
-    wind: MeanWind = _STILL_AIR,
+    wind: NDArray = STILL_AIR,
     limits: FlightEnvelope = _ENVELOPE,
     shape: CableShape | None = None,
     name: str = "unnamed",
@@ -241,7 +238,7 @@ def margins_at_rest(
         reference: (22,) of the load, of which pose and angular velocity count.
         parameters: [ξ (rad/s), A (N)] (2,).
         believed: what the controllers believe in place of it, whose orbit is flown; None: the same.
-        wind: the steady wind.
+        wind: the steady wind (3,), m/s, in W.
         limits: what they are held against.
         shape: of the cables of references that know of their bow; None: straight ones.
         name: of the scenario.
@@ -251,14 +248,14 @@ def margins_at_rest(
     """
     orbit = _Orbit(model, believed or model, reference, parameters, limits, shape)
     found = _margins(orbit, wind, name)
-    if found.is_flyable or not np.any(wind.velocity):
+    if found.is_flyable or not np.any(wind):
         return found
-    if not _margins(orbit, wind.times(0.0), name).is_flyable:
+    if not _margins(orbit, 0 * wind, name).is_flyable:
         return found
     low, high = 0.0, 1.0
     for _ in range(_WIND_TRIALS):
         middle = (low + high) / 2
-        flies = _margins(orbit, wind.times(middle), name).is_flyable
+        flies = _margins(orbit, middle * wind, name).is_flyable
         low, high = (middle, high) if flies else (low, middle)
     return dataclasses.replace(found, possible_wind=low)
 
@@ -298,10 +295,10 @@ class _Orbit:
         self.limits = limits
 
     def at(
-        self, phases: NDArray, wind: MeanWind
+        self, phases: NDArray, wind: NDArray
     ) -> tuple[FlightNeeds, list[LimitAlong], NDArray, BowedMotion | None]:
         """Needs at phases (k,), rad, all that has limits, forces on the load, N, and the bow."""
-        model, position = self.model, Pose.view(self._reference).position
+        model = self.model
         frequency, amplitude = self._parameters
         times = phases / self.rate
         carriers = resting_carriers(
@@ -310,31 +307,27 @@ class _Orbit:
             self._reference,
             times,
             yaw_rate=self._yaw_rate,
-            load_wind=wind.at(position),
+            load_wind=wind,
             shape=self._shape,
         )
-        R_WL = rotation_matrix(LoadReference.view(carriers.references).quaternion)
-        orbit = PlannedOrbit.constant(frequency * times, frequency, amplitude)
-        motion = carriers.motion(orbit)
-        places = self.believed.attachments + motion.cables
-        winds = wind.at(position + places @ R_WL.swapaxes(1, 2))
-        bowed = carriers.bowed(orbit.planned, motion, winds)
-        motion = motion._replace(velocities=motion.velocities - winds @ R_WL)
+        planned = constant_plan(frequency * times, frequency, amplitude)
+        motion = carriers.motion(planned)
+        bowed = carriers.bowed(planned, motion)
         needs = carriers.needs(motion, bowed)
-        if bowed is not None:
-            places = self.believed.attachments + bowed.motion.cables
+        places = (motion if bowed is None else bowed.motion).positions
+        ends = carriers.terms.motion.attached(self.believed.attachments).rates[0]
         of_each = limits_along(self.aircraft, needs, self.limits, phases)
-        return needs, [*of_each, *self._of_pairs(places, phases)], motion.forces, bowed
+        return needs, [*of_each, *self._of_pairs(places, ends, phases)], motion.forces, bowed
 
-    def _of_pairs(self, places: NDArray, phases: NDArray) -> Iterator[LimitAlong]:
-        """The distances of carriers at `places` (k, n, 3), in L, and of their cables."""
-        model, ends = self.model, self.model.attachments
-        reach = np.linalg.norm(ends, axis=1).max() + model.cable_length
+    def _of_pairs(self, places: NDArray, ends: NDArray, phases: NDArray) -> Iterator[LimitAlong]:
+        """The distances of carriers at `places` (k, n, 3), m, and of their cables from `ends`."""
+        model, own = self.model, self.model.attachments
+        reach = np.linalg.norm(own, axis=1).max() + np.max(model.cable_length)
         first, second = np.triu_indices(model.n, 1)
-        apart = np.linalg.norm(ends[first] - ends[second], axis=1)
+        apart = np.linalg.norm(own[first] - own[second], axis=1)
         one, other = places[:, first], places[:, second]
         carriers = np.linalg.norm(one - other, axis=-1)
-        cables = segment_distances(ends[first], one, ends[second], other)
+        cables = segment_distances(ends[:, first], one, ends[:, second], other)
         for row, distances, limits in (
             (_CARRIERS_APART, carriers, self.limits.carrier_distance * reach),
             (_CABLES_APART, cables, self.limits.cable_distance * apart),
@@ -342,7 +335,7 @@ class _Orbit:
             yield LimitAlong(row, limits, phases, distances)
 
 
-def _margins(orbit: _Orbit, wind: MeanWind, name: str) -> AircraftMargins:
+def _margins(orbit: _Orbit, wind: NDArray, name: str) -> AircraftMargins:
     """The margins in a wind, whatever they are."""
     count = _INSTANTS * orbit.turns
     phases = 2 * np.pi / _INSTANTS * np.arange(count)

@@ -202,12 +202,13 @@ class BowedCables(NamedTuple):
     bow: float  # m, the largest
     shortening: tuple[float, float]  # m, of a chord, the least and the largest
     difference: float  # m, of the shortenings of two cables at one instant, the largest
-    mass: float  # kg, of a cable
+    mass: float  # kg, of the heaviest cable
     load_width: float  # m, the largest distance of two attachments
     chord: tuple[float, float]  # m, from end to end
     tension: tuple[float, float]  # N, at the load
     carrier_tension: tuple[float, float]  # N
-    breaking_load: float  # N
+    breaking_load: float  # N, of the cable that breaks first
+    safety: float  # that over its largest tension
     are_flown: bool  # whether references count it
 
     @classmethod
@@ -226,25 +227,29 @@ class BowedCables(NamedTuple):
         length, pulls = model.cable_length + model.cable_compliance * taut, taut
         if bowed is None:
             cable = material_of(model)
-            drag = cable.air_density / 2 * cable.drag * cable.diameter * airspeeds**2
+            drag = np.ravel(cable.air_density / 2 * cable.drag * cable.diameter) * airspeeds**2
             sag = drag * model.cable_length / taut
-            bow = float(np.max(sag) * model.cable_length) / (16 * 4 ** (1 / 3))
+            bow = float(np.max(sag * model.cable_length)) / (16 * 4 ** (1 / 3))
             shorter = 9 / 14 * model.cable_length * (sag / 12) ** 2
         else:
             bow = float(np.max(bowed.bows))
-            shorter = length - np.linalg.norm(bowed.motion.cables, axis=-1)
+            shorter = length - np.linalg.norm(bowed.chords, axis=-1)
             pulls = np.linalg.norm(bowed.motion.forces, axis=-1)
+        breaking = np.broadcast_to(model.cable_breaking_load, len(model.attachments))
+        safeties = breaking / np.maximum(taut, pulls).max(axis=0)
+        first = int(np.argmin(safeties))
         apart = (float(np.linalg.norm(a - b)) for a, b in combinations(model.attachments, 2))
         return cls(
             bow=bow,
             shortening=_range(shorter),
             difference=float(np.max(np.ptp(shorter, axis=1))),
-            mass=model.cable_mass,
+            mass=float(np.max(model.cable_mass)),
             load_width=max(apart),
             chord=_range(length - shorter),
             tension=_range(taut),
             carrier_tension=_range(pulls),
-            breaking_load=model.cable_breaking_load,
+            breaking_load=float(breaking[first]),
+            safety=float(safeties[first]),
             are_flown=bowed is not None,
         )
 
@@ -252,11 +257,6 @@ class BowedCables(NamedTuple):
     def name(self) -> str:
         """Of its line in a table."""
         return "cables" if self.are_flown else "real cables"
-
-    @property
-    def safety(self) -> float:
-        """The breaking load over the largest tension."""
-        return self.breaking_load / max(self.tension[1], self.carrier_tension[1])
 
     @property
     def text(self) -> str:

@@ -10,7 +10,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.analysis.carriers_along import motion_above, orbit_terms
 from drake_nonstop.analysis.load_stability import Growth
 from drake_nonstop.analysis.sampled_growth import (
     Planned,
@@ -20,13 +19,12 @@ from drake_nonstop.analysis.sampled_growth import (
 )
 from drake_nonstop.analysis.task import Task
 from drake_nonstop.mechanics.grasp import grasp_matrix
-from drake_nonstop.mechanics.planned_orbit import PlannedOrbit
 from drake_nonstop.mechanics.rigid_load import STILL_AIR
-from drake_nonstop.mechanics.rotation import rotation_matrix
-from drake_nonstop.mechanics.signals import PlannedParameters
+from drake_nonstop.mechanics.signals import PlannedParameters, constant_plan
 from drake_nonstop.mechanics.wrench import FEEDBACK_GAINS, NO_FEEDBACK
 from drake_nonstop.model.pattern import LinearPatternConfig
 from drake_nonstop.model.system import Model
+from drake_nonstop.optimization.carriers import motion_above, orbit_terms
 from drake_nonstop.optimization.plan import Plan
 from drake_nonstop.validation import ScenarioError
 
@@ -117,8 +115,8 @@ def cable_loads(
     The load's motion stays as it is in its reference (22,); the wind (3,) is in m/s, in W.
     """
     terms = orbit_terms(model, [reference], [STILL_AIR if wind is None else wind])
-    orbit = PlannedOrbit.constant(_ANGLES, *parameters)
-    forces = motion_above(model, terms, orbit).forces @ rotation_matrix(reference[:4]).T
+    planned = constant_plan(_ANGLES, *parameters)
+    forces = motion_above(model, terms, planned).forces
     vertical = forces[..., 2]
     shares = vertical * model.n / (model.load_mass * model.gravity)
     elevations = np.arctan2(vertical, np.hypot(forces[..., 0], forces[..., 1]))
@@ -292,7 +290,7 @@ def _other_formations(task: Task) -> Iterator[tuple[str, Callable[[], Task]]]:
     model = task.flown
     attachments = model.attachments
     offset = _evening_offset(model)
-    if offset is not None and all(order == 1 for order in model.pattern.harmonics):
+    if offset is not None:
         pattern = model.pattern
         config = LinearPatternConfig(
             basis=pattern.basis.tolist(),

@@ -12,14 +12,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from drake_nonstop.analysis.load_response import LoadResponse
+from drake_nonstop.analysis.sampled_maps import AT_ONCE, interpolated
 from drake_nonstop.mechanics.internal_force import internal_force
 from drake_nonstop.mechanics.rigid_load import STILL_AIR
 from drake_nonstop.mechanics.rotation import rotation_matrix, skew
-from drake_nonstop.mechanics.sampled_loop import AT_ONCE, interpolated
 from drake_nonstop.mechanics.signals import TRACKING_ERROR_SIZE, WRENCH_SIZE, LoadReference
 from drake_nonstop.mechanics.wrench import FEEDBACK_GAINS, NO_FEEDBACK
 from drake_nonstop.model.system import Model
-from drake_nonstop.optimization.load_response import LoadResponse
 from drake_nonstop.validation import require
 
 _PHASES = 16  # of a turn at which the Jacobian is evaluated
@@ -74,7 +74,8 @@ class LoadDeviations:
     ):
         self.model = model
         share = model.load_mass * model.gravity / model.n
-        compliance = model.cable_compliance or _STRETCH * model.cable_length / share
+        compliance = model.cable_compliance
+        compliance = np.where(compliance > 0, compliance, _STRETCH * model.cable_length / share)
         self._response = LoadResponse(
             model,
             model,
@@ -102,9 +103,7 @@ class LoadDeviations:
         jacobians[:, 12:15, :3], jacobians[:, 15:, 3:6] = rotation.T, np.eye(3)
         jacobians[:, 12:, :6] *= self._is_measured[:6]
         pattern = self.model.pattern
-        waves = internal_force(
-            parameters, angles[:, None], phases=pattern.phases, orders=pattern.orders
-        )
+        waves = internal_force(parameters, angles[:, None], phases=pattern.phases)
         internals = np.zeros((len(angles), 4, 3 * self.model.n))
         internals[:, :2] = np.stack(waves[:2], axis=1) @ pattern.basis.T
         internals[:, 0] += pattern.offset

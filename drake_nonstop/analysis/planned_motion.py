@@ -9,15 +9,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.analysis.carriers_along import carriers_along, motion_above, orbit_terms
+from drake_nonstop.analysis.carriers_along import carriers_along
 from drake_nonstop.analysis.limit import find_collisions
 from drake_nonstop.analysis.separations import Spacing, closest_cables, closest_carriers
 from drake_nonstop.analysis.task import Task
-from drake_nonstop.mechanics.planned_orbit import PlannedOrbit
-from drake_nonstop.mechanics.rotation import rotation_matrix
 from drake_nonstop.mechanics.signals import LoadReference
 from drake_nonstop.model.pattern import SpreadCarouselConfig
 from drake_nonstop.model.system import SystemParameters
+from drake_nonstop.optimization.carriers import motion_above, orbit_terms
 from drake_nonstop.optimization.plan import Plan
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.validation import ScenarioError
@@ -74,20 +73,16 @@ class PlannedMotion(Spacing):
         turns = task.duration * fastest / (2 * math.pi)
         self.time = times = np.linspace(0, task.duration, math.ceil(_PER_TURN * (1 + turns)))
         planned = task.planned(plan, times)
-        orbit = PlannedOrbit.of_planned(planned)
         references = np.array([task.reference(time) for time in times])
         terms = orbit_terms(task.flown, references, [task.wind_at(time) for time in times])
-        motion = motion_above(task.flown, terms, orbit)
-        loads = LoadReference.view(references)
-        R_LW = rotation_matrix(loads.quaternion).swapaxes(1, 2)
-        self._forces = motion.forces @ R_LW  # (k, n, 3), N, in W
-        self.load_positions = loads.position
-        self._attachments = loads.position[:, None] + self._model.attachments @ R_LW
+        motion = motion_above(task.flown, terms, planned)
+        self._forces = motion.forces
+        self.load_positions = LoadReference.view(references).position
+        self._attachments = terms.motion.attached(self._model.attachments).rates[0]
         has_bow = task.response.references.shape is not None
         bowed = carriers_along(task, times).bowed(planned, motion) if has_bow else None
-        cables = motion.cables if bowed is None else bowed.motion.cables
-        nodes = [] if bowed is None else self._attachments + bowed.nodes @ R_LW
-        self._carriers = self._attachments + cables @ R_LW
+        nodes: Any = [] if bowed is None else bowed.nodes
+        self._carriers = (motion if bowed is None else bowed.motion).positions
         self._points = np.stack([self._attachments, *nodes, self._carriers])
 
     @property

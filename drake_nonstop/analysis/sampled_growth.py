@@ -14,19 +14,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.analysis.carriers_along import orbit_terms
+from drake_nonstop.analysis.sampled_maps import largest_growth
 from drake_nonstop.analysis.task import Task
-from drake_nonstop.mechanics.internal_force import internal_force
+from drake_nonstop.analysis.tethered_loop import Carriers, Feedback, Orbit, growth_rate, maps_at
 from drake_nonstop.mechanics.rotation import cross
-from drake_nonstop.mechanics.sampled_loop import largest_growth
+from drake_nonstop.mechanics.signals import PlannedParameters, constant_plan
 from drake_nonstop.model.system import Model
-from drake_nonstop.optimization.tethered_loop import (
-    Carriers,
-    Feedback,
-    Orbit,
-    loops_at,
-    turn_of_loops,
-)
+from drake_nonstop.optimization.carriers import orbit_terms
 
 _STARTS = 60  # at most, from which on deviations are followed
 _PER_TURN = 4  # likewise
@@ -52,7 +46,7 @@ class SampledGrowth(NamedTuple):
 
 
 def growth_on_the_way(task: Task, planned: Planned, *, phases: int = 24) -> SampledGrowth:
-    """That of the loop of `optimization.tethered_loop`, linearized along the plan.
+    """Growth of the loop of `tethered_loop`, linearized along the plan.
 
     A loop whose Floquet multipliers are small may still lose the load: where a cable is nearly
     slack for a part of each turn, deviations grow in it before they decay. An attitude's size is
@@ -73,7 +67,7 @@ def growth_on_the_way(task: Task, planned: Planned, *, phases: int = 24) -> Samp
         _orbit(task, task.reference(float(time)), float(values[0]), values[1:3])
         for time, values in zip(knots, planned(knots), strict=True)
     )
-    maps = [each.transition for each in loops_at(*loop, orbits)]
+    maps = maps_at(*loop, orbits)
     count = max(1, round(task.duration / period))
     at = np.arange(count) * (len(knots) - 1) / count
 
@@ -93,13 +87,14 @@ def sampled_rate(task: Task) -> float:
     if (loop := _loop_of(task)) is None:
         return math.nan
     orbit = partial(_orbit, task, task.reference(0.0), parameters=task.nominal)
-    return turn_of_loops(*loop, float(task.nominal[0]), orbit).rate
+    return growth_rate(*loop, float(task.nominal[0]), orbit)
 
 
 def _loop_of(task: Task) -> tuple[Model, Model, Carriers, Feedback] | None:
     """Parts of the loop; None: they are not known."""
     carriers, feedback = task.response.carriers, task.response.feedback
-    if carriers is None or feedback is None or not math.isfinite(task.flown.cable_stiffness):
+    stretches = bool(np.all(np.isfinite(task.flown.cable_stiffness)))
+    if carriers is None or feedback is None or not stretches:
         return None
     measured = task.response.measured_gains or {}
     feedback = replace(feedback, gains={**feedback.gains, **measured})
@@ -107,13 +102,12 @@ def _loop_of(task: Task) -> tuple[Model, Model, Carriers, Feedback] | None:
 
 
 def _orbit(task: Task, reference: NDArray, angle: float, parameters: NDArray) -> Orbit:
-    """The forces and their rates, in the load's frame; velocities, which do not matter, are 1."""
+    """Cable forces and their rates above a load on its reference, in the load's frame."""
     model, pattern = task.model, task.model.pattern
     terms = orbit_terms(model, [reference], [task.wind])
-    waves = internal_force(
-        parameters, np.array([angle]), phases=pattern.phases, orders=pattern.orders
-    )
-    internal, rates, second, third = ((pattern.basis @ wave).reshape(-1, 3) for wave in waves)
-    forces = terms.forces[0] + internal
-    rates = terms.rates[0] + rates + cross(terms.angular_velocity[0], forces)
-    return Orbit(forces, rates, second, third, np.ones_like(forces))
+    series = PlannedParameters.view(constant_plan(np.array([angle]), *parameters)).series
+    own = pattern.forces(*series)
+    forces, rates, *_ = (part[0] for part in (terms.forces + own).rates)
+    _, _, second, third = (part[0] for part in own.rates)
+    rates = rates + cross(terms.motion.angular_velocity.rates[0][0], forces)
+    return Orbit(forces, rates, second, third)

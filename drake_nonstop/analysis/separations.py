@@ -82,7 +82,7 @@ class Spacing(ABC):
     def reach(self) -> float:
         """The distance of a carrier from the load, as `RunLimits` has it, m."""
         radii = np.linalg.norm(self.system.attachments, axis=1)
-        return float(np.max(radii)) + self.system.cable_length
+        return float(np.max(radii)) + float(np.max(self.system.cable_length))
 
     @cached_property
     def carrier_separation(self) -> float:

@@ -6,31 +6,20 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.analysis.carriers_along import (
-    CarriersAlong,
-    carriers_along,
-    motion_above,
-    orbit_terms,
-)
+from drake_nonstop.analysis.carriers_along import carriers_along
 from drake_nonstop.analysis.flight_envelope import LimitAlong
 from drake_nonstop.analysis.task import Task
 from drake_nonstop.mechanics.bowed_orbit import BowedMotion
-from drake_nonstop.mechanics.nonstop import polynomial_values, speed_squares
-from drake_nonstop.mechanics.planned_orbit import (
-    OrbitMotion,
-    OrbitTerms,
-    PlannedOrbit,
-    squared_gaps,
-)
-from drake_nonstop.mechanics.rotation import rotation_matrix
+from drake_nonstop.mechanics.planned_orbit import OrbitMotion, squared_gaps
+from drake_nonstop.mechanics.signals import constant_plan
+from drake_nonstop.optimization.carriers import motion_above, orbit_terms
 from drake_nonstop.optimization.horizon_config import HorizonConfig
-from drake_nonstop.optimization.horizon_motion import HorizonData
-from drake_nonstop.optimization.horizon_problem import HorizonProblem
+from drake_nonstop.optimization.horizon_problem import HorizonData, HorizonProblem
 from drake_nonstop.optimization.horizon_solver import HorizonSolver, receding_coefficients
 from drake_nonstop.optimization.limits import Of, asked
 from drake_nonstop.optimization.plan import Plan
@@ -39,7 +28,6 @@ from drake_nonstop.optimization.problem_config import (
     limit_tightening,
     tightened_bound,
 )
-from drake_nonstop.optimization.terminal_set import orbit_polynomials
 from drake_nonstop.validation import ScenarioError
 
 _TIMES = 60  # of a task, at which constant ξ and A are tried
@@ -165,7 +153,7 @@ def _limits_in_turn(task: Task, times: NDArray, planned: NDArray) -> tuple[Limit
     if task.turn is None or aircraft is None or not asked_for:
         return ()
     carriers = carriers_along(task, times)
-    needs = carriers.needs(carriers.motion(PlannedOrbit.of_planned(planned)))
+    needs = carriers.needs(carriers.motion(planned))
     return tuple(
         LimitAlong(limit, stated, times, limit.values(aircraft, needs))
         for limit, stated in asked_for
@@ -176,27 +164,14 @@ def feasible_speeds(
     problem: HorizonProblem, task: Task, times: NDArray, frequencies: NDArray, amplitudes: NDArray
 ) -> NDArray:
     """The least speed (k, x, a), m/s, over an orbit, of constant ξ (k, x) and A (k, a) at times."""
-    terms = _terms_along(problem, task, times)
-    polynomials = orbit_polynomials(terms, problem.axes, _PHASES)
-    least = []
-    for amplitude in amplitudes.T:  # one by one: all of them at once take much memory
-        values = polynomial_values(polynomials, amplitude[:, None])
-        c, b, a, _ = (
-            part[:, :, None]
-            for part in speed_squares(
-                values, rest_length=problem.rest_length, compliance=problem.compliance
-            )
-        )
-        s = (frequencies * amplitude[:, None])[..., None]
-        least.append((c + s * (2 * b + s * a)).min(axis=(0, 3)))
-    return np.sqrt(np.maximum(np.stack(least, axis=2), 0.0))
-
-
-def _terms_along(problem: HorizonProblem, task: Task, times: NDArray) -> OrbitTerms:
-    """The terms at times (k,), s, of speeds through the air where those count."""
-    references = np.array([task.reference(time) for time in times])
-    winds = np.array([task.counted_wind(time) for time in times])
-    return OrbitTerms.view(problem.all_terms(references, winds))
+    angles, least = 2 * np.pi * np.arange(_PHASES) / _PHASES, []
+    for time, of_xi, of_A in zip(times, frequencies, amplitudes, strict=True):
+        tried = np.stack([part.ravel() for part in np.meshgrid(of_xi, of_A, indexing="ij")])
+        orbits = constant_plan(np.tile(angles, tried.shape[1]), *np.repeat(tried, _PHASES, axis=1))
+        squares = problem.squared_speeds(orbits.T, task.reference(time), task.counted_wind(time))
+        shape = len(of_xi), len(of_A), -1
+        least.append(squares.min(axis=0).reshape(shape).min(axis=-1))
+    return np.sqrt(np.maximum(np.stack(least), 0.0))
 
 
 def set_over_time(
@@ -206,7 +181,7 @@ def set_over_time(
 
     `column` is 0 for ξ and 1 for A. None: there is no bound, or the pattern has no such set.
     """
-    if task.limits.speed_bound == 0 or not _can_plan(task):
+    if task.limits.speed_bound == 0 or task.model.pattern.is_constant:
         return None
     times = np.linspace(0, task.duration, count)
     used = np.stack(
@@ -228,10 +203,10 @@ def constant_speeds(task: Task, times: NDArray) -> NDArray:
     """The carriers' speeds (k, n), m/s, at times (k,), with the nominal ξ and A; any pattern."""
     model, winds = task.model, [task.wind_at(time) for time in times]
     references = np.array([task.reference(time) for time in times])
-    orbit = PlannedOrbit.of_planned(task.planned(None, times))
-    velocities = motion_above(model, orbit_terms(model, references, winds), orbit).velocities
-    if not task.counts_wind:
-        velocities = velocities + np.array(winds)[:, None] @ rotation_matrix(references[:, :4])
+    terms = orbit_terms(model, references, np.array(winds))
+    velocities = motion_above(model, terms, task.planned(None, times)).velocities
+    if task.counts_wind:
+        velocities = velocities - np.array(winds)[:, None]
     return np.linalg.norm(velocities, axis=-1)
 
 
@@ -242,7 +217,7 @@ def find_speed_remedies(task: Task, found: SpeedCheck) -> list[SpeedRemedy]:
     cables, slower motion, and the largest ε that can be kept.
     """
     remedies = []
-    if not task.changes_parameters and _can_plan(task):
+    if not task.changes_parameters and not task.model.pattern.is_constant:
         layer = replace(task, changes_parameters=True)
         said = "a layer that changes xi and A: optimization_layer=RecedingHorizonOptimizer"
         if (remedy := _tried(layer, said)) is not None:
@@ -268,72 +243,55 @@ def _fine_times(task: Task) -> NDArray:
     return np.linspace(0, task.duration, max(2, math.ceil(task.duration / spacing) + 1))
 
 
-def _can_plan(task: Task) -> bool:
-    pattern = task.model.pattern
-    return not pattern.is_constant and all(order == 1 for order in pattern.harmonics)
-
-
 def problem_of(task: Task, config: HorizonConfig | None = None) -> HorizonProblem:
     """The problem of a task's plans, of its horizon or of another one."""
     config = config or task.horizon
     shape = task.response.references.shape
-    name = "the check of a task"
-    return HorizonProblem(task.model, task.limits, config, lambda: name, shape=shape)
+    return HorizonProblem(task.model, task.limits, config, shape=shape)
 
 
 class _Along:
     """Motion of a task's carriers under a plan, at fine times."""
 
-    def __init__(self, task: Task, problem: HorizonProblem):
-        self.times = _fine_times(task)
-        self._task, self._problem = task, problem
-        self._terms = _terms_along(problem, task, self.times)
-        self._carriers: CarriersAlong | None = None
-        if any(asked(task.limits, Of.FLIGHT)) or task.response.references.shape is not None:
-            self._carriers = carriers_along(task, self.times)
+    def __init__(self, task: Task):
+        self.times, self._task = _fine_times(task), task
+        self._carriers = carriers_along(task, self.times)
 
     def planned(self, plan: Plan) -> SpeedCheck:
         """All that is known of a plan, without other starts and without constant ξ and A."""
         values = self._task.planned(plan, self.times)
-        orbit, carriers = PlannedOrbit.of_planned(values), self._carriers
-        motion, bowed = None, None
-        if carriers is not None:
-            motion = carriers.motion(orbit)
-            bowed = carriers.bowed(values, motion)
-        speeds = self._values_along(Of.SPEED, orbit, bowed)
+        straight = self._carriers.motion(values)
+        bowed = self._carriers.bowed(values, straight)
+        speeds = self._values(Of.SPEED, straight, bowed)
         bound = self._task.limits.speed_bound
         ratios = _ratios(speeds, bound)
         none = np.zeros(0)
         return SpeedCheck(
             *(bound, none, none, plan, self.times, values[:, 1:3], ratios, ()),
             target_ratio=tightened_bound(self._task.limits, bound) / bound if bound > 0 else 1.0,
-            limits=tuple(self._limits(orbit, motion, bowed)),
+            limits=tuple(self._limits(straight, bowed)),
         )
 
-    def _values_along(self, of: Of, orbit: PlannedOrbit, bowed: BowedMotion | None) -> NDArray:
-        """The problem's `values_along`, of carriers where bowed cables end."""
-        carriers = self._carriers
-        if bowed is None or carriers is None or of is Of.TENSION:
-            return self._problem.values_along(of, self._terms, orbit)
+    def _values(self, of: Of, straight: OrbitMotion, bowed: BowedMotion | None) -> NDArray:
+        """Speeds, tensions or separations (k, c) of the carriers, cables or pairs, m/s, N or m."""
+        carriers, motion = self._carriers, straight if bowed is None else bowed.motion
+        if of is Of.TENSION:  # at the load
+            return np.linalg.norm(straight.forces, axis=-1)
         if of is Of.SEPARATION:
-            places = self._problem.model.attachments + bowed.motion.cables
-            return np.sqrt(squared_gaps(places, self._problem.pairs))
-        velocities = bowed.motion.velocities
-        if not self._task.counts_wind:
-            velocities = velocities + carriers.winds[:, None] @ carriers.orientations
+            pairs = np.array(np.triu_indices(carriers.believed.n, 1))
+            return np.sqrt(squared_gaps(motion.positions, pairs))
+        velocities = motion.velocities
+        if self._task.counts_wind:
+            velocities = velocities - carriers.winds[:, None]
         return np.linalg.norm(velocities, axis=-1)
 
-    def _limits(
-        self, orbit: PlannedOrbit, motion: OrbitMotion | None, bowed: BowedMotion | None
-    ) -> Iterator[LimitAlong]:
-        aircraft, needs = self._task.flown.aircraft, None
-        if self._carriers is not None and motion is not None and aircraft is not None:
-            needs = self._carriers.needs(motion, bowed)
+    def _limits(self, straight: OrbitMotion, bowed: BowedMotion | None) -> Iterator[LimitAlong]:
+        aircraft = self._task.flown.aircraft
         for limit, stated in asked(self._task.limits):
-            if needs is not None and aircraft is not None and limit.is_of_aircraft:
-                found = limit.values(aircraft, needs)
+            if limit.is_of_aircraft and aircraft is not None:
+                found = limit.values(aircraft, self._carriers.needs(straight, bowed))
             else:
-                found = self._values_along(limit.of, orbit, bowed)
+                found = self._values(limit.of, straight, bowed)
             yield LimitAlong(limit, stated, self.times, found)
 
 
@@ -351,7 +309,7 @@ def _planned(task: Task, *, most: int | None) -> list[SpeedCheck]:
     found: list[SpeedCheck] = []
     for config in (coarse, whole):
         problem = problem_of(task, config)
-        along = along or _Along(task, problem)
+        along = along or _Along(task)
         nominal = along.planned(
             Plan(0.0, 0.0, spacing, problem.nominal, problem.nominal_coefficients())
         )
@@ -476,8 +434,9 @@ def _faster_start(task: Task, factor: float) -> tuple[Task, str] | None:
 
 
 def _longer_cables(task: Task, factor: float) -> tuple[Task, str]:
-    length = _rounded(factor * task.model.cable_length, 1)
-    return task.changed(cable_length=length), f"system.cable_length={length:g}"
+    lengths = [_rounded(factor * length, 1) for length in np.ravel(task.model.cable_length)]
+    length: Any = lengths if isinstance(task.model.system.cable_length, list) else lengths[0]
+    return task.changed(cable_length=length), f"system.cable_length={length}"
 
 
 def _slower_motion(task: Task, factor: float) -> tuple[Task, str]:

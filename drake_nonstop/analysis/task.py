@@ -12,20 +12,18 @@ from numpy.typing import NDArray
 from pydrake.systems.framework import Context, Diagram, System
 
 from drake_nonstop.analysis.load_stability import LoadDeviations
+from drake_nonstop.analysis.loop_response import LoopResponse, loop_response, reference_ahead
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.loop.assembly import models_of
-from drake_nonstop.loop.loop_response import LoopResponse, loop_response, reference_ahead
-from drake_nonstop.mechanics.reference_preview import ReferencePreview, stretched_reference
+from drake_nonstop.mechanics.reference_preview import ReferencePreview, stretched
 from drake_nonstop.mechanics.rigid_load import STILL_AIR
 from drake_nonstop.mechanics.signals import PLANNED_SIZE, LoadReference, PlannedParameters
-from drake_nonstop.mechanics.wind import MeanWind
 from drake_nonstop.mechanics.wrench import feedforward_wrench
 from drake_nonstop.model.descriptions import RESPONSE, TurnRate, Wind, described, described_air
 from drake_nonstop.model.system import Model, given_fields
 from drake_nonstop.optimization.horizon_config import HorizonConfig, timed
 from drake_nonstop.optimization.plan import Plan
 from drake_nonstop.optimization.problem_config import LimitsConfig, with_fields_of
-from drake_nonstop.optimization.speed_margin import with_margin
 from drake_nonstop.scenario.schema import Scenario, check
 from drake_nonstop.systems import wiring
 from drake_nonstop.systems.block import is_of_package
@@ -98,15 +96,14 @@ class Task:
     horizon: HorizonConfig  # of plans of ξ and A
     turn: TurnAlong | None = None  # as the layer is predicted to change it; None: it does not
 
-    @cached_property
+    @property
     def wind(self) -> NDArray:
-        """At the load at the start (3,), m/s, in W, without gusts, once it has risen."""
-        return self.air.mean.at(LoadReference.view(self.reference(0.0)).position)
+        """The wind (3,), m/s, in W, without gusts, once it has risen."""
+        return self.air.mean
 
-    def wind_at(self, time: float, above: float = 0.0) -> NDArray:
-        """The wind (3,) at a time in s, so many m above the load's reference; m/s, in W."""
-        position = LoadReference.view(self.reference(time)).position + np.array([0, 0, above])
-        return self.air.at(time, position)
+    def wind_at(self, time: float) -> NDArray:
+        """The wind (3,) at a time in s, without gusts; m/s, in W."""
+        return self.air.at(time)
 
     def counted_wind(self, time: float) -> NDArray:
         """The wind (3,) as far as it counts for the speed bound, m/s, in W."""
@@ -145,7 +142,7 @@ class Task:
                     turn, 3, axis=1
                 )
         else:
-            values[:] = [plan.values(time) for time in times]
+            values[:] = [plan.planned(time) for time in times]
         return values
 
     @cached_property
@@ -169,7 +166,7 @@ class Task:
         rates = np.array([1 / factor, 0.0, 0.0])
 
         def reference(time: float) -> NDArray:
-            return stretched_reference(self.reference(time / factor), rates)
+            return stretched(self.reference(time / factor), rates)
 
         return dataclasses.replace(self, reference=reference, duration=factor * self.duration)
 
@@ -196,8 +193,6 @@ class Task:
 def task_of(scenario: Scenario, loop: Diagram | None = None) -> Task:
     """The task of a scenario; numbers are drawn for its distributions.
 
-    Its limits are those of the loop that a run builds, with the margin that is computed for it.
-
     Args:
         scenario: what is flown.
         loop: that was built from it; None: one is.
@@ -209,12 +204,10 @@ def task_of(scenario: Scenario, loop: Diagram | None = None) -> Task:
     scenario = scenario.sampled()
     if loop is None:
         loop = make_nonstop(scenario, at_equilibrium=False)
-    layer = with_margin(scenario.optimization_layer, getattr(loop, "speed_margin", None))
-    scenario = dataclasses.replace(scenario, optimization_layer=layer)
     blocks = {block.get_name(): block for block in loop.GetSystems()}
     trajectory = blocks["load_trajectory"]
     if wiring.input_names(trajectory) == ["planned"]:
-        turn = TurnAlong(trajectory, np.array([layer.frequency]), np.zeros(1))
+        turn = TurnAlong(trajectory, np.array([scenario.optimization_layer.frequency]), np.zeros(1))
         task = _task(scenario, turn.reference, blocks)
         turns = described(blocks.get("optimization_layer"))
         if turns is None:
@@ -261,7 +254,7 @@ def task_at(
     limits = dataclasses.replace(task.limits, frequency=frequency, amplitude=amplitude)
     if described_air(blocks) is None and nonstop.HasOutputPort("load_wind"):
         wind = nonstop.GetOutputPort("load_wind").Eval(context)
-        task = dataclasses.replace(task, air=Wind(MeanWind(wind.copy())))
+        task = dataclasses.replace(task, air=Wind(wind.copy()))
     return dataclasses.replace(task, limits=limits)
 
 

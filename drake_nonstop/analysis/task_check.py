@@ -33,7 +33,6 @@ from drake_nonstop.analysis.speed_check import (
 )
 from drake_nonstop.analysis.task import Task, task_of
 from drake_nonstop.diagrams.nonstop import make_nonstop
-from drake_nonstop.mechanics.planned_orbit import PlannedOrbit
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.validation import finite
 
@@ -112,19 +111,18 @@ class FlightOfPlan(NamedTuple):
 def flight_of_plan(task: Task, speeds: SpeedCheck, limits: FlightEnvelope) -> FlightOfPlan | None:
     """The margins of a task's aircraft along its best plan, in the mean wind at their mean height.
 
-    The aircraft follow the plan exactly, see `CarriersAlong`. None where there are no aircraft, the
-    internal force has other harmonics than the first, or a layer without a speed bound changes ξ
-    and A: there is no plan. Without one in `speeds` ξ and A are the nominal ones.
+    The aircraft follow the plan exactly, see `CarriersAlong`. None where there are no aircraft, or
+    a layer without a speed bound changes ξ and A: there is no plan. Without one in `speeds` ξ and A
+    are the nominal ones.
     """
     is_free = task.changes_parameters and speeds.plan is None
     aircraft = task.flown.aircraft
-    if aircraft is None or is_free or any(o != 1 for o in task.flown.pattern.harmonics):
+    if aircraft is None or is_free:
         return None
     times = speeds.plan_times
     planned = task.planned(speeds.plan, times)
     carriers = carriers_along(task, times)
-    orbit = PlannedOrbit.of_planned(planned)
-    motion = carriers.motion(orbit)
+    motion = carriers.motion(planned)
     bowed = carriers.bowed(planned, motion)
     needs = carriers.needs(motion, bowed)
     quantities = [*limits_along(aircraft, needs, limits, times)]

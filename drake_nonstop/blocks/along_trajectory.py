@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydrake.trajectories import PiecewisePolynomial
 
 from drake_nonstop.mechanics.reference_preview import ReferencePreview
-from drake_nonstop.mechanics.rotation import angular_motion, roll_pitch_yaw_to_quaternion
+from drake_nonstop.mechanics.rotation import angular_velocity_of, roll_pitch_yaw_to_quaternion
 from drake_nonstop.mechanics.signal_layouts import by_name
 from drake_nonstop.mechanics.signals import (
     LOAD_REFERENCE_SIZE,
@@ -18,9 +18,10 @@ from drake_nonstop.mechanics.signals import (
     LoadReference,
     ReferenceHigherRates,
 )
+from drake_nonstop.mechanics.taylor import Taylor
 from drake_nonstop.model.block import Block
 from drake_nonstop.model.system import Model
-from drake_nonstop.optimization.elementwise import RowsFunction
+from drake_nonstop.systems.grid_function import GridFunction
 
 _BOX = "load_trajectory"
 _RATES = 4  # derivatives of the coordinates
@@ -97,39 +98,25 @@ class LoadTrajectory(AlongTrajectory):
     `reference_preview` is a `ReferencePreview`: the reference at any time.
 
     Args:
-        trajectory: the rows [roll, pitch, yaw (rad), x, y, z (m)], or other coordinates that
-            `pose` converts to these, twice continuously differentiable where the load has to
-            follow closely. Before its start and after its end the load rests at its first and
-            last pose.
-        pose: maps the coordinates and their four derivatives (5, rows) to those of [roll,
-            pitch, yaw, x, y, z], (5, 6), and runs on object arrays. None: the rows are these.
+        trajectory: the rows [roll, pitch, yaw (rad), x, y, z (m)], twice continuously
+            differentiable where the load has to follow closely. Before its start and after its
+            end the load rests at its first and last pose.
         yaw_rate: rad/s, at which the load turns about the vertical besides, at all times.
     """
 
     makes = ("reference", "reference_higher_rates", "reference_preview")
     reads_time = True
 
-    def __init__(
-        self,
-        trajectory: PiecewisePolynomial,
-        pose: Callable[[NDArray], NDArray] | None = None,
-        *,
-        yaw_rate: float = 0.0,
-    ):
-        self._constants = {"pose": pose, "yaw_rate": yaw_rate}
+    def __init__(self, trajectory: PiecewisePolynomial, *, yaw_rate: float = 0.0):
+        self._constants = {"yaw_rate": yaw_rate}
         super().__init__(trajectory)
 
     @staticmethod
     def equations(
-        coordinates: NDArray,
-        time: NDArray,
-        *,
-        pose: Callable[[NDArray], NDArray] | None,
-        yaw_rate: float,
+        coordinates: NDArray, time: NDArray, *, yaw_rate: float
     ) -> tuple[NDArray, NDArray]:
-        values = pose(coordinates.reshape(_RATES + 1, -1)) if pose else coordinates
         turn = np.concatenate([yaw_rate * time, [yaw_rate, 0.0, 0.0, 0.0]])
-        return reference_along(values, turn)
+        return reference_along(coordinates, turn)
 
     def constants(self, model: Model, config: Any) -> dict[str, Any]:
         return self._constants
@@ -146,17 +133,17 @@ def _preview(
     """The preview of a trajectory by the equations of its block."""
 
     @functools.cache  # most runs do not ask for any
-    def traced() -> RowsFunction:
-        return RowsFunction(
-            lambda *values: np.concatenate(equations(*values, **constants)),
-            [coordinates.size, 1],
-            name=lambda: _BOX,
+    def traced() -> GridFunction:
+        return GridFunction(
+            lambda row, _: equations(row[:-1], row[-1:], **constants),
+            coordinates.size + 1,
             key=("rows", equations, *constants.values()),
+            compiles=False,
         )
 
     def rows(times: NDArray) -> dict[str, NDArray]:
         vectors = np.concatenate([coordinates.rows(times), times[:, None]], axis=1)
-        return by_name(_SIZES, traced()(vectors))
+        return by_name(_SIZES, traced().rows(vectors, lambda: _BOX))
 
     return ReferencePreview(
         lambda time: rows(np.array([time]))["reference"][0],
@@ -174,7 +161,8 @@ def reference_along(pose: NDArray, turn: NDArray) -> tuple[NDArray, NDArray]:
     """
     angles, positions = np.split(pose.reshape(_RATES + 1, 6), 2, axis=1)
     roll_pitch_yaw = np.column_stack([angles[:, :2], angles[:, 2] + turn])
-    angular_velocity, angular_acceleration, angular_jerk = angular_motion(*roll_pitch_yaw[:4])
+    spin = angular_velocity_of(Taylor.of_rates(*roll_pitch_yaw[:4]))
+    angular_velocity, angular_acceleration, angular_jerk = spin.rates
     reference = np.concatenate(
         LoadReference(
             quaternion=roll_pitch_yaw_to_quaternion(roll_pitch_yaw[0]),

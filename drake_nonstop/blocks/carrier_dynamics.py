@@ -1,18 +1,15 @@
 """The dynamics half of box "Carrier Controller + Dynamics"."""
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.systems.framework import Context, System
+from pydrake.systems.framework import Context
 
-from drake_nonstop.blocks.jsbsim_carriers import JsbsimCarriers, JsbsimCarriersConfig
 from drake_nonstop.mechanics.aircraft import (
     Aircraft,
-    FlightStates,
     flight_acceleration,
     flight_rate,
     flown_aircraft,
@@ -21,15 +18,14 @@ from drake_nonstop.mechanics.aircraft import (
     trimmed_states,
 )
 from drake_nonstop.mechanics.carrier import (
-    carriers_kinetic_energy,
-    carriers_potential_energy,
     double_integrator_rate,
-    loaded_carrier_rate,
+    limited_acceleration,
+    limited_carrier_rate,
 )
+from drake_nonstop.mechanics.signals import CarrierStates
 from drake_nonstop.model.block import (
     AIRCRAFT_NUMBERS,
     Block,
-    BlockParameters,
     aircraft_of,
     required_aircraft,
 )
@@ -37,17 +33,49 @@ from drake_nonstop.model.descriptions import CarrierMotion
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.parameters import parameters_in
 from drake_nonstop.systems.requirements import LoopBlocks
-from drake_nonstop.validation import StrictFields, is_number, require
+from drake_nonstop.validation import StrictFields, positive, require_ranges
+
+_BOX = "carrier_dynamics"
+_PULL = "carrier_cable_forces"
+_UP = np.array([0.0, 0.0, 1.0])
 
 
-def _requires_points(self: System, loop: LoopBlocks) -> Iterator[str]:
-    """Tells of aircraft that cannot stall, since they move as points."""
-    if loop.simulated.aircraft is not None:
-        yield (
-            f"carrier_dynamics = {type(self).__name__}: its carriers are points of the "
-            "aircraft's mass, which cannot stall; give carrier_dynamics=FixedWingDynamics and "
-            "carrier_controller=FixedWingController"
-        )
+class _Carriers(Block):
+    """Carriers of one mass, and their energies, J; a context is the block's own."""
+
+    makes: ClassVar[tuple[str, ...]] = ("carrier_state",)
+
+    def _weight(self, context: Context) -> tuple[Any, Any]:
+        """The mass of a carrier, kg, and its gravity, m/s²: 0 where it has no weight."""
+        return parameters_in(self, context)["carrier_mass"], 0.0
+
+    def CalcKineticEnergy(self, context: Context) -> float:
+        """½ m Σ ‖v_i‖², J."""
+        velocities = self._carriers(context).velocities
+        mass, _ = self._weight(context)
+        return float(np.sum(mass * velocities**2) / 2)
+
+    def CalcPotentialEnergy(self, context: Context) -> float:
+        """Potential energy of the weights, m g Σ z_i, J."""
+        heights = self._carriers(context).positions[:, 2]
+        mass, gravity = self._weight(context)
+        return float(np.sum(mass * gravity * heights))
+
+    def _carriers(self, context: Context) -> CarrierStates:
+        return CarrierStates.view(self.GetOutputPort("carrier_state").Eval(context))
+
+
+class _Points(_Carriers):
+    """Carriers without wings."""
+
+    def requires(self, loop: LoopBlocks) -> Iterator[str]:
+        """Tells of aircraft that cannot stall, since they move as points."""
+        if loop.simulated.aircraft is not None:
+            yield (
+                f"{_BOX} = {type(self).__name__}: its carriers are points of the "
+                "aircraft's mass, which cannot stall; give carrier_dynamics=FixedWingDynamics and "
+                "carrier_controller=FixedWingController"
+            )
 
 
 @dataclass(kw_only=True)
@@ -55,17 +83,15 @@ class CarrierDynamicsConfig(StrictFields):
     """No parameters: the carrier mass is the system's."""
 
 
-class CarrierDynamics(Block):
+class CarrierDynamics(_Points):
     """Double integrators: m_c p̈ = u, without weight or cable reaction, as in the paper.
 
     `carrier_state` is the state.
     """
 
     reads = ("carrier_forces",)
-    makes = ("carrier_state",)
     state_ports = ("carrier_state",)
     system = ("carrier_mass",)
-    requires = _requires_points
 
     @staticmethod
     def equations(state: NDArray, forces: NDArray, *, carrier_mass: NDArray) -> NDArray:
@@ -77,98 +103,81 @@ class CarrierDynamics(Block):
     def describe_response(self) -> CarrierMotion:
         return CarrierMotion()
 
-    def CalcKineticEnergy(self, context: Context) -> float:
-        """½ m_c Σ ‖v_i‖², J; the context is the block's own."""
-        state = self.GetOutputPort("carrier_state").Eval(context)
-        mass = parameters_in(self, context)["carrier_mass"]
-        return float(carriers_kinetic_energy(state, mass=mass)[0])
-
 
 @dataclass(kw_only=True)
-class LoadedCarrierDynamicsConfig(StrictFields):
-    """The limit of a carrier; its mass is the system's."""
+class LimitedCarriersConfig(StrictFields):
+    """Limit and lag of the carriers' own acceleration, and what else moves them."""
 
-    max_force: float = math.inf  # N, of a carrier
+    max_acceleration: float = positive(100.0)  # m/s², of the force that a carrier makes, over m_c
+    lag: float = positive(0.005)  # s, time constant of that force
+    has_weight: bool = False  # whether its weight pulls at a carrier
+    feels_cable: bool = False  # whether its cable pulls at a carrier
 
 
-class LoadedCarrierDynamics(Block):
-    """Carriers with weight and cable reaction: m_c p̈ = sat(u) − m_c g e₃ − f.
+class LimitedCarriers(_Points):
+    """Double integrators whose force is limited, and follows its command with a first-order lag.
 
-    They sag under a controller that compensates for neither; see `LoadedCarrierPid`.
+        v̇_i = a_i − g e₃ − f_i/m_c,   τ ȧ_i = sat(u_i/m_c) − a_i,
 
-    Each of the `carrier_forces` is limited to `max_force`; `carrier_state` is the state.
+    with the `lag` τ; sat limits the norm to `max_acceleration`. The term of g is there where
+    `has_weight`, and that of the cable's force f_i on the load where `feels_cable`. No controller
+    of the package feeds them forward: with a position gain K_p carriers sag by ‖m_c g e₃ + f‖/K_p
+    until the integrals of the carriers or of the load correct that. A PID whose force lags by more
+    than K_d/K_p is unstable.
+
+    The state is [positions (3n), m; velocities (3n), m/s; a (3n), m/s²], in W. A run starts with
+    the a that the references need. Own model of thrust that turns with the vehicle.
 
     Raises:
-        ScenarioError: `max_force` is not positive.
+        ScenarioError: the limit or the lag is not positive.
     """
 
-    reads = ("carrier_forces", "carrier_cable_forces")
-    makes = ("carrier_state",)
-    state_ports = ("carrier_state",)
+    reads = ("carrier_forces", _PULL)
+    where: ClassVar = {_PULL: "`feels_cable` is true"}
     system = ("carrier_mass", "gravity")
-    requires = _requires_points
 
     @staticmethod
     def equations(
-        *values: NDArray, carrier_mass: NDArray, gravity: NDArray, max_force: Any = None
-    ) -> NDArray:
-        return loaded_carrier_rate(*values, mass=carrier_mass, gravity=gravity, max_force=max_force)
+        states: NDArray,
+        forces: NDArray,
+        *cable_forces: NDArray,
+        has_weight: bool,
+        carrier_mass: NDArray,
+        gravity: NDArray,
+        **limits: NDArray,
+    ) -> tuple[NDArray, NDArray]:
+        pull = -has_weight * gravity * np.tile(_UP, len(forces) // 3)
+        for force in cable_forces:
+            pull = pull - force / carrier_mass
+        rate = limited_carrier_rate(states, forces / carrier_mass, pull, **limits)
+        return rate, states[: 2 * len(forces)]
 
     @classmethod
-    def check(cls, model: Model, config: LoadedCarrierDynamicsConfig) -> None:
-        limit = config.max_force
-        require(
-            (is_number(limit) and limit > 0) or limit == math.inf,
-            "carrier_dynamics.max_force",
-            limit,
-            "give a number greater than zero, or .inf for no limit",
-        )
+    def check(cls, model: Model, config: LimitedCarriersConfig) -> None:
+        require_ranges(_BOX, config)
 
-    def block_parameters(
-        self, model: Model, config: LoadedCarrierDynamicsConfig
-    ) -> BlockParameters:
-        own = ("max_force",) if config.max_force < math.inf else ()
-        return BlockParameters(model, self.system, config=config, own=own)
+    def inputs(self, model: Model) -> tuple[str, ...]:
+        return self.reads if self.config.feels_cable else self.reads[:1]
 
-    state = CarrierDynamics.state
-    CalcKineticEnergy = CarrierDynamics.CalcKineticEnergy
+    def constants(self, model: Model, config: LimitedCarriersConfig) -> dict[str, Any]:
+        return {"has_weight": config.has_weight}
 
-    def describe_response(self) -> CarrierMotion:
-        return CarrierMotion(bears_cables=True)
+    def state(self, model: Model) -> NDArray:
+        return np.append(model.initial_carrier_state, np.zeros(3 * model.n))
 
-    def CalcPotentialEnergy(self, context: Context) -> float:
-        """Potential energy of the weights, m_c g Σ z_i, J; the context is the block's own."""
+    def trim(self, context: Context, carrier_reference_acceleration: NDArray | float = 0.0) -> None:
+        """Sets the carriers' own accelerations for those (3n,) of their references, m/s²."""
+        mass, gravity = self._weight(context)
+        own = carrier_reference_acceleration + gravity * np.tile(_UP, self.model.n)
+        if self.config.feels_cable:
+            own = own + self.GetInputPort(_PULL).Eval(context) / mass
+        limit = parameters_in(self, context)["max_acceleration"]
         state = self.GetOutputPort("carrier_state").Eval(context)
+        context.SetContinuousState(np.append(state, limited_acceleration(own, limit)))
+
+    def _weight(self, context: Context) -> tuple[Any, Any]:
         own = parameters_in(self, context)
-        mass, gravity = own["carrier_mass"], own["gravity"]
-        return float(carriers_potential_energy(state, mass=mass, gravity=gravity)[0])
-
-
-@dataclass(kw_only=True)
-class IdealCarriersConfig(StrictFields):
-    """No parameters."""
-
-
-class IdealCarriers(Block):
-    """Ideal tracking: the carriers' state is their reference, whatever the controller does.
-
-    The load's error that remains with them is not due to the carriers. Behind sampled
-    controllers the references, and so the carriers, jump a little at every sample.
-    """
-
-    reads = ("carrier_reference",)
-    makes = ("carrier_state",)
-
-    requires = _requires_points
-
-    @staticmethod
-    def equations(reference: NDArray) -> NDArray:
-        return reference
-
-    def CalcKineticEnergy(self, context: Context) -> float:
-        """½ m_c Σ ‖v_i‖², J; the context is the block's own. Without weight none is potential."""
-        state = self.GetOutputPort("carrier_state").Eval(context)
-        return float(carriers_kinetic_energy(state, mass=self.model.carrier_mass)[0])
+        return own["carrier_mass"], own["gravity"] * self.config.has_weight
 
 
 @dataclass(kw_only=True)
@@ -180,7 +189,7 @@ class FixedWingDynamicsConfig(StrictFields):
     )
 
 
-class FixedWingDynamics(Block):
+class FixedWingDynamics(_Carriers):
     """Fixed-wing aircraft: 3-DoF point masses with lift, bank and thrust that lag their commands.
 
     With the airspeed V, forward x, the lift's direction l at the bank μ, and q = ½ ρ V²,
@@ -224,8 +233,7 @@ class FixedWingDynamics(Block):
         required_aircraft(model, "carrier_dynamics", "FixedWingDynamics")
 
     def state(self, model: Model) -> NDArray:
-        others = (np.zeros(k * model.n) for k in (1, 1, 1, 3))
-        return np.concatenate(FlightStates(model.initial_carrier_state, *others))
+        return np.append(model.initial_carrier_state, np.zeros(6 * model.n))
 
     def trim(self, context: Context, carrier_reference_acceleration: NDArray) -> None:
         """Sets C_L, bank and thrust, within their limits, for these accelerations (3n,), m/s²."""
@@ -244,29 +252,12 @@ class FixedWingDynamics(Block):
         own = aircraft_of(parameters_in(self, context))
         return flown_aircraft(own, self.model.bears_cable_drag)
 
-    def CalcKineticEnergy(self, context: Context) -> float:
-        """½ m Σ ‖v_i‖², J; the context is the block's own."""
-        state = self.GetOutputPort("carrier_state").Eval(context)
-        mass = self._aircraft_in(context).mass
-        return float(carriers_kinetic_energy(state, mass=mass)[0])
-
-    def CalcPotentialEnergy(self, context: Context) -> float:
-        """Potential energy of the weights, m g Σ z_i, J; the context is the block's own."""
-        state = self.GetOutputPort("carrier_state").Eval(context)
-        flying = self._aircraft_in(context)
-        energy = carriers_potential_energy(state, mass=flying.mass, gravity=flying.gravity)
-        return float(energy[0])
+    def _weight(self, context: Context) -> tuple[Any, Any]:
+        own = self._aircraft_in(context)
+        return own.mass, own.gravity
 
 
-VARIANTS = (
-    CarrierDynamics,
-    LoadedCarrierDynamics,
-    FixedWingDynamics,
-    JsbsimCarriers,
-    IdealCarriers,
-)
+VARIANTS = (CarrierDynamics, LimitedCarriers, FixedWingDynamics)
 
-__all__ = ["CarrierDynamics", "CarrierDynamicsConfig"]
-__all__ += ["LoadedCarrierDynamics", "LoadedCarrierDynamicsConfig"]
+__all__ = ["CarrierDynamics", "CarrierDynamicsConfig", "LimitedCarriers", "LimitedCarriersConfig"]
 __all__ += ["FixedWingDynamics", "FixedWingDynamicsConfig"]
-__all__ += ["JsbsimCarriers", "JsbsimCarriersConfig", "IdealCarriers", "IdealCarriersConfig"]

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -11,18 +12,37 @@ from drake_nonstop.blocks.lumped_cables import (
     CABLE_MATERIAL,
     air_density_name,
     air_density_where_unsaid,
-    cable_material,
     check_nodes,
     material_of,
+    material_rows,
 )
-from drake_nonstop.mechanics.bowed_line import TimeWindow, bowed_lines, motion_over_window
+from drake_nonstop.mechanics.bowed_line import (
+    TimeWindow,
+    bowed_lines,
+    motion_over_window,
+    with_feedback,
+)
 from drake_nonstop.mechanics.bowed_orbit import CableShape
 from drake_nonstop.mechanics.cable import compliance_of
-from drake_nonstop.mechanics.carrier import carrier_motion, motion_after, shifted_reference
-from drake_nonstop.mechanics.grasp import second_and_third_force_rates
+from drake_nonstop.mechanics.carrier import (
+    carrier_motion,
+    carrier_positions,
+    motion_after,
+)
+from drake_nonstop.mechanics.grasp import forces_along
+from drake_nonstop.mechanics.internal_force import orbit_axes, orbit_forces
+from drake_nonstop.mechanics.load_motion import LoadMotion
 from drake_nonstop.mechanics.lumped_cable import CableMaterial
-from drake_nonstop.mechanics.signal_layouts import SAMPLE_TIME, Layout, nodes_layout
-from drake_nonstop.mechanics.signals import LoadReference
+from drake_nonstop.mechanics.planned_orbit import FlightTerms
+from drake_nonstop.mechanics.signal_layouts import Layout
+from drake_nonstop.mechanics.signals import (
+    SAMPLE_TIME,
+    SAMPLED,
+    LoadReference,
+    LoadState,
+    nodes_layout,
+)
+from drake_nonstop.mechanics.taylor import Taylor
 from drake_nonstop.model.block import (
     LOAD,
     Block,
@@ -39,6 +59,8 @@ from drake_nonstop.validation import (
     ScenarioError,
     StrictFields,
     checked,
+    number_or_list,
+    one_of,
     positive,
     require,
     require_non_negative,
@@ -47,20 +69,39 @@ from drake_nonstop.validation import (
 )
 
 _BOX = "carrier_trajectory"
-_HOLDS = {"third_order": 3, "second_order": 2, "velocity": 1}  # and their orders
+_HOLDS = {"third_order": 3, "velocity": 1}  # and their orders
 _DERIVATIVES = ("carrier_reference_acceleration", "carrier_reference_jerk")
 _MOVED = ("carrier_reference", "carrier_reference_acceleration")  # between samples
-_SAMPLED = tuple(f"sampled_{name}" for name in _MOVED)
 _INSTANTS = 9  # of the window: accelerations to 0.003 m/s² on cables of 150 m
 _FORCE_RATES = "internal_force_higher_rates"
 _FOR_DERIVATIVES = (_FORCE_RATES, "wind_estimate")
 _HIGHER_RATES = "reference_higher_rates"
 _MEASURED = "measured_load_state"
 _GUSTS = "carrier_gust_estimate"
-_GEOMETRY = ("attachments", "pseudo_inverse", "basis", "phases", "orders")
 
 
-class _TrajectoryAboveReference(Block):
+class _CarrierReferences(Block):
+    """Carriers' references, of which some are made at the samples, and move in between."""
+
+    where: ClassVar = dict.fromkeys(
+        (SAMPLE_TIME, *(SAMPLED + name for name in _MOVED)), "the model has a control period"
+    )
+    of_model: ClassVar[tuple[str, ...]] = ("attachments",)
+    is_sampled = True
+
+    def inputs(self, model: Model) -> tuple[str, ...]:
+        return tuple(n for n in self.reads if n != SAMPLE_TIME or model.control_period > 0)
+
+    def outputs(self, model: Model) -> tuple[str, ...]:
+        # In the order of `equations`, which do not make those that move.
+        moved = tuple(name for name in self.makes if SAMPLED + name in self.makes)
+        others = tuple(n for n in self.makes if n not in moved and not n.startswith(SAMPLED))
+        if model.control_period > 0:
+            return (*(SAMPLED + name for name in moved), *others, *moved)
+        return (*moved, *others)
+
+
+class _TrajectoryAboveReference(_CarrierReferences):
     """Carriers above the load's reference, with accelerations and jerks (eqs. 1, 22)."""
 
     reads: ClassVar[tuple[str, ...]] = (
@@ -72,39 +113,33 @@ class _TrajectoryAboveReference(Block):
         _MEASURED,
         SAMPLE_TIME,
     )
-    makes: ClassVar[tuple[str, ...]] = ("carrier_reference", *_DERIVATIVES, *_SAMPLED)
+    makes: ClassVar[tuple[str, ...]] = (
+        "carrier_reference",
+        *_DERIVATIVES,
+        *(SAMPLED + name for name in _MOVED),
+    )
     where: ClassVar = {
-        **dict.fromkeys((SAMPLE_TIME, *_SAMPLED), "the model has a control period"),
+        **_CarrierReferences.where,
         _MEASURED: "`correction_rates` are not all zero",
     }
     optional_inputs: tuple[str, ...] = (_HIGHER_RATES,)
     system: ClassVar[tuple[str, ...]] = ("cable_length", "cable_stiffness", *LOAD)
     of_model: ClassVar[tuple[str, ...]] = (
-        "attachments",
-        "pseudo_inverse",
-        "pattern.basis",
-        "control_period",
+        *_CarrierReferences.of_model,
+        *("pseudo_inverse", "pattern.basis", "control_period"),
     )
-    is_sampled = True
 
     def __init__(self, model: Model, config: Any = None):
-        hold = getattr(config, "hold", "third_order")
-        is_left_out = model.control_period == 0 or _HOLDS.get(hold, 3) < 2
+        is_left_out = model.control_period == 0 or getattr(config, "hold", "") == "velocity"
         if is_left_out and _FORCE_RATES in self.reads:
             self.optional_inputs = (*self.optional_inputs, *_FOR_DERIVATIVES)
         super().__init__(model, config)
 
-    @property
-    def hold_order(self) -> int:
-        """Of the references' motion between samples, as `_HOLDS`; 0: there are no samples."""
-        return _HOLDS[self.config.hold] if self.model.control_period > 0 else 0
-
     def describe_response(self) -> CarrierReferences:
-        return CarrierReferences(self.hold_order)
+        return CarrierReferences(_HOLDS[self.config.hold] if self.model.control_period > 0 else 0)
 
     @classmethod
     def check(cls, model: Model, config: Any) -> None:
-        require(config.hold in _HOLDS, f"{_BOX}.hold", config.hold, f"give {' or '.join(_HOLDS)}")
         require_ranges(_BOX, config)
 
     def state(self, model: Model) -> NDArray:
@@ -120,8 +155,7 @@ class _TrajectoryAboveReference(Block):
         These are needed where accelerations of its references are used. Warns where the wrench
         controller integrates the load's error, too.
         """
-        pattern = self.model.pattern
-        load_reference = loop.at_start("reference") if pattern.is_constant else None
+        load_reference = loop.at_start("reference") if self.model.pattern.is_constant else None
         if load_reference is not None:
             require(
                 np.any(LoadReference.view(load_reference).angular_velocity),
@@ -130,10 +164,10 @@ class _TrajectoryAboveReference(Block):
                 "its carriers keep their places above the load, which does not turn at the start, "
                 "and would stop; give load_trajectory: !SteadyTurn, or a pattern with orbits",
             )
-        is_used = self.hold_order >= 2 or any(
+        internal_force = loop.get("internal_force")
+        is_used = self.describe_response().hold == 3 or any(
             {*_DERIVATIVES} & loop.needed(name) for name in loop.blocks
         )
-        internal_force = loop.get("internal_force")
         if is_used and internal_force is not None and loop.maker_of(_FORCE_RATES) is None:
             raise ScenarioError(
                 f"internal_force = {type(internal_force).__name__}: it does not make "
@@ -142,8 +176,8 @@ class _TrajectoryAboveReference(Block):
                 "internal_force=InternalForceTrajectory"
             )
         gains = described(loop.get("wrench_controller")) or {}
-        is_twice = np.any(gains.get("position_integral_gain", 0.0))
-        if is_twice and self.has_state(self.model, self.config):
+        is_integrated = np.any(gains.get("position_integral_gain", 0.0))
+        if is_integrated and self.has_state(self.model, self.config):
             yield (
                 f"{_BOX}.correction_rates = {self.config.correction_rates}: the load's position "
                 "error is integrated twice, and the two integrals wander against each other; set "
@@ -161,106 +195,94 @@ class _TrajectoryAboveReference(Block):
         reference_higher_rates: NDArray,
         *measured: NDArray,
         corrects: bool,
-        control_period: float,
         correction_rates: NDArray,
-        attachments: NDArray,
+        control_period: float,
         pseudo_inverse: NDArray,
         basis: NDArray,
+        attachments: NDArray,
         cable_length: NDArray,
         cable_stiffness: NDArray | None = None,
         **load: NDArray,
     ) -> tuple[NDArray, NDArray, NDArray, NDArray]:
-        cables = _cables(attachments, cable_length, cable_stiffness)
-        forces, rates = forces.reshape(-1, 3), rates.reshape(-1, 3)
-        higher_rates = second_and_third_force_rates(
+        motion, shift_rate = LoadMotion.along(reference, reference_higher_rates), shift
+        along = forces_along(
             rigid_load(**load),
-            reference,
-            forces,
-            rates,
+            motion,
+            forces.reshape(-1, 3),
+            rates.reshape(-1, 3),
             internal_force_higher_rates,
             wind,
-            reference_higher_rates,
             pseudo_inverse=pseudo_inverse,
             basis=basis,
         )
-        shift_rate = shift
         if corrects:
-            reference, shift_rate = _corrected(
-                reference, shift, *measured, rates=correction_rates, period=control_period
+            motion, shift_rate = _corrected(
+                motion, shift, *measured, rates=correction_rates, period=control_period
             )
-        motion = carrier_motion(reference, forces, rates, *higher_rates, **cables)
-        return shift_rate, np.concatenate(motion[:2]), motion[2], motion[3]
+        cables = _cables(attachments, cable_length, cable_stiffness)
+        position, velocity, acceleration, jerk = carrier_positions(motion, along, **cables).rates
+        return shift_rate, np.concatenate([position, velocity]), acceleration, jerk
 
     def constants(self, model: Model, config: Any) -> dict[str, Any]:
         return super().constants(model, config) | {"corrects": self.has_state(model, config)}
 
     def inputs(self, model: Model) -> tuple[str, ...]:
         left_out = () if self.has_state(model, self.config) else (_MEASURED,)
-        return _where_sampled(model, (*(n for n in self.reads if n not in left_out),), SAMPLE_TIME)
-
-    def outputs(self, model: Model) -> tuple[str, ...]:
-        # In the order of `equations`, which do not make those that move.
-        others = [name for name in self.makes if name not in (*_MOVED, *_SAMPLED)]
-        if model.control_period > 0:
-            return (*_SAMPLED, *others, *_MOVED)
-        return (*_MOVED, *others)
+        return tuple(name for name in super().inputs(model) if name not in left_out)
 
     def between_samples(self, model: Model, config: Any) -> BetweenSamples:
-        return _moving(_HOLDS[config.hold])
+        moved = _along_jerk if config.hold == "third_order" else _along_velocity
+        reads = (*(SAMPLED + name for name in _MOVED), _DERIVATIVES[1])
+        return BetweenSamples(moved, reads, _MOVED, key=config.hold)
 
 
-def _where_sampled(model: Model, names: tuple[str, ...], *sampled: str) -> tuple[str, ...]:
-    """The names, without those of a loop with a control period where there is none."""
-    return tuple(n for n in names if model.control_period > 0 or n not in sampled)
+def _along_jerk(motion: NDArray, acceleration: NDArray, jerk: NDArray, since: NDArray) -> Any:
+    """Motion and accelerations a time after the sample."""
+    return motion_after(motion, since, acceleration, jerk), acceleration + since * jerk
+
+
+def _along_velocity(motion: NDArray, acceleration: NDArray, jerk: NDArray, since: NDArray) -> Any:
+    """Motion a time after the sample, with the accelerations of the sample."""
+    return motion_after(motion, since), acceleration
 
 
 def _corrected(
-    reference: NDArray,
+    motion: LoadMotion,
     shift: NDArray,
     load_state: NDArray,
     *sample_time: NDArray,
     rates: NDArray,
     period: float,
-) -> tuple[NDArray, NDArray]:
-    """The reference, moved by the shift after this sample, and the shift's rate."""
-    _, rate = shifted_reference(reference, shift, load_state, rates=rates)
-    rate, shift = with_this_sample(shift, rate, sample_time, period)
-    return shifted_reference(reference, shift, load_state, rates=rates)[0], rate
+) -> tuple[LoadMotion, NDArray]:
+    """A motion, moved by the shift s after this sample and at the velocity ṡ, and the state's rate.
 
-
-def _moving(order: int) -> BetweenSamples:
-    """Motion along velocities (1), with accelerations (2), or with jerks, too (3).
-
-    One of third order has the acceleration at that time, too.
+    ṡ = −σ (p − p_d), with the measured position p and σ (3,), rad/s, along the axes of W.
     """
-
-    def moved(motion: NDArray, acceleration: NDArray, jerk: NDArray, since: NDArray) -> Any:
-        after = motion_after(motion, since, *(acceleration, jerk)[: order - 1])
-        return after, acceleration + since * jerk if order == 3 else acceleration
-
-    return BetweenSamples(moved, (*_SAMPLED, _DERIVATIVES[1]), _MOVED, key=("hold", order))
+    speed = rates * (motion.position.coefficients[0] - LoadState.view(load_state).position)
+    rate, shift = with_this_sample(shift, speed, sample_time, period)
+    steady = Taylor([shift, speed, *[0 * speed] * (len(motion.position.coefficients) - 2)])
+    return motion._replace(position=motion.position + steady), rate
 
 
 def _cables(attachments: NDArray, length: NDArray, stiffness: NDArray | None) -> dict[str, Any]:
-    """Cables of a length (1,) in m, and a stiffness (1,) in N/m, None: they do not stretch."""
+    """Cables of lengths in m and stiffnesses in N/m, (1,) or (n,); None: they do not stretch."""
     compliance = np.zeros(1) if stiffness is None else compliance_of(stiffness)
     return {"attachments": attachments, "rest_length": length, "compliance": compliance}
 
 
-def _check_rates(field: str, rates: list[float]) -> None:
-    for rate in rates:
-        require_non_negative(field, rate)
-
-
 @dataclass(kw_only=True)
-class _Hold(StrictFields):
-    hold: str = "third_order"  # of the references between samples; or "second_order", "velocity"
+class _MovingReferencesConfig(StrictFields):
+    """How the references move, between samples and against errors; the cables are the system's."""
+
+    hold: str = checked(  # of the references between samples: "third_order" or "velocity"
+        "third_order", one_of(_HOLDS, f"give {' or '.join(_HOLDS)}")
+    )
     # rad/s, along x, y and z of W, at which the references move against the load's measured error
-    correction_rates: list[float] = vector([0.0, 0.0, 0.0], "in W", _check_rates)
+    correction_rates: list[float] = vector([0.0] * 3, "in W", number_or_list(require_non_negative))
 
 
 @dataclass(kw_only=True)
-class CarrierTrajectoryConfig(_Hold):
+class CarrierTrajectoryConfig(_MovingReferencesConfig):
     """How the references move, between samples and against errors; the cables are the system's."""
 
 
@@ -273,8 +295,8 @@ class CarrierTrajectory(_TrajectoryAboveReference):
     these are taken as zero, see `mechanics.grasp`.
 
     A time τ after a sample the `carrier_reference` is p + τ v + τ² a/2 + τ³ j/6 and
-    v + τ a + τ² j/2, with `hold` "second_order" without j, with "velocity" without a. Accelerations
-    and jerks stand still, but for an acceleration of third order, a + τ j.
+    v + τ a + τ² j/2, and its acceleration a + τ j. With the `hold` "velocity" they are p + τ v, v
+    and a. Jerks stand still.
 
     With `correction_rates` σ, one for each axis of W, the load's reference is moved by the state s,
     of ṡ = −σ (p − p_d), and by its velocity ṡ, with the measured position p: what else holds the
@@ -289,8 +311,8 @@ class CarrierTrajectory(_TrajectoryAboveReference):
 
 
 @dataclass(kw_only=True)
-class InextensibleCarrierTrajectoryConfig(_Hold):
-    """How the references move, between samples and against errors; the cables are the system's."""
+class InextensibleCarrierTrajectoryConfig(_MovingReferencesConfig):
+    """Those of `CarrierTrajectory`."""
 
 
 class InextensibleCarrierTrajectory(_TrajectoryAboveReference):
@@ -311,7 +333,7 @@ class MeasuredCarrierTrajectoryConfig(StrictFields):
     """No parameters: cable length and stiffness are the system's."""
 
 
-class MeasuredCarrierTrajectory(Block):
+class MeasuredCarrierTrajectory(_CarrierReferences):
     """Carriers above the measured load pose: they follow the load wherever it is.
 
     Only the wrench controller then corrects the load's pose. It does not make the accelerations and
@@ -327,12 +349,7 @@ class MeasuredCarrierTrajectory(Block):
         SAMPLE_TIME,
     )
     makes = ("carrier_reference", "sampled_carrier_reference")
-    where: ClassVar = dict.fromkeys(
-        (SAMPLE_TIME, "sampled_carrier_reference"), "the model has a control period"
-    )
     system = ("cable_length", "cable_stiffness")
-    of_model = ("attachments",)
-    is_sampled = True
 
     @staticmethod
     def equations(
@@ -348,24 +365,16 @@ class MeasuredCarrierTrajectory(Block):
         forces, rates = forces.reshape(-1, 3), rates.reshape(-1, 3)
         return np.concatenate(carrier_motion(load_state, forces, rates, **cables))
 
-    def inputs(self, model: Model) -> tuple[str, ...]:
-        return _where_sampled(model, self.reads, SAMPLE_TIME)
-
-    def outputs(self, model: Model) -> tuple[str, ...]:
-        return self.makes[::-1] if model.control_period > 0 else self.makes[:1]
-
     def describe_response(self) -> CarrierReferences:
         return CarrierReferences(None, is_above_load=True)
 
     def between_samples(self, model: Model, config: Any) -> BetweenSamples:
-        def moved(motion: NDArray, since: NDArray) -> NDArray:
-            return motion_after(motion, since)
-
-        return BetweenSamples(moved, self.makes[1:], self.makes[:1], key="velocity")
+        reads, makes = self.makes[1:], self.makes[:1]
+        return BetweenSamples(motion_after, reads, makes, key="velocity")
 
 
 @dataclass(kw_only=True)
-class BowedCarrierTrajectoryConfig(_Hold):
+class BowedCarrierTrajectoryConfig(_MovingReferencesConfig):
     """How finely cables are resolved; what they are made of is the system's."""
 
     nodes: int = checked(12, check_nodes)  # of each cable
@@ -379,8 +388,8 @@ class BowedCarrierTrajectory(_TrajectoryAboveReference):
     desired force on the load up to where the carrier has to be, and pull. The nodes' motion is that
     over a window of time in which the load follows its reference and the pattern its plan, while
     what the feedback adds to the desired forces changes at a constant rate, see
-    `mechanics.bowed_line`. The air moves with `wind_estimate`,
-    and towards a carrier more and more with `carrier_gust_estimate`, where that is made.
+    `mechanics.bowed_line`. The air moves with `wind_estimate`, and towards a carrier more and more
+    with `carrier_gust_estimate`, where that is made.
 
     `cable_drag_and_weight` is what carriers pull with beyond the desired forces, `cable_reference`
     the motion of the nodes. With a diameter of 0 the references are those of `CarrierTrajectory`.
@@ -408,7 +417,7 @@ class BowedCarrierTrajectory(_TrajectoryAboveReference):
         "cable_reference",
     )
     system = (*CABLE_MATERIAL, *LOAD)
-    of_model = (*_TrajectoryAboveReference.of_model, "pattern.phases", "pattern.orders")
+    of_model = (*_TrajectoryAboveReference.of_model, "pattern.phases")
 
     bears_drag = True  # of the cables, which aircraft then do not
 
@@ -418,7 +427,7 @@ class BowedCarrierTrajectory(_TrajectoryAboveReference):
 
     def describe_response(self) -> CarrierReferences:
         found = super().describe_response()
-        if self.model.system.cable_diameter == 0:
+        if not np.any(self.model.system.cable_diameter):
             return found
         window = TimeWindow.of(self.config.window, _INSTANTS)
         return found._replace(shape=CableShape(self.config.nodes, window, material_of(self.model)))
@@ -448,43 +457,41 @@ class BowedCarrierTrajectory(_TrajectoryAboveReference):
         nodes: int,
         **numbers: NDArray,
     ) -> tuple[NDArray, ...]:
-        shift_rate = shift
+        motion, shift_rate = LoadMotion.along(reference, reference_higher_rates), shift
         if corrects:
-            reference, shift_rate = _corrected(
-                reference, shift, *measured, rates=correction_rates, period=control_period
+            motion, shift_rate = _corrected(
+                motion, shift, *measured, rates=correction_rates, period=control_period
             )
-        over_window = motion_over_window(
+        terms = FlightTerms.along(
             rigid_load(**{name: numbers[name] for name in LOAD}),
-            reference,
-            reference_higher_rates,
-            planned,
-            forces.reshape(-1, 3),
-            rates.reshape(-1, 3),
+            motion,
             wind,
-            window,
+            pseudo_inverse=numbers["pseudo_inverse"],
             offset=numbers.get(OFFSET, np.zeros(1)),
-            **{name: numbers[name] for name in _GEOMETRY},
         )
+        pattern = partial(orbit_forces, orbit_axes(numbers["basis"], numbers["phases"]))
+        attachments = numbers["attachments"]
+        along, ends = motion_over_window(terms, pattern, planned, window, attachments)
+        pulls = with_feedback(window, along, forces.reshape(-1, 3), rates.reshape(-1, 3))
 
         def carried_line(
-            force: NDArray, attachment: NDArray, gust: NDArray, wind: NDArray, material: NDArray
+            pull: NDArray, end: NDArray, gust: NDArray, material: NDArray, wind: NDArray
         ) -> NDArray:
             """Motion and pull of a carrier, and motion of its nodes, (6 + 2 N, 3)."""
-            over_window, cable = (
-                (force[:, None], attachment[:, None]),
-                CableMaterial(*material[:, None]),
-            )
             lines = bowed_lines(
-                *over_window, wind, window, cable=cable, nodes=nodes, gusts=gust[None]
+                *(pull[:, None], end[:, None], wind, window),
+                cable=CableMaterial(*material[:, None]),
+                nodes=nodes,
+                gusts=gust[None],
             )
             found = [*window.at_present(lines.ends), *window.at_present(lines.forces)[:2]]
-            return np.concatenate(
-                [*found, *(part for node in lines.nodes for part in window.at_present(node)[:2])]
-            )
+            for node in lines.nodes:
+                found += window.at_present(node)[:2]
+            return np.concatenate(found)
 
-        material = np.concatenate([np.ravel(number) for number in cable_material(numbers)])
-        own = [*(values.swapaxes(0, 1) for values in over_window), gusts.reshape(-1, 3)]
-        found = for_each(carried_line, own, [wind, material]).swapaxes(0, 1)
+        own = [*(values.swapaxes(0, 1) for values in (pulls, ends)), gusts.reshape(-1, 3)]
+        own.append(material_rows(numbers, len(own[0])))
+        found = for_each(carried_line, own, [wind]).swapaxes(0, 1)
         position, velocity, acceleration, jerk, pull, pull_rate, *moving = found
         return (
             shift_rate,

@@ -9,14 +9,13 @@ from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.aircraft import flown_aircraft
 from drake_nonstop.mechanics.flight_control import (
+    FlightSignals,
     ObserverStates,
     flight_command,
     limited_command,
-    observer_shares,
-    observer_targets,
+    observer_rate,
 )
-from drake_nonstop.mechanics.signal_layouts import HELD, SAMPLE_TIME
-from drake_nonstop.mechanics.signals import AircraftState
+from drake_nonstop.mechanics.signals import HELD, SAMPLE_TIME, AircraftState
 from drake_nonstop.mechanics.tuning import pid_gains
 from drake_nonstop.model.block import (
     AIRCRAFT_NUMBERS,
@@ -40,7 +39,6 @@ _OF_CABLES = ("cable_drag_and_weight", "cable_drag_and_weight_rates")
 _AT_SAMPLES = {
     name: f"sampled_{name}" for name in ("carrier_reference", "carrier_reference_acceleration")
 } | {name: HELD + name for name in ("carrier_state", "aircraft_state", "carrier_acceleration")}
-_LIMITS = ("lift_share", "max_bank", "speed_share")
 
 
 @dataclass(kw_only=True)
@@ -107,7 +105,7 @@ class FixedWingController(Block):
     makes = ("aircraft_command", "command_saturation")
 
     system = AIRCRAFT_NUMBERS
-    of_model = ("n", "control_period", "bears_cable_drag")
+    of_model = ("control_period", "bears_cable_drag")
     is_sampled = True
 
     def inputs(self, model: Model) -> tuple[str, ...]:
@@ -118,63 +116,47 @@ class FixedWingController(Block):
     @staticmethod
     def equations(
         observer_states: NDArray,
-        carrier_reference: NDArray,
-        reference_acceleration: NDArray,
-        reference_jerk: NDArray,
-        carrier_state: NDArray,
-        aircraft_state: NDArray,
-        cable_forces: NDArray,
-        cable_force_rates: NDArray,
-        wind: NDArray,
-        acceleration: NDArray,
-        cable_load: NDArray,
-        cable_load_rates: NDArray,
-        *sample_time: NDArray,
+        *values: NDArray,
         frequency: NDArray,
         damping: NDArray,
         lead: NDArray,
         observer: NDArray,
         observer_time: NDArray,
-        n: int,
         control_period: float,
         bears_cable_drag: bool,
         **numbers: NDArray,
     ) -> tuple[NDArray, NDArray, NDArray]:
-        limits = {name: numbers[name] for name in _LIMITS}
+        (*given, cable_load, cable_load_rates), sample_time = values[:11], values[11:]
+        signals = FlightSignals(*given)
+        signals = signals._replace(
+            cable_forces=signals.cable_forces + cable_load,
+            cable_force_rates=signals.cable_force_rates + cable_load_rates,
+        )
         aircraft = flown_aircraft(aircraft_of(numbers), bears_cable_drag)
-        cable_forces = cable_forces + cable_load
-        cable_force_rates = cable_force_rates + cable_load_rates
         position_gain, velocity_gain, _ = pid_gains(frequency, damping, 0.0)
-        measured = AircraftState.view(aircraft_state)
         command = flight_command(
             aircraft,
-            carrier_reference,
-            reference_acceleration,
-            reference_jerk,
-            carrier_state,
-            cable_forces,
-            cable_force_rates,
+            signals,
             observer * ObserverStates.view(observer_states).disturbance,
-            wind,
             position_gain=position_gain,
             velocity_gain=velocity_gain,
             lead=lead,
         )
         limited, saturation = limited_command(
-            aircraft, command, measured.airspeed, speed_gain=velocity_gain, **limits
+            aircraft,
+            command,
+            AircraftState.view(signals.aircraft_state).airspeed,
+            speed_gain=velocity_gain,
+            **{name: numbers[name] for name in ("lift_share", "max_bank", "speed_share")},
         )
-        targets = observer_targets(
+        rate = observer_rate(
             aircraft,
             observer_states,
             limited,
-            carrier_state,
-            acceleration,
-            measured.bank,
-            cable_forces,
-            wind,
+            signals,
+            observer_time=observer_time,
+            period=control_period,
         )
-        shares = observer_shares(aircraft, n, observer_time, control_period)
-        rate = shares * (targets - observer_states)
         rate, _ = with_this_sample(observer_states, rate, sample_time, control_period)
         return rate, limited, saturation
 
@@ -192,4 +174,4 @@ class FixedWingController(Block):
         aircraft_state = inputs[4]
         measured = AircraftState.view(aircraft_state)
         undisturbed = 0 * aircraft_state[: 3 * len(measured.lift)]
-        return np.concatenate(ObserverStates(undisturbed, measured.lift, measured.thrust))
+        return np.concatenate([undisturbed, measured.lift, measured.thrust])

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.mechanics.internal_force import internal_force, planned_internal_force
+from drake_nonstop.mechanics.internal_force import harmonics, internal_force
 from drake_nonstop.mechanics.signals import Phase, PlannedParameters
 from drake_nonstop.model.block import Block
 from drake_nonstop.validation import StrictFields
@@ -13,49 +13,49 @@ from drake_nonstop.validation import StrictFields
 
 @dataclass(kw_only=True)
 class InternalForceTrajectoryConfig(StrictFields):
-    """No parameters: phases and orders belong to the scenario's pattern."""
+    """No parameters: the phases belong to the scenario's pattern."""
 
 
 class InternalForceTrajectory(Block):
-    """λ_k = A cos(h_k θ + φ_k) and its rates (eq. 23, where the pattern's orders h are 1).
+    """λ_k = A cos(θ + φ_k) and its rates (eq. 23).
 
     The rates are those of constant ξ and A.
     """
 
     reads = ("parameters", "phase")
     makes = ("internal_force", "internal_force_higher_rates")
-    of_model = ("pattern.phases", "pattern.orders")
+    of_model = ("pattern.phases",)
     is_sampled = True
 
     @staticmethod
     def equations(
-        parameters: NDArray, phase: NDArray, *, phases: NDArray, orders: NDArray
+        parameters: NDArray, phase: NDArray, *, phases: NDArray
     ) -> tuple[NDArray, NDArray]:
         angle = Phase.view(phase).angle
-        rates = internal_force(parameters, angle, phases=phases, orders=orders)
+        rates = internal_force(parameters, angle, phases=phases)
         return np.concatenate(rates[:2]), np.concatenate(rates[2:])
 
 
 @dataclass(kw_only=True)
 class PlannedInternalForceConfig(StrictFields):
-    """No parameters: phases and orders belong to the scenario's pattern."""
+    """No parameters: the phases belong to the scenario's pattern."""
 
 
 class PlannedInternalForce(Block):
-    """λ_k = A cos(h_k θ + φ_k) of ξ and A that change, with the exact rates of a plan.
+    """λ_k = A cos(θ + φ_k) of ξ and A that change, with the exact rates of a plan.
 
-    See `mechanics.internal_force.planned_internal_force`.
+    See `mechanics.internal_force.harmonics`.
     """
 
     reads = ("planned",)
     makes = ("internal_force", "internal_force_higher_rates")
-    of_model = ("pattern.phases", "pattern.orders")
+    of_model = ("pattern.phases",)
     is_sampled = True
 
     @staticmethod
-    def equations(planned: NDArray, *, phases: NDArray, orders: NDArray) -> tuple[NDArray, NDArray]:
+    def equations(planned: NDArray, *, phases: NDArray) -> tuple[NDArray, NDArray]:
         plan = PlannedParameters.view(planned)
-        rates = planned_internal_force(plan, phases=phases, orders=orders)
+        rates = harmonics(*plan.series, phases=phases).rates
         return np.concatenate(rates[:2]), np.concatenate(rates[2:])
 
 

@@ -2,20 +2,13 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.signals import WRENCH_SIZE
-from drake_nonstop.mechanics.wind import (
-    coloured_noise,
-    coloured_noise_rate,
-    random_waves,
-    wave_frequencies,
-)
+from drake_nonstop.mechanics.wind import random_waves
 from drake_nonstop.model.block import Block, BlockParameters
-from drake_nonstop.model.descriptions import Gusts, LoadWrench
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.tracing import where
 from drake_nonstop.validation import (
@@ -46,9 +39,6 @@ class NoDisturbance(Block):
     def equations() -> NDArray:
         return np.zeros(WRENCH_SIZE)
 
-    def describe_response(self) -> LoadWrench:
-        return LoadWrench()
-
 
 @dataclass(kw_only=True)
 class DisturbanceForceConfig(StrictFields):
@@ -60,9 +50,6 @@ class DisturbanceForceConfig(StrictFields):
     gust_force: float = non_negative(0.0)  # N, standard deviation on each axis
     gust_time: float = checked(1.0, require_period)  # s, correlation time of the gust
     seed: int = checked(0, require_seed)  # of the gust
-
-
-_BANDS: dict[str, Any] = {"count": 32, "highest": 30.0}  # of the gust's waves
 
 
 class DisturbanceForce(Block):
@@ -82,7 +69,7 @@ class DisturbanceForce(Block):
     def __init__(self, model: Model, config: DisturbanceForceConfig | None = None):
         super().__init__(model, config)
         random = np.random.default_rng(self.config.seed)
-        self._waves = random_waves(random, 3, self.config.gust_time, **_BANDS)
+        self._waves = random_waves(random, 3, self.config.gust_time, count=32, highest=30.0)
 
     @staticmethod
     def equations(
@@ -111,17 +98,11 @@ class DisturbanceForce(Block):
 
     def precomputed_inputs(self, names: Sequence[str], times: NDArray) -> list[NDArray]:
         """The gust's noise (k, 3) of variance 1 at times (k,) in s."""
-        return [coloured_noise(times, self._waves) for _ in names]
+        return [self._waves.at(times) for _ in names]
 
     def precomputed_input_rates(self, names: Sequence[str], times: NDArray) -> list[NDArray]:
         """Its rates, 1/s."""
-        return [coloured_noise_rate(times, self._waves) for _ in names]
-
-    def describe_response(self) -> LoadWrench:
-        frequencies = wave_frequencies(self.config.gust_time, **_BANDS)
-        gusts = Gusts(np.repeat([0.0, self.config.gust_force], 3), frequencies)
-        wrench = np.array([*self.config.torque, *self.config.force], float)
-        return LoadWrench(wrench, gusts)
+        return [self._waves.at(times, order=1) for _ in names]
 
 
 VARIANTS = (NoDisturbance, DisturbanceForce)

@@ -1,6 +1,5 @@
 """Box "load_feedback": the measurement of the load's state, a wire in the paper's figure."""
 
-import functools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -22,7 +21,6 @@ from drake_nonstop.model.block import Block, BlockParameters
 from drake_nonstop.model.descriptions import Estimator, LoadMeasurement
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import number
-from drake_nonstop.systems.documentation import own_config_class
 from drake_nonstop.systems.tracing import where
 from drake_nonstop.validation import (
     StrictFields,
@@ -36,8 +34,22 @@ from drake_nonstop.validation import (
 )
 
 _BOX = "load_feedback"
-_NOISE = "noise"
 _NEVER = -1e5  # s, in place of the time of a sample that has not been taken
+_DUE = 0.999  # of a period, after which the next measurement is taken
+
+
+_WITHOUT_ATTITUDE = np.concatenate(  # of a `TrackingError`
+    TrackingError(np.zeros(3), np.ones(3), np.zeros(3), np.ones(3))
+)
+
+
+def _with_attitude(load_state: NDArray, *reference: NDArray) -> NDArray:
+    """A load's state (13,) with the attitude and the turn rate of a reference, if there is one."""
+    if not reference:
+        return load_state
+    state, desired = LoadState.view(load_state), LoadState.view(reference[0][:LOAD_STATE_SIZE])
+    own = desired.quaternion, state.position, desired.angular_velocity, state.velocity
+    return np.concatenate(own)
 
 
 @dataclass(kw_only=True)
@@ -54,9 +66,6 @@ class IdealFeedback(Block):
     @staticmethod
     def equations(load_state: NDArray) -> NDArray:
         return load_state
-
-    def describe_response(self) -> LoadMeasurement:
-        return LoadMeasurement()
 
 
 @dataclass(kw_only=True)
@@ -82,17 +91,6 @@ class DesiredStateFeedback(Block):
         return LoadMeasurement(is_measured=np.zeros(TRACKING_ERROR_SIZE))
 
 
-_WITHOUT_ATTITUDE = np.concatenate(  # of a `TrackingError`
-    TrackingError(np.zeros(3), np.ones(3), np.zeros(3), np.ones(3))
-)
-_MEASURED, _DESIRED = (  # places in [load_state, reference]
-    LoadState.view(first + np.arange(LOAD_STATE_SIZE)) for first in (0, LOAD_STATE_SIZE)
-)
-_DESIRED_ATTITUDE = np.concatenate(
-    [_DESIRED.quaternion, _MEASURED.position, _DESIRED.angular_velocity, _MEASURED.velocity]
-)
-
-
 @dataclass(kw_only=True)
 class DesiredAttitudeFeedbackConfig(StrictFields):
     """No parameters."""
@@ -113,7 +111,7 @@ class DesiredAttitudeFeedback(Block):
 
     @staticmethod
     def equations(load_state: NDArray, reference: NDArray) -> NDArray:
-        return np.concatenate([load_state, reference])[_DESIRED_ATTITUDE]
+        return _with_attitude(load_state, reference)
 
     def describe_response(self) -> LoadMeasurement:
         return LoadMeasurement(is_measured=_WITHOUT_ATTITUDE)
@@ -149,13 +147,7 @@ class NoisyFeedback(Block):
     the start. Without `measures_attitude` the attitude loop is open, as in
     `DesiredAttitudeFeedback`: quaternion and angular velocity are the reference's, of now.
 
-    With a delay the last N samples, the newest first, their number, and the time of the newest are
-    the state.
-
-    Attributes:
-        deviations: (12,), standard deviations of the errors, in the order of a `TrackingError`.
-        delay_periods: the delay in periods.
-        period: s, between samples.
+    The state is a line of the last N samples, the newest first, and 1 where it has begun, else 0.
 
     Raises:
         ScenarioError: a field is out of range, or the delay no multiple of the period.
@@ -166,46 +158,24 @@ class NoisyFeedback(Block):
     where: ClassVar = {"reference": "`measures_attitude` is false"}
     makes_next_state = True
 
-    def __init__(self, model: Model, config: MeasurementConfig | None = None):
-        config = require_ranges(_BOX, config or own_config_class(type(self))())
-        parts = ("orientation", "position", "angular_velocity", "velocity")
-        self.deviations = np.repeat([getattr(config, f"{part}_noise") for part in parts], 3)
-        self.period, self.delay_periods = config.period, round(config.delay / config.period)
-        require(
-            abs(self.delay_periods * config.period - config.delay) < 1e-9
-            and self.delay_periods <= 1000,
-            f"{_BOX}.delay",
-            config.delay,
-            f"give a multiple of the period {config.period:g} s, at most 1000 of them",
-        )
-        self.reads_time = self.state(model) is not None
-        super().__init__(model, config)
+    @staticmethod
+    def equations(line: NDArray, load_state: NDArray, *others: NDArray) -> tuple[NDArray, NDArray]:
+        """Behind the load's state: the reference, if it is read, and the noise."""
+        *reference, noise = others
+        shown = _with_attitude(_measured(line, load_state, noise), *reference)
+        return _shifted(line, load_state), shown
 
     @staticmethod
-    def equations(
-        *values: NDArray, delay: int, period: float, measures_attitude: bool, has_noise: bool
-    ) -> Any:
-        state, load_state, attitude, noise, time = _arguments(
-            values, delay > 0, measures_attitude, has_noise, delay > 0
-        )
-        measured = _delayed(load_state, state, delay)
-        measured = _with_noise(measured, noise) if has_noise else measured
-        shown = _with_attitude(measured, attitude)
-        if delay == 0:
-            return shown
-        return _with_newest(state, load_state, time, delay, period), shown
-
-    @staticmethod
-    def start(*values: NDArray, **constants: Any) -> Any:
+    def start(*values: NDArray, **constants: Any) -> NDArray:
         return NoisyFeedback.equations(*values, **constants)[0]
 
-    def constants(self, model: Model, config: MeasurementConfig) -> dict[str, Any]:
-        return {
-            "delay": self.delay_periods,
-            "period": self.period,
-            "measures_attitude": config.measures_attitude,
-            "has_noise": bool(self.deviations.any()),
-        }
+    @classmethod
+    def check(cls, model: Model, config: MeasurementConfig) -> None:
+        require_ranges(_BOX, config)
+        count = _delay(config)
+        is_multiple = abs(count * config.period - config.delay) < 1e-9 and count <= 1000
+        remedy = f"give a multiple of the period {config.period:g} s, at most 1000 of them"
+        require(is_multiple, f"{_BOX}.delay", config.delay, remedy)
 
     def block_parameters(self, model: Model, config: MeasurementConfig) -> BlockParameters:
         return BlockParameters(model, self.system)
@@ -214,66 +184,59 @@ class NoisyFeedback(Block):
         return self.reads[:1] if self.config.measures_attitude else self.reads
 
     def quantities(self, model: Model) -> Mapping[str, int]:
-        return {_NOISE: TRACKING_ERROR_SIZE} if self.deviations.any() else {}
-
-    def state(self, model: Model) -> NDArray | None:
-        return _no_samples(self.delay_periods) if self.delay_periods > 0 else None
-
-    def step_period(self, model: Model, config: MeasurementConfig) -> float:
-        return self.period
-
-    def describe_response(self) -> LoadMeasurement:
-        is_measured = self.config.measures_attitude
-        shown = np.ones(TRACKING_ERROR_SIZE) if is_measured else _WITHOUT_ATTITUDE
-        delay = self.delay_periods * self.period
-        return LoadMeasurement(shown * self.deviations, shown, delay=delay, period=self.period)
+        return {"noise": TRACKING_ERROR_SIZE}
 
     def precomputed_inputs(self, names: Sequence[str], times: NDArray) -> list[NDArray]:
         """The noise (k, 12) at times (k,) in s, all of a `TrackingError` in W."""
-        noise = held_noise(self.config.seed, times, self.period, TRACKING_ERROR_SIZE)
-        return [self.deviations * noise for _ in names]
+        parts = ("orientation", "position", "angular_velocity", "velocity")
+        deviations = np.repeat([getattr(self.config, f"{part}_noise") for part in parts], 3)
+        noise = held_noise(self.config.seed, times, self.config.period, TRACKING_ERROR_SIZE)
+        return [deviations * noise for _ in names]
+
+    def state(self, model: Model) -> NDArray:
+        count = _delay(self.config)
+        return np.zeros(LOAD_STATE_SIZE * count + 1 if count else 0)
+
+    @classmethod
+    def has_state(cls, model: Model, config: MeasurementConfig) -> bool:
+        return config.delay > 0
+
+    def step_period(self, model: Model, config: MeasurementConfig) -> float:
+        return config.period
+
+    def describe_response(self) -> LoadMeasurement:
+        shown = np.ones(TRACKING_ERROR_SIZE) if self.config.measures_attitude else _WITHOUT_ATTITUDE
+        return LoadMeasurement(shown, delay=_delay(self.config) * self.config.period)
 
 
-def _arguments(
-    values: Sequence[NDArray],
-    has_state: bool,
-    measures_attitude: bool,
-    has_noise: bool,
-    has_time: bool,
-) -> list[Any]:
-    """State, load state, reference, noise and time, of those of them that equations take."""
-    given = iter(values)
-    is_there = has_state, True, not measures_attitude, has_noise, has_time
-    return [next(given) if each else None for each in is_there]
+def _delay(config: MeasurementConfig) -> int:
+    """The delay in periods."""
+    return round(config.delay / config.period)
 
 
-def _no_samples(delay: int) -> NDArray:
-    """The state of a delay of so many periods before the first sample."""
-    return np.array([*np.zeros(LOAD_STATE_SIZE * delay), 0.0, _NEVER])
+def _measured(line: NDArray, load_state: NDArray, noise: NDArray) -> NDArray:
+    """The oldest state (13,) of a line, or the load's own, with an error (12,) in W."""
+    if len(line):
+        load_state = where(line[-1] > 0, line[-1 - LOAD_STATE_SIZE : -1], load_state)
+    error = TrackingError.view(noise)
+    quaternion, position, angular_velocity, velocity = LoadState.view(load_state)
+    return np.concatenate(
+        [
+            rotate_quaternion(quaternion, error.orientation),
+            position + error.position,
+            angular_velocity + error.angular_velocity,
+            velocity + error.velocity,
+        ]
+    )
 
 
-def _delayed(load_state: NDArray, state: Any, delay: int) -> NDArray:
-    """The oldest of the samples, or the load's state where there is none."""
-    if delay > 0:
-        count = state[LOAD_STATE_SIZE * delay]
-        for k, sample in enumerate(state[:-2].reshape(-1, LOAD_STATE_SIZE)):
-            load_state = where(count == k + 1, sample, load_state)
-    return load_state
-
-
-def _with_newest(
-    state: NDArray, load_state: NDArray, time: NDArray, delay: int, period: float
-) -> NDArray:
-    """The state after a sample; a run that starts at the instant of one takes it once."""
-    count = state[-2:-1]
-    count = where(count[0] < delay, count + 1, count)
-    after = np.concatenate([load_state, state[: LOAD_STATE_SIZE * (delay - 1)], count, time])
-    return where(time[0] < state[-1] + period / 2, state, after)
-
-
-def _with_attitude(state: NDArray, reference: NDArray | None) -> NDArray:
-    """The state (13,), with the attitude of a reference where it is not measured."""
-    return state if reference is None else np.concatenate([state, reference])[_DESIRED_ATTITUDE]
+def _shifted(line: NDArray, load_state: NDArray) -> NDArray:
+    """The line after a sample; before its first one it is filled with that."""
+    if not len(line):
+        return line
+    shifted = np.concatenate([load_state, line[: -1 - LOAD_STATE_SIZE]])
+    filled = np.tile(load_state, len(shifted) // LOAD_STATE_SIZE)
+    return np.concatenate([where(line[-1] > 0, shifted, filled), np.ones(1)])
 
 
 def held_noise(seed: int, times: NDArray, period: float, size: int) -> NDArray:
@@ -285,23 +248,6 @@ def held_noise(seed: int, times: NDArray, period: float, size: int) -> NDArray:
     numbers, places = np.unique(held, return_inverse=True)
     drawn = [np.random.default_rng([seed, k]).standard_normal(size) for k in numbers.tolist()]
     return np.array(drawn)[places.ravel()]
-
-
-def _with_noise(state: NDArray, noise: NDArray) -> NDArray:
-    """A load's state (13,) with an error (12,), all of it in W."""
-    error = TrackingError.view(noise)
-    quaternion, position, angular_velocity, velocity = LoadState.view(state)
-    return np.concatenate(
-        [
-            rotate_quaternion(quaternion, error.orientation),
-            position + error.position,
-            angular_velocity + error.angular_velocity,
-            velocity + error.velocity,
-        ]
-    )
-
-
-_DUE = 0.999  # of a period, after which the next measurement is taken
 
 
 @dataclass(kw_only=True)
@@ -338,77 +284,61 @@ class EstimatedFeedback(NoisyFeedback):
     of a sample, the one that a controller holds has that instant's measurement in it; between two
     samples it goes on with its velocities. It is one of the delayed state: no delay is made up for.
 
-    Attributes:
-        deviations, delay_periods, period: as of `NoisyFeedback`.
-        rotation_gain: K (2, 2), in units of 1, s and 1/s, of [rotation; angular velocity].
-        translation_gain: K (2, 2), of [position; velocity].
-
     Raises:
         ScenarioError: a field is out of range, or the delay no multiple of the period.
     """
 
-    @functools.cached_property
-    def rotation_gain(self) -> NDArray:
-        config = self.config
-        return steady_state_gain(
-            config.believed_orientation_noise,
-            config.believed_angular_velocity_noise,
-            config.process_angular_acceleration,
-            config.period,
-        )
-
-    @functools.cached_property
-    def translation_gain(self) -> NDArray:
-        config = self.config
-        return steady_state_gain(
-            config.believed_position_noise,
-            config.believed_velocity_noise,
-            config.process_acceleration,
-            config.period,
-        )
+    reads_time = True
 
     @staticmethod
     def equations(  # type: ignore[override]
-        *values: NDArray,
-        delay: int,
+        state: NDArray,
+        load_state: NDArray,
+        *others: NDArray,
         period: float,
-        measures_attitude: bool,
-        has_noise: bool,
         gains: tuple[NDArray, NDArray],
-    ) -> Any:
+    ) -> tuple[NDArray, NDArray]:
         """The state has the estimate, the time of its last measurement, and what is delayed."""
-        state, load_state, attitude, noise, time = _arguments(
-            values, True, measures_attitude, has_noise, True
-        )
-        estimate, newest, delayed = np.split(state, [LOAD_STATE_SIZE, LOAD_STATE_SIZE + 1])
-        measured = _delayed(load_state, delayed, delay)
-        measured = _with_noise(measured, noise) if has_noise else measured
+        *reference, noise, time = others
+        estimate, newest, line = np.split(state, [LOAD_STATE_SIZE, LOAD_STATE_SIZE + 1])
+        measured = _measured(line, load_state, noise)
         predicted = predicted_state(estimate, time - newest)
         has_begun = newest[0] > _NEVER
         corrected = where(has_begun, corrected_state(predicted, measured, *gains), load_state)
         predicted = where(has_begun, predicted, load_state)
         is_due = time[0] > newest[0] + _DUE * period
-        shown = _with_attitude(where(is_due, corrected, predicted), attitude)
-        after = [corrected, time]
-        after += [_with_newest(delayed, load_state, time, delay, period)] if delay > 0 else []
-        is_new = time[0] >= newest[0] + period / 2
-        return where(is_new, np.concatenate(after), state), shown
+        shown = _with_attitude(where(is_due, corrected, predicted), *reference)
+        after = np.concatenate([corrected, time, _shifted(line, load_state)])
+        is_new = time[0] >= newest[0] + period / 2  # a run may begin at the instant of a sample
+        return where(is_new, after, state), shown
 
     @staticmethod
-    def start(*values: NDArray, **constants: Any) -> Any:
+    def start(*values: NDArray, **constants: Any) -> NDArray:
         return EstimatedFeedback.equations(*values, **constants)[0]
 
     def constants(self, model: Model, config: Any) -> dict[str, Any]:
-        gains = self.rotation_gain, self.translation_gain
-        return super().constants(model, config) | {"gains": gains}
+        return {"period": config.period, "gains": self._gains(config)}
 
     def state(self, model: Model) -> NDArray:
-        delayed = [_no_samples(self.delay_periods)] if self.delay_periods > 0 else []
-        return np.concatenate([np.eye(LOAD_STATE_SIZE)[0], [_NEVER], *delayed])
+        return np.concatenate([np.eye(LOAD_STATE_SIZE)[0], [_NEVER], super().state(model)])
+
+    @classmethod
+    def has_state(cls, model: Model, config: MeasurementConfig) -> bool:
+        return True
 
     def describe_response(self) -> LoadMeasurement:
-        estimator = Estimator.of(self.rotation_gain, self.translation_gain, self.period)
+        estimator = Estimator.of(*self._gains(self.config), self.config.period)
         return super().describe_response()._replace(estimator=estimator)
+
+    @staticmethod
+    def _gains(config: EstimatedFeedbackConfig) -> tuple[NDArray, NDArray]:
+        """K (2, 2) of [rotation; angular velocity], and of [position; velocity]; 1, s and 1/s."""
+        rotation = config.believed_orientation_noise, config.believed_angular_velocity_noise
+        translation = config.believed_position_noise, config.believed_velocity_noise
+        return (
+            steady_state_gain(*rotation, config.process_angular_acceleration, config.period),
+            steady_state_gain(*translation, config.process_acceleration, config.period),
+        )
 
 
 def steady_state_gain(
@@ -416,9 +346,8 @@ def steady_state_gain(
 ) -> NDArray:
     """K (2, 2) of the steady-state Kalman filter of a double integrator that white noise drives.
 
-    Of x = [pose; rate], both measured; the estimate after a measurement y is x̂ + K (y − x̂).
-
-    The covariance P⁺ after a measurement fulfils a Riccati equation in which the next one is one of
+    Of x = [pose; rate], both measured; the estimate after a measurement y is x̂ + K (y − x̂). The
+    covariance P⁺ after a measurement fulfils a Riccati equation in which the next one is one of
     A x + w, so that its noise has the covariance Q + R, and is correlated with w. That is regular
     where R is not; what is measured exactly has no part in P⁺, and drops out of the equation.
     Anderson and Moore, "Optimal Filtering", 1979, section 5.4.

@@ -9,11 +9,8 @@ from pydrake.common.value import AbstractValue
 from pydrake.symbolic import Expression
 from pydrake.systems.framework import Context, DiagramBuilder
 
-from drake_nonstop.mechanics.rigid_load import (
-    load_kinetic_energy,
-    load_potential_energy,
-    load_state_rate,
-)
+from drake_nonstop.mechanics.rigid_load import load_state_rate
+from drake_nonstop.mechanics.rotation import rotation_matrix
 from drake_nonstop.mechanics.signals import (
     LOAD_STATE_SIZE,
     WIND_SIZE,
@@ -65,15 +62,17 @@ class LoadPlant(Block):
 
     def CalcKineticEnergy(self, context: Context) -> float:
         """½ m ‖ṗ‖² + ½ ω·J ω, J; the context is the block's own."""
-        state = self.GetOutputPort("load_state").Eval(context)
+        state = LoadState.view(self.GetOutputPort("load_state").Eval(context))
         load = rigid_load(**parameters_in(self, context))
-        return float(load_kinetic_energy(load, state)[0])
+        turning = state.angular_velocity @ rotation_matrix(state.quaternion)
+        energy = load.mass * (state.velocity @ state.velocity) + turning @ load.inertia @ turning
+        return float(energy[0] / 2)
 
     def CalcPotentialEnergy(self, context: Context) -> float:
         """That of the weight, m g z, J; the context is the block's own."""
-        state = self.GetOutputPort("load_state").Eval(context)
+        height = LoadState.view(self.GetOutputPort("load_state").Eval(context)).position[2]
         load = rigid_load(**parameters_in(self, context))
-        return float(load_potential_energy(load, state)[0])
+        return float((load.mass * load.gravity * height)[0])
 
 
 @dataclass(kw_only=True)

@@ -1,9 +1,8 @@
 """Box "Load Desired Trajectory" of the figure."""
 
-import dataclasses
-import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,18 +10,18 @@ from pydrake.polynomial import Polynomial
 from pydrake.trajectories import PiecewisePolynomial
 
 from drake_nonstop.blocks.along_trajectory import AlongTrajectory, LoadTrajectory, reference_along
-from drake_nonstop.mechanics.rotation import circular_motion
 from drake_nonstop.mechanics.signals import PlannedParameters
-from drake_nonstop.model.pose_samples import read_samples, sample_array
 from drake_nonstop.model.system import Model
+from drake_nonstop.systems.documentation import own_config_class
 from drake_nonstop.validation import (
+    ScenarioError,
     StrictFields,
     checked,
     fulfilling,
     non_negative,
-    number_with,
     one_of,
     positive,
+    read_text,
     require,
     require_array,
     require_ranges,
@@ -89,22 +88,30 @@ class _Displacement(_Move):
     move_time: float = positive(10.0)  # s, of the displacement
 
 
-def _array(config: _Move, name: str, meaning: str, *shape: int | None) -> NDArray:
-    """A field of the config, checked."""
-    return require_array(f"{_BOX}.{name}", getattr(config, name), shape, meaning)
-
-
 def _pose(position: list[float], angles: Sequence[float] = (0.0, 0.0, 0.0)) -> NDArray:
     """[roll, pitch, yaw, x, y, z] (6,) of [roll, pitch, yaw] and [x, y, z]."""
     return np.array([*angles, *position], float)
 
 
 def _rest_to_rest(
-    config: "_Displacement | CircleConfig", start: NDArray, change: NDArray
+    config: _Displacement, angles: Sequence[float] = (0.0,) * 3
 ) -> PiecewisePolynomial:
-    """Coordinates that change from rest to rest, from `start_time` on, in `move_time`."""
-    leg = config.move_time, _SMOOTH_STEPS[config.blend], change
-    return _along_legs(start, config.start_time, [leg])
+    """The pose that changes from rest to rest, from `start_time` on, in `move_time`."""
+    leg = config.move_time, _SMOOTH_STEPS[config.blend], _pose(config.displacement, angles)
+    return _along_legs(config.start_pose(), config.start_time, [leg])
+
+
+class _PathTrajectory(LoadTrajectory):
+    """A load on the path that a config of its variant states."""
+
+    def __init__(self, model: Model, config: Any = None):
+        config = require_ranges(_BOX, config or own_config_class(type(self))())
+        super().__init__(self.path(config), yaw_rate=getattr(config, "yaw_rate", 0.0))
+
+    @staticmethod
+    def path(config: Any) -> PiecewisePolynomial:
+        """[roll, pitch, yaw, x, y, z] over the time in s."""
+        raise NotImplementedError
 
 
 @dataclass(kw_only=True)
@@ -114,7 +121,7 @@ class RestToRestConfig(_Displacement):
     roll_pitch_yaw: list[float] = vector([0.0, 0.0, 0.0], "angles in rad")  # rad, change
 
 
-class RestToRest(LoadTrajectory):
+class RestToRest(_PathTrajectory):
     """The paper's second experiment: component-wise quintic polynomials from rest to rest.
 
     A quintic's jerk steps where it begins and ends; that of `blend` "c4" is continuous.
@@ -124,10 +131,9 @@ class RestToRest(LoadTrajectory):
             hold 3 finite numbers, or `blend` is another text.
     """
 
-    def __init__(self, model: Model, config: RestToRestConfig | None = None):
-        config = require_ranges(_BOX, config or RestToRestConfig())
-        change = _pose(config.displacement, config.roll_pitch_yaw)
-        super().__init__(_rest_to_rest(config, config.start_pose(), change))
+    @staticmethod
+    def path(config: RestToRestConfig) -> PiecewisePolynomial:
+        return _rest_to_rest(config, config.roll_pitch_yaw)
 
 
 @dataclass(kw_only=True)
@@ -140,7 +146,7 @@ class ConstantVelocityMoveConfig(_Move):
     blend_time: float = non_negative(1.0)  # s, of each change of velocity, centred on it; 0: a step
 
 
-class ConstantVelocityMove(LoadTrajectory):
+class ConstantVelocityMove(_PathTrajectory):
     """The paper's first experiment: the load rests, moves along a line, and rests.
 
     The paper's steps in velocity are blended over `blend_time`, by a quintic (so that the jerk is
@@ -148,21 +154,18 @@ class ConstantVelocityMove(LoadTrajectory):
     With `blend` "c4" the jerk's rate is continuous, too.
 
     Raises:
-        ScenarioError: move_time is not above zero, start_time or blend_time is negative,
-            blend_time is too long for them, a vector does not hold 3 finite numbers, or
-            `blend` is another text.
+        ScenarioError: a field is out of range, or blend_time is too long for the other times.
     """
 
-    def __init__(self, model: Model, config: ConstantVelocityMoveConfig | None = None):
-        config = require_ranges(_BOX, config or ConstantVelocityMoveConfig())
+    @staticmethod
+    def path(config: ConstantVelocityMoveConfig) -> PiecewisePolynomial:
         blend_time = config.blend_time
-        require(
-            blend_time / 2 <= config.start_time and blend_time <= config.move_time,
-            f"{_BOX}.blend_time",
-            blend_time,
+        is_short = blend_time / 2 <= config.start_time and blend_time <= config.move_time
+        remedy = (
             "give at most twice start_time and at most move_time, since a blend is centred "
-            "on the step in velocity that it replaces",
+            "on the step in velocity that it replaces"
         )
+        require(is_short, f"{_BOX}.blend_time", blend_time, remedy)
         velocity = _pose(config.velocity)
         # The integral of the velocity's smooth step: from rest to one unit of velocity.
         step = _SMOOTH_STEPS[config.blend]
@@ -173,8 +176,7 @@ class ConstantVelocityMove(LoadTrajectory):
             (cruise, np.array([0.0, 1.0]), cruise * velocity),
             (blend_time, np.array([0.0, 1.0, *-blend[2:]]), blend_time * velocity),
         ]
-        start_time = config.start_time - blend_time / 2
-        super().__init__(_along_legs(config.start_pose(), start_time, legs))
+        return _along_legs(config.start_pose(), config.start_time - blend_time / 2, legs)
 
 
 @dataclass(kw_only=True)
@@ -191,7 +193,7 @@ class WaypointsConfig(_Move):
     rest_times: list[float] = field(default_factory=list)  # s, before each leg; empty: none
 
 
-class Waypoints(LoadTrajectory):
+class Waypoints(_PathTrajectory):
     """The load moves from waypoint to waypoint, and rests at each of them.
 
     On each leg the coordinates of the pose follow a quintic from rest to rest, together, as in
@@ -204,19 +206,21 @@ class Waypoints(LoadTrajectory):
             a move time is not above zero, a rest time is below, or `blend` is another text.
     """
 
-    def __init__(self, model: Model, config: WaypointsConfig | None = None):
-        config = require_ranges(_BOX, config or WaypointsConfig())
+    @staticmethod
+    def path(config: WaypointsConfig) -> PiecewisePolynomial:
+        def rows(name: str, meaning: str, *shape: int | None) -> NDArray:
+            return require_array(f"{_BOX}.{name}", getattr(config, name), shape, meaning)
+
         start, step = config.start_pose(), _SMOOTH_STEPS[config.blend]
-        positions = _array(config, "positions", "metres, a row per waypoint", None, 3)
+        positions = rows("positions", "metres, a row per waypoint", None, 3)
         count = len(positions)
         angles, rests = np.tile(start[:3], (count, 1)), np.zeros(count)
         if len(config.roll_pitch_yaw) > 0:
             meaning = "angles in rad, a row per waypoint, or none at all"
-            angles = _array(config, "roll_pitch_yaw", meaning, count, 3)
-        moves = _array(config, "move_times", "seconds, one per waypoint", count)
+            angles = rows("roll_pitch_yaw", meaning, count, 3)
+        moves = rows("move_times", "seconds, one per waypoint", count)
         if len(config.rest_times) > 0:
-            meaning = "seconds, one per waypoint, or none at all"
-            rests = _array(config, "rest_times", meaning, count)
+            rests = rows("rest_times", "seconds, one per waypoint, or none at all", count)
         remedy = "give times greater than zero"
         require(np.all(moves > 0), f"{_BOX}.move_times", config.move_times, remedy)
         remedy = "give times that are not negative"
@@ -225,58 +229,7 @@ class Waypoints(LoadTrajectory):
         legs = []
         for rest, move, change in zip(rests, moves, changes, strict=True):
             legs += [(rest, np.zeros(1), change), (move, step, change)]
-        super().__init__(_along_legs(start, rests[0], legs[1:]))  # it rests before its first leg
-
-
-_check_finite = number_with(math.isfinite, "give a finite number")
-
-
-@dataclass(kw_only=True)
-class CircleConfig(_Move):
-    """Rest, a level circle or a part of it, and rest; it begins at the start position."""
-
-    radius: float = positive(1.0)  # m
-    # rad, of the centre seen from the start, x to y
-    centre_direction: float = checked(math.pi / 2, _check_finite)
-    # number of rounds, counter-clockwise from above; negative: clockwise
-    turns: float = checked(1.0, _check_finite)
-    turns_with_path: bool = False  # whether the load's yaw rotates as much as its path
-    start_time: float = non_negative(0.0)  # s
-    move_time: float = positive(20.0)  # s
-
-
-@dataclass(frozen=True)
-class _OnCircle:
-    """The pose of a load on a circle, a function that is equal to that of an equal circle."""
-
-    radius: float  # m
-
-    def __call__(self, values: NDArray) -> NDArray:
-        """[roll, pitch, yaw, x, y, z] of that on the centre, and θ, each with derivatives."""
-        on_circle = values[:, 3:5] + circular_motion(values[:, 6], self.radius)
-        return np.column_stack([values[:, :3], on_circle, values[:, 5]])
-
-
-class Circle(LoadTrajectory):
-    """The load moves round a level circle, at the height of its start, from rest to rest.
-
-    The angle θ on the circle follows a quintic, so that velocity and acceleration are continuous,
-    or, with `blend` "c4", a septic, and the jerk is. The position is on the circle to rounding:
-    p = c + r (cos θ, sin θ), with its derivatives by the chain rule.
-
-    Raises:
-        ScenarioError: radius or move_time is not above zero, start_time is negative,
-            another number is not finite, or `blend` is another text.
-    """
-
-    def __init__(self, model: Model, config: CircleConfig | None = None):
-        config = require_ranges(_BOX, config or CircleConfig())
-        radius, direction = config.radius, config.centre_direction
-        to_centre = radius * np.array([np.cos(direction), np.sin(direction)])
-        start = np.append(config.start_pose() + np.pad(to_centre, (3, 1)), direction + np.pi)
-        turn = 2 * np.pi * config.turns
-        change = np.array([0.0, 0.0, turn if config.turns_with_path else 0.0, *np.zeros(3), turn])
-        super().__init__(_rest_to_rest(config, start, change), _OnCircle(radius))
+        return _along_legs(start, rests[0], legs[1:])  # it rests before its first leg
 
 
 @dataclass(kw_only=True)
@@ -291,7 +244,7 @@ class SteadyTurnConfig(_Displacement):
     )
 
 
-class SteadyTurn(LoadTrajectory):
+class SteadyTurn(_PathTrajectory):
     """The load turns about the vertical at a constant rate, and its carriers with it.
 
     The turn neither begins nor ends: the load turns at the start of a run and after its last
@@ -299,14 +252,10 @@ class SteadyTurn(LoadTrajectory):
     start. With `ConstantSpread` the carriers fly level circles at a constant tension.
 
     Raises:
-        ScenarioError: yaw_rate is 0, move_time is not above zero, start_time is negative, a
-            vector does not hold 3 finite numbers, or `blend` is another text.
+        ScenarioError: yaw_rate is 0, or another field is out of range.
     """
 
-    def __init__(self, model: Model, config: SteadyTurnConfig | None = None):
-        config = require_ranges(_BOX, config or SteadyTurnConfig())
-        trajectory = _rest_to_rest(config, config.start_pose(), _pose(config.displacement))
-        super().__init__(trajectory, yaw_rate=config.yaw_rate)
+    path = staticmethod(_rest_to_rest)
 
 
 @dataclass(kw_only=True)
@@ -322,15 +271,13 @@ class PlannedTurn(AlongTrajectory):
     circles.
 
     Raises:
-        ScenarioError: move_time is not above zero, start_time is negative, a vector does not hold
-            3 finite numbers, or `blend` is another text.
+        ScenarioError: a field is out of range.
     """
 
     reads = ("planned",)
 
     def __init__(self, model: Model, config: PlannedTurnConfig | None = None):
-        config = require_ranges(_BOX, config or PlannedTurnConfig())
-        super().__init__(_rest_to_rest(config, config.start_pose(), _pose(config.displacement)))
+        super().__init__(_rest_to_rest(require_ranges(_BOX, config or PlannedTurnConfig())))
 
     @staticmethod
     def equations(planned: NDArray, coordinates: NDArray) -> tuple[NDArray, NDArray]:
@@ -338,6 +285,10 @@ class PlannedTurn(AlongTrajectory):
         rates = plan.frequency, plan.frequency_rate, plan.frequency_second_rate
         turn = np.concatenate([plan.angle, *rates, np.zeros(1)])
         return reference_along(coordinates, turn)
+
+
+_COLUMNS = ["t", "x", "y", "z", "roll", "pitch", "yaw"]  # s, m, rad; the angles are optional
+_ROWS = f"2 to 20000 rows of {', '.join(_COLUMNS[:4])} or of {', '.join(_COLUMNS)}"
 
 
 @dataclass(kw_only=True)
@@ -356,26 +307,10 @@ class SampledTrajectoryConfig(StrictFields):
         """The config with the file's rows as samples, and without the file."""
         if not self.file:
             return self
-        samples = read_samples(self.file, f"{_BOX}.file")
-        return dataclasses.replace(self, file="", samples=samples)
-
-    def sample_array(self) -> NDArray:
-        """The samples (n, 7), [t, x, y, z, roll, pitch, yaw], checked."""
-        samples = self.resolved().samples
-        return sample_array(samples, f"{_BOX}.samples", samples)
-
-    @property
-    def start_position(self) -> list[float]:
-        """The first sample's position in m."""
-        return self.sample_array()[0, 1:4].tolist()
-
-    @property
-    def start_roll_pitch_yaw(self) -> list[float]:
-        """The first sample's angles in rad."""
-        return self.sample_array()[0, 4:].tolist()
+        return replace(self, file="", samples=_read_samples(self.file, f"{_BOX}.file"))
 
 
-class SampledTrajectory(LoadTrajectory):
+class SampledTrajectory(_PathTrajectory):
     """The load passes given poses at given times, along cubic splines of its coordinates.
 
     Velocity and acceleration are continuous between the first sample and the last. At these two
@@ -384,31 +319,63 @@ class SampledTrajectory(LoadTrajectory):
     ones are not unwrapped, so that a yaw that jumps by 2π makes the load rotate once.
 
     Raises:
-        ScenarioError: the file cannot be read, or the samples cannot be used: see
-            `pose_samples.read_samples` and `pose_samples.sample_array`.
+        ScenarioError: the file cannot be read, or the samples cannot be used.
     """
 
-    def __init__(self, model: Model, config: SampledTrajectoryConfig | None = None):
-        samples = (config or SampledTrajectoryConfig()).sample_array()
-        rest, poses = np.zeros((6, 1)), samples[:, [4, 5, 6, 1, 2, 3]].T
-        super().__init__(
-            PiecewisePolynomial.CubicWithContinuousSecondDerivatives(
-                samples[:, 0], poses, rest, rest
-            )
+    @staticmethod
+    def path(config: SampledTrajectoryConfig) -> PiecewisePolynomial:
+        rows = config.resolved().samples
+        samples, rest = _sample_array(rows, f"{_BOX}.samples", rows), np.zeros((6, 1))
+        return PiecewisePolynomial.CubicWithContinuousSecondDerivatives(
+            samples[:, 0], samples[:, [4, 5, 6, 1, 2, 3]].T, rest, rest
         )
 
 
-VARIANTS = (
-    RestToRest,
-    ConstantVelocityMove,
-    Waypoints,
-    Circle,
-    SampledTrajectory,
-    SteadyTurn,
-    PlannedTurn,
-)
+def _read_samples(path: str, field: str) -> list[list[float]]:
+    """The rows of a CSV file whose first line names its columns; see `_sample_array`.
+
+    Errors do not show what is in it, but `field`: a scenario of somebody else may name any file.
+
+    Raises:
+        ScenarioError: the file cannot be read, or its samples cannot be used.
+    """
+    lines = [text for text in read_text(path, field).splitlines() if text.partition("#")[0].strip()]
+    header = [name.strip() for name in lines[0].split(",")] if lines else []
+    is_named = header in (_COLUMNS[:4], _COLUMNS) and len(lines) > 1
+    require(is_named, field, path, f"give a CSV file with {_ROWS}, named in its first line")
+    try:
+        rows = np.genfromtxt(lines[1:], delimiter=",")  # NaN for what is no number
+    except ValueError:
+        raise ScenarioError(f"{field} = {path}: give {len(header)} numbers in each row") from None
+    _sample_array(rows, field, path)
+    return rows.tolist()
+
+
+def _sample_array(rows: Any, field: str, value: Any) -> NDArray:
+    """Samples (n, 7), [t, x, y, z, roll, pitch, yaw] in s, m and rad, omitted angles 0.
+
+    Raises:
+        ScenarioError: rows have another length, a number is not finite or above 1e6, or the times
+            do not increase from 0 or above.
+    """
+    try:
+        array = np.array(rows, float)
+    except (TypeError, ValueError):
+        array = np.zeros(0)
+    is_table = array.ndim == 2 and 2 <= len(array) <= 20_000 and array.shape[1] in (4, 7)
+    require(is_table, field, value, f"give {_ROWS}")
+    steps = np.diff(array[:, 0], prepend=-1e-6)
+    for is_sound, remedy in (
+        (np.all(np.abs(array) <= 1e6, axis=1), "give finite numbers up to 1e6"),
+        (steps >= 1e-6, "give times from 0 up that increase by 1e-6 s or more"),
+    ):
+        require(is_sound.all(), field, value, f"{remedy}, unlike in row {is_sound.argmin() + 1}")
+    return np.pad(array, ((0, 0), (0, 7 - array.shape[1])))
+
+
+VARIANTS = (RestToRest, ConstantVelocityMove, Waypoints, SampledTrajectory, SteadyTurn, PlannedTurn)
 
 __all__ = ["RestToRest", "RestToRestConfig", "ConstantVelocityMove", "ConstantVelocityMoveConfig"]
-__all__ += ["Waypoints", "WaypointsConfig", "Circle", "CircleConfig"]
-__all__ += ["SampledTrajectory", "SampledTrajectoryConfig", "SteadyTurn", "SteadyTurnConfig"]
+__all__ += ["Waypoints", "WaypointsConfig", "SteadyTurn", "SteadyTurnConfig"]
+__all__ += ["SampledTrajectory", "SampledTrajectoryConfig"]
 __all__ += ["PlannedTurn", "PlannedTurnConfig"]

@@ -7,24 +7,30 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.framework import Context
 
-from drake_nonstop.mechanics.bowed_line import TimeWindow, lines_between, motion_over_window
+from drake_nonstop.mechanics.bowed_line import (
+    TimeWindow,
+    lines_between,
+    motion_over_window,
+    with_feedback,
+)
+from drake_nonstop.mechanics.cable import beside_vectors, ends_of_cables
+from drake_nonstop.mechanics.load_motion import LoadMotion
 from drake_nonstop.mechanics.lumped_cable import (
     CableMaterial,
-    ends_of_cables,
     lumped_cables,
     lumped_cables_energies,
     straight_nodes,
 )
-from drake_nonstop.mechanics.signal_layouts import MOST_NODES, Layout, nodes_layout
+from drake_nonstop.mechanics.planned_orbit import FlightTerms
+from drake_nonstop.mechanics.signal_layouts import Layout
+from drake_nonstop.mechanics.signals import MOST_NODES, nodes_layout
 from drake_nonstop.model.block import Block, BlockParameters
-from drake_nonstop.model.system import AIRCRAFT, Model
+from drake_nonstop.model.system import AIRCRAFT, Model, per_cable
 from drake_nonstop.systems.parameters import parameters_in
 from drake_nonstop.systems.tracing import for_each
 from drake_nonstop.validation import (
     StrictFields,
     checked,
-    is_number,
-    positive,
     require,
     require_ranges,
     require_whole,
@@ -34,12 +40,25 @@ _OF_AIR = f"{AIRCRAFT}air_density"
 _MATERIAL = ("length", "stiffness", "damping", "diameter", "density", "drag", "friction")
 CABLE_MATERIAL = tuple(f"cable_{name}" for name in _MATERIAL)  # fields of the system
 _AIR_DENSITY = 1.225  # kg/m³, where no aircraft say it
+# Of the fastest wave along a cable; cable_damping counts up to that.
+_MAX_DAMPING_RATIO = 0.3
 _WINDOW, _INSTANTS = 0.75, 9  # s, before and after the start, in which the nodes' motion counts
 
 
 def check_nodes(field: str, value: Any) -> None:
     """Raises ScenarioError for what is no number of nodes."""
     require_whole(field, value, 1, MOST_NODES)
+
+
+def require_stretch(model: Model) -> None:
+    """Raises ScenarioError for simulated cables without stretch."""
+    require(
+        np.all(np.isfinite(model.cable_stiffness)),
+        "simulated.cable_stiffness",
+        model.system.cable_stiffness,
+        "simulated cables stretch: give finite numbers greater than zero here, also where "
+        "system.cable_stiffness is .inf",
+    )
 
 
 def air_density_name(model: Model) -> tuple[str, ...]:
@@ -57,8 +76,6 @@ class LumpedCablesConfig(StrictFields):
     """How finely cables are resolved; what they are made of is the system's."""
 
     nodes: int = checked(12, check_nodes)  # of each cable
-    # of the fastest wave along a cable; cable_damping counts up to that
-    max_damping_ratio: float = positive(0.3)
 
 
 class LumpedCables(Block):
@@ -98,7 +115,6 @@ class LumpedCables(Block):
         load_wind: NDArray,
         *,
         attachments: NDArray,
-        max_damping_ratio: NDArray,
         **numbers: Any,
     ) -> tuple[NDArray, ...]:
         def lumped_cable(
@@ -106,30 +122,23 @@ class LumpedCables(Block):
             carrier_state: NDArray,
             wind: NDArray,
             attachment: NDArray,
+            material: NDArray,
             load_state: NDArray,
             load_wind: NDArray,
-            material: NDArray,
-            max_damping_ratio: NDArray,
         ) -> NDArray:
             """The nodes' rates, the forces at both ends and the tension at the load, (6 N + 7,)."""
             moved = lumped_cables(
-                state,
-                load_state,
-                carrier_state,
-                wind,
-                load_wind,
+                *(state, load_state, carrier_state, wind, load_wind),
                 attachments=attachment[None],
                 cable=CableMaterial(*material[:, None]),
-                max_damping_ratio=max_damping_ratio,
+                max_damping_ratio=_MAX_DAMPING_RATIO,
             )
             forces = moved.load_forces[0], moved.carrier_forces[0], moved.tensions[0]
             return np.concatenate([moved.rates, *forces])
 
         n = len(attachments)
         own = [*(_by_cable(values, n) for values in (state, carrier_state, wind)), attachments]
-        material = np.concatenate([np.ravel(number) for number in cable_material(numbers)])
-        shared = [load_state, load_wind, material, np.ravel(max_damping_ratio)]
-        found = for_each(lumped_cable, own, shared)
+        found = for_each(lumped_cable, [*own, material_rows(numbers, n)], [load_state, load_wind])
         rates, forces, carrier_forces, tensions = np.split(found, [-7, -4, -1], axis=1)
         rates = rates.reshape(n, -1, 3).swapaxes(0, 1)
         return rates.ravel(), forces, carrier_forces, tensions[:, 0]
@@ -140,46 +149,38 @@ class LumpedCables(Block):
         system, field = model.system, model.field
         remedy = "give a number above zero: nodes have mass"
         for name in ("cable_diameter", "cable_density"):
-            require(getattr(system, name) > 0, f"{field}.{name}", getattr(system, name), remedy)
-        require(
-            is_number(system.cable_stiffness),
-            "simulated.cable_stiffness",
-            system.cable_stiffness,
-            "simulated cables stretch: give a finite number greater than zero",
-        )
-        weight = model.gravity * model.cable_mass
+            is_positive = np.all(per_cable(system, name) > 0)
+            require(is_positive, f"{field}.{name}", getattr(system, name), remedy)
+        require_stretch(model)
         carried = model.gravity * system.load_mass / model.n
-        diameter = f"{system.cable_diameter:g}"
-        require(
-            weight < carried,
-            f"{field}.cable_diameter",
-            diameter,
-            f"each cable weighs {weight:.3g} N, and carries {carried:.3g} N of the load; give a "
-            "thinner or shorter one, or more load",
-        )
-        require(
-            carried + weight < model.cable_breaking_load,
-            f"{field}.cable_diameter",
-            diameter,
-            f"each cable breaks at {model.cable_breaking_load:.3g} N, and carries "
-            f"{carried + weight:.3g} N at rest; give a thicker one",
-        )
+        loads = model.gravity * model.cable_mass, model.cable_breaking_load
+        weights, breaking = (np.broadcast_to(load, model.n) for load in loads)
+        diameters = np.broadcast_to(per_cable(system, "cable_diameter"), model.n)
+        is_list = isinstance(system.cable_diameter, list)
+        for i in range(model.n):
+            cable, index = (f"cable {i + 1}", f"[{i}]") if is_list else ("each cable", "")
+            said, bears = f"{field}.cable_diameter{index}", f"carries {carried:.3g} N of the load"
+            remedy = f"{cable} weighs {weights[i]:.3g} N, and {bears}; give a thinner or shorter "
+            require(weights[i] < carried, said, f"{diameters[i]:g}", f"{remedy}one, or more load")
+            bears = f"carries {carried + weights[i]:.3g} N at rest"
+            remedy = f"{cable} breaks at {breaking[i]:.3g} N, and {bears}; give a thicker one"
+            is_strong = carried + weights[i] < breaking[i]
+            require(is_strong, said, f"{diameters[i]:g}", remedy)
 
     def constants(self, model: Model, config: LumpedCablesConfig) -> dict[str, Any]:
         return super().constants(model, config) | air_density_where_unsaid(model)
 
     def block_parameters(self, model: Model, config: LumpedCablesConfig) -> BlockParameters:
-        system = (*self.system, *air_density_name(model))
-        return BlockParameters(model, system, config=config, own=["max_damping_ratio"])
+        return BlockParameters(model, (*self.system, *air_density_name(model)))
 
     def layouts(self, model: Model, config: LumpedCablesConfig) -> dict[str, Layout]:
         return {"cable_state": nodes_layout(config.nodes)}
 
     def state(self, model: Model) -> NDArray:
         """Upright cables above the load."""
-        above = model.attachments + np.array([0.0, 0.0, model.cable_length])
+        above = model.attachments + np.outer(model.cable_length, [0.0, 0.0, 1.0])
         carriers = np.concatenate([above.ravel(), np.zeros(above.size)])
-        return self._initial_nodes(model.initial_load_state, carriers)
+        return self._straight(model.initial_load_state, carriers)
 
     def trim(
         self,
@@ -196,33 +197,23 @@ class LumpedCables(Block):
         from the load to its carrier.
         """
         load, carriers, wind, load_wind = (self.GetInputPort(s).Eval(context) for s in self.reads)
-        nodes = self._initial_nodes(load, carriers)
-        plan = [
-            signal
-            for signal in (reference, planned, desired_cable_forces, desired_cable_force_rates)
-            if signal is not None
-        ]
+        nodes = self._straight(load, carriers)
+        signals = (reference, planned, desired_cable_forces, desired_cable_force_rates)
+        plan = [signal for signal in signals if signal is not None]
         if len(plan) == 4:
             model, window = self.model, TimeWindow.of(_WINDOW, _INSTANTS)
-            numbers = self.constants(model, self.config) | parameters_in(self, context)
             higher_rates = np.zeros(6) if reference_higher_rates is None else reference_higher_rates
             forces, rates = (signal.reshape(-1, 3) for signal in plan[2:])
-            forces, attachments = motion_over_window(
+            terms = FlightTerms.along(
                 model.load,
-                plan[0],
-                higher_rates,
-                plan[1],
-                forces,
-                rates,
+                LoadMotion.along(plan[0], higher_rates),
                 load_wind,
-                window,
-                attachments=model.attachments,
                 pseudo_inverse=model.pseudo_inverse,
                 offset=model.pattern.offset,
-                basis=model.pattern.basis,
-                phases=model.pattern.phases,
-                orders=model.pattern.orders,
             )
+            of_window = terms, model.pattern.forces, plan[1], window, model.attachments
+            along, attachments = motion_over_window(*of_window)
+            forces = with_feedback(window, along, forces, rates)
             (low, high), (_, velocities) = ends_of_cables(load, carriers, model.attachments)
             attachments = attachments + (low - attachments[_INSTANTS // 2])
             lines = lines_between(
@@ -231,21 +222,22 @@ class LumpedCables(Block):
                 np.stack([high, velocities]),
                 load_wind,
                 window,
-                cable=cable_material(numbers),
+                cable=self._cable(context),
                 nodes=self.config.nodes,
                 gusts=wind.reshape(-1, 3) - load_wind,
             )
             nodes = nodes if lines is None else np.concatenate([part.ravel() for part in lines])
         context.SetContinuousState(nodes)
 
-    def _initial_nodes(self, load_state: NDArray, carrier_state: NDArray) -> NDArray:
-        """The nodes that a run starts with: on straight lines."""
-        return straight_nodes(
-            load_state,
-            carrier_state,
-            attachments=self.model.attachments,
-            nodes=self.config.nodes,
-        )
+    def _straight(self, load_state: NDArray, carrier_state: NDArray) -> NDArray:
+        """The nodes on straight lines."""
+        own = {"attachments": self.model.attachments, "nodes": self.config.nodes}
+        return straight_nodes(load_state, carrier_state, **own)
+
+    def _cable(self, context: Context) -> CableMaterial:
+        """The cables of a context of the block."""
+        numbers = self.constants(self.model, self.config)
+        return cable_material(numbers | parameters_in(self, context))
 
     def CalcKineticEnergy(self, context: Context) -> float:
         """½ Σ m v², J; the context is the block's own."""
@@ -258,9 +250,8 @@ class LumpedCables(Block):
     def _energies(self, context: Context) -> tuple[float, float]:
         state = context.get_continuous_state_vector().CopyToVector()
         ends = (self.GetInputPort(name).Eval(context) for name in self.reads[:2])
-        numbers = self.constants(self.model, self.config) | parameters_in(self, context)
-        cable = cable_material(numbers)
-        return lumped_cables_energies(state, *ends, attachments=self.model.attachments, cable=cable)
+        cable, attachments = self._cable(context), self.model.attachments
+        return lumped_cables_energies(state, *ends, attachments=attachments, cable=cable)
 
 
 def _by_cable(values: NDArray, n: int) -> NDArray:
@@ -270,11 +261,18 @@ def _by_cable(values: NDArray, n: int) -> NDArray:
 
 def cable_material(numbers: dict[str, Any]) -> CableMaterial:
     """The cables of a block's numbers, by the names of its parameters and constants."""
-    return CableMaterial._make(numbers[name] for name in (*CABLE_MATERIAL, _OF_AIR, "gravity"))
+    names = (*CABLE_MATERIAL, _OF_AIR, "gravity")
+    return CableMaterial._make(beside_vectors(numbers[name]) for name in names)
+
+
+def material_rows(numbers: dict[str, Any], n: int) -> NDArray:
+    """The material of n cables (n, 9), of a block's numbers: a row for each cable."""
+    columns = (np.broadcast_to(np.ravel(number), n) for number in cable_material(numbers))
+    return np.stack([*columns], axis=1)
 
 
 def material_of(model: Model) -> CableMaterial:
     """The cables of a model."""
     names = (*CABLE_MATERIAL, "gravity", *air_density_name(model))
-    numbers = {name: model.number(name) for name in names}
+    numbers = {name: np.atleast_1d(model.number(name)) for name in names}
     return cable_material(numbers | air_density_where_unsaid(model))

@@ -14,7 +14,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydrake.systems.framework import Context
 
-from drake_nonstop.blocks.speed_bound_layer import BOX, WIND, PeriodicLayer
+from drake_nonstop.blocks.speed_bound_layer import (
+    BOX,
+    COMMAND,
+    WIND,
+    CommandedBound,
+    PeriodicLayer,
+    outputs_of,
+    shown_bound,
+)
 from drake_nonstop.mechanics.nonstop import advanced_reference, change_cost, phase_of
 from drake_nonstop.mechanics.rigid_load import STILL_AIR
 from drake_nonstop.model.block import BlockParameters
@@ -22,8 +30,9 @@ from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.carriers import as_vector, carrier_speeds
 from drake_nonstop.optimization.constraints import FEASIBILITY_TOLERANCE
 from drake_nonstop.optimization.diagnostics import Outcome
-from drake_nonstop.optimization.local_solver import LocalSolver
+from drake_nonstop.optimization.nonlinear_program import check_solver, solved_program
 from drake_nonstop.optimization.problem_config import (
+    LEAST_BOUND,
     SpeedBound,
     amplitude_range,
     below_one,
@@ -40,7 +49,6 @@ from drake_nonstop.validation import (
     checked,
     non_negative,
     one_line,
-    one_of,
     positive,
     require,
     require_period,
@@ -48,11 +56,10 @@ from drake_nonstop.validation import (
 )
 
 _STATIONARY = 1e-9  # of the cost's gradient
-_SOLVERS = (*LocalSolver.NAMES,)
 
 
 @dataclass(kw_only=True)
-class NlpLayerConfig(StrictFields):
+class ProgramConfig(StrictFields):
     """The bound, ξ and A with their bounds, the solver, and weights of the cost."""
 
     speed_bound: SpeedBound = checked(0.2, check_speed_bound)  # m/s, ε; of aircraft also "1.4 V_s"
@@ -61,17 +68,21 @@ class NlpLayerConfig(StrictFields):
     amplitude: float = positive(1.2)  # N, A at the start
     frequency_bounds: list[float] = field(default_factory=lambda: [0.1, 20.0])  # rad/s
     amplitude_bounds: list[float] = field(default_factory=list)  # N; none: from the load's weight
-    # phases of the orbit at which speeds are predicted; 1: the present one, as in the paper
-    orbit_points: int = points(16, 64, " (the present phase only)")
-    look_ahead_time: float = non_negative(0.12)  # s, to the load's motion that they are of
     internal_force_weight: float = non_negative(1.0)  # w_pos of eq. 26
     internal_force_rate_weight: float = non_negative(1.0)  # w_vel of eq. 26
     period: float = checked(0.01, require_period)  # s, between updates
-    # "snopt", "ipopt" or "nlopt"
-    solver: str = checked("snopt", one_of(_SOLVERS, f"give one of {', '.join(_SOLVERS)}"))
+    solver: str = checked("snopt", check_solver)  # or "ipopt"
 
 
-class NlpLayer(PeriodicLayer):
+@dataclass(kw_only=True)
+class NlpLayerConfig(ProgramConfig):
+    """The bound, ξ and A with their bounds, the solver, weights of the cost, and the orbit."""
+
+    orbit_points: int = points(16, 64, " (the present phase only)")  # at which speeds are predicted
+    look_ahead_time: float = non_negative(0.12)  # s, to the load's motion that they are of
+
+
+class NlpLayer(CommandedBound, PeriodicLayer):
     """Changes ξ and A to the least of a cost within constraints, by one of Drake's solvers.
 
     At each update, with x = [ξ, A],
@@ -96,23 +107,22 @@ class NlpLayer(PeriodicLayer):
             anything but numbers; during a run, one of them is not finite at x⁻.
     """
 
-    reads = ("phase", "measured_load_state", "reference", "wrench", "wrench_rate", WIND)
+    reads = ("phase", "measured_load_state", "reference", "wrench", "wrench_rate", WIND, COMMAND)
     makes = ("parameters", "diagnostics", "solve_time", "speed_bound")
     where: ClassVar = {WIND: "there are aircraft"}
-    optional_inputs = (WIND,)
+    optional_inputs = (COMMAND, WIND)
 
     def __init__(self, model: Model, config: NlpLayerConfig | None = None):
         super().__init__(model, config)
-        own = self.config
-        self._bounds = np.transpose([own.frequency_bounds, amplitude_range(own, model)])
-        self._read = [name for name in self.reads if self.HasInputPort(name)]
+        ranges = self.config.frequency_bounds, amplitude_range(self.config, model)
+        self._bounds = np.transpose(ranges)
+        ports = filter(self.HasInputPort, self.reads)
+        self._read = [name for name in ports if name != COMMAND]
         self._sizes = [2, 1, *(self.GetInputPort(name).size() for name in self._read)]
         if self.scalar is float:
             self._cost = self._traced_function("cost", self.cost, most=1)
             self._constraints = self._traced_function("constraints", self.constraints)
             self._speeds = self._traced_function("predicted_speeds", self.predicted_speeds)
-            size = sum(self._sizes)
-            self._solver = LocalSolver(own.solver, self._cost, self._constraints, 0, size)
 
     def parts(self, model: Model, config: Any) -> dict[str, ArrayLike]:
         """The parameters."""
@@ -125,8 +135,6 @@ class NlpLayer(PeriodicLayer):
             phases=self.model.pattern.phases,
             internal_force_weight=self.config.internal_force_weight,
             internal_force_rate_weight=self.config.internal_force_rate_weight,
-            anchor_weight=0.0,
-            nominal=now.previous,
         )
 
     def constraints(self, x: NDArray, now: Any) -> NDArray:
@@ -134,9 +142,17 @@ class NlpLayer(PeriodicLayer):
         return self.predicted_speeds(x, now) - (1 + self.config.tightening) * now.speed_bound
 
     def predicted_speeds(self, x: NDArray, now: Any) -> NDArray:
-        """The carriers' speeds (k, n), m/s, from θ on over an orbit, `look_ahead_time` ahead."""
+        """The carriers' speeds (k, n), m/s, of the `prediction`."""
+        return carrier_speeds(*self.prediction(x, now))
+
+    def prediction(self, x: NDArray, now: Any) -> tuple[Any, ...]:
+        """Arguments of `carrier_speeds`, `cable_tensions` and the like, at x and k phases.
+
+        The motion is that of the load `look_ahead_time` ahead, and the phases are those of a whole
+        orbit, from θ on.
+        """
         time, points = self.config.look_ahead_time, self.config.orbit_points
-        return carrier_speeds(
+        return (
             *(self.model, advanced_reference(now.reference, time)),
             *(now.wrench + time * now.wrench_rate, now.wrench_rate, x[0], x[1]),
             phase_of(x, now.previous, now.phase) + 2 * np.pi * np.arange(points) / points,
@@ -183,9 +199,25 @@ class NlpLayer(PeriodicLayer):
         remedy = "the pattern has no orbits that it could change; give !ConstantParameters"
         require(not model.pattern.is_constant, BOX, cls.__name__, remedy)
 
+    def check_bound(self, speed_bound: float, name: str = "speed_bound") -> None:
+        """Raises ScenarioError for neither 0 nor at least 1e-3 m/s."""
+        check_speed_bound(f"{BOX}.{name}", speed_bound)
+
     def block_parameters(self, model: Model, config: Any) -> BlockParameters:
         """The bound, which a context can change."""
         return BlockParameters(model, config=config, own=("speed_bound",))
+
+    def constants(self, model: Model, config: Any) -> dict[str, Any]:
+        """Constants of `PeriodicLayer`, and the place of the command among the inputs."""
+        place = self.inputs(model).index(COMMAND)
+        return super().constants(model, config) | {"command": place}
+
+    @staticmethod
+    def equations(state: NDArray, *inputs: Any, **numbers: Any) -> tuple[NDArray, ...]:
+        """Outputs, where a command takes the place of the speed bound."""
+        command = inputs[numbers["command"]]
+        bound = shown_bound(command, numbers["speed_bound"], LEAST_BOUND)
+        return outputs_of(state, speed_bound=bound, **numbers["shown"])
 
     def answer(self, context: Context) -> NDArray:
         """The state after an update."""
@@ -216,7 +248,8 @@ class NlpLayer(PeriodicLayer):
         if was_feasible and np.max(np.abs(gradient)) <= _STATIONARY:
             return previous, Outcome.KEPT
         try:
-            x = self._solver.nearest(previous, now, *self._bounds)
+            program = self.config.solver, self._cost, self._constraints
+            x = solved_program(*program, now, previous, self._bounds)
             is_better = not was_feasible or self._cost(x, now)[0][0] < cost[0]
             if is_better and _are_kept(self._constraints(x, now)[0]):
                 return x, Outcome.SOLVED

@@ -1,7 +1,6 @@
 """Box "phase" of the internal forces, in the paper a part of their trajectories."""
 
-import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -18,9 +17,7 @@ from drake_nonstop.systems.requirements import LoopBlocks
 from drake_nonstop.systems.tracing import where
 from drake_nonstop.validation import (
     StrictFields,
-    checked,
     positive,
-    require_positive,
     require_ranges,
 )
 
@@ -88,34 +85,26 @@ class PaperPhase(Block):
         return np.concatenate([angle, time]), planned
 
 
-def _check_rate(field: str, value: Any) -> None:
-    if value != math.inf:
-        require_positive(field, value)
-
-
 @dataclass(kw_only=True)
 class ShapedPhaseConfig(StrictFields):
     """How fast ξ and A follow the parameters that a layer asks for."""
 
     bandwidth: float = positive(80.0)  # rad/s, of each of three equal poles
-    max_frequency_rate: float = checked(math.inf, _check_rate)  # rad/s², of ξ
-    max_amplitude_rate: float = checked(math.inf, _check_rate)  # N/s, of A
 
 
 class ShapedPhase(Block):
     """ξ and A that follow the parameters smoothly, their rates, and the phase θ̇ = ξ.
 
     Where `plan` is connected ξ and A are those of the plan. Otherwise each follows its parameter
-    through three equal poles, see `mechanics.shaping`: it is continuous to its second rate, stays
-    between the parameters' least and largest values so far, and never moves faster than its
-    largest rate, whatever the parameters do. It starts at the parameters of the first sample, or
-    step, with rates of zero.
+    through three equal poles, see `mechanics.shaping`: it is continuous to its second rate, and
+    stays between the parameters' least and largest values so far. It starts at the parameters of
+    the first sample, or step, with rates of zero.
 
     θ, ξ, A and their rates are the state: continuous, or stepped at each sample, exactly, where the
     model has a control period.
 
     Raises:
-        ScenarioError: a parameter is not positive, or the bandwidth is not finite.
+        ScenarioError: the bandwidth is not positive, or not finite.
     """
 
     reads = ("parameters", "plan")
@@ -153,10 +142,12 @@ class ShapedPhase(Block):
         return BlockParameters(model, self.system)
 
     def constants(self, model: Model, config: ShapedPhaseConfig) -> dict[str, Any]:
-        """The poles of ξ and of A, and whether they step at samples."""
-        period, rates = model.control_period, (config.max_frequency_rate, config.max_amplitude_rate)
-        poles = [Smoothing(bandwidth=config.bandwidth, period=period, max_rate=r) for r in rates]
-        return {"poles": poles, "steps": period > 0}
+        """The poles, and whether they step at samples."""
+        period = model.control_period
+        return {
+            "poles": Smoothing(bandwidth=config.bandwidth, period=period),
+            "steps": period > 0,
+        }
 
     def state(self, model: Model) -> NDArray:
         """θ, the three stages of ξ and of A, and 1 where these have started, else 0."""
@@ -168,26 +159,22 @@ class ShapedPhase(Block):
         parameters: NDArray,
         plan: NDArray,
         *,
-        poles: Sequence[Smoothing],
+        poles: Smoothing,
         steps: bool,
     ) -> tuple[NDArray, ...]:
         started = state[7:]
         stages = started * state[1:7] + (1 - started) * np.repeat(parameters, 3)
-        parts = np.split(np.concatenate([stages, parameters]), 8)
-        motions = [  # of ξ and A: their stages, and the rate of the first one
-            (*parts[k : k + 3], pole.approach(parts[k], target))
-            for pole, k, target in zip(poles, (0, 3), parts[6:], strict=True)
-        ]
-        pairs = [*zip(poles, motions, strict=True)]
-        (first, second, _), others = (pole.rates(*motion) for pole, motion in pairs)
-        rates = [first, others[0], second, *others[1:]]
-        shaped = np.concatenate([state[:1], parts[2], parts[5], *rates])
+        first, second, third = stages.reshape(2, 3).T  # each of ξ and A
+        moving = poles.approach(first, parameters)
+        rate, second_rate, third_rate = poles.rates(first, second, third, moving)
+        shaped = np.concatenate([state[:1], third, rate, second_rate, third_rate[1:]])
         if steps:
-            (*xi, turn), (*size, _) = (pole.after(*motion) for pole, motion in pairs)
-            going, standing = [state[:1] + turn, *xi, *size, np.ones(1)], state
+            *after, turn = poles.after(first, second, third, moving)
+            moved, going, standing = np.stack(after), [state[:1] + turn[:1], np.ones(1)], state
         else:
-            moving = [[motion[3], *pole.stage_rates(*motion[:3])] for pole, motion in pairs]
-            going, standing = [parts[2], *moving[0], *moving[1], np.zeros(1)], 0 * state
+            moved = np.stack([moving, *poles.stage_rates(first, second, third)])
+            going, standing = [third[:1], np.zeros(1)], 0 * state
+        going.insert(1, moved.T.ravel())
         has_plan = plan[1] > 0
         planned = where(has_plan, plan, shaped)
         moved = where(has_plan, standing, np.concatenate(going))

@@ -15,28 +15,36 @@ from drake_nonstop.blocks.speed_bound_layer import (
     BOX,
     COMMAND,
     WIND,
-    LayerNumbers,
     SpeedBoundLayer,
     outputs_of,
     shown_bound,
 )
+from drake_nonstop.mechanics.cable import compliance_of
 from drake_nonstop.mechanics.reference_preview import ReferencePreview, continued_reference
 from drake_nonstop.mechanics.rigid_load import STILL_AIR
-from drake_nonstop.mechanics.signal_layouts import SAMPLE_TIME
-from drake_nonstop.mechanics.signals import PLANNED_SIZE
-from drake_nonstop.model.system import Model
-from drake_nonstop.optimization.compiled_plan import compiled_solver
+from drake_nonstop.mechanics.signals import HELD, PLANNED_SIZE, SAMPLE_TIME, CarrierStates
+from drake_nonstop.model.block import LOAD, rigid_load
+from drake_nonstop.model.system import OFFSET, Model
 from drake_nonstop.optimization.diagnostics import Outcome
 from drake_nonstop.optimization.horizon_config import HorizonConfig, check_horizon, timed
-from drake_nonstop.optimization.horizon_motion import HorizonData
-from drake_nonstop.optimization.horizon_problem import HorizonProblem
+from drake_nonstop.optimization.horizon_problem import HorizonData, HorizonProblem, planned_shape
 from drake_nonstop.optimization.horizon_solver import (
     LEAST_START_SCALE,
     PLAN_TOLERANCE,
     HorizonSolver,
     PlanAnswer,
 )
-from drake_nonstop.optimization.plan import DEGREE, Plan, traced_plan_values
+from drake_nonstop.optimization.measured_margin import (
+    FIRST_SHARE,
+    MEASURED,
+    NOTHING_MEASURED,
+    deviations_of,
+    margin_after,
+    margin_at_next_plan,
+    planned_motion,
+)
+from drake_nonstop.optimization.model_parameters import ModelParameters
+from drake_nonstop.optimization.plan import DEGREE, Plan
 from drake_nonstop.optimization.problem_config import (
     LEAST_BOUND,
     LimitsConfig,
@@ -44,8 +52,6 @@ from drake_nonstop.optimization.problem_config import (
     check_pattern,
     points,
 )
-from drake_nonstop.optimization.step_program import DAQP
-from drake_nonstop.optimization.update_data import ModelParameters
 from drake_nonstop.systems.requirements import LoopBlocks
 from drake_nonstop.systems.tracing import NotFiniteError, where
 from drake_nonstop.validation import fulfilling, require
@@ -60,23 +66,23 @@ _REPEATS = 4  # of the iterations of a plan that needs slack
 _STARTS: tuple[float, ...] = (0.0, 1.1, 0.9)
 _NO_PLAN = 0.0  # in place of a scale
 _LAST = "last_plan"  # a part of the state, a flat `_PlanState`
+_MARGIN = "margin"  # a part of the state, of `margin_after`
+_FLOWN = f"{HELD}carrier_state"  # an optional input
+_NOWHERE = 1e5  # in the place of a state of carriers that is not measured
 
 
 @dataclass(kw_only=True)
 class RecedingHorizonOptimizerConfig(HorizonConfig, LimitsConfig):
     """The bound, the horizon, and how much time its plans get."""
 
-    tightening: float | str = 0.02  # the solver aims at (1 + tightening) ε; "auto": computed
+    # plans aim at (1 + tightening) ε; "measured": by what carriers fly slower than planned
+    tightening: float | str = MEASURED
     preview: bool = True  # read the motion ahead; without it the motion goes on as it does
     wind: bool = True  # count the wind that aircraft fly in; without it their ground speed counts
     max_iterations: int = points(2, _MOST_ITERATIONS)  # quadratic programs of a plan
     time_limit: float = fulfilling(  # s, of wall time, beyond which the plan that exists goes on
         float("inf"), lambda time: time > 0, "give a time above zero"
     )
-
-    def instant_spacing(self, control_period: float) -> float:
-        """Bound of `LimitsConfig`."""
-        return timed(self, self.frequency, control_period).knot_spacing / self.instants
 
 
 class RecedingHorizonOptimizer(SpeedBoundLayer):
@@ -92,7 +98,12 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
     else with others; until it is made, `parameters` and `plan` show the initial ones.
 
     Where the references' cables bow, speeds, limits of aircraft and distances are those of carriers
-    at the ends of bowed cables, see `optimization.bowed_margins`.
+    at the ends of bowed cables, see `optimization.carrier_margins`.
+
+    With `tightening: measured` the margin above ε follows the carriers' deviations from their
+    planned velocities, as `carrier_state` shows them at each sample, see
+    `optimization.measured_margin`; a margin that has risen is reached within three plans. Without
+    that signal, or without a control period, it stays 2 %. `measured_margin` tells it, in m/s.
 
     The speeds of aircraft are those through the air, in the wind that `wind_estimate` tells at the
     time of a plan, taken as steady; not connected, or `wind` is false: in still air. What they need
@@ -122,14 +133,24 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
             preview ends before the horizon.
     """
 
-    reads = ("reference", WIND, COMMAND, SAMPLE_TIME, _PREVIEW)
-    makes = ("parameters", "plan", "diagnostics", "solve_time", "speed_bound", "missed_limits")
+    reads = ("reference", WIND, _FLOWN, COMMAND, SAMPLE_TIME, _PREVIEW)
+    makes: ClassVar[tuple[str, ...]] = (
+        *("parameters", "plan", "diagnostics", "solve_time", "speed_bound"),
+        *("missed_limits", "measured_margin"),
+    )
 
     where: ClassVar = SpeedBoundLayer.where | {SAMPLE_TIME: "the model has a control period"}
-    optional_inputs = (_PREVIEW, WIND, COMMAND)
+    optional_inputs = (_PREVIEW, WIND, COMMAND, _FLOWN)
+    unconnected: ClassVar = SpeedBoundLayer.unconnected | {_FLOWN: _NOWHERE}
 
     def __init__(self, model: Model, config: RecedingHorizonOptimizerConfig | None = None):
         self.reads_time = model.control_period == 0
+        own = config or RecedingHorizonOptimizerConfig()
+        self.makes_next_state = own.tightening == MEASURED and model.control_period > 0
+        is_made = {"measured_margin": self.makes_next_state}
+        self.makes = tuple(  # type: ignore[misc]
+            name for name in type(self).makes if is_made.get(name, True)
+        )
         super().__init__(model, config)
         self._times = timed(self.config, self.config.frequency, model.control_period)
         self._planner = None
@@ -146,13 +167,13 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
             yield (
                 f"phase = {type(phase).__name__}: it does not read the plan of optimization_layer, "
                 "and departs from the phase that is planned with; give phase=ShapedPhase, or "
-                "optimization_layer=NonstopOptimizer, which reads the phase"
+                "optimization_layer=NlpLayer, which reads the phase"
             )
 
     def inputs(self, model: Model) -> tuple[str, ...]:
-        """The signals that are vectors, the sample's time where there are samples."""
-        read = super().inputs(model)
-        return read if model.control_period > 0 else read[:-1]
+        """The signals that are vectors; the sample's time and what is measured in samples alone."""
+        left_out = {_FLOWN: not self.makes_next_state, SAMPLE_TIME: model.control_period == 0}
+        return tuple(name for name in super().inputs(model) if not left_out.get(name))
 
     def step_period(self, model: Model, config: RecedingHorizonOptimizerConfig) -> float:
         """Spacing of the knots, s."""
@@ -164,32 +185,59 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
         count = round(times.horizon / times.knot_spacing) + DEGREE
         nominal, ones = np.array([config.frequency, config.amplitude]), np.ones((2, count))
         bound = float(config.speed_bound)
-        return {_LAST: _PlanState(0.0, 0.0, _NO_PLAN, bound, 0.0, nominal, ones).flat()}
+        last = _PlanState(0.0, 0.0, _NO_PLAN, bound, 0.0, nominal, ones).flat()
+        return {_LAST: last, _MARGIN: NOTHING_MEASURED}
 
     def constants(self, model: Model, config: RecedingHorizonOptimizerConfig) -> dict[str, Any]:
-        """Constants of `SpeedBoundLayer`, and the spacing of the knots, s."""
-        return super().constants(model, config) | {"spacing": self.step_period(model, config)}
+        """Constants of `SpeedBoundLayer`, the knots' spacing, s, and what speeds follow from."""
+        own = {
+            "spacing": self.step_period(model, config),
+            "measures_every": model.control_period if self.makes_next_state else 0.0,
+            "counts_wind": model.aircraft is not None and config.wind,
+            "believed": {
+                "attachments": model.attachments,
+                "pseudo_inverse": model.pseudo_inverse,
+                "pattern": model.pattern,
+                "shape": planned_shape(model.cable_shape),
+            },
+        }
+        return super().constants(model, config) | own
 
     @staticmethod
     def equations(state: NDArray, *inputs: Any, **numbers: Any) -> tuple[NDArray, ...]:
         """Outputs, of which the plan is that at the sample's time, the last input."""
-        *_, command, time = inputs
-        last = _PlanState.view(state[numbers["shown"]["places"][_LAST]])
+        reference, *others, command, time = inputs
+        places = numbers["shown"]["places"]
+        last = _PlanState.view(state[places[_LAST]])
         plan = where(
             last.scale != _NO_PLAN,
-            traced_plan_values(last.plan(numbers["spacing"]), time[0]),
+            last.plan(numbers["spacing"]).planned(time[0]),
             np.concatenate([np.zeros(1), last.nominal, np.zeros(PLANNED_SIZE - 3)]),
         )
         bound = shown_bound(command, numbers["speed_bound"], LEAST_BOUND, numbers["highest"])
-        return outputs_of(
-            state, speed_bound=bound, plan=plan, parameters=plan[1:3], **numbers["shown"]
+        margin = state[places[_MARGIN]]
+        own = {"plan": plan, "parameters": plan[1:3], "measured_margin": margin[1:2] * bound}
+        outputs = outputs_of(state, speed_bound=bound, **own, **numbers["shown"])
+        period = numbers["measures_every"]
+        if not period:
+            return outputs
+        *winds, carriers = others
+        wind = winds[0] if winds and numbers["counts_wind"] else STILL_AIR
+        planned = planned_motion(
+            rigid_load(**{name: numbers[name] for name in LOAD}),
+            reference,
+            plan,
+            wind,
+            offset=numbers.get(OFFSET, np.zeros(carriers.size // 2)),
+            rest_length=numbers["cable_length"],
+            compliance=compliance_of(numbers["cable_stiffness"]),
+            **numbers["believed"],
         )
-
-    @property
-    def engine_note(self) -> str:
-        """What a run's `engine` tells besides; empty: its plans are made as they should be."""
-        is_in_python = self.config.solver == DAQP and compiled_solver() is None
-        return "plans in Python" if is_in_python else ""
+        deviations = deviations_of(planned, CarrierStates.view(carriers).velocities)
+        after = margin_after(margin, deviations, bound, period)
+        after = where(carriers[0] != _NOWHERE, after, margin)
+        before, later = state[: places[_MARGIN].start], state[places[_MARGIN].stop :]
+        return np.concatenate([before, after, later]), *outputs
 
     @classmethod
     def check(cls, model: Model, config: RecedingHorizonOptimizerConfig) -> None:
@@ -198,7 +246,7 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
         remedy += "load_trajectory: !PlannedTurn, whose load turns with its aircraft"
         can_turn = model.aircraft is not None and model.pattern.is_constant
         require(not can_turn, BOX, "RecedingHorizonOptimizer", remedy)
-        check_limits(BOX, config, model)
+        check_limits(BOX, config, model, measures=True)
         check_horizon(BOX, config, config, model)
         check_pattern(BOX, model, "RecedingHorizonOptimizer")
 
@@ -213,21 +261,33 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
 
     def answer(self, context: Context) -> NDArray:
         """The state after a new plan."""
-        made, states = self._next(context), self.states(context)
-        after: dict[str, Any] = {_LAST: made.state.flat(), "solve_time": made.solve_time}
+        states = self.states(context)
+        _, share, reached = states[_MARGIN]
+        begin = min((1 + reached) / (1 + share), 1.0)
+        made = self._next(context, share, begin)
+        margin = margin_at_next_plan(states[_MARGIN])
+        after: dict[str, Any] = {_LAST: made.state.flat(), _MARGIN: margin}
+        after["solve_time"] = made.solve_time
         if self.is_enabled(context):
-            margin = made.slowest_speed - float(self.bound_in(context)[0])
-            after |= self.counted_update(states, made.outcome, margin, made.missed)
+            above = made.slowest_speed - float(self.bound_in(context)[0])
+            after |= self.counted_update(states, made.outcome, above, made.missed)
         return self.flat(states | after)
 
-    def _next(self, context: Context) -> "_Planned":
-        """The plan that is made at the time of the context."""
+    def _next(self, context: Context, share: float, begin: float) -> "_Planned":
+        """The plan that is made at the time of the context, with this share of ε as a margin.
+
+        A share `begin` of what it aims at holds at its start.
+        """
         assert self._planner is not None
         wind = self.input(context, WIND).copy() if self.config.wind else STILL_AIR
+        bound = float(self.bound_in(context)[0]) if self.is_enabled(context) else 0.0
+        # Plans add the first share by themselves.
+        aim = bound * (1 + share) / (1 + FIRST_SHARE) if self.makes_next_state else bound
         return self._planner.plan(
             context.get_time(),
             self._reference_ahead(context),
-            float(self.bound_in(context)[0]) if self.is_enabled(context) else 0.0,
+            bound,
+            (aim, begin),
             self._numbers_in(context),
             self._last(context),
             wind,
@@ -311,11 +371,14 @@ class _Planner(threading.local):
         time: float,
         reference: ReferencePreview,
         speed_bound: float,
-        numbers: LayerNumbers,
+        aim: tuple[float, float],
+        numbers: ModelParameters,
         last: _PlanState,
         wind: NDArray,
     ) -> _Planned:
         """The next plan, from a time in s on, in a wind (3,), which goes on from the last one.
+
+        It is a plan for a speed, m/s, in place of ε, of which a share holds at the start: `aim`.
 
         Where it takes too much time the last one stays, judged by what is known now.
         """
@@ -333,7 +396,7 @@ class _Planner(threading.local):
             shifted = before.shifted(knots) if knots > 0 else before
             ratio = (last.nominal / numbers.nominal)[:, None]
             angle, start = shifted.start_angle, ratio * shifted.coefficients
-        given = start_time, angle, reference, speed_bound, wind
+        given = start_time, angle, reference, aim, wind
         data = self._data_for(solver, *given)
         judging, judged = solver, data
         if is_first:  # nothing has to go on: the carriers start wherever the plan does
@@ -342,22 +405,22 @@ class _Planner(threading.local):
         judge = judging.problem
         is_new = is_first or speed_bound != last.speed_bound
         scale = 1.0 if is_new else max(last.scale, LEAST_START_SCALE)
-        arrays = start, numbers.beliefs, wind
+        arrays = start, np.concatenate(numbers), wind
         starts, repeats = _STARTS, _REPEATS
         if not is_new and last.slack > PLAN_TOLERANCE:
             # The last plan has tried all in vain: starts take turns until one needs no slack.
             repeats, starts = 1, (_STARTS[round(start_time / spacing) % len(_STARTS)],)
-        numbers_of = (start_time, angle, speed_bound, is_new, scale, repeats, starts)
+        numbers_of = (start_time, angle, speed_bound, aim, is_new, scale, repeats, starts)
         key = (reference, *numbers_of, *(array.tobytes() for array in arrays))
         known = self._last
         if known is None or known[0] != key:
             answer, outcome = self._make(solver, data, start, scale, is_new, repeats, starts)
             if not np.all(np.isfinite(answer.coefficients)):
-                raise NotFiniteError(problem.name())
+                raise NotFiniteError(self._name())
             found = answer.margins, answer.slowest
             if is_first:
-                found = judge.judged(judged, answer.coefficients)
-                if judge.slacks(found[0]).max() > PLAN_TOLERANCE:
+                found = _judged(judge, judged, answer.coefficients)
+                if judge.least_slacks(found[0]).max() > PLAN_TOLERANCE:
                     made = self._make(judging, judged, start, scale, is_new, repeats, starts)
                     answer, outcome = made
                     found = answer.margins, answer.slowest
@@ -368,7 +431,7 @@ class _Planner(threading.local):
         solve_time = clock.perf_counter() - began
         if solve_time > self._config.time_limit and not is_first:
             state, outcome, slack = last, Outcome.HELD, math.inf
-            margins, slowest = judge.judged(judged, start)
+            margins, slowest = _judged(judge, judged, start)
         missed = judge.missed(margins, PLAN_TOLERANCE) if slack > PLAN_TOLERANCE else set()
         return _Planned(state, outcome, slowest, missed, solve_time)
 
@@ -390,14 +453,15 @@ class _Planner(threading.local):
         start_time: float,
         angle: float,
         reference: ReferencePreview,
-        speed_bound: float,
+        aim: tuple[float, float],
         wind: NDArray,
     ) -> HorizonData:
         """The data of a plan, with what the last one's tell of the same motion and beliefs."""
         known = self._data.get(solver.fixed)
         is_same = known is not None and known[0] is solver and known[1] is reference
         last = known[2] if known is not None and is_same else None
-        data = solver.problem.data(start_time, angle, reference, speed_bound, last, wind)
+        speed, share = aim
+        data = solver.problem.data(start_time, angle, reference, speed, last, wind, share)
         self._data[solver.fixed] = solver, reference, data
         return data
 
@@ -439,18 +503,25 @@ class _Planner(threading.local):
         is_kept = np.array_equal(answer.coefficients, start)
         return answer, Outcome.KEPT if is_kept else Outcome.SOLVED
 
-    def _solver_for(self, numbers: LayerNumbers, fixed: int) -> HorizonSolver:
+    def _solver_for(self, numbers: ModelParameters, fixed: int) -> HorizonSolver:
         """The solver of plans whose first coefficients are fixed, so many of them."""
-        key = numbers.beliefs.tobytes()
+        key = np.concatenate(numbers).tobytes()
         known = self._solvers.get(fixed)
         if known is None or known[0] != key:
             problem = HorizonProblem(
                 self._model,
                 self._config,
                 replace(self._config, fixed_coefficients=fixed),
-                self._name,
-                beliefs=ModelParameters.view(numbers.beliefs),
+                beliefs=numbers,
                 shape=self._model.cable_shape,
             )
-            self._solvers[fixed] = known = key, HorizonSolver(problem)
+            self._solvers[fixed] = known = key, HorizonSolver(problem, self._name)
         return known[1]
+
+
+def _judged(
+    problem: HorizonProblem, data: HorizonData, coefficients: NDArray
+) -> tuple[NDArray, float]:
+    """The margins of coefficients (2, N), and the least speed along them, m/s."""
+    margins = problem.linearization(data, coefficients).margins
+    return margins, problem.slowest(data, margins)

@@ -7,18 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.framework import DiagramBuilder
 
-from drake_nonstop.mechanics.signal_layouts import HELD, SAMPLE_TIME, SIGNALS, Layout
-from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE
+from drake_nonstop.mechanics.signal_layouts import Layout
+from drake_nonstop.mechanics.signals import HELD, SAMPLE_TIME, SIGNALS
 from drake_nonstop.model.block import signal_sizes
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.equation_block import EquationBlock
 from drake_nonstop.systems.equations import Equations
 from drake_nonstop.systems.requirements import LoopBlocks
-from drake_nonstop.systems.wiring import (
-    connect_remaining,
-    input_names,
-    require_open,
-)
+from drake_nonstop.systems.wiring import connect_remaining, input_names, require_open
 from drake_nonstop.validation import ScenarioError, require
 
 SAMPLE_AND_HOLD = "sample_and_hold"  # no scenario chooses it: in front of sampled controllers
@@ -39,8 +35,6 @@ class SampleAndHold(EquationBlock):
 
     Args:
         model: its control period, and how many carriers there are.
-        initial_values: the signals that are held before the first sample, by their names; those
-            that are not given are a load at rest at the origin.
         holds_wind: whether `wind_estimate` is held, too, for a wind that is not constant.
         others: further signals that are held.
 
@@ -62,23 +56,11 @@ class SampleAndHold(EquationBlock):
     optional_inputs = (_HIGHER_RATES,)
     is_sampled = True
 
-    def __init__(
-        self,
-        model: Model,
-        initial_values: Mapping[str, NDArray] | None = None,
-        *,
-        holds_wind: bool = False,
-        others: Sequence[str] = (),
-    ):
+    def __init__(self, model: Model, *, holds_wind: bool = False, others: Sequence[str] = ()):
         held = (*HELD_SIGNALS, *([_WIND] if holds_wind else []), *others)
         sizes = signal_sizes(type(self), model, held)
-        given = initial_values or {}
-        parts = [
-            given[name]
-            if name in given and len(given[name]) == size
-            else (np.eye(size)[0] if name in _POSES else np.zeros(size))
-            for name, size in sizes.items()
-        ]
+        # Before the start of a run a load at rest at the origin.
+        parts = [np.eye(n)[0] if name in _POSES else np.zeros(n) for name, n in sizes.items()]
         shown = {f"{HELD}{name}": size for name, size in sizes.items()} | {SAMPLE_TIME: 1}
         equations = Equations(
             _sampled,
@@ -104,21 +86,15 @@ def _sampled(held: NDArray, *signals_and_time: NDArray) -> NDArray:
 
 
 def hold_of(loop: LoopBlocks) -> SampleAndHold:
-    """The block that holds the inputs of sampled controllers, at first those at the start."""
+    """The block that holds the inputs of sampled controllers."""
     wind, _ = loop.origin_of(_WIND)
     is_wanted = wind is not None or any(loop.reads(name, _WIND) for name in loop.blocks)
     # A constant estimate needs no hold, which would cost time at each sample.
     holds_wind = is_wanted and not getattr(wind, "is_sampled", False)
-    held: dict[str, NDArray] = {}
-    for signal in ("reference", "reference_higher_rates"):
-        if (value := loop.at_start(signal)) is not None:
-            held[signal] = value
-    if "reference" in held:
-        held["measured_load_state"] = held["reference"][:LOAD_STATE_SIZE]
     read = {name for own in loop.blocks.values() for name in input_names(own)}
     others = [name.removeprefix(HELD) for name in sorted(read) if name.startswith(HELD)]
     others = [n for n in others if n not in (*HELD_SIGNALS, _WIND) and loop.maker_of(n) is not None]
-    return SampleAndHold(loop.believed, held, holds_wind=holds_wind, others=others)
+    return SampleAndHold(loop.believed, holds_wind=holds_wind, others=others)
 
 
 def add_sample_and_hold(builder: DiagramBuilder, model: Model) -> SampleAndHold:

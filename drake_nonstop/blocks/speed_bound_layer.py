@@ -3,15 +3,16 @@
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydrake.common.value import AbstractValue, Value
-from pydrake.systems.framework import BasicVector_, Context, ValueProducer
+from pydrake.common.value import Value
+from pydrake.systems.framework import BasicVector_, Context
 
 from drake_nonstop.mechanics.rigid_load import STILL_AIR
-from drake_nonstop.mechanics.signal_layouts import SIGNALS, Layout
+from drake_nonstop.mechanics.signal_layouts import Layout
+from drake_nonstop.mechanics.signals import SIGNALS
 from drake_nonstop.model.block import Block, BlockParameters
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.diagnostics import (
@@ -22,14 +23,17 @@ from drake_nonstop.optimization.diagnostics import (
     missed_layout,
     missed_limits_of,
 )
+from drake_nonstop.optimization.model_parameters import (
+    OF_CONFIG,
+    OF_MODEL,
+    ModelParameters,
+    beliefs_from,
+)
 from drake_nonstop.optimization.problem_config import (
-    LEAST_BOUND,
     check_speed_bound,
     highest_speed_bound,
     with_stated_bound,
 )
-from drake_nonstop.optimization.update_data import OF_CONFIG, OF_MODEL, beliefs_from
-from drake_nonstop.systems.block import weakly
 from drake_nonstop.systems.documentation import own_config_class
 from drake_nonstop.systems.parameters import NumericParameters
 from drake_nonstop.systems.requirements import LoopBlocks
@@ -255,14 +259,6 @@ def shown_bound(
     return where(command[0] == NO_COMMAND, speed_bound, commanded)
 
 
-class LayerNumbers(NamedTuple):
-    """Values that a layer takes of its parameters."""
-
-    speed_bound: float  # m/s
-    nominal: NDArray  # (2,), [ξ, A] at the start, rad/s and N
-    beliefs: NDArray  # a flat `ModelParameters`
-
-
 class SpeedBoundLayer(CommandedBound, PeriodicLayer):
     """A layer that keeps a speed bound, which may change during a run.
 
@@ -272,20 +268,8 @@ class SpeedBoundLayer(CommandedBound, PeriodicLayer):
 
     def __init__(self, model: Model, config: Any = None):
         super().__init__(model, config)
-        entry = self.DeclareCacheEntry(
-            "numbers",
-            ValueProducer(Value(()).Clone, weakly(self._calc_numbers)),
-            {self.all_parameters_ticket()},
-        )
-        self._numbers = entry.cache_index()  # the entry would keep this block alive
         self._enabled = self.DeclareNumericParameter(BasicVector_[self.scalar]([1.0]))
         self.highest_speed_bound = highest_speed_bound(self.config)
-
-    @staticmethod
-    def equations(state: NDArray, *inputs: Any, **numbers: Any) -> tuple[NDArray, ...]:
-        """Outputs, where a command, the last input, takes the place of the speed bound."""
-        bound = shown_bound(inputs[-1], numbers["speed_bound"], LEAST_BOUND, numbers["highest"])
-        return outputs_of(state, speed_bound=bound, **numbers["shown"])
 
     def constants(self, model: Model, config: Any) -> dict[str, Any]:
         """Constants of `PeriodicLayer`, and the highest bound, m/s."""
@@ -302,7 +286,10 @@ class SpeedBoundLayer(CommandedBound, PeriodicLayer):
 
     def check_bound(self, speed_bound: float, name: str = "speed_bound") -> None:
         """Raises ScenarioError for neither 0 nor from 1e-3 m/s to below the highest bound."""
-        check_bound(self.highest_speed_bound, speed_bound, name)
+        check_speed_bound(f"{BOX}.{name}", speed_bound)
+        highest = self.highest_speed_bound
+        remedy = f"give less than {highest:g} m/s, for the sake of max_speed"
+        require(speed_bound < highest, f"{BOX}.{name}", speed_bound, remedy)
 
     def set_speed_bound(self, context: Context, speed_bound: float) -> None:
         """Bound of `CommandedBound`."""
@@ -320,22 +307,7 @@ class SpeedBoundLayer(CommandedBound, PeriodicLayer):
         """Whether the layer is switched on."""
         return bool(context.get_numeric_parameter(self._enabled).CopyToVector()[0])
 
-    def _numbers_in(self, context: Context) -> LayerNumbers:
-        return self.get_cache_entry(self._numbers).Eval(context)
-
-    def _calc_numbers(self, context: Context, value: AbstractValue) -> None:
+    def _numbers_in(self, context: Context) -> ModelParameters:
+        """What is believed of load, cables and pattern, and the layer's own numbers."""
         values = self.parameters.view(context.get_numeric_parameter(0).CopyToVector())
-        beliefs = beliefs_from(values, self.model.n)
-        bound = float(values["speed_bound"][0])
-        value.set_value(LayerNumbers(bound, beliefs.nominal, np.concatenate(beliefs)))
-
-
-def check_bound(highest: float, speed_bound: float, name: str = "speed_bound") -> None:
-    """Raises ScenarioError for what is no speed bound, or is not below the highest, both in m/s."""
-    check_speed_bound(f"{BOX}.{name}", speed_bound)
-    require(
-        speed_bound < highest,
-        f"{BOX}.{name}",
-        speed_bound,
-        f"give less than {highest:g} m/s, for the sake of max_speed",
-    )
+        return beliefs_from(values, self.model.n)

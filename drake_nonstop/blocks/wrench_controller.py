@@ -1,6 +1,6 @@
 """Box "Load Wrench Controller" of the figure."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from types import SimpleNamespace
 from typing import Any, ClassVar
@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from drake_nonstop.mechanics import wrench
 from drake_nonstop.mechanics.rigid_load import RigidLoad
-from drake_nonstop.mechanics.signal_layouts import SAMPLE_TIME
-from drake_nonstop.mechanics.signals import WRENCH_SIZE, TrackingError
+from drake_nonstop.mechanics.signals import SAMPLE_TIME, WRENCH_SIZE, TrackingError
 from drake_nonstop.mechanics.tuning import load_gains, pid_gains
 from drake_nonstop.model.block import (
     AUTO,
@@ -34,13 +33,19 @@ from drake_nonstop.validation import (
 )
 
 _BOX = "wrench_controller"
+_HIGHER_RATES = "reference_higher_rates"
 _FOLLOWED = ("load_mass", "load_inertia", "cable_length", "gravity")  # by gains that are `AUTO`
 
 
 class _WrenchPid(Block):
-    """PID on the load's pose with feedforward, and the exact rate of its wrench."""
+    """PID on the load's pose with feedforward, and the exact rate of its wrench.
 
-    reads = ("measured_load_state", "reference", "wind_estimate", SAMPLE_TIME)
+    A variant is its `law`. The integrals are continuous, or discrete where the model has a control
+    period.
+    """
+
+    reads = ("measured_load_state", "reference", "wind_estimate", _HIGHER_RATES, SAMPLE_TIME)
+    optional_inputs = (_HIGHER_RATES,)
     makes = ("wrench", "wrench_rate", "tracking_error")
     where: ClassVar = {SAMPLE_TIME: "the model has a control period"}
     system = LOAD
@@ -54,6 +59,7 @@ class _WrenchPid(Block):
         state: NDArray,
         reference: NDArray,
         wind: NDArray,
+        higher_rates: NDArray,
         *sample_time: NDArray,
         law: Callable[..., dict[str, Any]],
         control_period: float,
@@ -64,13 +70,10 @@ class _WrenchPid(Block):
         error = wrench.tracking_error(state, reference)
         rate = np.concatenate(TrackingError.view(error)[:2])  # e_R and e_p
         rate, integrals = with_this_sample(integrals, rate, sample_time, control_period)
-        return (
-            rate,
-            *wrench.wrench_and_rate(
-                load, state, reference, integrals, wind, **law(load, **numbers)
-            ),
-            error,
-        )
+        gains = law(load, **numbers)
+        along = reference, integrals, wind, higher_rates
+        made = wrench.wrench_and_rate(load, state, *along, **gains)
+        return (rate, *made, error)
 
     @staticmethod
     def law(load: RigidLoad, **gains: Any) -> dict[str, Any]:
@@ -101,8 +104,7 @@ class _WrenchPid(Block):
     def block_parameters(self, model: Model, config: Any) -> BlockParameters:
         if AUTO not in asdict(type(config)()).values():
             return super().block_parameters(model, config)
-        system = (*LOAD, "cable_length")
-        numbers = _numbers(model, config)
+        numbers, system = _numbers(model, config), (*LOAD, "cable_length")
         return BlockParameters(model, system, config=SimpleNamespace(**numbers), own=numbers)
 
     @property
@@ -115,20 +117,16 @@ class _WrenchPid(Block):
 
 
 def _numbers(model: Model, config: Any) -> dict[str, Any]:
-    """The fields of a config, with numbers for those that are `AUTO`."""
-    following = _following({name: model.number(name) for name in _FOLLOWED})
-    return {k: following[k] if v == AUTO else v for k, v in asdict(config).items()}
+    """The fields of a config, with numbers for those that are `AUTO`.
 
-
-def _following(numbers: Mapping[str, Any]) -> dict[str, Any]:
-    """The gains of a load and cables, with the least of the load's principal moments of inertia.
-
-    Turned about another axis, the load is slower than with that.
+    Of the load's principal moments of inertia the least counts: about another axis it turns slower.
     """
-    inertia = np.asarray(numbers["load_inertia"])
+    mass, inertia, length, gravity = map(model.number, _FOLLOWED)
+    inertia = np.asarray(inertia)
     _, axes = np.linalg.eigh([[number(entry) for entry in row] for row in inertia])
-    least = axes[:, 0] @ inertia @ axes[:, 0]
-    return load_gains(numbers["load_mass"], least, numbers["cable_length"], numbers["gravity"])
+    moment = axes[:, 0] @ inertia @ axes[:, 0]
+    following = load_gains(mass, moment, length, gravity)
+    return {k: following[k] if v == AUTO else v for k, v in asdict(config).items()}
 
 
 def _check_gain(field: str, value: Any) -> None:
@@ -166,11 +164,8 @@ class WrenchController(_WrenchPid):
 
     Gains that are "auto" follow from the model's mass, inertia, cables and gravity, by
     `mechanics.tuning.load_gains`: for its load the paper's (Table I), but for more damping of the
-    position and a quarter of the torques.
-
-    The integrals of e_R and e_p (6) are the state, where one of their gains is not zero:
-    continuous, or discrete where the model has a control period. The load's drag follows from
-    `wind_estimate`.
+    position and a quarter of the torques. The integrals of e_R and e_p (6) are the state, where one
+    of their gains is not zero. The load's drag follows from `wind_estimate`.
 
     Raises:
         ScenarioError: a gain is negative or not finite, or another word than "auto".
@@ -190,9 +185,7 @@ class PaperWrenchController(_WrenchPid):
 
     A free load under this wrench would tumble. On cables to carriers that follow the desired
     pose it has little effect: they hold the load upright by themselves. The `tracking_error` has
-    the e_ω of the other controllers.
-
-    Gains, state and drag are as of `WrenchController`.
+    the e_ω of the other controllers. Gains, state and drag are as of `WrenchController`.
 
     Raises:
         ScenarioError: a gain is negative or not finite, or another word than "auto".
@@ -201,31 +194,6 @@ class PaperWrenchController(_WrenchPid):
     @staticmethod
     def law(load: RigidLoad, **gains: Any) -> dict[str, Any]:
         return gains | {"angular_velocity_gain": -gains["angular_velocity_gain"]}
-
-
-@dataclass(kw_only=True)
-class GeometricPdConfig(StrictFields):
-    """The gains but for those of the integrals."""
-
-    position_gain: float | str = _gain()  # N/m, K_p; auto: by mass and cables
-    velocity_gain: float | str = _gain()  # N s/m, K_v; auto: by mass and cables
-    orientation_gain: float | str = _gain()  # N m, K_R; auto: by inertia and cables
-    angular_velocity_gain: float | str = _gain()  # N m s, K_omega; auto: by inertia and cables
-
-
-class GeometricPd(_WrenchPid):
-    """Geometric PD that carries the weight, without integrals and feedforward.
-
-    Gains and drag are as of `WrenchController`.
-
-    Raises:
-        ScenarioError: a gain is negative or not finite, or another word than "auto".
-    """
-
-    @staticmethod
-    def law(load: RigidLoad, **gains: Any) -> dict[str, Any]:
-        names = ("position_integral_gain", "orientation_integral_gain", "feedforward")
-        return gains | dict.fromkeys(names, 0.0)
 
 
 @dataclass(kw_only=True)
@@ -247,13 +215,11 @@ class TunedWrenchController(_WrenchPid):
 
     Gains from `mechanics.tuning.pid_gains`; those of the orientation are matrices proportional
     to the inertia, so that roll, pitch and yaw respond alike. The damping of the load's drag is
-    taken into account.
-
-    State and drag are as of `WrenchController`.
+    taken into account: a drag that alone damps more makes a rate's gain negative. State and drag
+    are as of `WrenchController`.
 
     Raises:
-        ScenarioError: a frequency is not positive, another parameter is negative, or the
-            drag alone damps more than desired.
+        ScenarioError: a frequency is not positive, or another parameter is negative.
     """
 
     @staticmethod
@@ -273,21 +239,6 @@ class TunedWrenchController(_WrenchPid):
             "angular_velocity_gain": load.inertia * turn_rate - load.angular_drag * np.eye(3),
             "orientation_integral_gain": load.inertia * turn_integral,
         }
-
-    @classmethod
-    def check(cls, model: Model, config: TunedWrenchControllerConfig) -> None:
-        super().check(model, config)
-        gains = cls.law(model.load, **asdict(config))
-        for name, damping in (
-            ("position", gains["velocity_gain"]),
-            ("orientation", np.linalg.eigvalsh(gains["angular_velocity_gain"])[0]),
-        ):
-            require(
-                damping >= 0,
-                f"{_BOX}.{name}_damping",
-                getattr(config, f"{name}_damping"),
-                "the load's drag alone damps more; give more damping or a higher frequency",
-            )
 
 
 @dataclass(kw_only=True)
@@ -324,9 +275,8 @@ class WrenchRate(Block):
         return wrench
 
 
-VARIANTS = (WrenchController, PaperWrenchController, GeometricPd, TunedWrenchController)
+VARIANTS = (WrenchController, PaperWrenchController, TunedWrenchController)
 
 __all__ = ["WrenchController", "WrenchControllerConfig"]
 __all__ += ["PaperWrenchController", "PaperWrenchControllerConfig"]
-__all__ += ["GeometricPd", "GeometricPdConfig"]
 __all__ += ["TunedWrenchController", "TunedWrenchControllerConfig"]

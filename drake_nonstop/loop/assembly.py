@@ -11,15 +11,13 @@ from drake_nonstop.blocks.reference_governor import governed
 from drake_nonstop.blocks.sample_and_hold import SAMPLE_AND_HOLD, hold_of
 from drake_nonstop.blocks.wrench_controller import WrenchRate
 from drake_nonstop.loop.box import Box, block_of, kept_parameters
-from drake_nonstop.loop.loop_response import speed_margin_for, warn_of_margin
-from drake_nonstop.mechanics.signal_layouts import HELD
+from drake_nonstop.mechanics.signals import HELD
 from drake_nonstop.model.descriptions import described
 from drake_nonstop.model.system import (
     Model,
     given_fields,
     overridden,
 )
-from drake_nonstop.optimization.speed_margin import SpeedMargin, with_margin
 from drake_nonstop.systems import wiring
 from drake_nonstop.systems.block import LOOP
 from drake_nonstop.systems.diagnosis import block_blamed
@@ -48,7 +46,6 @@ class Parts(NamedTuple):
 
     loop: LoopBlocks
     blocks: dict[str, System]  # those of the loop, with the hold in front of sampled controllers
-    margin: SpeedMargin | None  # that was computed for the optimization layer
 
 
 def make_parts(
@@ -78,18 +75,11 @@ def make_parts(
     remedy = "the figure has a block of that name; give another one, or a box's as box=..."
     require(taken is None, "extra", taken, remedy)
     blocks: dict[str, System] = {}
-    margin: SpeedMargin | None = None
     for name, entry in (entries | dict(extra or {})).items():
         box = boxes.get(name)
         if box is not None and entry is None:
             continue
         if name == LAYER:
-            if declared_by(entry, "wants_margin"):
-                duration = drawn.simulation_duration
-                found = speed_margin_for(believed, simulated, entry, blocks, duration)
-                warn_of_margin(found)
-                margin = found.margin
-                entry = with_margin(entry, margin)
             references = described(blocks.get("carrier_trajectory"))
             believed = _with(believed, cable_shape=declared_by(references, "shape"))
         model = simulated if box is not None and box.is_simulated else believed
@@ -109,12 +99,11 @@ def make_parts(
             believed,
             drawn.reference_governor,
             trajectory,
-            with_margin(drawn.optimization_layer, margin),
+            drawn.optimization_layer,
             drawn.simulation_duration,
-            *loop.origin_of("wind_estimate"),
         )
     held = {SAMPLE_AND_HOLD: hold_of(loop)} if drawn.control_period > 0 else {}
-    return Parts(loop, blocks | held, margin)
+    return Parts(loop, blocks | held)
 
 
 def _with(model: Model, **attributes: Any) -> Model:
@@ -147,7 +136,6 @@ def connected(boxes: Boxes, parts: Parts, inputs: Collection[str]) -> Diagram:
     with block_blamed():  # Drake asks the blocks which outputs feed through
         builder.BuildInto(diagram)
     diagram.set_name(LOOP)
-    diagram.speed_margin = parts.margin
     return diagram
 
 

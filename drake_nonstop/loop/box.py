@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any, NamedTuple
 
-from drake_nonstop.mechanics.signal_layouts import SIGNALS, Layout
+from drake_nonstop.mechanics.signal_layouts import Layout
+from drake_nonstop.mechanics.signals import SIGNALS
 from drake_nonstop.systems.documentation import config_class, declared_by
 
 
@@ -40,7 +41,7 @@ class Box:
         variants: the blocks that it can be, the default first. Block X is in the same module as
             the dataclass of its parameters, XConfig, and is made by `X(model, config)`.
         makes: the names of the signals that its block makes.
-        signals: these with their layouts, of `mechanics.signal_layouts` or of a variant's own
+        signals: these with their layouts, of `mechanics.signals` or of a variant's own
             `signal_layouts`; None: the signal is no vector.
         optional: the signals among them that a block may leave out.
         recorded_where_read: the signals that take time to evaluate and are in a run's recorded

@@ -71,6 +71,7 @@ _TOLERANCE = 1e-6  # of what a port shows, in SI units or relative to larger val
 _REST = 1e-6  # m/s² and rad/s², the acceleration that counts as rest
 _STEP = 1e-6  # of the differences of accelerations, in SI units
 _REACH = 0.5  # m and rad, of the linear model
+_SHARES = (1.0, 0.5, 0.25, 0.1, 0.03)  # of a step of Newton's method, the first that comes nearer
 _NEAR = np.repeat([_REACH, 0.0], [7, 6])  # of a load that may be at its equilibrium: as fast
 _DROPS = (0.0, 0.001, 0.003, 0.01, 0.03, 0.1)  # m, below the reference, to start looking from
 _PORT_STEP = 2.0**-16  # of differences of a port: most states are exact with a power of two
@@ -225,8 +226,12 @@ def _newton(function: Callable[[NDArray], NDArray], offset: NDArray) -> NDArray:
         step = np.linalg.lstsq(np.column_stack(columns) / _STEP, residual, rcond=None)[0]
         if not np.any(step):
             break
-        offset = offset - step / max(1.0, np.max(np.abs(step)) / _REACH)
-        residual = function(offset)
+        step, last = step / max(1.0, np.max(np.abs(step)) / _REACH), residual
+        for share in _SHARES:  # cables that fall slack on the way lead astray
+            residual = function(offset - share * step)
+            if np.linalg.norm(residual) < np.linalg.norm(last):
+                break
+        offset = offset - share * step
     return residual
 
 

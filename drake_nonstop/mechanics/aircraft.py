@@ -24,10 +24,10 @@ from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.cable import positive_part, within
 from drake_nonstop.mechanics.rotation import clipped, cross
-from drake_nonstop.mechanics.signals import AircraftCommand, AircraftState
+from drake_nonstop.mechanics.signal_layouts import SignalParts, part
+from drake_nonstop.mechanics.signals import AircraftCommand, AircraftState, CarrierStates
 
 _UP = np.array([0.0, 0.0, 1.0])
-_NORTH_EAST_DOWN = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 _LEAST = 1e-12  # beside squares of speeds and of direction vectors, which may vanish
 _ROUNDING = 1e-9  # of a limit
 LARGEST_ANGLE = 0.6  # rad, of attack, far beyond stall, that a command is looked for within
@@ -296,27 +296,20 @@ def limited_thrust(aircraft: Aircraft, thrust: NDArray, airspeed: NDArray) -> ND
     return within(thrust, *thrust_limits(aircraft, airspeed))
 
 
-class FlightStates(NamedTuple):
+class FlightStates(SignalParts):
     """The states of n aircraft."""
 
-    carriers: NDArray  # (6n,), [positions (m), velocities (m/s)]
-    lift: NDArray  # (n,), C_L without the gusts' part
-    bank: NDArray  # (n,), rad, positive to the right
-    thrust: NDArray  # (n,), N
-    slow_wind: NDArray  # (3n,), m/s, the wind that the autopilot has taken out
-
-    @classmethod
-    def view(cls, values: NDArray) -> "FlightStates":
-        """The parts of an array (12n,)."""
-        n = len(values) // 12
-        return cls(*np.split(values, [6 * n, 7 * n, 8 * n, 9 * n]))
+    positions: NDArray = part("3n", "m", "W")
+    velocities: NDArray = part("3n", "m/s", "W")
+    lift: NDArray = part("n", "", "", "C_L without the gusts' part")
+    bank: NDArray = part("n", "rad", "", "positive to the right")
+    thrust: NDArray = part("n", "N")
+    slow_wind: NDArray = part("3n", "m/s", "W", "the wind that the autopilot has taken out")
 
 
 def shown_state(aircraft: Aircraft, states: NDArray, wind: NDArray) -> NDArray:
     """`AircraftState` (4n,) of `FlightStates` (12n,) in winds (3n,), m/s, in W."""
-    own = FlightStates.view(states)
-    air_velocity = (own.carriers[len(wind) :] - wind).reshape(-1, 3)
-    lift = _lift_in_gusts(aircraft, own, air_velocity, wind)
+    own, air_velocity, lift = _in_gusts(aircraft, states, wind)
     airspeed = air_frame(air_velocity).airspeed[..., 0]
     return np.concatenate(AircraftState(lift, own.bank, own.thrust, airspeed))
 
@@ -325,9 +318,7 @@ def flight_acceleration(
     aircraft: Aircraft, states: NDArray, cable_forces: NDArray, wind: NDArray
 ) -> NDArray:
     """Accelerations (3n,), m/s², of `FlightStates` (12n,); see `flight_rate`."""
-    own = FlightStates.view(states)
-    air_velocity = (own.carriers[len(wind) :] - wind).reshape(-1, 3)
-    lift = _lift_in_gusts(aircraft, own, air_velocity, wind)
+    own, air_velocity, lift = _in_gusts(aircraft, states, wind)
     force = air_force(aircraft, air_velocity, lift, own.bank, own.thrust)
     force = force - cable_forces.reshape(-1, 3)
     return (force / aircraft.mass - aircraft.gravity * _UP).ravel()
@@ -354,19 +345,18 @@ def flight_rate(
         wind: w (3n,), m/s, in W.
     """
     own, told = FlightStates.view(states), AircraftCommand.view(command)
-    velocities = own.carriers[len(wind) :]
-    airspeed = air_frame((velocities - wind).reshape(-1, 3)).airspeed[..., 0]
+    air = wind.reshape(-1, 3)
+    airspeed = air_frame(own.velocities - air).airspeed[..., 0]
     thrust = limited_thrust(aircraft, aircraft.thrust_gain * told.thrust, airspeed)
     roll_rate = clipped((told.bank - own.bank) / aircraft.bank_lag, aircraft.max_roll_rate)
-    return np.concatenate(
-        FlightStates(
-            np.concatenate([velocities, flight_acceleration(aircraft, states, cable_forces, wind)]),
-            (aircraft.lift_gain * told.lift - own.lift) / aircraft.lift_lag,
-            roll_rate,
-            (thrust - own.thrust) / aircraft.thrust_lag,
-            (wind - own.slow_wind) / aircraft.gust_time,
-        )
-    )
+    return FlightStates(
+        own.velocities,
+        flight_acceleration(aircraft, states, cable_forces, wind).reshape(-1, 3),
+        (aircraft.lift_gain * told.lift - own.lift) / aircraft.lift_lag,
+        roll_rate,
+        (thrust - own.thrust) / aircraft.thrust_lag,
+        (air - own.slow_wind) / aircraft.gust_time,
+    ).flat()
 
 
 def trimmed_states(
@@ -380,63 +370,25 @@ def trimmed_states(
 
     Thrust is within its limits, and the lift at most that of a stalled wing.
     """
-    velocities = carrier_state[len(wind) :].reshape(-1, 3)
-    air = wind.reshape(-1, 3)
+    carriers, air = CarrierStates.view(carrier_state), wind.reshape(-1, 3)
     force = needed_force(aircraft, acceleration.reshape(-1, 3), cable_forces.reshape(-1, 3))
-    needs = flight_needs(aircraft, force, velocities - air)
+    needs = flight_needs(aircraft, force, carriers.velocities - air)
     thrust = limited_thrust(aircraft, needs.thrust, needs.airspeed)
     lift = limited_lift(aircraft, needs.lift)
-    return np.concatenate(FlightStates(carrier_state, lift, needs.bank, thrust, wind))
+    return FlightStates(*carriers, lift, needs.bank, thrust, air).flat()
 
 
-def _lift_in_gusts(
-    aircraft: Aircraft, own: FlightStates, air_velocity: NDArray, wind: NDArray
-) -> NDArray:
-    """C_L (n,) with that of fast gusts, C_Lα δα, δα = gust·l/V."""
+def _in_gusts(
+    aircraft: Aircraft, states: NDArray, wind: NDArray
+) -> tuple[FlightStates, NDArray, NDArray]:
+    """The states, velocities through the air, and C_L (n,) with that of fast gusts, C_Lα δα.
+
+    δα = gust·l/V.
+    """
+    own, air = FlightStates.view(states), wind.reshape(-1, 3)
+    air_velocity = own.velocities - air
     frame = air_frame(air_velocity)
-    gust = (wind - own.slow_wind).reshape(-1, 3)
+    gust = air - own.slow_wind
     upwash = (gust * frame.lift_direction(own.bank)).sum(axis=-1)
-    return limited_lift(aircraft, own.lift + aircraft.lift_slope * upwash / frame.airspeed[..., 0])
-
-
-def body_attitude(air_velocity: NDArray, angle: float, bank: float) -> NDArray:
-    """R_WB (3, 3) of flight through the air without sideslip, as that of a rigid body.
-
-    Body axes are x forward, y to the right, z downwards: with the lift along l,
-
-        x_b = cos α x + sin α l,   z_b = sin α x − cos α l,   y_b = z_b × x_b.
-
-    Args:
-        air_velocity: v − w (3,), m/s, in W, not vertical.
-        angle: α, rad.
-        bank: μ, rad, positive to the right.
-    """
-    frame = air_frame(air_velocity)
-    lift = frame.lift_direction(np.array(bank))
-    forward = np.cos(angle) * frame.forward + np.sin(angle) * lift
-    down = np.sin(angle) * frame.forward - np.cos(angle) * lift
-    return np.stack([forward, cross(down, forward), down], axis=1)
-
-
-def turn_rate(air_velocity: NDArray, acceleration: NDArray) -> NDArray:
-    """Angular velocity ω (3,), rad/s, in W, of `air_frame` in a steady wind.
-
-    With the rate of the direction x of flight, ẋ = (v̇ − (v̇·x) x)/V, it is the sum of a turn
-    about the vertical and a pitching about the right y: ω = −ẋ·y/√(1 − x₃²) e₃ + ẋ·z′ y.
-
-    Args:
-        air_velocity: V_a = v − w (3,), m/s, in W, not vertical.
-        acceleration: v̇ (3,), m/s², in W.
-    """
-    frame = air_frame(air_velocity)
-    rate = acceleration / frame.airspeed
-    level = np.sqrt(1 - frame.forward[2] ** 2)
-    return -(rate @ frame.right) / level * _UP + (rate @ frame.up) * frame.right
-
-
-def north_east_down(vectors: NDArray) -> NDArray:
-    """Vectors (..., 3) in W, whose axes are east, north and up, in north, east and down; or back.
-
-    Of a matrix (3, 3) of columns in W, give and take the transposed.
-    """
-    return vectors @ _NORTH_EAST_DOWN
+    lift = own.lift + aircraft.lift_slope * upwash / frame.airspeed[..., 0]
+    return own, air_velocity, limited_lift(aircraft, lift)

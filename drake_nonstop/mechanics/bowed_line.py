@@ -20,18 +20,17 @@ Own derivation.
 """
 
 import itertools
-import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
-from drake_nonstop.mechanics.grasp import wrenches_along
 from drake_nonstop.mechanics.lumped_cable import CableMaterial, node_drag, segment_shares
-from drake_nonstop.mechanics.rigid_load import RigidLoad
-from drake_nonstop.mechanics.rotation import cross, norm, rotate_quaternion, rotation_matrix
-from drake_nonstop.mechanics.signals import LoadReference, PlannedParameters, ReferenceHigherRates
+from drake_nonstop.mechanics.planned_orbit import FlightTerms
+from drake_nonstop.mechanics.rotation import norm
+from drake_nonstop.mechanics.signals import PlannedParameters
 
 _UP = np.array([0.0, 0.0, 1.0])
 _FORCE_STEP = 1e-5  # N and N/s, of differences
@@ -110,7 +109,6 @@ def bowed_lines(
     cable: CableMaterial,
     nodes: int,
     gusts: NDArray | float = 0.0,
-    up: NDArray = _UP,
 ) -> BowedLines:
     """The lines that pull with these forces, over the instants of a window.
 
@@ -122,7 +120,6 @@ def bowed_lines(
         cable: what the lines are made of; their damping is not counted.
         nodes: N, at least 1.
         gusts: (n, 3), m/s, in W, of the carriers beyond that wind, less and less towards the load.
-        up: e₃ (3,), where all vectors are those of another frame; or (n, 3).
     """
     shares, mass = segment_shares(nodes)[:, 0, 0], cable.mass / nodes
     point, force, change, bend = attachments, forces, 0.0 * forces, 0.0 * forces
@@ -133,7 +130,7 @@ def bowed_lines(
         found.append(point)
         velocity, acceleration = window.rates(point)
         past = wind + place * gusts - velocity
-        without_drag = force + mass * (acceleration + cable.gravity * up)
+        without_drag = force + mass * (acceleration + cable.gravity * _UP)
         next_force = force + change + bend
         for _ in range(_PASSES):
             upper = _segment(next_force, above, cable)
@@ -186,7 +183,7 @@ def lines_between(
                 np.tile(attachments, (1, many, 1)),
                 wind,
                 window,
-                cable=cable,
+                cable=cable.repeated(many),
                 nodes=nodes,
                 gusts=np.tile(gusts, (many, 1)),
             )
@@ -205,72 +202,36 @@ def lines_between(
 
 
 def motion_over_window(
-    load: RigidLoad,
-    reference: NDArray,
-    reference_higher_rates: NDArray,
+    terms: FlightTerms,
+    pattern: Callable[..., NDArray],
     planned: NDArray,
-    forces: NDArray,
-    rates: NDArray,
-    wind: NDArray,
     window: TimeWindow,
-    *,
     attachments: NDArray,
-    pseudo_inverse: NDArray,
-    offset: NDArray,
-    basis: NDArray,
-    phases: NDArray,
-    orders: NDArray,
 ) -> tuple[NDArray, NDArray]:
-    """Cable forces (k, n, 3), N, on a load, and its attachments (k, n, 3), m, in W, over a window.
+    """Cable forces on a load, N, and its attachments, m, (k, ..., n, 3) each, in W, over a window.
 
-    The load follows its reference's series in time, and θ, ξ and A those of the plan. The forces
-    are those of this motion, and what the present ones have beyond them, which goes on at the
-    present rate.
+    The load follows the series of its motion, θ, ξ and A those of their plan.
 
     Args:
-        load: the controllers' model.
-        reference: (22,), the present one.
-        reference_higher_rates: (6,), [angular jerk; snap].
-        planned: (8,), `PlannedParameters`.
-        forces: f (n, 3), N, the present desired ones on the load, in W.
-        rates: ḟ (n, 3), N/s.
-        wind: (3,), m/s, in W, steady.
+        terms: at the present, or at several instants (...,).
+        pattern: the forces (..., n, 3) of the pattern, N, in L, at θ and A (..., 1).
+        planned: (..., 8), `PlannedParameters`.
         window: the k instants.
         attachments: (n, 3), m, in L.
-        pseudo_inverse: (3n, 6), in L.
-        offset: (3n,), N, in L.
-        basis: N₀ (3n, m), in L.
-        phases: (m,), rad, of the pattern.
-        orders: (m,).
     """
-    t = window.times[:, None]
-    now, plan = LoadReference.view(reference), PlannedParameters.view(planned)
-    higher = ReferenceHigherRates.view(reference_higher_rates)
-    alpha, omega = now.angular_acceleration, now.angular_velocity
-    # Magnus' series, of which the commutator is of third order in time.
-    turn = _series(t, 0 * omega, omega, alpha, higher.angular_jerk + cross(alpha, omega) / 2)
-    R_WL = rotation_matrix(rotate_quaternion(now.quaternion + 0 * t, turn))
-    motion = now.position, now.velocity, now.acceleration, now.jerk, higher.snap
-    position, velocity, acceleration = (_series(t, *motion[order:]) for order in range(3))
-    torque = _series(t, *(w[:3] for w in wrenches_along(load, reference, wind)))
-    force = load.mass * (acceleration + load.gravity * _UP) + load.drag * (velocity - wind)
-    wrench = np.concatenate([torque, (force[:, None] @ R_WL)[:, 0]], axis=1)
-    angle = _series(t, plan.angle, plan.frequency, plan.frequency_rate, plan.frequency_second_rate)
-    amplitudes = plan.amplitude, plan.amplitude_rate, plan.amplitude_second_rate
-    amplitude = _series(t, *amplitudes, plan.amplitude_third_rate)
-    values = amplitude * np.cos(orders * angle + phases)
-    of_motion = wrench @ pseudo_inverse.T + offset + values @ basis.T
-    along = of_motion.reshape(len(t), -1, 3) @ R_WL.swapaxes(-1, -2)
-    ends = position[:, None] + attachments @ R_WL.swapaxes(-1, -2)
+    later = terms.over(window.times)
+    angle, amplitude = (part.over(window.times) for part in PlannedParameters.view(planned).series)
+    forces = later.forces + pattern(angle, amplitude)
+    return forces @ later.motion.axes, later.motion.attached(attachments)
+
+
+def with_feedback(window: TimeWindow, along: NDArray, forces: NDArray, rates: NDArray) -> NDArray:
+    """Forces (k, n, 3), N, over a window, of which the present ones are known, and their rates.
+
+    What these have beyond the forces `along` a reference goes on at the present rate.
+    """
     present, present_rate, *_ = window.at_present(along)
-    of_feedback = (forces - present) + t[:, :, None] * (rates - present_rate)
-    return along + of_feedback, ends
-
-
-def _series(time: NDArray, *rates: NDArray) -> NDArray:
-    """A value with these rates, in order, at times (k, 1) from the present on."""
-    terms = [rate * time**order / math.factorial(order) for order, rate in enumerate(rates)]
-    return sum(terms[1:], terms[0])
+    return along + (forces - present) + window.times[:, None, None] * (rates - present_rate)
 
 
 def _segment(force: NDArray, share: float, cable: CableMaterial) -> NDArray:

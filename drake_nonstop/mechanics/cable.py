@@ -7,6 +7,11 @@ from drake_nonstop.mechanics.rotation import absolute, cross, norm, rotation_mat
 from drake_nonstop.mechanics.signals import CarrierStates, LoadState
 
 
+def beside_vectors(number: float | NDArray) -> float | NDArray:
+    """A number of all cables, or the numbers (n,) of each as (n, 1), beside vectors (..., n, 3)."""
+    return number[:, None] if isinstance(number, np.ndarray) and number.ndim == 1 else number
+
+
 def positive_part(a: NDArray) -> NDArray:
     """max(a, 0), exact, for any scalar type and without a branch."""
     return (a + absolute(a)) / 2
@@ -26,6 +31,16 @@ def compliance_of(stiffness: NDArray) -> NDArray:
     return 2 / stiffness * 0.5
 
 
+def ends_of_cables(
+    load_state: NDArray, carrier_state: NDArray, attachments: NDArray
+) -> tuple[tuple[NDArray, NDArray], tuple[NDArray, NDArray]]:
+    """Positions and velocities of the attachments and of the carriers, each (n, 3)."""
+    load, carriers = LoadState.view(load_state), CarrierStates.view(carrier_state)
+    levers = attachments @ rotation_matrix(load.quaternion).T
+    moving = load.velocity + cross(load.angular_velocity, levers)
+    return (load.position + levers, carriers.positions), (moving, carriers.velocities)
+
+
 def cable_forces_and_tensions(
     load_state: NDArray,
     carrier_state: NDArray,
@@ -38,7 +53,7 @@ def cable_forces_and_tensions(
     """Cable forces on the load (n, 3), in W, and tensions (n,) (eq. 4).
 
     `load_state` (13,) and `carrier_state` (6n,) = [p_1 … p_n, v_1 … v_n] are in W;
-    `attachments` (n, 3) in L; lengths, stiffnesses and dampings are one for all or (n, 1).
+    `attachments` (n, 3) in L; lengths, stiffnesses and dampings are one for all or (n,).
     With s = max(ℓ − L₀, 0),
 
         T = min( max(K_c s + B_c ℓ̇, 0), 2 K_c s ):
@@ -52,7 +67,11 @@ def cable_forces_and_tensions(
     stretch = carriers.positions - load.position - levers
     stretch_rate = carriers.velocities - load.velocity - cross(load.angular_velocity, levers)
     tension, direction = tensions_and_directions(
-        stretch, stretch_rate, rest_length=rest_length, stiffness=stiffness, damping=damping
+        stretch,
+        stretch_rate,
+        rest_length=beside_vectors(rest_length),
+        stiffness=beside_vectors(stiffness),
+        damping=beside_vectors(damping),
     )
     return tension * direction, tension[:, 0]
 
@@ -86,14 +105,18 @@ def cables_elastic_energy(
     stiffness: float | NDArray,
 ) -> NDArray:
     """Σ ½ K_c max(ℓ_i − L₀, 0)² (1,), J; arguments as of `cable_forces_and_tensions`."""
-    load, carriers = LoadState.view(load_state), CarrierStates.view(carrier_state)
-    levers = attachments @ rotation_matrix(load.quaternion).T
-    stretch = positive_part(norm(carriers.positions - load.position - levers) - rest_length)
-    return (stiffness * stretch * stretch).sum(axis=0) / 2
+    (low, high), _ = ends_of_cables(load_state, carrier_state, attachments)
+    stretch = positive_part(norm(high - low) - beside_vectors(rest_length))
+    return (beside_vectors(stiffness) * stretch * stretch).sum(axis=0) / 2
 
 
 def forces_under_other_wrench(
-    forces: NDArray, levers: NDArray, wrench: NDArray, *, rest_length: float, stiffness: float
+    forces: NDArray,
+    levers: NDArray,
+    wrench: NDArray,
+    *,
+    rest_length: float | NDArray,
+    stiffness: float | NDArray,
 ) -> NDArray:
     """Cable forces (k, n, 3), N, where a load has another wrench than its carriers pull for.
 
@@ -109,11 +132,13 @@ def forces_under_other_wrench(
         forces: f (k, n, 3), N, that the carriers pull with, on the load, as all in one frame.
         levers: r (k, n, 3) or (n, 3), m, from the load's centre of mass to the attachments.
         wrench: [τ; F] (k, 6), which the cables have to make about the centre of mass.
-        rest_length: L₀, m.
-        stiffness: K_c, N/m; inf: the cables do not stretch, and the forces stay as they are.
+        rest_length: L₀, m, one for all or (n,).
+        stiffness: K_c, N/m, likewise; inf: the cables do not stretch, and the forces stay as they
+            are.
     """
-    if not np.isfinite(stiffness):
+    if not np.all(np.isfinite(stiffness)):
         return forces
+    rest_length, stiffness = (np.reshape(number, (-1, 1, 1)) for number in (rest_length, stiffness))
     levers = np.broadcast_to(levers, forces.shape)
     tensions = np.linalg.norm(forces, axis=-1, keepdims=True)[..., None]
     along = forces[..., :, None] * forces[..., None, :] / tensions**2

@@ -1,130 +1,75 @@
 """The carriers: their desired motion, their controllers and their dynamics."""
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.mechanics.cable import positive_part
-from drake_nonstop.mechanics.rotation import cross, norm, rotation_matrix
-from drake_nonstop.mechanics.signals import LoadReference, LoadState
+from drake_nonstop.mechanics.cable import beside_vectors, positive_part
+from drake_nonstop.mechanics.load_motion import NO_HIGHER_RATES, LoadMotion
+from drake_nonstop.mechanics.rotation import norm
+from drake_nonstop.mechanics.taylor import Quantity, Taylor
 
 
-def cable_vectors(
-    forces: Sequence[NDArray],
+def carrier_positions(
+    motion: LoadMotion,
+    forces: Quantity,
     *,
+    attachments: NDArray,
     rest_length: float | NDArray,
     compliance: float | NDArray,
-    axis: int = -1,
-) -> list[NDArray]:
-    """The vectors from attachments to carriers that pull with f, and their rates.
+) -> Taylor:
+    """Positions (..., n, 3), in W, of carriers above a load, with their rates (eqs. 1, 22).
 
-    With T = ‖f‖, a = f·ḟ/T², b = (ḟ·ḟ + f·f̈)/T² − 3 a² and c = (3 ḟ·f̈ + f·f⃛)/T² they are
-
-        ℓ q = (L₀/T) f + f/K_c,   of the stretched length ℓ = L₀ + T/K_c along q = f/T,
-        (L₀/T) (ḟ − a f) + ḟ/K_c,   (L₀/T) (f̈ − 2 a ḟ − b f) + f̈/K_c,
-        (L₀/T) (f⃛ − 3 a f̈ − 3 b ḟ − (c − 9 a b − 12 a³) f) + f⃛/K_c.
-
-    With 1/K_c = 0 the first two are those of the paper (eqs. 1, 22); own derivation.
+    p = p_L + R (b + ℓ q) of cables that pull with f along q = f/T, T = ‖f‖, and are ℓ = L₀ + T/K_c
+    long. With 1/K_c = 0 it is that of the paper.
 
     Args:
-        forces: f, N, and as many of its rates as are asked for, up to the third; of one shape.
-        rest_length: L₀, m.
-        compliance: 1/K_c, m/N.
-        axis: of the components.
+        motion: of the load.
+        forces: f (..., n, 3), N, in L.
+        attachments: b (n, 3), m, in L.
+        rest_length: L₀, m, one for all or (n,).
+        compliance: 1/K_c, m/N, likewise.
     """
-
-    def dot(a: NDArray, b: NDArray) -> NDArray:
-        return (a * b).sum(axis=axis, keepdims=True)
-
-    f, *rates = forces
-    square = dot(f, f)
-    swings = [f]
-    if len(rates) > 0:
-        r = rates[0]
-        a = dot(f, r) / square
-        swings.append(r - a * f)
-    if len(rates) > 1:
-        s = rates[1]
-        b = (dot(r, r) + dot(f, s)) / square - 3 * a * a
-        swings.append(s - 2 * a * r - b * f)
-    if len(rates) > 2:
-        t = rates[2]
-        c = (3 * dot(r, s) + dot(f, t)) / square
-        swings.append(t - 3 * a * s - 3 * b * r - (c - 9 * a * b - 12 * a * a * a) * f)
-    share = rest_length / np.sqrt(square)
-    return [share * swing + compliance * pull for swing, pull in zip(swings, forces, strict=True)]
+    rest_length, compliance = beside_vectors(rest_length), beside_vectors(compliance)
+    cables = (rest_length / norm(forces) + compliance) * forces
+    return motion.attached(attachments + cables)
 
 
 def carrier_motion(
     load_motion: NDArray,
     *forces: NDArray,
+    higher_rates: NDArray = NO_HIGHER_RATES,
     attachments: NDArray,
     rest_length: float | NDArray,
     compliance: float | NDArray,
-) -> list[NDArray]:
-    """Positions (n, 3), in W, of carriers that pull with f_i, and as many rates as forces have.
-
-    p = p_L + R b + ℓ q, see `cable_vectors`. The load's angular jerk is taken as zero.
+) -> tuple[NDArray, ...]:
+    """Positions (n, 3), in W, of carriers that pull with f, and as many rates as forces have.
 
     Args:
         load_motion: of the load in W, a reference (22,); for positions and velocities a state (13,)
             will do.
         *forces: f (n, 3), N, in W, and up to three of its rates.
+        higher_rates: [angular jerk; snap] (6,) of the load.
         attachments: b (n, 3), m, in L.
-        rest_length: L₀, m.
-        compliance: 1/K_c, m/N.
+        rest_length: L₀, m, one for all or (n,).
+        compliance: 1/K_c, m/N, likewise.
     """
-    load = LoadReference.view(load_motion)
-    omega, alpha = load.angular_velocity, load.angular_acceleration
-    levers = attachments @ rotation_matrix(load.quaternion).T
-    turning = cross(omega, levers)
-    of_load = [load.position + levers, load.velocity + turning]
     if len(forces) > 2:
-        bending = cross(alpha, levers) + cross(omega, turning)
-        of_load.append(load.acceleration + bending)
-    if len(forces) > 3:
-        of_load.append(load.jerk + 2 * cross(alpha, turning) + cross(omega, bending))
-    cables = cable_vectors(forces, rest_length=rest_length, compliance=compliance)
-    return [end + cable for end, cable in zip(of_load, cables, strict=False)]
+        motion = LoadMotion.along(load_motion, higher_rates)
+    else:
+        motion = LoadMotion.of_state(load_motion)
+    cables = {"rest_length": rest_length, "compliance": compliance}
+    in_load_frame = Taylor.of_rates(*forces) @ motion.axes.T
+    return carrier_positions(motion, in_load_frame, attachments=attachments, **cables).rates
 
 
-def shifted_reference(
-    reference: NDArray, shift: NDArray, load_state: NDArray, *, rates: NDArray
-) -> tuple[NDArray, NDArray]:
-    """A load's reference (22,) moved by s, at the velocity ṡ = −σ (p − p_d), and ṡ (3,), in W.
-
-    Args:
-        reference: of the load, with the desired position p_d.
-        shift: s (3,), m.
-        load_state: (13,), measured, with the position p.
-        rates: σ (3,), rad/s, along the axes of W.
-    """
-    desired = LoadReference.view(reference)
-    shift_rate = rates * (desired.position - LoadState.view(load_state).position)
-    moved = desired._replace(
-        position=desired.position + shift, velocity=desired.velocity + shift_rate
-    )
-    return np.concatenate(moved), shift_rate
-
-
-def motion_after(
-    motion: NDArray, time: NDArray, acceleration: NDArray | None = None, jerk: NDArray | None = None
-) -> NDArray:
+def motion_after(motion: NDArray, time: NDArray, *rates: NDArray) -> NDArray:
     """[positions, velocities] (6n,) of carriers a `time` (1,) after `motion` (6n,), SI.
 
-    p + τ v + τ² a/2 + τ³ j/6 and v + τ a + τ² j/2 of an `acceleration` (3n,) at `motion` that has
-    a constant `jerk` (3n,), each zero where it is not given.
+    p + τ v + τ² a/2 + τ³ j/6 and v + τ a + τ² j/2, of the accelerations and jerks (3n,) that are
+    given, or of none.
     """
-    positions, velocities = np.split(motion, 2)
-    if acceleration is None:
-        return np.concatenate([positions + time * velocities, velocities])
-    change = time * acceleration
-    half = change / 2
-    if jerk is not None:
-        of_jerk = time * time * jerk / 2
-        half, change = half + of_jerk / 3, change + of_jerk
-    return np.concatenate([positions + time * (velocities + half), velocities + change])
+    positions = Taylor.of_rates(*np.split(motion, 2), *rates)
+    return np.concatenate([positions.at(time), positions.rate().at(time)])
 
 
 def pid_forces(
@@ -155,67 +100,35 @@ def double_integrator_rate(
     return np.concatenate([velocities, forces / mass])
 
 
-def carriers_kinetic_energy(carrier_state: NDArray, *, mass: float | NDArray) -> NDArray:
-    """½ m Σ ‖v_i‖² (1,), J, of [positions, velocities] (6n,) in W."""
-    _, velocities = np.split(carrier_state, 2)
-    return mass * (velocities * velocities).sum(keepdims=True) / 2
+def limited_acceleration(acceleration: NDArray, max_acceleration: float | NDArray) -> NDArray:
+    """The accelerations (3n,) of n carriers, m/s², each with a norm of `max_acceleration` at most.
 
-
-def carriers_potential_energy(
-    carrier_state: NDArray, *, mass: float | NDArray, gravity: float | NDArray
-) -> NDArray:
-    """Of the weights, m g Σ z_i (1,), J, of [positions, velocities] (6n,) in W: zero at z = 0."""
-    positions, _ = np.split(carrier_state, 2)
-    return mass * gravity * positions[2::3].sum(keepdims=True)
-
-
-def loaded_pid_forces(
-    carrier_reference: NDArray,
-    carrier_state: NDArray,
-    desired_cable_forces: NDArray,
-    *,
-    position_gain: float | NDArray,
-    velocity_gain: float | NDArray,
-    mass: float | NDArray,
-    gravity: float | NDArray,
-) -> NDArray:
-    """Forces (3n,), in W, on carriers with weight and cable tension.
-
-    PD on [positions, velocities] (6n,), plus the weight and the desired cable forces (3n,),
-    both in W.
+    a a_max/√(a_max² + max(‖a‖² − a_max², 0)), which has derivatives at a = 0, too.
     """
-    size = len(desired_cable_forces)
-    feedback = pid_forces(
-        carrier_reference - carrier_state,
-        np.zeros(size),
-        position_gain=position_gain,
-        velocity_gain=velocity_gain,
-        integral_gain=0.0,
-    )
-    return feedback + mass * gravity * np.tile([0.0, 0.0, 1.0], size // 3) + desired_cable_forces
+    rows, limit = acceleration.reshape(-1, 3), max_acceleration * max_acceleration
+    excess = positive_part((rows * rows).sum(axis=-1, keepdims=True) - limit)
+    return (rows * max_acceleration / np.sqrt(limit + excess)).ravel()
 
 
-def loaded_carrier_rate(
-    carrier_state: NDArray,
-    forces: NDArray,
-    cable_forces: NDArray,
+def limited_carrier_rate(
+    states: NDArray,
+    acceleration: NDArray,
+    pull: NDArray,
     *,
-    mass: float | NDArray,
-    gravity: float | NDArray,
-    max_force: float | NDArray | None,
+    max_acceleration: float | NDArray,
+    lag: float | NDArray,
 ) -> NDArray:
-    """The rate (6n,) of [positions, velocities] of carriers under weight and cable, in W.
+    """The rate (9n,) of [positions, velocities, own accelerations a] of n carriers, in W.
 
-    `cable_forces` (3n,) are those on the load; each of the `forces` (3n,), with u its norm,
-    is limited to `max_force`, u_max: sat(u) = u u_max / (u_max + max(‖u‖ − u_max, 0)); None:
-    there is no limit.
+    v̇ = a + a_e,   ȧ = (sat(a_c) − a)/τ: see `limited_acceleration`. Own derivation.
+
+    Args:
+        states: (9n,), m, m/s and m/s².
+        acceleration: a_c (3n,), m/s², that is commanded.
+        pull: a_e (3n,), m/s², by weight and cable.
+        max_acceleration: the limit of ‖a‖, m/s².
+        lag: τ, s.
     """
-    applied = forces.reshape(-1, 3)
-    if max_force is not None:
-        excess = positive_part(norm(applied) - max_force)
-        applied = applied * max_force / (max_force + excess)
-    acceleration = (applied - cable_forces.reshape(-1, 3)) / mass - gravity * np.array(
-        [0.0, 0.0, 1.0]
-    )
-    _, velocities = np.split(carrier_state, 2)
-    return np.concatenate([velocities, acceleration.ravel()])
+    _, velocities, own = np.split(states, 3)
+    limited = limited_acceleration(acceleration, max_acceleration)
+    return np.concatenate([velocities, own + pull, (limited - own) / lag])

@@ -21,23 +21,33 @@ from drake_nonstop.mechanics.aircraft import (
     stall_speed,
 )
 from drake_nonstop.mechanics.cable import positive_part, within
-from drake_nonstop.mechanics.signals import AircraftCommand, CarrierStates
+from drake_nonstop.mechanics.rotation import components
+from drake_nonstop.mechanics.signal_layouts import SignalParts, part
+from drake_nonstop.mechanics.signals import AircraftCommand, AircraftState, CarrierStates
 
 _STEP = 1e-3  # s, of the central differences along the reference
 _LEAST = 1e-12  # beside squares of coefficients, which may vanish
 _ROUNDING = 1e-6  # in the units of a command, that counts as none
 
 
+class FlightSignals(NamedTuple):
+    """What the controller of n aircraft reads, in W; what is desired is that of the references."""
+
+    reference: NDArray  # [p_d, v_d] (6n,), m and m/s
+    acceleration: NDArray  # a_d (3n,), m/s²
+    jerk: NDArray  # ȧ_d (3n,), m/s³
+    state: NDArray  # [p, v] (6n,), as measured
+    aircraft_state: NDArray  # `AircraftState` (4n,), as measured
+    cable_forces: NDArray  # f_d (3n,), N, on the load
+    cable_force_rates: NDArray  # ḟ_d (3n,), N/s
+    wind: NDArray  # (3,), m/s, as believed
+    measured_acceleration: NDArray  # v̇ (3n,), m/s²
+
+
 def flight_command(
     aircraft: Aircraft,
-    carrier_reference: NDArray,
-    reference_acceleration: NDArray,
-    reference_jerk: NDArray,
-    carrier_state: NDArray,
-    cable_forces: NDArray,
-    cable_force_rates: NDArray,
+    signals: FlightSignals,
     disturbance: NDArray,
-    wind: NDArray,
     *,
     position_gain: float | NDArray,
     velocity_gain: float | NDArray,
@@ -55,23 +65,16 @@ def flight_command(
 
     Args:
         aircraft: the controller's parameters.
-        carrier_reference: [p_d, v_d] (6n,), m and m/s, in W.
-        reference_acceleration: a_d (3n,), m/s², in W.
-        reference_jerk: ȧ_d (3n,), m/s³, in W.
-        carrier_state: [p, v] (6n,), in W.
-        cable_forces: f_d (3n,), N, on the load, in W.
-        cable_force_rates: ḟ_d (3n,), N/s, in W.
-        disturbance: d̂ (3n,), N, on the aircraft, [forward, right, up] of each `AirFrame`.
-        wind: (3,), m/s, in W, as believed.
+        signals: of the aircraft and their references.
+        disturbance: d̂ (n, 3), N, on the aircraft, [forward, right, up] of each `AirFrame`.
         position_gain: K_p, 1/s².
         velocity_gain: K_v, 1/s.
         lead: weight of the lead, 1: exact along the reference.
     """
-    reference, state = map(CarrierStates.view, (carrier_reference, carrier_state))
-    acceleration, jerk, forces, rates = (
-        values.reshape(-1, 3)
-        for values in (reference_acceleration, reference_jerk, cable_forces, cable_force_rates)
-    )
+    reference, state = map(CarrierStates.view, (signals.reference, signals.state))
+    acceleration, jerk = (part.reshape(-1, 3) for part in (signals.acceleration, signals.jerk))
+    forces, rates = signals.cable_forces.reshape(-1, 3), signals.cable_force_rates.reshape(-1, 3)
+    wind = signals.wind
 
     def undisturbed(force: NDArray, velocities: NDArray) -> AircraftCommand:
         frame = air_frame(velocities - wind)
@@ -142,84 +145,66 @@ def limited_command(
     return limited, change / (change + _ROUNDING**2)
 
 
-class ObserverStates(NamedTuple):
+class ObserverStates(SignalParts):
     """State of the controller of n aircraft."""
 
-    disturbance: NDArray  # (3n,), N, on the aircraft, [forward, right, up] of each `AirFrame`
-    lift: NDArray  # (n,), C_L by its lag behind the command
-    thrust: NDArray  # (n,), N, likewise
-
-    @classmethod
-    def view(cls, values: NDArray) -> "ObserverStates":
-        """The parts of an array (5n,)."""
-        n = len(values) // 5
-        return cls(*np.split(values, [3 * n, 4 * n]))
+    disturbance: NDArray = part("3n", "N", "", "on the aircraft, in the axes of each `AirFrame`")
+    lift: NDArray = part("n", "", "", "C_L by its lag behind the command")
+    thrust: NDArray = part("n", "N", "", "by its lag behind the command")
 
 
-def observer_shares(
-    aircraft: Aircraft, n: int, observer_time: float | NDArray, period: float
-) -> NDArray:
-    """The inverse time constants (5n,), 1/s, of `ObserverStates`.
-
-    With a period those of steps over it: (1 − exp(−h/τ))/h, exact for constant targets.
-    """
-    times = np.concatenate(
-        [
-            np.ones(count) * np.ones(1) * time
-            for count, time in (
-                (3 * n, observer_time),
-                (n, aircraft.lift_lag),
-                (n, aircraft.thrust_lag),
-            )
-        ]
-    )
-    return (1 - np.exp(-period / times)) / period if period > 0 else 1 / times
-
-
-def observer_targets(
+def observer_rate(
     aircraft: Aircraft,
-    observer_states: NDArray,
+    states: NDArray,
     command: NDArray,
-    carrier_state: NDArray,
-    acceleration: NDArray,
-    bank: NDArray,
-    cable_forces: NDArray,
-    wind: NDArray,
+    signals: FlightSignals,
+    *,
+    observer_time: float | NDArray,
+    period: float,
 ) -> NDArray:
-    """Inputs of the low-passes of `ObserverStates` (5n,).
+    """The rate (5n,) of `ObserverStates`, each a low-pass; with a period that of its step over it.
 
     The disturbance follows m (v̇ + g e₃) + f_d − F_a, what the model of the aircraft does not
     explain, in the axes of flight through the air, in which errors of lift and thrust do not turn.
     F_a is `air_force` in the believed wind, of the measured bank, and of the C_L and thrust
     that follow from the commands: what gusts and errors of the model add to these is part of the
-    disturbance.
+    disturbance. A step has the share 1 − exp(−h/τ), exact for inputs that stay.
 
     Args:
         aircraft: the controller's parameters.
-        observer_states: `ObserverStates` (5n,).
+        states: `ObserverStates` (5n,).
         command: `AircraftCommand` (3n,), as given to the aircraft.
-        carrier_state: [positions, velocities] (6n,), m and m/s, in W.
-        acceleration: v̇ (3n,), m/s², in W, as measured.
-        bank: (n,), rad, as measured.
-        cable_forces: f_d (3n,), N, on the load, in W.
-        wind: (3,), m/s, in W, as believed.
+        signals: of the aircraft.
+        observer_time: τ of the disturbance, s; C_L and thrust have the lags of the aircraft.
+        period: h, s; 0: the states are continuous.
     """
-    own, told = ObserverStates.view(observer_states), AircraftCommand.view(command)
-    velocities = CarrierStates.view(carrier_state).velocities
-    force = air_force(aircraft, velocities - wind, own.lift, bank, own.thrust)
-    needed = needed_force(aircraft, acceleration.reshape(-1, 3), cable_forces.reshape(-1, 3))
-    lift, thrust = aircraft.lift_gain * told.lift, aircraft.thrust_gain * told.thrust
-    frame = air_frame(velocities - wind)
-    return np.concatenate(ObserverStates(_in_air(frame, needed - force), lift, thrust))
+    own, told = ObserverStates.view(states), AircraftCommand.view(command)
+    air_velocities = CarrierStates.view(signals.state).velocities - signals.wind
+    bank = AircraftState.view(signals.aircraft_state).bank
+    force = air_force(aircraft, air_velocities, own.lift, bank, own.thrust)
+    parts = (signals.measured_acceleration, signals.cable_forces)
+    unexplained = needed_force(aircraft, *(part.reshape(-1, 3) for part in parts)) - force
+    inputs = ObserverStates(
+        _in_air(air_frame(air_velocities), unexplained),
+        aircraft.lift_gain * told.lift,
+        aircraft.thrust_gain * told.thrust,
+    )
+    times = (observer_time, aircraft.lift_lag, aircraft.thrust_lag)
+    return ObserverStates(
+        *(
+            ((1 - np.exp(-period / time)) / period if period > 0 else 1 / time) * (after - before)
+            for before, after, time in zip(own, inputs, times, strict=True)
+        )
+    ).flat()
 
 
 def _in_air(frame: AirFrame, vectors: NDArray) -> NDArray:
-    """The parts (3n,) of vectors (n, 3) along the axes forward, right and up."""
+    """The parts (n, 3) of vectors (n, 3) along the axes forward, right and up."""
     axes = (frame.forward, frame.right, frame.up)
-    return np.stack([(vectors * axis).sum(axis=-1) for axis in axes], axis=-1).ravel()
+    return np.stack([(vectors * axis).sum(axis=-1) for axis in axes], axis=-1)
 
 
 def _in_world(frame: AirFrame, parts: NDArray) -> NDArray:
-    """The vectors (n, 3) of parts (3n,) along the axes forward, right and up."""
-    forward, right, up = (parts[i::3].reshape(-1, 1) for i in range(3))
+    """The vectors (n, 3) of parts (n, 3) along the axes forward, right and up."""
+    forward, right, up = components(parts)
     return forward * frame.forward + right * frame.right + up * frame.up

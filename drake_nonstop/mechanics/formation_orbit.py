@@ -10,15 +10,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.mechanics.planned_orbit import (
-    FlightTerms,
-    OrbitMotion,
-    PlannedOrbit,
-    flight_terms,
-    orbit_directions,
-    orbit_motion,
-)
-from drake_nonstop.mechanics.signals import POSE_SIZE
+from drake_nonstop.mechanics.carrier import carrier_positions
+from drake_nonstop.mechanics.load_motion import LoadMotion, in_axes
+from drake_nonstop.mechanics.planned_orbit import OrbitMotion
+from drake_nonstop.mechanics.taylor import Taylor
 
 _UP = np.array([0.0, 0.0, 1.0])
 _NONE = np.zeros(3)
@@ -61,7 +56,9 @@ def carrier_orbit(
     jerk: NDArray = _NONE,
     snap: NDArray = _NONE,
 ) -> OrbitMotion:
-    """The motion (k, 3) of carriers at azimuths ψ and phases φ (k,) each, rad, in W's axes.
+    """The motion (k, 3) through the air of carriers at azimuths ψ and phases φ (k,) each, rad.
+
+    In W's axes, from the load's centre of mass on.
 
     With the outward r = (cos ψ, sin ψ, 0) and the tangential t = e₃ × r, of ψ̇ = Ω and φ̇, a cable
     pulls with
@@ -83,34 +80,18 @@ def carrier_orbit(
         jerk: of the load (3,), m/s³, in W.
         snap: of the load (3,), m/s⁴, in W.
     """
-    count, cosine, sine = len(azimuths), np.cos(azimuths)[:, None], np.sin(azimuths)[:, None]
+    cosine, sine = np.cos(azimuths)[:, None], np.sin(azimuths)[:, None]
     zero = 0 * cosine
     outward = np.concatenate([cosine, sine, zero], axis=1)
     onward = np.concatenate([-sine, cosine, zero], axis=1)
-    pulls = (
-        load.mass * (load.gravity * _UP + acceleration) + load.drag * air_velocity,
-        load.mass * jerk + load.drag * acceleration,
-        load.mass * snap + load.drag * jerk,
-    )
-    level, omega = np.eye(POSE_SIZE)[0], shape.yaw_rate * _UP
-    motion = np.concatenate([level, omega, air_velocity, _NONE, acceleration, jerk])
-    even = np.hstack([np.zeros((3, 3)), np.eye(3) / load.carriers])
-    terms = flight_terms(
-        motion,
-        motion,
-        *(np.concatenate([_NONE, pull]) for pull in pulls),
-        pseudo_inverse=np.tile(even, (count, 1)),
-        offset=(shape.spread * outward).ravel(),
-        attachments=load.radius * outward,
-    )
-    axes = shape.radial * outward - shape.vertical * _UP, shape.tangential * onward
-    of_each = orbit_directions((axes[0][:, None], axes[1][:, None]), phases)
-    u, along, bending = (direction.swapaxes(0, 1) for direction in of_each)
-    found = orbit_motion(
-        FlightTerms(*(part[None] for part in terms)),
-        (u, along, bending),
-        PlannedOrbit.constant(np.zeros(1), shape.frequency, 1.0),
-        rest_length=shape.cable_length,
-        compliance=load.compliance,
-    )
-    return OrbitMotion(*(part[0] for part in found))
+    velocity = Taylor.of_rates(air_velocity, acceleration, jerk, snap)
+    turn = Taylor([shape.yaw_rate * _UP, _NONE])
+    motion = LoadMotion.of(np.eye(4)[0], velocity.integral(_NONE), turn)
+    pull = load.mass * (velocity.rate() + load.gravity * _UP) + load.drag * velocity
+    phase = Taylor([phases[:, None], shape.frequency + zero, zero])
+    swing = np.cos(phase) * (shape.radial * outward - shape.vertical * _UP)
+    swing = swing + np.sin(phase) * (shape.tangential * onward)
+    forces = in_axes(pull, motion.axes) / load.carriers + shape.spread * outward + swing
+    cables = {"rest_length": shape.cable_length, "compliance": load.compliance}
+    positions = carrier_positions(motion, forces, attachments=load.radius * outward, **cables)
+    return OrbitMotion(forces.coefficients[0], *positions.rates)

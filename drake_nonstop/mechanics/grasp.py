@@ -4,28 +4,18 @@ The paper stacks a wrench as [force; torque]; Drake, and every array here, stack
 [torque; force]. Only `grasp_matrix` exchanges the two.
 """
 
-import math
-from collections.abc import Callable, Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
+from drake_nonstop.mechanics.load_motion import LoadMotion, in_axes, torque_and_force
 from drake_nonstop.mechanics.rigid_load import STILL_AIR, RigidLoad
-from drake_nonstop.mechanics.rotation import cross, rotation_matrix, skew
-from drake_nonstop.mechanics.signals import (
-    REFERENCE_HIGHER_RATES_SIZE,
-    InternalForce,
-    InternalForceHigherRates,
-    LoadReference,
-    LoadState,
-    ReferenceHigherRates,
-    Wrench,
-)
+from drake_nonstop.mechanics.rotation import skew
+from drake_nonstop.mechanics.signals import InternalForce, InternalForceHigherRates, Wrench
+from drake_nonstop.mechanics.taylor import Quantity, Taylor
 
 # Of the tensions that a null space can change; squared, and relative to the largest. Below it rates
 # would be those of a division by nearly zero, as where carriers start symmetrically.
 _DEPENDENT = 1e-8
-_UNKNOWN = np.zeros(REFERENCE_HIGHER_RATES_SIZE)
 
 
 def grasp_matrix(attachments: NDArray) -> NDArray:
@@ -43,25 +33,22 @@ def grasp_matrix(attachments: NDArray) -> NDArray:
     )
 
 
-def in_load_frame(
-    load_state: NDArray, wrench: NDArray, wrench_rate: NDArray
-) -> tuple[NDArray, NDArray, NDArray, NDArray]:
-    """R_LW (3, 3), ω (3,) in L, and a wrench and its rate (6,) in W as seen from L.
+def cable_forces(
+    wrench: Quantity,
+    internal_force: Quantity,
+    *,
+    pseudo_inverse: NDArray,
+    basis: NDArray,
+    offset: NDArray | float,
+) -> Quantity:
+    """Cable forces (..., n, 3), in L, of a wrench (..., 6) in L and of λ (..., m) (eq. 9).
 
-    `load_state` (13,) is in W. The rate is that of the components in L:
-    d(Rᵀτ)/dt = Rᵀτ̇ − ω × Rᵀτ, and likewise of the force.
+    ᴸf = G₀† ᴸw + f̃⁰ + N₀ λ. All constants are those of L: `pseudo_inverse` (3n, 6), `basis` N₀
+    (3n, m) and `offset` f̃⁰ (3n,). So ᴸf has the rates of ᴸw and λ, and f_i = R ᴸf_i those of the
+    paper, Ġ†w + G†ẇ + Ṅλ + Nλ̇. Own derivation.
     """
-    load, rate = LoadState.view(load_state), Wrench.view(wrench_rate)
-    R_LW = rotation_matrix(load.quaternion).T
-    angular_velocity = R_LW @ load.angular_velocity
-    torque, force = (R_LW @ part for part in Wrench.view(wrench))
-    wrench_rate_L = np.concatenate(
-        [
-            R_LW @ rate.torque - cross(angular_velocity, torque),
-            R_LW @ rate.force - cross(angular_velocity, force),
-        ]
-    )
-    return R_LW, angular_velocity, np.concatenate([torque, force]), wrench_rate_L
+    stacked = wrench @ pseudo_inverse.T + internal_force @ basis.T + offset
+    return stacked.reshape(*stacked.shape[:-1], -1, 3)
 
 
 def cable_forces_and_rates(
@@ -77,117 +64,55 @@ def cable_forces_and_rates(
     """Desired cable forces f and their rates ḟ, each (n, 3) in W (eqs. 9, 16, 19-21).
 
     `load_state` (13,), `wrench` and `wrench_rate` (6,) are in W, `internal_force` (2m,)
-    is [λ; λ̇]; `pseudo_inverse` (3n, 6), `basis` N₀ (3n, m) and `offset` f̃⁰ (3n,) are
-    constants in L. With everything constant in the load frame,
-
-        ᴸf = G₀† [ᴸτ; Rᵀf] + f̃⁰ + N₀ λ,   f_i = R ᴸf_i,   ḟ_i = R (ᴸḟ_i + ω × ᴸf_i),
-
-    exact, with ω in L. Own derivation, equal to Ġ†w + G†ẇ + Ṅλ + Nλ̇ of the paper.
+    is [λ; λ̇]; others as of `cable_forces`.
     """
-    R_LW, angular_velocity, wrench_L, wrench_rate_L = in_load_frame(load_state, wrench, wrench_rate)
-    internal = InternalForce.view(internal_force)
-    forces_L = pseudo_inverse @ wrench_L + offset + basis @ internal.values
-    rates_L = pseudo_inverse @ wrench_rate_L + basis @ internal.rates
-    forces_L, rates_L = forces_L.reshape(-1, 3), rates_L.reshape(-1, 3)
-    return forces_L @ R_LW, (rates_L + cross(angular_velocity, forces_L)) @ R_LW
+    axes = LoadMotion.of_state(load_state).axes
+    parts = zip(*map(Wrench.view, (wrench, wrench_rate)), strict=True)  # torques, then forces
+    wrench_L = np.concatenate([in_axes(Taylor(part), axes) for part in parts])
+    constants = {"pseudo_inverse": pseudo_inverse, "basis": basis, "offset": offset}
+    forces = cable_forces(wrench_L, Taylor(InternalForce.view(internal_force)), **constants)
+    values, rates = (forces @ axes).rates
+    return values, rates
 
 
-def _rates_along(
-    load: RigidLoad, reference: NDArray, wind: NDArray, higher_rates: NDArray
-) -> tuple[list[NDArray], list[NDArray], list[NDArray]]:
-    """R_LW (3, 3), ω (3,) and the wrench (6,) in L along a reference, each with its rates."""
-    desired = LoadReference.view(reference)
-    R_WL = rotation_matrix(desired.quaternion)
-    higher = ReferenceHigherRates.view(higher_rates)
-    zero = 0 * desired.jerk
-    # d(R_LW)/dt = −S(ω) R_LW, so that dᴸω/dt = R_LW ω̇.
-    alphas = [desired.angular_acceleration, higher.angular_jerk, zero, zero]
-    turns, omegas = [R_WL.T], [R_WL.T @ desired.angular_velocity]
-    for order in range(3):
-        spins = [-skew(omega) for omega in omegas]
-        omegas.append(_product_rate(np.matmul, turns, alphas, order))
-        turns.append(_product_rate(np.matmul, spins, turns, order))
-    omegas.append(_product_rate(np.matmul, turns, alphas, 3))
-
-    drag = load.drag
-    weight = load.mass * load.gravity * np.array([0.0, 0.0, 1.0])
-    force_rates = [
-        load.mass * desired.acceleration + weight + drag * (desired.velocity - wind),
-        load.mass * desired.jerk + drag * desired.acceleration,
-        load.mass * higher.snap + drag * desired.jerk,
-        drag * higher.snap,
-    ]
-    momenta = [load.inertia @ omega for omega in omegas]
-    wrenches = []
-    for order in range(4):
-        torque = momenta[order + 1] + _product_rate(cross, omegas, momenta, order)
-        torque = torque + load.angular_drag * omegas[order]
-        force = _product_rate(np.matmul, turns, force_rates, order)
-        wrenches.append(np.concatenate([torque, force]))
-    return turns, omegas, wrenches
-
-
-def wrenches_along(
-    load: RigidLoad, reference: NDArray, wind: NDArray = STILL_AIR
-) -> tuple[NDArray, NDArray, NDArray]:
-    """The wrench [torque; force] (6,), in L, that moves a load along its reference, and two rates.
-
-    The rates are those of its components in L. Arguments, and what is taken as zero, as of
-    `second_and_third_force_rates`.
-    """
-    _, _, (value, rate, second_rate, _) = _rates_along(load, reference, wind, _UNKNOWN)
-    return value, rate, second_rate
-
-
-def second_and_third_force_rates(
+def forces_along(
     load: RigidLoad,
-    reference: NDArray,
+    motion: LoadMotion,
     forces: NDArray,
     rates: NDArray,
     internal_force_higher_rates: NDArray,
     wind: NDArray = STILL_AIR,
-    reference_higher_rates: NDArray = _UNKNOWN,
     *,
     pseudo_inverse: NDArray,
     basis: NDArray,
-) -> tuple[NDArray, NDArray]:
-    """f̈ and f⃛ (n, 3) each, in W, of the desired cable forces on a load along its reference.
+) -> Taylor:
+    """The desired cable forces (n, 3), in L, with three rates, on a load along its reference.
 
-    `load` is the controllers' model and `reference` (22,) its motion; `forces` and `rates` are f
-    and ḟ (n, 3) in W, `internal_force_higher_rates` (2m,) is [λ̈; λ⃛]; `wind` (3,) is in m/s, in
-    W, and constant; `reference_higher_rates` (6,) is the reference's [angular jerk (rad/s³);
-    snap (m/s⁴)] in W; `pseudo_inverse` (3n, 6) and `basis` N₀ (3n, m) are constants in L. With
-    f_i = R ᴸf_i,
+    Its second and third rates are those of the wrench that moves the load along its reference, and
+    of λ. The second and third rates of what the feedback adds to the wrench are taken as zero.
 
-        d²ᴸf/dt² = G₀† d²ᴸw/dt² + N₀ λ̈,
-        d³ᴸf/dt³ = G₀† d³ᴸw/dt³ + N₀ λ⃛,
-
-    where w is the wrench that moves the load along its reference. What is not told of the reference
-    is taken as zero: the rates of its snap and of its angular jerk, in W. So are the second and
-    third rates of what the feedback adds to w. Without rotation f̈ then is exact. Own derivation.
+    Args:
+        load: the controllers' model.
+        motion: of the load along its reference.
+        forces: f (n, 3), N, in W, and the next their rates.
+        rates: ḟ (n, 3), N/s.
+        internal_force_higher_rates: [λ̈; λ⃛] (2m,).
+        wind: (3,), m/s, in W, steady.
+        pseudo_inverse: (3n, 6), in L.
+        basis: N₀ (3n, m), in L.
     """
-    turns, omegas, wrenches = _rates_along(load, reference, wind, reference_higher_rates)
-    R_LW = turns[0]
-    forces_L = forces @ R_LW.T
-    rates_L = rates @ R_LW.T - cross(omegas[0], forces_L)
-    internal = InternalForceHigherRates.view(internal_force_higher_rates)
-    second_L, third_L = (
-        (pseudo_inverse @ wrench + basis @ internal_rate).reshape(-1, 3)
-        for wrench, internal_rate in zip(wrenches[2:], internal, strict=True)
+    now, first = (Taylor([forces, rates]) @ motion.axes.T).rates
+    second, third = InternalForceHigherRates.view(internal_force_higher_rates)
+    unknown = 0 * second
+    torque, force = torque_and_force(load, motion, wind)
+    along = cable_forces(
+        np.concatenate([torque, in_axes(force, motion.axes)]),
+        Taylor.of_rates(unknown, unknown, second, third),
+        pseudo_inverse=pseudo_inverse,
+        basis=basis,
+        offset=0.0,
     )
-    of_forces = [forces_L, rates_L, second_L, third_L]
-    return (
-        _product_rate(np.matmul, of_forces, turns, 2),
-        _product_rate(np.matmul, of_forces, turns, 3),
-    )
-
-
-def _product_rate(
-    product: Callable, first: Sequence[NDArray], second: Sequence[NDArray], order: int
-) -> NDArray:
-    """The rate of that order of a bilinear product, of the factors and their rates in order."""
-    terms = [math.comb(order, i) * product(first[i], second[order - i]) for i in range(order + 1)]
-    return sum(terms[1:], terms[0])
+    return Taylor.of_rates(now, first, *along.rates[2:])
 
 
 def null_space_correction(

@@ -1,15 +1,15 @@
 """Internal cable forces: patterns in the null space of the grasp matrix (eqs. 9, 23).
 
-A pattern is a constant matrix N₀ (3n, m), m phases φ, m orders h and a constant offset f̃⁰ (3n,),
-all in L, with G₀ N₀ = 0 and G₀ f̃⁰ = 0. The internal cable forces are f̃⁰ + N₀ λ with
-λ_k = A cos(h_k θ + φ_k); the orders are 1 in the paper.
+A pattern is a constant matrix N₀ (3n, m), m phases φ and a constant offset f̃⁰ (3n,), all in L,
+with G₀ N₀ = 0 and G₀ f̃⁰ = 0. The internal cable forces are f̃⁰ + N₀ λ, λ_k = A cos(θ + φ_k).
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.grasp import grasp_matrix
-from drake_nonstop.mechanics.signals import Parameters, PlannedParameters
+from drake_nonstop.mechanics.signals import Parameters
+from drake_nonstop.mechanics.taylor import Quantity, Taylor
 
 
 def hamiltonian_cycle(attachments: NDArray) -> NDArray:
@@ -46,21 +46,17 @@ def elliptic_carousel(
     radial: float,
     tangential: float,
     vertical: float,
-    second_harmonic: float,
-    second_harmonic_direction: float,
 ) -> NDArray:
-    """Forces (3n, 4) whose ends move on ellipses, and a second harmonic of the horizontal ones.
+    """Forces (3n, 2) whose ends move on ellipses.
 
     For attachments (n, 3) at the angles β_i about the load's vertical, with the outward r_i, the
     tangential t_i = e₃ × r_i and φ_i = θ + κ β_i, κ = `phase_turns`, columns for the phases 0 and
-    −π/2 of the first order, and then of the second, of
+    −π/2 of
 
-        a_r cos φ_i r_i + a_t sin φ_i t_i − b cos φ_i e₃ + h (cos χ_i, sin χ_i, 0),
-        χ_i = 2 (φ_i + β_i) + π/2 − direction.
+        a_r cos φ_i r_i + a_t sin φ_i t_i − b cos φ_i e₃.
 
-    The second harmonic makes the flight in its direction (rad, from x to y in L) the fastest, and
-    the flight against it the slowest. Not projected: see `without_wrench`, which leaves them as
-    they are where κ suits the number of attachments of a regular polygon.
+    Not projected: see `without_wrench`, which leaves them as they are where κ suits the number of
+    attachments of a regular polygon.
     """
     x, y = _outward(attachments)
     angles = np.arctan2(y, x)
@@ -69,13 +65,9 @@ def elliptic_carousel(
     upward = np.stack([zero, zero, zero + 1], axis=1)
     cosine, sine = (f(phase_turns * angles)[:, None] for f in (np.cos, np.sin))
     along = radial * outward - vertical * upward
-    turns = 2 * (phase_turns + 1) * angles + np.pi / 2 - second_harmonic_direction
-    x, y = second_harmonic * np.cos(turns), second_harmonic * np.sin(turns)
     columns = [
         cosine * along + tangential * sine * onward,
         -sine * along + tangential * cosine * onward,
-        np.stack([x, y, zero], axis=1),
-        np.stack([-y, x, zero], axis=1),
     ]
     return np.stack([column.ravel() for column in columns], axis=1)
 
@@ -105,59 +97,33 @@ def even_phases(count: int) -> NDArray:
     return 2 * np.pi * np.arange(count) / count
 
 
-def internal_force(
-    parameters: NDArray, phase: NDArray, *, phases: NDArray, orders: float | NDArray = 1
-) -> tuple[NDArray, NDArray, NDArray, NDArray]:
-    """λ, λ̇, λ̈ and λ⃛ (..., m) each, of `parameters` [ξ, A] (..., 2) at the phase θ (..., 1), rad.
+def harmonics(angle: Quantity, amplitude: Quantity, *, phases: NDArray) -> Quantity:
+    """λ_k = A cos(θ + φ_k) (..., m), N, of θ in rad and A in N, (..., 1) each (eq. 23)."""
+    return amplitude * np.cos(angle + phases)
 
-    λ_k = A cos(h_k θ + φ_k) (eq. 23), with the orders h (m,) of the harmonics, and its rates for
-    constant ξ and A.
-    """
+
+def internal_force(parameters: NDArray, phase: NDArray, *, phases: NDArray) -> tuple[NDArray, ...]:
+    """λ, λ̇, λ̈ and λ⃛ (..., m) each, of constant `parameters` [ξ, A] (..., 2) at θ (..., 1), rad."""
     frequency, amplitude = Parameters.view(parameters)
-    zero = np.zeros(1)
-    plan = PlannedParameters(phase, frequency, amplitude, zero, zero, zero, zero, zero)
-    return planned_internal_force(plan, phases=phases, orders=orders)
+    angle = Taylor([phase, frequency, 0 * frequency, 0 * frequency])
+    rates: tuple[NDArray, ...] = harmonics(angle, amplitude, phases=phases).rates
+    return rates
 
 
-def planned_internal_force(
-    plan: PlannedParameters, *, phases: NDArray, orders: float | NDArray = 1
-) -> tuple[NDArray, NDArray, NDArray, NDArray]:
-    """λ, λ̇, λ̈ and λ⃛ (..., m) each, of ξ and A that change.
+def orbit_forces(axes: tuple[NDArray, NDArray], angle: Quantity, amplitude: Quantity) -> Quantity:
+    """The forces N₀ λ = A (p cos θ + q sin θ) (..., n, 3), N, in L, by the axes of `orbit_axes`.
 
-    With φ = h θ + φ_k, ω = h ξ and the orders h (m,) of the harmonics,
-
-        λ̇ = Ȧ cos φ − A ω sin φ,
-        λ̈ = (Ä − A ω²) cos φ − (2 Ȧ ω + A ω̇) sin φ,
-        λ⃛ = (A⃛ − 3 Ȧ ω² − 3 A ω ω̇) cos φ − (3 Ä ω + 3 Ȧ ω̇ + A ω̈ − A ω³) sin φ.
-
-    Own derivation.
+    Of θ in rad and A in N, (..., 1) each.
     """
-    angles = orders * plan.angle + phases
-    cosine, sine = np.cos(angles), np.sin(angles)
-    speed, speed_rate = orders * plan.frequency, orders * plan.frequency_rate
-    speed_second_rate = orders * plan.frequency_second_rate
-    size, rate, second = plan.amplitude, plan.amplitude_rate, plan.amplitude_second_rate
-    squared = speed * speed
-    return (
-        size * cosine,
-        rate * cosine - size * speed * sine,
-        (second - size * squared) * cosine - (2 * rate * speed + size * speed_rate) * sine,
-        (plan.amplitude_third_rate - 3 * rate * squared - 3 * size * speed * speed_rate) * cosine
-        - (
-            3 * second * speed
-            + 3 * rate * speed_rate
-            + size * speed_second_rate
-            - size * squared * speed
-        )
-        * sine,
-    )
+    (p, q), angle = axes, angle[..., None]
+    return amplitude[..., None] * (np.cos(angle) * p + np.sin(angle) * q)
 
 
 def orbit_axes(basis: NDArray, phases: NDArray) -> tuple[NDArray, NDArray]:
-    """The axes p and q (n, 3), in L, of the forces N₀ λ = A (p cos hθ + q sin hθ).
+    """The axes p and q (n, 3), in L, of the forces N₀ λ = A (p cos θ + q sin θ).
 
-    They are conjugate axes of the ellipse along which each cable's force moves, for columns of one
-    order h; where they are parallel the ellipse is a line, and that carrier stops twice a turn.
+    They are conjugate axes of the ellipse along which each cable's force moves; where they are
+    parallel the ellipse is a line, and that carrier stops twice a turn.
     """
     return (
         (basis @ np.cos(phases)).reshape(-1, 3),

@@ -21,16 +21,20 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.mechanics.cable import positive_part, tensions_and_directions, within
-from drake_nonstop.mechanics.rotation import absolute, cross, norm, rotation_matrix
-from drake_nonstop.mechanics.signals import CarrierStates, LoadState
+from drake_nonstop.mechanics.cable import (
+    ends_of_cables,
+    positive_part,
+    tensions_and_directions,
+    within,
+)
+from drake_nonstop.mechanics.rotation import absolute, norm
 
 _UP = np.array([0.0, 0.0, 1.0])
 _LEAST = 1e-12  # m²/s², beside the square of a speed, which may vanish
 
 
 class CableMaterial(NamedTuple):
-    """One cable for all; numbers may be arrays (1,), also of symbols."""
+    """What cables are made of; numbers of cables that differ are (n, 1), also of symbols."""
 
     rest_length: float | NDArray  # m, L₀
     stiffness: float | NDArray  # N/m, of the whole cable
@@ -46,6 +50,14 @@ class CableMaterial(NamedTuple):
     def mass(self) -> float | NDArray:
         """Mass of a cable, kg."""
         return self.density * np.pi / 4 * self.diameter * self.diameter * self.rest_length
+
+    def repeated(self, times: int) -> "CableMaterial":
+        """The n cables several times, one set after the other."""
+        sizes = (np.size(number) for number in self)
+        return CableMaterial._make(
+            np.tile(number, (times, 1)) if size > 1 else number
+            for number, size in zip(self, sizes, strict=True)
+        )
 
 
 class LumpedCables(NamedTuple):
@@ -178,15 +190,5 @@ def lumped_cables_energies(
     shares, mass = segment_shares(len(positions)), cable.mass / len(positions)
     stretch = positive_part(norm(points[1:] - points[:-1]) - cable.rest_length * shares)
     elastic = np.sum(cable.stiffness / shares * stretch**2) / 2
-    weight = np.sum(mass * cable.gravity * positions[..., 2])
+    weight = np.sum(mass * cable.gravity * positions[..., 2:])
     return float(np.sum(mass * velocities**2) / 2), float(elastic + weight)
-
-
-def ends_of_cables(
-    load_state: NDArray, carrier_state: NDArray, attachments: NDArray
-) -> tuple[tuple[NDArray, NDArray], tuple[NDArray, NDArray]]:
-    """Positions and velocities of the attachments and of the carriers, each (n, 3)."""
-    load, carriers = LoadState.view(load_state), CarrierStates.view(carrier_state)
-    levers = attachments @ rotation_matrix(load.quaternion).T
-    moving = load.velocity + cross(load.angular_velocity, levers)
-    return (load.position + levers, carriers.positions), (moving, carriers.velocities)

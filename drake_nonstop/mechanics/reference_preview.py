@@ -7,8 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from drake_nonstop.mechanics.load_motion import NO_HIGHER_RATES
 from drake_nonstop.mechanics.rotation import rotate_quaternion, rotation_matrix
 from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE, LoadReference, ReferenceHigherRates
+from drake_nonstop.mechanics.taylor import Taylor
 
 FADE_TIME = 0.5  # s, in which the accelerations of `continued_reference` fade
 
@@ -98,59 +100,38 @@ def continued_reference(reference: NDArray, time: ArrayLike) -> NDArray:
     return np.concatenate(parts, axis=-1)
 
 
-def stretched_reference(reference: NDArray, rates: NDArray) -> NDArray:
-    """The reference (..., 22) of a motion whose own time s passes at another rate.
-
-    With p(s(t)) and R(s(t)), and derivatives by s on the right,
-
-        v = v ṡ,   a = a ṡ² + v s̈,   j = j ṡ³ + 3 a ṡ s̈ + v s⃛,   ω = ω ṡ,   ω̇ = ω̇ ṡ² + ω s̈.
+def stretched(reference: NDArray, rates: NDArray) -> NDArray:
+    """The reference (..., 22) in a time s that passes at other rates: p(s(t)) and R(s(t)).
 
     Args:
         reference: (..., 22), at s.
-        rates: ṡ, s̈ (1/s), s⃛ (1/s²), (..., 3).
+        rates: ṡ, s̈ (1/s) and s⃛ (1/s²), and more, (..., 3 or more).
     """
-    # Pose, twist and its rate, each angular part beside the linear one, and the jerk.
-    pose, twist, twist_rate, jerk = np.split(reference, [7, 13, 19], axis=-1)
-    at = LoadReference.view(reference)
-    rate, second, third = rates[..., :1], rates[..., 1:2], rates[..., 2:]
-    square = rate * rate
-    return np.concatenate(
-        [
-            pose,
-            twist * rate,
-            twist_rate * square + twist * second,
-            jerk * (square * rate) + at.acceleration * (3 * rate * second) + at.velocity * third,
-        ],
-        axis=-1,
-    )
+    now = LoadReference.view(reference)
+    position, spin = _stretched(reference, NO_HIGHER_RATES, rates[..., :3])
+    place, velocity, acceleration, jerk = position.rates
+    moved = LoadReference(now.quaternion, place, spin[0], velocity, spin[1], acceleration, jerk)
+    return np.concatenate(moved, axis=-1)
 
 
 def stretched_higher_rates(reference: NDArray, higher_rates: NDArray, rates: NDArray) -> NDArray:
-    """The higher rates (..., 6) of the same motion.
-
-    The snap is n,
-
-        n = n ṡ⁴ + 6 j ṡ² s̈ + a (3 s̈² + 4 ṡ s⃛) + v s⁗,   ω̈ = ω̈ ṡ³ + 3 ω̇ ṡ s̈ + ω s⃛.
+    """The higher rates (..., 6) of a `stretched` reference.
 
     Args:
         reference: (..., 22), at s.
         higher_rates: (..., 6), a `ReferenceHigherRates` at s.
         rates: ṡ, s̈ (1/s), s⃛ (1/s²), s⁗ (1/s³), (..., 4).
     """
-    at, higher = LoadReference.view(reference), ReferenceHigherRates.view(higher_rates)
-    rate, second, third, fourth = (rates[..., i : i + 1] for i in range(4))
-    square = rate * rate
-    parts = ReferenceHigherRates(
-        angular_jerk=(
-            higher.angular_jerk * (square * rate)
-            + at.angular_acceleration * (3 * rate * second)
-            + at.angular_velocity * third
-        ),
-        snap=(
-            higher.snap * (square * square)
-            + at.jerk * (6 * square * second)
-            + at.acceleration * (3 * second * second + 4 * rate * third)
-            + at.velocity * fourth
-        ),
-    )
-    return np.concatenate(parts, axis=-1)
+    position, spin = _stretched(reference, higher_rates, rates)
+    return np.concatenate([spin[2], position.rates[4]], axis=-1)
+
+
+def _stretched(
+    reference: NDArray, higher_rates: NDArray, rates: NDArray
+) -> tuple[Taylor, tuple[NDArray, ...]]:
+    """Series of the position, and the angular velocity with its rates, ω = ω(s) ṡ, (..., 3)."""
+    now, higher = LoadReference.view(reference), ReferenceHigherRates.view(higher_rates)
+    position = Taylor.of_rates(now.position, now.velocity, now.acceleration, now.jerk, higher.snap)
+    spin = Taylor.of_rates(now.angular_velocity, now.angular_acceleration, higher.angular_jerk)
+    passed = Taylor.of_rates(0 * rates[..., :1], *np.split(rates, rates.shape[-1], axis=-1))
+    return position.at(passed), (spin.at(passed) * passed.rate()).rates

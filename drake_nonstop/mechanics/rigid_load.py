@@ -115,17 +115,3 @@ def load_state_rate(
             translational,
         ]
     )
-
-
-def load_kinetic_energy(load: RigidLoad, load_state: NDArray) -> NDArray:
-    """½ m ‖ṗ‖² + ½ ω·J ω (1,), J, of a load state (13,)."""
-    state = LoadState.view(load_state)
-    angular_velocity = rotation_matrix(state.quaternion).T @ state.angular_velocity
-    momentum = load.inertia @ angular_velocity
-    twice = load.mass * state.velocity * state.velocity + angular_velocity * momentum
-    return twice.sum(keepdims=True) / 2
-
-
-def load_potential_energy(load: RigidLoad, load_state: NDArray) -> NDArray:
-    """Of the weight, m g z (1,), J, of a load state (13,): zero at z = 0 in W."""
-    return load.mass * load.gravity * LoadState.view(load_state).position[2:]

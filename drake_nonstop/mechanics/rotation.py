@@ -1,5 +1,7 @@
 """Rotations: quaternions, roll-pitch-yaw angles, and the vector algebra that they need."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -131,53 +133,12 @@ def roll_pitch_yaw_to_quaternion(roll_pitch_yaw: NDArray) -> NDArray:
     )
 
 
-def angular_motion(
-    roll_pitch_yaw: NDArray, rate: NDArray, acceleration: NDArray, jerk: NDArray
-) -> tuple[NDArray, NDArray, NDArray]:
-    """Angular velocity, acceleration and jerk (3,), in W, of moving roll-pitch-yaw angles.
+def angular_velocity_of(roll_pitch_yaw: Any) -> Any:
+    """The series of the angular velocity (3,), in W, of a series of roll-pitch-yaw angles, rad.
 
-    Roll's axis turns with yaw and pitch, and pitch's with yaw. Own derivation.
+    Roll's axis turns with yaw and pitch, and pitch's with yaw.
     """
-    _, cp, cy = components(np.cos(roll_pitch_yaw))
-    _, sp, sy = components(np.sin(roll_pitch_yaw))
-    rates = [components(part) for part in (rate, acceleration, jerk)]
-    zero = 0 * cp
-    yaw_axis = np.concatenate([zero, zero, zero + 1])
-    pitch_axis = np.concatenate([-sy, cy, zero])
-    roll_axis = np.concatenate([cy * cp, sy * cp, -sp])
-    spin = [yaw * yaw_axis for _, _, yaw in rates]
-    for number, axis in ((1, pitch_axis), (0, roll_axis)):
-        first, second, third = (part[number] for part in rates)
-        axis_rate = cross(spin[0], axis)
-        axis_second_rate = cross(spin[1], axis) + cross(spin[0], axis_rate)
-        spin = [
-            spin[0] + first * axis,
-            spin[1] + second * axis + first * axis_rate,
-            spin[2] + third * axis + 2 * second * axis_rate + first * axis_second_rate,
-        ]
-    return spin[0], spin[1], spin[2]
-
-
-def circular_motion(angle: NDArray, radius: float) -> NDArray:
-    """A point on a circle about the origin of a plane, and four derivatives, (5, 2) in m, s.
-
-    `angle` (5,) is θ, from the first axis towards the second, with its four derivatives in
-    rad, s. With e = (cos θ, sin θ) and n = (−sin θ, cos θ), so that ė = θ̇ n and ṅ = −θ̇ e,
-
-        p = r e,   ṗ = r θ̇ n,   p̈ = r (θ̈ n − θ̇² e),   p⃛ = r ((θ⃛ − θ̇³) n − 3 θ̇ θ̈ e),
-        p⁗ = r ((θ⁗ − 6 θ̇² θ̈) n − (4 θ̇ θ⃛ + 3 θ̈² − θ̇⁴) e).
-    """
-    theta, rate, acceleration, jerk, snap = components(angle)
-    outward = np.concatenate([np.cos(theta), np.sin(theta)])
-    onward = np.concatenate([-np.sin(theta), np.cos(theta)])
-    square = rate * rate
-    return radius * np.stack(
-        [
-            outward,
-            rate * onward,
-            acceleration * onward - rate * rate * outward,
-            (jerk - rate * rate * rate) * onward - 3 * rate * acceleration * outward,
-            (snap - 6 * square * acceleration) * onward
-            - (4 * rate * jerk + 3 * acceleration * acceleration - square * square) * outward,
-        ]
-    )
+    roll, pitch, yaw = components(roll_pitch_yaw.rate())
+    (_, cp, cy), (_, sp, sy) = (components(f(roll_pitch_yaw)) for f in (np.cos, np.sin))
+    level = cp * roll
+    return np.concatenate([cy * level - sy * pitch, sy * level + cy * pitch, yaw - sp * roll])

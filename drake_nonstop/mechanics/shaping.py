@@ -1,35 +1,30 @@
-"""Steps of a number smoothed by a chain of three equal poles, with a rate that has a bound.
+"""Numbers smoothed by a chain of three equal poles.
 
-With the target u, the poles at −ω and a bound R on rates,
+With the target u and the poles at −ω,
 
-    ẋ₁ = clip(κ (u − x₁), ±R),  ẋ₂ = ω (x₁ − x₂),  ẋ₃ = ω (x₂ − x₃),
+    ẋ₁ = κ (u − x₁),  ẋ₂ = ω (x₁ − x₂),  ẋ₃ = ω (x₂ − x₃),
 
 κ = ω where time is continuous. At samples a period T apart x₁ moves along a line from one to the
-next, with κ = (1 − e^(−ωT))/T: it then has the values of the pole −ω at the samples, where the
-bound allows it. x₃, the smoothed number, is continuous to its second rate. x₂ and x₃ are averages
-of earlier x₁ with positive weights: none leaves the range of the targets, and none moves faster
-than R. Numbers or arrays of any scalar type. Own derivation.
+next, with κ = (1 − e^(−ωT))/T: it then has the values of the pole −ω at the samples. x₃, the
+smoothed number, is continuous to its second rate. x₂ and x₃ are averages of earlier x₁ with
+positive weights: none leaves the range of the targets. Numbers or arrays of any scalar type. Own
+derivation.
 """
 
 import math
 from typing import Any
 
-import numpy as np
-
-from drake_nonstop.mechanics.rotation import clipped
-
 
 class Smoothing:
-    """The chain of poles of one number.
+    """The chain of poles.
 
     Args:
         bandwidth: ω, rad/s.
         period: T, s, between samples; 0: continuous.
-        max_rate: R, per s; inf: no bound.
     """
 
-    def __init__(self, *, bandwidth: float, period: float = 0.0, max_rate: float = math.inf):
-        self._bandwidth, self._period, self._max_rate = bandwidth, period, max_rate
+    def __init__(self, *, bandwidth: float, period: float = 0.0):
+        self._bandwidth, self._period = bandwidth, period
         turn, self._decay = bandwidth * period, math.exp(-bandwidth * period)
         self._gain = -math.expm1(-turn) / period if period > 0 else bandwidth
         self._turn = turn
@@ -41,8 +36,7 @@ class Smoothing:
 
     def approach(self, first: Any, target: Any) -> Any:
         """ẋ₁ of x₁ and u, until the next sample."""
-        rate = self._gain * (target - first)
-        return rate if self._max_rate == math.inf else clipped(np.asarray(rate), self._max_rate)
+        return self._gain * (target - first)
 
     def stage_rates(self, first: Any, second: Any, third: Any) -> tuple[Any, Any]:
         """ẋ₂ and ẋ₃ of x₁, x₂ and x₃."""

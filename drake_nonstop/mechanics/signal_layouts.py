@@ -1,7 +1,8 @@
-"""Entries of a signal in their order: names, units and frames.
+"""Layouts of signals, and views of vectors by them.
 
-The contract of the figure's boxes, `drake-nonstop blocks`, logs, plots and exports read it here. A
-block of one's own may declare the layouts of its output ports, by their names:
+The contract of the figure's boxes, `drake-nonstop blocks`, logs, plots and exports read names,
+units and frames of a signal's entries here. A block of one's own may declare the layouts of its
+output ports, by their names:
 
     class FuelGauge(LeafSystem):
         signal_layouts = {"fuel": Layout(Part("", "n", "kg"))}
@@ -14,7 +15,9 @@ cables and coordinates are counted from one.
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
+from functools import cached_property
+from operator import itemgetter
+from typing import Any, ClassVar, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -116,24 +119,27 @@ class Layout:
         return "; ".join(map(str, self.parts))
 
     @property
+    def names(self) -> tuple[str, ...]:
+        """The names of the parts."""
+        return tuple(part.name for part in self.parts)
+
+    @property
     def size(self) -> str:
         """Such as "13", "6n" or "2m"; "7 + 2n" where some parts are those of carriers."""
         words = []
         for per in dict.fromkeys(part.per for part in self.parts):
-            total = self._per(per)
+            total = self._per[per]
             words.append(f"{total if total > 1 or not per else ''}{per}")
         return " + ".join(words)
 
-    def count(self, n: int, m: int) -> int:
+    def count(self, n: int = 0, m: int = 0) -> int:
         """The number of entries for n carriers and m coordinates of the internal force."""
-        return self._per("") + n * self._per("n") + m * self._per("m")
+        return self._per[""] + n * self._per["n"] + m * self._per["m"]
 
     def entries(self, signal: str, size: int) -> tuple[Entry, ...] | None:
         """Entries of a signal of that name and size; None: it is of another size."""
-        fixed = self._per("")
-        repeated = self._per("n") + self._per("m")
-        places, rest = divmod(size - fixed, repeated) if repeated else (0, size - fixed)
-        if rest or places < 0:
+        places = self._places(size)
+        if size != self.count(places, places) or places < 0:
             return None
         return tuple(
             Entry(".".join(filter(None, (signal, part.name, place, component))), *part[2:4])
@@ -142,8 +148,30 @@ class Layout:
             for component in _COMPONENTS[part.base]
         )
 
-    def _per(self, per: str) -> int:
-        return sum(part.base for part in self.parts if part.per == per)
+    def views(self, values: NDArray) -> list[NDArray]:
+        """The parts of an array (..., size), without a copy, in the shapes of `SignalParts`."""
+        places, found, start = self._places(values.shape[-1]), [], 0
+        for base, is_repeated in self._sizes:
+            end = start + base * (places if is_repeated else 1)
+            view, start = values[..., start:end], end
+            has_rows = is_repeated and base > 1
+            found.append(view.reshape(*view.shape[:-1], -1, base) if has_rows else view)
+        return found
+
+    def _places(self, size: int) -> int:
+        """How many carriers or coordinates a signal of that size has; 0 where it has none."""
+        repeated = self._per["n"] + self._per["m"]
+        return (size - self._per[""]) // repeated if repeated else 0
+
+    @cached_property
+    def _sizes(self) -> list[tuple[int, bool]]:
+        """Of each part, its number of entries, and whether it has as many for each carrier."""
+        return [(part.base, bool(part.per)) for part in self.parts]
+
+    @cached_property
+    def _per(self) -> dict[str, int]:
+        """The numbers of entries, of those for each carrier, and for each coordinate."""
+        return {p: sum(part.base for part in self.parts if part.per == p) for p in ("", "n", "m")}
 
 
 class SomeOf(Layout):
@@ -161,127 +189,49 @@ def numbered_entries(signal: str, size: int) -> tuple[Entry, ...]:
     return tuple(Entry(name, "", "") for name in names)
 
 
-_POSE = (
-    Part("quaternion", "4", "", "W", "of R_WL"),
-    Part("position", "3", "m", "W"),
-)
-_TWIST = (
-    Part("angular_velocity", "3", "rad/s", "W"),
-    Part("velocity", "3", "m/s", "W"),
-)
-
-# The layouts of the `mechanics.signals` and of other vectors between the blocks.
-LOAD_STATE = Layout(*_POSE, *_TWIST)
-WRENCH = Layout(
-    Part("torque", "3", "N m", "W", "about the load's centre of mass"), Part("force", "3", "N", "W")
-)
-CARRIER_STATES = Layout(Part("positions", "3n", "m", "W"), Part("velocities", "3n", "m/s", "W"))
-PLANNED_PARAMETERS = Layout(
-    Part("angle", "1", "rad", "", "θ"),
-    Part("frequency", "1", "rad/s", "", "ξ"),
-    Part("amplitude", "1", "N", "", "A"),
-    Part("frequency_rate", "1", "rad/s²", "", "ξ̇"),
-    Part("amplitude_rate", "1", "N/s", "", "Ȧ"),
-    Part("frequency_second_rate", "1", "rad/s³", "", "ξ̈"),
-    Part("amplitude_second_rate", "1", "N/s²", "", "Ä"),
-    Part("amplitude_third_rate", "1", "N/s³", "", "A⃛"),
-)
-AIRCRAFT_COMMAND = Layout(
-    Part("lift", "n", "", "", "C_L"),
-    Part("bank", "n", "rad", "", "positive to the right"),
-    Part("thrust", "n", "N"),
-)
-
-MOST_NODES = 50  # of a cable
+def part(size: str, unit: str = "", frame: str = "", meaning: str = "") -> Any:
+    """A part of `SignalParts`, which has the name of the attribute."""
+    return Part("", size, unit, frame, meaning)
 
 
-def nodes_layout(nodes: int) -> SomeOf:
-    """The state of so many nodes of each cable, from the load on."""
-    return SomeOf(
-        *(Part(f"position_{k + 1}", "3n", "m", "W") for k in range(nodes)),
-        *(Part(f"velocity_{k + 1}", "3n", "m/s", "W") for k in range(nodes)),
-    )
+_Parts = TypeVar("_Parts", bound="SignalParts")
 
 
-SAMPLE_TIME = "sample_time"  # of what is held
-HELD = "held_"  # begins the name of a signal that is held from one sample to the next
-SAMPLED = "sampled_"  # how names begin of what a block makes at samples and moves in between
+class SignalParts(tuple[NDArray, ...]):
+    """The parts of a vector, in their order; of several, such as a log (k, size), too.
 
-# By the names of signals; None: one is no vector. Besides, a block may have `signal_layouts`.
-SIGNALS: dict[str, Layout | None] = {
-    "reference": Layout(
-        _POSE[0]._replace(meaning="of R_WD, D the desired frame"),
-        _POSE[1],
-        *_TWIST,
-        Part("angular_acceleration", "3", "rad/s²", "W"),
-        Part("acceleration", "3", "m/s²", "W"),
-        Part("jerk", "3", "m/s³", "W"),
-    ),
-    "reference_higher_rates": Layout(
-        Part("angular_jerk", "3", "rad/s³", "W"), Part("snap", "3", "m/s⁴", "W")
-    ),
-    "reference_preview": None,
-    "reference_delay": Layout(Part("", "1", "s", "", "d of the governed time t − d")),
-    "load_state": LOAD_STATE,
-    "measured_load_state": LOAD_STATE,
-    "wrench": WRENCH,
-    "wrench_rate": Layout(Part("torque", "3", "N m/s", "W"), Part("force", "3", "N/s", "W")),
-    "tracking_error": Layout(
-        Part("orientation", "3", "rad", "L", "e_R"),
-        Part("position", "3", "m", "W", "e_p"),
-        Part("angular_velocity", "3", "rad/s", "L", "e_ω"),
-        Part("velocity", "3", "m/s", "W", "e_v"),
-    ),
-    "parameters": Layout(
-        Part("frequency", "1", "rad/s", "", "ξ"), Part("amplitude", "1", "N", "", "A")
-    ),
-    "plan": PLANNED_PARAMETERS,
-    "planned": PLANNED_PARAMETERS,
-    "phase": Layout(Part("angle", "1", "rad", "", "θ"), Part("slope", "1", "s", "", "∂θ/∂ξ")),
-    "solve_time": Layout(Part("", "1", "s", "", "wall time of the last update")),
-    "speed_bound": Layout(Part("", "1", "m/s", "", "ε, set or commanded")),
-    "speed_bound_command": Layout(Part("", "1", "m/s", "", "ε, in place of the one that is set")),
-    SAMPLE_TIME: Layout(Part("", "1", "s", "", "of the last sample")),
-    "internal_force": Layout(Part("values", "m", "N", "", "λ"), Part("rates", "m", "N/s", "", "λ̇")),
-    "internal_force_higher_rates": Layout(
-        Part("second", "m", "N/s²", "", "λ̈"), Part("third", "m", "N/s³", "", "λ⃛")
-    ),
-    "desired_cable_forces": Layout(Part("", "3n", "N", "W", "on the load")),
-    "desired_cable_force_rates": Layout(Part("", "3n", "N/s", "W")),
-    "carrier_reference": CARRIER_STATES,
-    "carrier_reference_acceleration": Layout(Part("", "3n", "m/s²", "W")),
-    "sampled_carrier_reference": CARRIER_STATES,
-    "sampled_carrier_reference_acceleration": Layout(Part("", "3n", "m/s²", "W")),
-    "carrier_reference_jerk": Layout(Part("", "3n", "m/s³", "W")),
-    "cable_reference": nodes_layout(MOST_NODES),
-    "cable_drag_and_weight": Layout(
-        Part("", "3n", "N", "W", "that carriers pull with beyond desired_cable_forces")
-    ),
-    "cable_drag_and_weight_rates": Layout(Part("", "3n", "N/s", "W")),
-    "carrier_forces": Layout(Part("", "3n", "N", "W")),
-    "aircraft_command": AIRCRAFT_COMMAND,
-    "command_saturation": Layout(
-        *(
-            Part(part.name, "n", "", "", "1 where a limit holds it")
-            for part in AIRCRAFT_COMMAND.parts
-        )
-    ),
-    "carrier_state": CARRIER_STATES,
-    "aircraft_state": Layout(
-        AIRCRAFT_COMMAND.parts[0]._replace(meaning="C_L with the gusts' part, at most its maximum"),
-        *AIRCRAFT_COMMAND.parts[1:],
-        Part("airspeed", "n", "m/s"),
-    ),
-    "carrier_acceleration": Layout(Part("", "3n", "m/s²", "W")),
-    "cable_state": nodes_layout(MOST_NODES),
-    "cable_forces": Layout(Part("", "3n", "N", "W", "on the load, at its attachments")),
-    "carrier_cable_forces": Layout(Part("", "3n", "N", "W", "of the carriers on their cables")),
-    "tensions": Layout(Part("", "n", "N", "", "0 where slack")),
-    "disturbance_wrench": WRENCH,
-    "wind": Layout(Part("", "3n", "m/s", "W", "of the air at the carriers")),
-    "load_wind": Layout(Part("", "3", "m/s", "W", "of the air at the load")),
-    "mean_wind": Layout(Part("", "3", "m/s", "W", "at the load, without gusts")),
-    "wind_estimate": Layout(Part("", "3", "m/s", "W", "what the controllers believe")),
-    "wind_variance": Layout(Part("", "1", "m²/s²", "", "of the estimate, on each axis")),
-    "carrier_gust_estimate": Layout(Part("", "3n", "m/s", "W", "at carriers, beyond their mean")),
-}
+    A subclass has its parts after those of its base, each by `part`. They are arrays (..., size),
+    and (..., n, 3) those of the size 3n. `flat` is the vector again, and so is `np.concatenate` of
+    those without 3n (of logs: with axis=-1).
+    """
+
+    layout: ClassVar[Layout]
+
+    def __init_subclass__(cls) -> None:
+        own = {n: p._replace(name=n) for n, p in vars(cls).items() if isinstance(p, Part)}
+        inherited = cls.layout.parts if hasattr(cls, "layout") else ()
+        cls.layout = Layout(*({p.name: p for p in inherited} | own).values())
+        for place, name in enumerate(cls.layout.names):
+            setattr(cls, name, property(itemgetter(place)))
+
+    def __new__(cls: type[_Parts], *parts: NDArray, **named: NDArray) -> _Parts:
+        """The parts in their order, or by their names."""
+        names = cls.layout.names
+        given = dict(zip(names, parts, strict=False)) | named
+        if len(parts) + len(named) != len(names) or given.keys() != {*names}:
+            raise TypeError(f"{cls.__name__}: give {', '.join(names)}, each once")
+        return super().__new__(cls, (given[name] for name in names))
+
+    @classmethod
+    def view(cls: type[_Parts], values: NDArray) -> _Parts:
+        """The parts of an array (..., size), as views: nothing is copied.
+
+        Where nothing is for each carrier or coordinate the array may be longer: a reference begins
+        like a state.
+        """
+        return super().__new__(cls, cls.layout.views(values))
+
+    def flat(self) -> NDArray:
+        """The array (..., size) of the parts."""
+        lead = self[0].shape[: -2 if self.layout.parts[0].size == "3n" else -1]
+        return np.concatenate([part.reshape(*lead, -1) for part in self], axis=-1)

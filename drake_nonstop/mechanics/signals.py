@@ -1,78 +1,158 @@
-"""The flat vectors between the blocks, by the names of their parts.
+"""The signals between the blocks: flat vectors, with names, units and frames of their parts.
 
-Each class names the parts of one vector, in their order. `view` slices an array over its last
-axis, so that it serves single vectors, object arrays and whole logs (k, size) alike. The parts are
-views: nothing is copied, and writing to a part writes to the array. `np.concatenate` of an
-instance is the vector again (of logs: with axis=-1).
+A class has one vector's parts in their order, as views and as a layout:
 
     velocity = LoadState.view(load_state).velocity
     load_state = np.concatenate(LoadState(quaternion, position, angular_velocity, velocity))
+    LoadState.layout.entries("load_state", 13)
 
-All quantities are SI. Frames are W, unless said otherwise.
+`SIGNALS` has the layouts of all signals, by their names. All quantities are SI.
 """
 
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from drake_nonstop.mechanics.signal_layouts import Layout, Part, SignalParts, SomeOf, part
+from drake_nonstop.mechanics.taylor import Taylor
+
 SIGNAL_PERIOD = 0.01  # s, of the signals that are written
-POSE_SIZE = 7
-LOAD_STATE_SIZE = 13
-LOAD_REFERENCE_SIZE = 22
-REFERENCE_HIGHER_RATES_SIZE = 6
-WRENCH_SIZE = 6
-TRACKING_ERROR_SIZE = 12
-PARAMETERS_SIZE = 2
-PHASE_SIZE = 2
-PLANNED_SIZE = 8
-WIND_SIZE = 3
+MOST_NODES = 50  # of a cable
+SAMPLE_TIME = "sample_time"  # of what is held
+HELD = "held_"  # begins the name of a signal that is held from one sample to the next
+SAMPLED = "sampled_"  # how names begin of what a block makes at samples and moves in between
 
 
-class Pose(NamedTuple):
+class Pose(SignalParts):
     """The load's pose: what load states and references begin with."""
 
-    quaternion: NDArray  # (..., 4), w x y z, of R_WL
-    position: NDArray  # (..., 3), m
-
-    @classmethod
-    def view(cls, values: NDArray) -> "Pose":
-        """The parts of an array (..., 7), or of a longer one that begins in the same way."""
-        return cls(values[..., :4], values[..., 4:7])
+    quaternion: NDArray = part("4", "", "W", "of R_WL")
+    position: NDArray = part("3", "m", "W")
 
 
-class LoadState(NamedTuple):
-    """Pose and twist of the load, in the order of a free body in Drake's MultibodyPlant."""
+class LoadState(Pose):
+    """Pose and twist of the load, in the order of a free body in Drake's MultibodyPlant.
 
-    quaternion: NDArray  # (..., 4), w x y z, of R_WL
-    position: NDArray  # (..., 3), m
-    angular_velocity: NDArray  # (..., 3), rad/s
-    velocity: NDArray  # (..., 3), m/s
+    A view of a state's rate has the rates of the parts.
+    """
 
-    @classmethod
-    def view(cls, values: NDArray) -> "LoadState":
-        """The parts of an array (..., 13), or of a longer one such as a reference.
-
-        Of a state's rate they are the rates of the parts.
-        """
-        return cls(values[..., :4], values[..., 4:7], values[..., 7:10], values[..., 10:13])
+    angular_velocity: NDArray = part("3", "rad/s", "W")
+    velocity: NDArray = part("3", "m/s", "W")
 
 
-class LoadReference(NamedTuple):
+class LoadReference(LoadState):
     """The desired motion of the load."""
 
-    quaternion: NDArray  # (..., 4), w x y z, of R_WD
-    position: NDArray  # (..., 3), m
-    angular_velocity: NDArray  # (..., 3), rad/s
-    velocity: NDArray  # (..., 3), m/s
-    angular_acceleration: NDArray  # (..., 3), rad/s²
-    acceleration: NDArray  # (..., 3), m/s²
-    jerk: NDArray  # (..., 3), m/s³
+    quaternion: NDArray = part("4", "", "W", "of R_WD, D the desired frame")
+    angular_acceleration: NDArray = part("3", "rad/s²", "W")
+    acceleration: NDArray = part("3", "m/s²", "W")
+    jerk: NDArray = part("3", "m/s³", "W")
 
-    @classmethod
-    def view(cls, values: NDArray) -> "LoadReference":
-        """The parts of an array (..., 22)."""
-        return cls(values[..., :4], *(values[..., i : i + 3] for i in range(4, 22, 3)))
+
+class ReferenceHigherRates(SignalParts):
+    """The rates of a load reference's angular acceleration and of its jerk."""
+
+    angular_jerk: NDArray = part("3", "rad/s³", "W")
+    snap: NDArray = part("3", "m/s⁴", "W")
+
+
+class Wrench(SignalParts):
+    """A wrench at the load's centre of mass, or its rate."""
+
+    torque: NDArray = part("3", "N m", "W", "about the load's centre of mass")
+    force: NDArray = part("3", "N", "W")
+
+
+class TrackingError(SignalParts):
+    """The load's state minus its reference."""
+
+    orientation: NDArray = part("3", "rad", "L", "e_R")
+    position: NDArray = part("3", "m", "W", "e_p")
+    angular_velocity: NDArray = part("3", "rad/s", "L", "e_ω")
+    velocity: NDArray = part("3", "m/s", "W", "e_v")
+
+
+class CarrierStates(SignalParts):
+    """Positions and velocities of n carriers, or their references: [p_1 … p_n, v_1 … v_n]."""
+
+    positions: NDArray = part("3n", "m", "W")
+    velocities: NDArray = part("3n", "m/s", "W")
+
+
+class Parameters(SignalParts):
+    """Parameters of the internal force."""
+
+    frequency: NDArray = part("1", "rad/s", "", "ξ")
+    amplitude: NDArray = part("1", "N", "", "A")
+
+
+class Phase(SignalParts):
+    """The internal force's phase."""
+
+    angle: NDArray = part("1", "rad", "", "θ")
+    slope: NDArray = part("1", "s", "", "∂θ/∂ξ")
+
+
+class PlannedParameters(SignalParts):
+    """Phase θ, frequency ξ = θ̇ and amplitude A of the internal force with all rates that matter."""
+
+    angle: NDArray = part("1", "rad", "", "θ")
+    frequency: NDArray = part("1", "rad/s", "", "ξ")
+    amplitude: NDArray = part("1", "N", "", "A")
+    frequency_rate: NDArray = part("1", "rad/s²", "", "ξ̇")
+    amplitude_rate: NDArray = part("1", "N/s", "", "Ȧ")
+    frequency_second_rate: NDArray = part("1", "rad/s³", "", "ξ̈")
+    amplitude_second_rate: NDArray = part("1", "N/s²", "", "Ä")
+    amplitude_third_rate: NDArray = part("1", "N/s³", "", "A⃛")
+
+    @property
+    def series(self) -> tuple[Taylor, Taylor]:
+        """θ and A with three rates each."""
+        angle = self.angle, self.frequency, self.frequency_rate, self.frequency_second_rate
+        rates = self.amplitude_rate, self.amplitude_second_rate, self.amplitude_third_rate
+        return Taylor.of_rates(*angle), Taylor.of_rates(self.amplitude, *rates)
+
+
+class InternalForce(SignalParts):
+    """The m internal-force coordinates and their rates."""
+
+    values: NDArray = part("m", "N", "", "λ")
+    rates: NDArray = part("m", "N/s", "", "λ̇")
+
+
+class InternalForceHigherRates(SignalParts):
+    """The second and third rates of the m internal-force coordinates."""
+
+    second: NDArray = part("m", "N/s²", "", "λ̈")
+    third: NDArray = part("m", "N/s³", "", "λ⃛")
+
+
+class AircraftCommand(SignalParts):
+    """Commands of n aircraft."""
+
+    lift: NDArray = part("n", "", "", "C_L")
+    bank: NDArray = part("n", "rad", "", "positive to the right")
+    thrust: NDArray = part("n", "N")
+
+
+class AircraftState(AircraftCommand):
+    """States of n aircraft besides their positions and velocities."""
+
+    lift: NDArray = part("n", "", "", "C_L with the gusts' part, at most its maximum")
+    airspeed: NDArray = part("n", "m/s")
+
+
+POSE_SIZE = Pose.layout.count()
+LOAD_STATE_SIZE = LoadState.layout.count()
+LOAD_REFERENCE_SIZE = LoadReference.layout.count()
+REFERENCE_HIGHER_RATES_SIZE = ReferenceHigherRates.layout.count()
+WRENCH_SIZE = Wrench.layout.count()
+TRACKING_ERROR_SIZE = TrackingError.layout.count()
+PARAMETERS_SIZE = Parameters.layout.count()
+PHASE_SIZE = Phase.layout.count()
+PLANNED_SIZE = PlannedParameters.layout.count()
+WIND_SIZE = 3
 
 
 def resting_reference() -> NDArray:
@@ -82,157 +162,73 @@ def resting_reference() -> NDArray:
     return values
 
 
-class ReferenceHigherRates(NamedTuple):
-    """The rates of a load reference's angular acceleration and of its jerk."""
-
-    angular_jerk: NDArray  # (..., 3), rad/s³
-    snap: NDArray  # (..., 3), m/s⁴
-
-    @classmethod
-    def view(cls, values: NDArray) -> "ReferenceHigherRates":
-        """The parts of an array (..., 6)."""
-        return cls(values[..., :3], values[..., 3:6])
+def constant_plan(angle: NDArray, frequency: Any, amplitude: Any) -> NDArray:
+    """A plan (..., 8) at phases (...), rad, of ξ and A that stay, numbers or (...)."""
+    zero = 0 * angle
+    return np.stack([angle, zero + frequency, zero + amplitude, *[zero] * 5], axis=-1)
 
 
-class Wrench(NamedTuple):
-    """A wrench at the load's centre of mass, or its rate."""
-
-    torque: NDArray  # (..., 3), N m
-    force: NDArray  # (..., 3), N
-
-    @classmethod
-    def view(cls, values: NDArray) -> "Wrench":
-        """The parts of an array (..., 6)."""
-        return cls(values[..., :3], values[..., 3:6])
+def nodes_layout(nodes: int) -> SomeOf:
+    """The state of so many nodes of each cable, from the load on."""
+    kinds = ("position", "m"), ("velocity", "m/s")
+    return SomeOf(
+        *(Part(f"{name}_{k + 1}", "3n", unit, "W") for name, unit in kinds for k in range(nodes))
+    )
 
 
-class TrackingError(NamedTuple):
-    """The load's state minus its reference: angular parts in L, the others in W."""
-
-    orientation: NDArray  # (..., 3), e_R, rad for small angles, in L
-    position: NDArray  # (..., 3), e_p, m
-    angular_velocity: NDArray  # (..., 3), e_ω, rad/s, in L
-    velocity: NDArray  # (..., 3), e_v, m/s
-
-    @classmethod
-    def view(cls, values: NDArray) -> "TrackingError":
-        """The parts of an array (..., 12)."""
-        return cls(values[..., :3], values[..., 3:6], values[..., 6:9], values[..., 9:12])
-
-
-class CarrierStates(NamedTuple):
-    """Positions and velocities of n carriers, or their references."""
-
-    positions: NDArray  # (..., n, 3), m
-    velocities: NDArray  # (..., n, 3), m/s
-
-    @classmethod
-    def view(cls, values: NDArray) -> "CarrierStates":
-        """The parts of an array (..., 6n) = [p_1 … p_n, v_1 … v_n]."""
-        parts = values.reshape(*values.shape[:-1], 2, -1, 3)
-        return cls(parts[..., 0, :, :], parts[..., 1, :, :])
-
-    def flat(self) -> NDArray:
-        """The array (..., 6n) of these parts."""
-        lead = self.positions.shape[:-2]
-        return np.concatenate([part.reshape(*lead, -1) for part in self], axis=-1)
-
-
-class Parameters(NamedTuple):
-    """Parameters of the internal force, each with a last axis of length 1."""
-
-    frequency: NDArray  # (..., 1), ξ, rad/s
-    amplitude: NDArray  # (..., 1), A, N
-
-    @classmethod
-    def view(cls, values: NDArray) -> "Parameters":
-        """The parts of an array (..., 2)."""
-        return cls(values[..., :1], values[..., 1:2])
-
-
-class Phase(NamedTuple):
-    """The internal force's phase, each part with a last axis of length 1."""
-
-    angle: NDArray  # (..., 1), θ, rad
-    slope: NDArray  # (..., 1), ∂θ/∂ξ, s
-
-    @classmethod
-    def view(cls, values: NDArray) -> "Phase":
-        """The parts of an array (..., 2)."""
-        return cls(values[..., :1], values[..., 1:2])
-
-
-class PlannedParameters(NamedTuple):
-    """Phase θ, frequency ξ = θ̇ and amplitude A of the internal force with all rates that matter.
-
-    Each part has a last axis of length 1; second and third rates are those of time.
-    """
-
-    angle: NDArray  # (..., 1), θ, rad
-    frequency: NDArray  # (..., 1), ξ, rad/s
-    amplitude: NDArray  # (..., 1), A, N
-    frequency_rate: NDArray  # (..., 1), rad/s²
-    amplitude_rate: NDArray  # (..., 1), N/s
-    frequency_second_rate: NDArray  # (..., 1), rad/s³
-    amplitude_second_rate: NDArray  # (..., 1), N/s²
-    amplitude_third_rate: NDArray  # (..., 1), N/s³
-
-    @classmethod
-    def view(cls, values: NDArray) -> "PlannedParameters":
-        """The parts of an array (..., 8)."""
-        return cls(*(values[..., i : i + 1] for i in range(PLANNED_SIZE)))
-
-
-class InternalForce(NamedTuple):
-    """The m internal-force coordinates and their rates."""
-
-    values: NDArray  # (..., m), λ, N
-    rates: NDArray  # (..., m), λ̇, N/s
-
-    @classmethod
-    def view(cls, values: NDArray) -> "InternalForce":
-        """The parts of an array (..., 2m)."""
-        half = values.shape[-1] // 2
-        return cls(values[..., :half], values[..., half:])
-
-
-class InternalForceHigherRates(NamedTuple):
-    """The second and third rates of the m internal-force coordinates."""
-
-    second: NDArray  # (..., m), N/s²
-    third: NDArray  # (..., m), N/s³
-
-    @classmethod
-    def view(cls, values: NDArray) -> "InternalForceHigherRates":
-        """The parts of an array (..., 2m)."""
-        half = values.shape[-1] // 2
-        return cls(values[..., :half], values[..., half:])
-
-
-class AircraftCommand(NamedTuple):
-    """Commands of n aircraft."""
-
-    lift: NDArray  # (..., n), C_L
-    bank: NDArray  # (..., n), rad, positive to the right
-    thrust: NDArray  # (..., n), N
-
-    @classmethod
-    def view(cls, values: NDArray) -> "AircraftCommand":
-        """The parts of an array (..., 3n)."""
-        n = values.shape[-1] // 3
-        return cls(values[..., :n], values[..., n : 2 * n], values[..., 2 * n :])
-
-
-class AircraftState(NamedTuple):
-    """States of n aircraft besides their positions and velocities."""
-
-    lift: NDArray  # (..., n), C_L with the gusts' part, at most its maximum
-    bank: NDArray  # (..., n), rad, positive to the right
-    thrust: NDArray  # (..., n), N
-    airspeed: NDArray  # (..., n), m/s
-
-    @classmethod
-    def view(cls, values: NDArray) -> "AircraftState":
-        """The parts of an array (..., 4n)."""
-        n = values.shape[-1] // 4
-        return cls(*(values[..., i * n : (i + 1) * n] for i in range(4)))
+# By the names of signals; None: one is no vector. Besides, a block may have `signal_layouts`.
+SIGNALS: dict[str, Layout | None] = {
+    "reference": LoadReference.layout,
+    "reference_higher_rates": ReferenceHigherRates.layout,
+    "reference_preview": None,
+    "reference_delay": Layout(Part("", "1", "s", "", "d of the governed time t − d")),
+    "load_state": LoadState.layout,
+    "measured_load_state": LoadState.layout,
+    "wrench": Wrench.layout,
+    "wrench_rate": Layout(Part("torque", "3", "N m/s", "W"), Part("force", "3", "N/s", "W")),
+    "tracking_error": TrackingError.layout,
+    "parameters": Parameters.layout,
+    "plan": PlannedParameters.layout,
+    "planned": PlannedParameters.layout,
+    "phase": Phase.layout,
+    "solve_time": Layout(Part("", "1", "s", "", "wall time of the last update")),
+    "speed_bound": Layout(Part("", "1", "m/s", "", "ε, set or commanded")),
+    "speed_bound_command": Layout(Part("", "1", "m/s", "", "ε, in place of the one that is set")),
+    "measured_margin": Layout(Part("", "1", "m/s", "", "that plans keep above ε")),
+    SAMPLE_TIME: Layout(Part("", "1", "s", "", "of the last sample")),
+    "internal_force": InternalForce.layout,
+    "internal_force_higher_rates": InternalForceHigherRates.layout,
+    "desired_cable_forces": Layout(Part("", "3n", "N", "W", "on the load")),
+    "desired_cable_force_rates": Layout(Part("", "3n", "N/s", "W")),
+    "carrier_reference": CarrierStates.layout,
+    "carrier_reference_acceleration": Layout(Part("", "3n", "m/s²", "W")),
+    "sampled_carrier_reference": CarrierStates.layout,
+    "sampled_carrier_reference_acceleration": Layout(Part("", "3n", "m/s²", "W")),
+    "carrier_reference_jerk": Layout(Part("", "3n", "m/s³", "W")),
+    "cable_reference": nodes_layout(MOST_NODES),
+    "cable_drag_and_weight": Layout(
+        Part("", "3n", "N", "W", "that carriers pull with beyond desired_cable_forces")
+    ),
+    "cable_drag_and_weight_rates": Layout(Part("", "3n", "N/s", "W")),
+    "carrier_forces": Layout(Part("", "3n", "N", "W")),
+    "aircraft_command": AircraftCommand.layout,
+    "command_saturation": Layout(
+        *(
+            Part(p.name, "n", "", "", "1 where a limit holds it")
+            for p in AircraftCommand.layout.parts
+        )
+    ),
+    "carrier_state": CarrierStates.layout,
+    "aircraft_state": AircraftState.layout,
+    "carrier_acceleration": Layout(Part("", "3n", "m/s²", "W")),
+    "cable_state": nodes_layout(MOST_NODES),
+    "cable_forces": Layout(Part("", "3n", "N", "W", "on the load, at its attachments")),
+    "carrier_cable_forces": Layout(Part("", "3n", "N", "W", "of the carriers on their cables")),
+    "tensions": Layout(Part("", "n", "N", "", "0 where slack")),
+    "disturbance_wrench": Wrench.layout,
+    "wind": Layout(Part("", "3n", "m/s", "W", "of the air at the carriers")),
+    "load_wind": Layout(Part("", "3", "m/s", "W", "of the air at the load")),
+    "mean_wind": Layout(Part("", "3", "m/s", "W", "at the load, without gusts")),
+    "wind_estimate": Layout(Part("", "3", "m/s", "W", "what the controllers believe")),
+    "carrier_gust_estimate": Layout(Part("", "3n", "m/s", "W", "at carriers, beyond their mean")),
+}

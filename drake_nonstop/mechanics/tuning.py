@@ -29,19 +29,19 @@ def load_gains(mass: Any, moment: Any, cable_length: Any, gravity: Any) -> dict[
         K_p = 5 m s²,   K_v = 4.4 m s,  K_i = 0.9 m s³,
         K_R = 12.5 j s², K_ω = 1.5 j s, K_iR = 2.5 j s³, s² = 11/(10 + (L/0.8 m)/(g/9.81 m/s²)),
 
-    of the load's mass m in kg, a moment of inertia j in kg m², the cables' length L and gravity g.
-    For 1 kg and 0.01 kg m² on cables of 0.8 m, the paper's load, the paper (Table I) has another
-    K_v, 2 N s/m: of 300 drawn formations 7 grew with that, by up to 0.016 per s, and none with
-    this. It also has 4 times the gains of the orientation. On cables a load turns much faster than
-    by itself, at √(m g r²/(L j)) with attachments at a radius r, and torques that are held for a
-    sample of 0.01 s then take damping away: in 160 drawn formations 7 grew by more than 0.1 per s
+    of the load's mass m in kg, a moment of inertia j in kg m², the cables' mean length L and
+    gravity g. For 1 kg and 0.01 kg m² on cables of 0.8 m, the paper's load, the paper (Table I) has
+    another K_v, 2 N s/m: of 300 drawn formations 7 grew with that, by up to 0.016 per s, and none
+    with this. It also has 4 times the gains of the orientation. On cables a load turns much faster
+    than by itself, at √(m g r²/(L j)) with attachments at a radius r, and torques that are held for
+    a sample of 0.01 s then take damping away: in 160 drawn formations 7 grew by more than 0.1 per s
     with the paper's, and 2 with these, as they do with any. Without integrals a free load has
-    natural frequencies of √5 s and √12.5 s rad/s and damping ratios of 0.98 and 0.21; with them
-    its poles, too, are in proportion to s. For an error of its position a hanging load's carriers
-    move by K_p L/(m g) of it, which s keeps below 4.5, however long the cables. Own derivation,
-    checked by Floquet multipliers and flights.
+    natural frequencies of √5 s and √12.5 s rad/s and damping ratios of 0.98 and 0.21; with them its
+    poles, too, are in proportion to s. For an error of its position a hanging load's carriers move
+    by K_p L/(m g) of it, which s keeps below 4.5, however long the cables. Own derivation, checked
+    by Floquet multipliers and flights.
     """
-    scale = np.sqrt(11 / (10 + (cable_length / _LENGTH) / (gravity / _GRAVITY)))
+    scale = np.sqrt(11 / (10 + (np.mean(cable_length) / _LENGTH) / (gravity / _GRAVITY)))
     return {
         "position_gain": 5.0 * mass * scale**2,
         "velocity_gain": 4.4 * mass * scale,

@@ -1,4 +1,4 @@
-"""The mean wind, by height and time, its gusts, and coloured noise, such as that of a force."""
+"""A wind that rises, its gusts, and coloured noise, such as that of a force."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -8,21 +8,8 @@ from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.cable import positive_part
 
-LOWEST_HEIGHT = 1.0  # m above the ground, below which the wind is as there
-FOOT, KNOT = 0.3048, 0.514444  # m, m/s
-SEVERITIES = {"light": 15 * KNOT, "moderate": 30 * KNOT, "severe": 45 * KNOT}  # W_20, m/s
+FOOT = 0.3048  # m
 GUST_STEP = 0.01  # s, between the samples of gusts
-
-
-def power_law(height: NDArray, *, reference_height: Any, exponent: Any) -> NDArray:
-    """The wind at a height in m above the ground, over that at the reference height.
-
-    (z/z_r)^α, with z at least `LOWEST_HEIGHT`; α is some 1/7 over open land (IEC 61400-1 takes 0.2
-    for its normal wind profile).
-    """
-    lifted = LOWEST_HEIGHT + positive_part(height - LOWEST_HEIGHT)
-    power: NDArray = np.exp(exponent * np.log(lifted / reference_height))
-    return power
 
 
 def risen_share(time: Any, *, start: float, rise_time: float) -> Any:
@@ -31,38 +18,18 @@ def risen_share(time: Any, *, start: float, rise_time: float) -> Any:
     return positive_part(since) - positive_part(since - 1.0)
 
 
-class MeanWind(NamedTuple):
-    """A wind without its gusts, of the fields of the box "wind"."""
-
-    velocity: NDArray  # (3,), m/s, in W, at the reference height
-    exponent: float = 0.0  # of the height
-    reference_height: float = 10.0  # m, above the ground
-    ground_height: float = 0.0  # m, z of the ground in W
-
-    def at(self, positions: NDArray) -> NDArray:
-        """(..., 3), m/s, in W, at positions (..., 3), m."""
-        if self.exponent == 0:
-            return np.broadcast_to(self.velocity, positions.shape)
-        height = positions[..., 2:] - self.ground_height
-        law = {"reference_height": self.reference_height, "exponent": self.exponent}
-        return self.velocity * power_law(height, **law)
-
-    def times(self, share: float) -> "MeanWind":
-        """A share of it."""
-        return self._replace(velocity=share * self.velocity)
-
-    @classmethod
-    def of(cls, config: Any, velocity: Any) -> "MeanWind":
-        """That of a block's config, for a velocity (3,) at the reference height, m/s, in W."""
-        law = {name: getattr(config, name) for name in cls._fields[1:] if hasattr(config, name)}
-        return cls(np.array(velocity, dtype=float), **law)
-
-
 class Waves(NamedTuple):
-    """Of some independent noises."""
+    """Some independent noises of variance 1, as sums of waves."""
 
     frequencies: NDArray  # (noises, count), rad/s
     phases: NDArray  # (noises, count), rad
+
+    def at(self, times: NDArray, order: int = 0) -> NDArray:
+        """The noises (k, noises) at times (k,) in s, or of order 1 their rates, 1/s."""
+        angles = self.frequencies * times[:, None, None] + self.phases
+        waves = np.sin(angles) if order == 0 else self.frequencies * np.cos(angles)
+        noises: NDArray = np.sqrt(2 / waves.shape[-1]) * waves.sum(axis=-1)
+        return noises
 
 
 def random_waves(
@@ -81,36 +48,6 @@ def random_waves(
     shares = (np.arange(count) + random.uniform(size=(noises, count))) / count
     frequencies = np.tan(shares * np.arctan(highest)) / correlation_time
     return Waves(frequencies, random.uniform(0, 2 * np.pi, (noises, count)))
-
-
-def wave_frequencies(
-    correlation_time: float, *, count: int, highest: float, is_along: bool = True
-) -> NDArray:
-    """Frequencies (count,), rad/s, in the middles of bands of equal power, up to a highest ωτ.
-
-    The power below x = ωτ is in proportion to arctan x in first-order noise, as that of
-    `random_waves` and of gusts along the wind; of other gusts, to 2 arctan x − x/(1 + x²).
-    """
-    shares = (np.arange(count) + 0.5) / count
-    if is_along:
-        return np.tan(shares * np.arctan(highest)) / correlation_time
-    x = np.geomspace(1e-4, highest, 4000)
-    power = 2 * np.arctan(x) - x / (1 + x**2)
-    return np.interp(shares * power[-1], power, x) / correlation_time
-
-
-def coloured_noise(times: NDArray, waves: Waves) -> NDArray:
-    """The noises (k, noises), of variance 1, at times (k,) in s."""
-    sines = np.sin(waves.frequencies * times[:, None, None] + waves.phases)
-    noises: NDArray = np.sqrt(2 / sines.shape[-1]) * sines.sum(axis=-1)
-    return noises
-
-
-def coloured_noise_rate(times: NDArray, waves: Waves) -> NDArray:
-    """Their rates (k, noises), 1/s."""
-    cosines = np.cos(waves.frequencies * times[:, None, None] + waves.phases)
-    rates: NDArray = np.sqrt(2 / cosines.shape[-1]) * (waves.frequencies * cosines).sum(axis=-1)
-    return rates
 
 
 def turbulence_at(altitude: float) -> tuple[NDArray, float]:

@@ -10,16 +10,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from drake_nonstop.mechanics.load_motion import NO_HIGHER_RATES, LoadMotion, in_axes
 from drake_nonstop.mechanics.rigid_load import STILL_AIR, RigidLoad, load_acceleration
-from drake_nonstop.mechanics.rotation import cross, rotation_matrix, vee
+from drake_nonstop.mechanics.rotation import cross, vee
 from drake_nonstop.mechanics.signals import (
     LOAD_STATE_SIZE,
     WRENCH_SIZE,
-    LoadReference,
     LoadState,
     TrackingError,
     Wrench,
 )
+from drake_nonstop.mechanics.taylor import Quantity, Taylor
 
 # The gains of `wrench_and_rate` but for the feedforward, and what they are without feedback.
 FEEDBACK_GAINS = (
@@ -40,17 +41,21 @@ def tracking_error(load_state: NDArray, reference: NDArray) -> NDArray:
     velocity, angular acceleration, acceleration, jerk], all in W.
     e_R = ½ (R_dᵀR − RᵀR_d)^∨ (rad for small angles), e_ω = ω − RᵀR_d ω_d.
     """
-    state, desired = LoadState.view(load_state), LoadReference.view(reference)
-    R_WL = rotation_matrix(state.quaternion)
-    R_LD = R_WL.T @ rotation_matrix(desired.quaternion)
-    return np.concatenate(
-        [
-            vee(R_LD.T - R_LD) / 2,
-            state.position - desired.position,
-            R_WL.T @ (state.angular_velocity - desired.angular_velocity),
-            state.velocity - desired.velocity,
-        ]
+    errors, _ = _errors(LoadMotion.of_state(load_state), LoadMotion.along(reference))
+    return np.concatenate([error.coefficients[0] for error in errors])
+
+
+def _errors(motion: LoadMotion, desired: LoadMotion) -> tuple[Any, Quantity]:
+    """Series of the parts of a `TrackingError`, and of RᵀR_d ω_d (3,), in L."""
+    R_LD: Quantity = motion.axes @ desired.axes.T
+    spin = in_axes(desired.spin, motion.axes)
+    errors = (
+        vee(R_LD.T - R_LD) / 2,
+        motion.position - desired.position,
+        motion.angular_velocity - spin,
+        motion.position.rate() - desired.position.rate(),
     )
+    return TrackingError(*errors), spin
 
 
 def wrench_and_rate(
@@ -59,6 +64,7 @@ def wrench_and_rate(
     reference: NDArray,
     integrals: NDArray,
     wind: NDArray = STILL_AIR,
+    higher_rates: NDArray = NO_HIGHER_RATES,
     *,
     position_gain: float | NDArray,
     velocity_gain: float | NDArray,
@@ -71,70 +77,50 @@ def wrench_and_rate(
     """w_d and ẇ_d, each (6,) [torque; force] in W.
 
     `load` is the controller's model. `integrals` (6,) is [∫e_R, ∫e_p]; `wind` (3,) is w in m/s, in
-    W, whose rate is taken as zero; gains are numbers or (1,), the orientation's also (3, 3), in L.
-    With k = `feedforward`,
+    W, whose rate is taken as zero; `higher_rates` (6,) are those of the reference; gains are
+    numbers or (1,), the orientation's also (3, 3), in L. With k = `feedforward`,
 
         f_d  = m g e₃ − K_p e_p − K_v e_v − K_i ∫e_p + k (m p̈_d + B_L (ṗ_d − w))
         ᴸτ_d = ω × J ω − K_R e_R − K_ω e_ω − K_iR ∫e_R + k (J d(RᵀR_d ω_d)/dt + C_L RᵀR_d ω_d)
 
-    The rates are exact where the load moves as the model does under w_d (no numerical
-    differentiation); only the reference's angular jerk is taken as zero. Own derivation:
-    ė_R = ½ (tr(RᵀR_d) I − RᵀR_d) e_ω, and the world torque's rate is R (ᴸτ̇ + ω × ᴸτ).
+    The rates are those where the load moves as the model does under w_d: exact, without numerical
+    differentiation.
     """
-    state, desired = LoadState.view(load_state), LoadReference.view(reference)
-    R_WL = rotation_matrix(state.quaternion)
-    R_LW = R_WL.T
-    R_LD = R_LW @ rotation_matrix(desired.quaternion)
-    omega = R_LW @ state.angular_velocity
-    desired_omega = R_LW @ desired.angular_velocity
-    desired_alpha = R_LW @ desired.angular_acceleration
-    e_R, e_p, e_omega, e_v = TrackingError.view(tracking_error(load_state, reference))
-    integral = Wrench.view(integrals)  # ∫e_R for the torque, ∫e_p for the force
-    momentum = load.inertia @ omega
+    desired, integral = LoadMotion.along(reference, higher_rates), Wrench.view(integrals)
+    velocity = desired.position.rate()
+    needed = load.mass * velocity.rate() + load.drag * (velocity - wind)
+    weight = load.mass * load.gravity * np.array([0.0, 0.0, 1.0])
 
-    # d(Rᵀω_d)/dt, with ω_d in W: the desired angular acceleration as the load sees it.
-    desired_omega_rate = desired_alpha - cross(omega, desired_omega)
-    force = (
-        load.mass * load.gravity * np.array([0.0, 0.0, 1.0])
-        - position_gain * e_p
-        - velocity_gain * e_v
-        - position_integral_gain * integral.force
-        + feedforward * (load.mass * desired.acceleration + load.drag * (desired.velocity - wind))
-    )
-    torque = (
-        cross(omega, momentum)
-        - _times(orientation_gain, e_R)
-        - _times(angular_velocity_gain, e_omega)
-        - _times(orientation_integral_gain, integral.torque)
-        + feedforward * (load.inertia @ desired_omega_rate + load.angular_drag * desired_omega)
-    )
-    wrench = np.concatenate([R_WL @ torque, force])
+    def commanded(motion: LoadMotion) -> tuple[NDArray, ...]:
+        """The wrench in W, and as many rates as the motion has accelerations."""
+        error, spin = _errors(motion, desired)
+        omega: Quantity = motion.angular_velocity
+        turned = error.orientation.integral(integral.torque)  # ∫e_R
+        moved = error.position.integral(integral.force)
+        force = (
+            weight
+            - position_gain * error.position
+            - velocity_gain * error.velocity
+            - position_integral_gain * moved
+            + feedforward * needed
+        )
+        torque = (
+            cross(omega, omega @ load.inertia.T)
+            - _times(orientation_gain, error.orientation)
+            - _times(angular_velocity_gain, error.angular_velocity)
+            - _times(orientation_integral_gain, turned)
+            + feedforward * (spin.rate() @ load.inertia.T + load.angular_drag * spin)
+        )
+        made: Quantity = np.concatenate([torque @ motion.axes, force])
+        return made.rates
 
+    state = LoadState.view(load_state)
+    wrench, *_ = commanded(LoadMotion.of_state(load_state))
     angular, translational = load_acceleration(load, load_state, wrench, wind)
-    omega_rate = R_LW @ angular
-    trace = (R_LD * np.eye(3)).sum(keepdims=True).reshape(1)
-    e_R_rate = (trace * e_omega - R_LD @ e_omega) / 2
-    desired_omega_second_rate = (
-        -cross(omega, desired_alpha)
-        - cross(omega_rate, desired_omega)
-        - cross(omega, desired_omega_rate)
-    )
-    force_rate = (
-        -position_gain * e_v
-        - velocity_gain * (translational - desired.acceleration)
-        - position_integral_gain * e_p
-        + feedforward * (load.mass * desired.jerk + load.drag * desired.acceleration)
-    )
-    torque_rate = (
-        cross(omega_rate, momentum)
-        + cross(omega, load.inertia @ omega_rate)
-        - _times(orientation_gain, e_R_rate)
-        - _times(angular_velocity_gain, omega_rate - desired_omega_rate)
-        - _times(orientation_integral_gain, e_R)
-        + feedforward
-        * (load.inertia @ desired_omega_second_rate + load.angular_drag * desired_omega_rate)
-    )
-    return wrench, np.concatenate([R_WL @ (torque_rate + cross(omega, torque)), force_rate])
+    position = Taylor.of_rates(state.position, state.velocity, translational)
+    spin = Taylor([state.angular_velocity, angular])
+    wrench, rate = commanded(LoadMotion.of(state.quaternion, position, spin))
+    return wrench, rate
 
 
 def feedforward_wrench(
@@ -145,6 +131,6 @@ def feedforward_wrench(
     return wrench_and_rate(load, state, reference, none, wind, feedforward=1.0, **NO_FEEDBACK)
 
 
-def _times(gain: float | NDArray, vector: NDArray) -> NDArray:
+def _times(gain: float | NDArray, vector: Quantity) -> Quantity:
     """A vector (3,) times a gain, a number, (1,) or (3, 3)."""
     return gain @ vector if np.ndim(gain) == 2 else gain * vector

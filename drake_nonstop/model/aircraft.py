@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import yaml
+from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.aircraft import Aircraft, stall_speed, thrust_limits
 from drake_nonstop.validation import (
@@ -129,15 +130,16 @@ def values_of(parameters: AircraftParameters, field: str = "system.aircraft") ->
 def make_aircraft(
     parameters: AircraftParameters,
     *,
-    cable_length: float,
+    cable_length: float | NDArray,
     gravity: float,
-    cable_diameter: float = CABLE_DIAMETER,
-    cable_drag: float = CABLE_DRAG,
+    cable_diameter: float | NDArray = CABLE_DIAMETER,
+    cable_drag: float | NDArray = CABLE_DRAG,
     field: str = "system.aircraft",
 ) -> Aircraft:
     """The aircraft of these parameters, checked; `field` is their name in error messages.
 
-    Cable length, gravity and cable diameter are in m, m/s² and m.
+    Cable length, gravity and cable diameter are in m, m/s² and m; those of cables that differ are
+    arrays (n,).
 
     Raises:
         ScenarioError: a field is missing or out of its range, or the aircraft cannot fly level

@@ -18,7 +18,8 @@ from pydrake.systems.framework import ValueProducer
 
 from drake_nonstop.mechanics.aircraft import Aircraft
 from drake_nonstop.mechanics.rigid_load import RigidLoad
-from drake_nonstop.mechanics.signal_layouts import HELD, SIGNALS, Layout
+from drake_nonstop.mechanics.signal_layouts import Layout
+from drake_nonstop.mechanics.signals import HELD, SIGNALS
 from drake_nonstop.model.aircraft import FLIGHT_FIELDS
 from drake_nonstop.model.system import AIRCRAFT, OFFSET, Model
 from drake_nonstop.systems.block import is_of_package
@@ -127,7 +128,7 @@ class Block(EquationBlock):
 
     The dataclass of its parameters is XConfig, in the same module; those that are numbers are
     parameters of the context. Units, sizes and frames of its signals are those of
-    `mechanics.signal_layouts`, or of its own `signal_layouts`:
+    `mechanics.signals`, or of its own `signal_layouts`:
 
         @dataclass(kw_only=True)
         class SpringConfig(StrictFields):

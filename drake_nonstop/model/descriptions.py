@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.bowed_orbit import CableShape
 from drake_nonstop.mechanics.signals import TRACKING_ERROR_SIZE
-from drake_nonstop.mechanics.wind import MeanWind, risen_share
+from drake_nonstop.mechanics.wind import risen_share
 from drake_nonstop.systems.block import is_of_package
 
 RESPONSE, WIND, WIND_ESTIMATE = "describe_response", "describe_wind", "describe_wind_estimate"
@@ -37,21 +37,18 @@ class CarrierControl(NamedTuple):
     velocity_gain: float  # K_d, N s/m
     integral_gain: float = 0.0  # K_i, N/(m s)
     has_feedforward: bool = False  # of the references' accelerations
-    bears_cables: bool = False  # whether weight and desired cable forces are feedforward
     stiffness: float = math.inf  # N/m, by which carriers give way along their cables
 
 
 class CarrierMotion(NamedTuple):
-    """The `carrier_dynamics` of points m_c p̈ = u."""
-
-    bears_cables: bool = False  # whether weight and cables pull at the carriers, too
+    """The `carrier_dynamics` of free points, m_c p̈ = u."""
 
 
 class CarrierReferences(NamedTuple):
     """The references of a `carrier_trajectory`."""
 
-    # Of their motion within a sample: 1 along the velocity, 2 with accelerations, 3 with jerks; 0:
-    # they are continuous; None: it is not known.
+    # Of their motion within a sample: 1 along the velocity, 3 with accelerations and jerks; 0: they
+    # are continuous; None: it is not known.
     hold: int | None
     is_above_load: bool = False  # whether they follow the measured load instead of its reference
     shape: CableShape | None = None  # of cables that bow; None: they are straight
@@ -83,48 +80,31 @@ class Estimator(NamedTuple):
 class LoadMeasurement(NamedTuple):
     """Measurement by a `load_feedback` of the errors [e_R, e_p, e_ω, e_v] of the load; SI."""
 
-    deviations: NDArray = np.zeros(TRACKING_ERROR_SIZE)  # standard deviations of its noise
     is_measured: NDArray = np.ones(TRACKING_ERROR_SIZE)  # 0 for what is taken as desired, else 1
     delay: float = 0.0  # s
-    period: float = 0.0  # s, between samples; 0: it is continuous
     estimator: Estimator | None = None  # behind the measurement
-
-
-class Gusts(NamedTuple):
-    """Coloured noise, a sum of waves of equal size on each axis."""
-
-    deviations: NDArray  # standard deviation on each axis, in W
-    frequencies: NDArray  # rad/s, of the waves
-
-
-class LoadWrench(NamedTuple):
-    """The wrench [torque; force] of a `load_disturbance`, in W."""
-
-    steady: NDArray = np.zeros(6)  # N m and N
-    gusts: Gusts | None = None  # likewise
 
 
 class Wind(NamedTuple):
     """The wind of a block of that box."""
 
-    mean: MeanWind = MeanWind(np.zeros(3))  # once it has risen
+    mean: NDArray = np.zeros(3)  # (3,), m/s, in W, once it has risen
     believed: NDArray | None = None  # (3,), m/s, in W; None: the mean wind at the load
     start: float = 0.0  # s, when it begins to rise
     rise_time: float = 0.0  # s; 0: it comes at once
     gust: float = 0.0  # m/s, standard deviation at a carrier, on a horizontal axis
-    load_gusts: tuple[Gusts, ...] = ()  # m/s, independent of one another
 
     @property
     def is_constant(self) -> bool:
         """Whether the mean wind is there from the beginning on."""
         return self.start == 0 == self.rise_time
 
-    def at(self, time: float, position: NDArray) -> NDArray:
-        """The mean wind (3,) at a time in s and a position (3,) in m; m/s, in W."""
+    def at(self, time: float) -> NDArray:
+        """The mean wind (3,) at a time in s; m/s, in W."""
         now, share = np.array([time]), np.array([float(time >= self.start)])
         if self.rise_time > 0:
             share = risen_share(now, start=self.start, rise_time=self.rise_time)
-        return share * self.mean.at(position)
+        return share * self.mean
 
 
 def described_air(blocks: Mapping[str, Any]) -> Wind | None:

@@ -1,13 +1,21 @@
 """Internal-force patterns: a scenario's entry that all blocks with λ share.
 
-A pattern config makes N₀, φ and f̃⁰ (see `mechanics.internal_force`) for given attachments. Any
-class with such a `make` is one.
+| config | m | the force that cable i has beside its share of the wrench |
+| --- | --- | --- |
+| `HamiltonianCycle` | n | of opposite forces along the edges of a cycle, those of its two edges |
+| `Carousel` | 2 | A (cos(θ − β_i), sin(θ − β_i), 0) |
+| `SpreadCarousel` | 2 | the same and C r_i |
+| `EllipticCarousel` | 2 | C r_i and an ellipse that leans |
+| `ConstantSpread` | 1 | C r_i alone |
+| `LinearPattern` | any | the user's |
+
+r_i is outward and β_i its angle. A config makes N₀, φ and f̃⁰ (see `mechanics.internal_force`) for
+given attachments; any class with such a `make` is one.
 """
 
-import itertools
 import math
 from dataclasses import dataclass, field
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +27,11 @@ from drake_nonstop.mechanics.internal_force import (
     even_phases,
     hamiltonian_cycle,
     orbit_axes,
+    orbit_forces,
     spread,
     without_wrench,
 )
+from drake_nonstop.mechanics.taylor import Quantity
 from drake_nonstop.validation import (
     StrictFields,
     checked,
@@ -34,29 +44,21 @@ from drake_nonstop.validation import (
     whole,
 )
 
+_CIRCLE = [0.0, -math.pi / 2]  # rad, phases of two forces that rotate together
 _MIN_SINE = 1e-3  # of an angle that counts as different from zero
-_INSTANTS = 2048  # of a turn of the highest harmonic, at which rates of forces are compared
-# Of a force's fastest rate, below which one counts as zero. Where a rate is zero, one at an instant
-# is at most π / 2048 of the fastest, by Bernstein's inequality.
-_SLOWEST = 2e-3
 
 
 @dataclass(frozen=True)
 class InternalForcePattern:
-    """N₀ (3n, m), φ (m,) in rad and f̃⁰ (3n,) in N, in the load frame.
-
-    `harmonics` are the orders h (m,) of the coordinates, λ_k = A cos(h_k θ + φ_k); none: all 1.
-    """
+    """N₀ (3n, m), φ (m,) in rad and f̃⁰ (3n,) in N, in the load frame."""
 
     basis: NDArray
     phases: NDArray
     offset: NDArray
-    harmonics: tuple[int, ...] = ()
 
-    @property
-    def orders(self) -> NDArray:
-        """The orders h (m,) of the harmonics."""
-        return np.array(self.harmonics or [1.0] * len(self.phases), dtype=float)
+    def forces(self, angle: Quantity, amplitude: Quantity) -> Quantity:
+        """N₀ λ (..., n, 3), N, in L, at θ in rad and A in N, (..., 1) each."""
+        return orbit_forces(orbit_axes(self.basis, self.phases), angle, amplitude)
 
     @property
     def is_constant(self) -> bool:
@@ -64,70 +66,91 @@ class InternalForcePattern:
         return not np.any(self.basis)
 
 
-@dataclass(kw_only=True)
-class HamiltonianCycleConfig(StrictFields):
-    """The paper's pattern: opposite forces along the edges of a closed cycle, m = n."""
+class _Pattern(StrictFields):
+    """A pattern that is checked before its forces are made."""
 
-    phases: list[float] = field(default_factory=list)  # rad, n of them; none: 2π (k-1)/n
+    has_directions: ClassVar[bool] = True  # each attachment has one, from the middle of all
 
     def make(self, attachments: NDArray) -> InternalForcePattern:
         """The pattern for attachments (n, 3) in L.
 
         Raises:
-            ScenarioError: neighbouring edges are collinear, or neighbouring phases
-                coincide modulo π; a carrier would then stop twice a turn.
+            ScenarioError: a field is out of its range or of another shape, the attachments do not
+                suit the pattern, or the force in a cable would stop its carrier.
         """
-        attachments = _checked(attachments)
-        n = len(attachments)
-        edges = attachments - np.roll(attachments, -1, axis=0)
-        lengths = np.linalg.norm(edges, axis=1)
+        require_ranges("pattern", self)
+        meaning = "one position per cable, in L"
+        attachments = require_array("attachments", attachments, [None, 3], meaning)
+        radii = np.linalg.norm((attachments - attachments.mean(axis=0))[:, :2], axis=1)
         require(
-            np.all(lengths > 1e-9 * np.max(lengths)),
+            not self.has_directions or np.all(radii > 1e-6 * np.max(radii)),
             "system.attachments",
             attachments.tolist(),
-            "give neighbouring cables different attachment points",
+            "one is in the middle of all, so that a carousel has no direction for its cable; move "
+            "it, or give another pattern",
         )
+        return self._forces(attachments)
+
+    def _forces(self, attachments: NDArray) -> InternalForcePattern:
+        """The forces for attachments that have been checked."""
+        raise NotImplementedError
+
+
+@dataclass(kw_only=True)
+class HamiltonianCycleConfig(_Pattern):
+    """The paper's pattern: opposite forces along the edges of a closed cycle, m = n.
+
+    Neighbouring edges may not be collinear, nor neighbouring phases coincide modulo π: a carrier
+    would then stop twice a turn.
+    """
+
+    has_directions = False
+
+    phases: list[float] = field(default_factory=list)  # rad, n of them; none: 2π (k-1)/n
+
+    def _forces(self, attachments: NDArray) -> InternalForcePattern:
+        n, shown = len(attachments), attachments.tolist()
+        edges = attachments - np.roll(attachments, -1, axis=0)
+        lengths = np.linalg.norm(edges, axis=1)
+        remedy = "give neighbouring cables different attachment points"
+        require(np.all(lengths > 1e-9 * np.max(lengths)), "system.attachments", shown, remedy)
         units = edges / lengths[:, None]
+        phases = even_phases(n)
+        if self.phases:
+            phases = require_array("pattern.phases", self.phases, [n], "one phase per cable")
         for i in range(n):
             require(
                 np.linalg.norm(np.cross(units[i - 1], units[i])) > _MIN_SINE,
                 "system.attachments",
-                attachments.tolist(),
+                shown,
                 f"the edges of the cycle that meet at attachment {i + 1} are collinear, so "
                 "its carrier would stop; move it or reorder the attachments",
             )
-        phases = even_phases(n)
-        if self.phases:
-            phases = require_array("pattern.phases", self.phases, [n], "one phase per cable")
-        for k in range(n):
             require(
-                abs(np.sin(phases[k] - phases[k - 1])) > _MIN_SINE,
+                abs(np.sin(phases[i] - phases[i - 1])) > _MIN_SINE,
                 "pattern.phases",
                 phases.tolist(),
-                f"neighbouring phases {(k - 1) % n + 1} and {k + 1} coincide modulo pi, so "
+                f"neighbouring phases {(i - 1) % n + 1} and {i + 1} coincide modulo pi, so "
                 "a carrier would stop; set them apart",
             )
         return InternalForcePattern(hamiltonian_cycle(attachments), phases, np.zeros(3 * n))
 
 
 @dataclass(kw_only=True)
-class CarouselConfig(StrictFields):
+class CarouselConfig(_Pattern):
     """Forces that rotate together: the carriers keep apart at constant speed, cables cross.
 
     m = 2. On a regular polygon every carrier flies a circle above its attachment, all at the
     same speed; for other attachments the pattern is projected on the null space.
     """
 
-    def make(self, attachments: NDArray) -> InternalForcePattern:
-        """The pattern for attachments (n, 3) in L; raises ScenarioError as `check_pattern`."""
-        attachments = _checked(attachments)
-        _require_directions(attachments)
-        phases = np.array([0.0, -np.pi / 2])
-        return InternalForcePattern(carousel(attachments), phases, np.zeros(3 * len(attachments)))
+    def _forces(self, attachments: NDArray) -> InternalForcePattern:
+        turning, outward = carousel(attachments), np.zeros(attachments.size)
+        return InternalForcePattern(turning, np.array(_CIRCLE), outward)
 
 
 @dataclass(kw_only=True)
-class SpreadCarouselConfig(StrictFields):
+class SpreadCarouselConfig(_Pattern):
     """The carousel with a constant outward pull: neither carriers nor cables meet.
 
     m = 2. Each carrier circles about an axis of its own that leans outward. Cables do not
@@ -137,16 +160,9 @@ class SpreadCarouselConfig(StrictFields):
 
     spread: float = positive(2.5)  # N, the constant outward pull C of every cable
 
-    def make(self, attachments: NDArray) -> InternalForcePattern:
-        """The pattern for attachments (n, 3) in L.
-
-        Raises:
-            ScenarioError: the spread is not positive, or as `check_pattern`.
-        """
-        require_ranges("pattern", self)
-        attachments = _checked(attachments)
-        wheel = CarouselConfig().make(attachments)
-        return InternalForcePattern(wheel.basis, wheel.phases, self.spread * spread(attachments))
+    def _forces(self, attachments: NDArray) -> InternalForcePattern:
+        turning, outward = carousel(attachments), self.spread * spread(attachments)
+        return InternalForcePattern(turning, np.array(_CIRCLE), outward)
 
 
 _MAX_TURNS = 100
@@ -154,28 +170,25 @@ _MAX_SIZE = 1e6
 _check_size = number_with(
     lambda size: abs(size) <= _MAX_SIZE, f"give a number of at most {_MAX_SIZE:g}"
 )
-_ELLIPSE = ("radial", "tangential", "vertical", "second_harmonic")  # whose sizes are times A
+_ELLIPSE = ("radial", "tangential", "vertical")  # whose sizes are times A
 
 
 @dataclass(kw_only=True)
-class EllipticCarouselConfig(StrictFields):
+class EllipticCarouselConfig(_Pattern):
     """Orbits that lean and climb: amplitudes of their own along the radius, the tangent and e₃.
 
-    m = 2, or 4 with a second harmonic. With β_i the angle of attachment i, r_i outward, t_i
-    tangential and φ_i = θ + κ β_i, cable i pulls with
+    m = 2. With β_i the angle of attachment i, r_i outward, t_i tangential and φ_i = θ + κ β_i,
+    cable i pulls with
 
         (C + A_r cos φ_i) r_i + A_t sin φ_i t_i + (f₀ − B cos φ_i) e₃,
 
     f₀ its share of the weight. A_r, A_t and B are `radial`, `tangential` and `vertical` times the
     amplitude A of the parameters: with A = 1 N they are in N. `SpreadCarousel` is κ = −2 with
-    A_r = A_t. `second_harmonic` h makes the ground speed differ between the directions of flight,
-    as in wind: h A e^{2i(φ_i + β_i)} is added to the horizontal force, in the complex plane. Well
-    below half of A_r/A and A_t/A it lets no carrier stop; where it is so large that a force stands
-    still for an instant, it is refused, see `check_pattern`.
+    A_r = A_t.
 
     On regular polygons of n attachments the forces have no wrench where A_t ≠ 0 and κ ≢ 0 (modulo
-    n), A_r ≠ −A_t needs κ ≢ −1, A_r ≠ A_t needs κ ≢ 1, B ≠ 0 needs κ ≢ ±1, and h ≠ 0 needs
-    2κ ≢ −2 and 2κ ≢ −1. For other attachments they are projected on the null space.
+    n), A_r ≠ −A_t needs κ ≢ −1, A_r ≠ A_t needs κ ≢ 1, and B ≠ 0 needs κ ≢ ±1. For other
+    attachments they are projected on the null space.
     """
 
     spread: float = non_negative(2.5)  # N, the constant outward pull C of every cable
@@ -191,53 +204,21 @@ class EllipticCarouselConfig(StrictFields):
         ),
     )
     vertical: float = checked(0.0, _check_size)  # B / A
-    second_harmonic: float = non_negative(0.0, _check_size)  # h: its horizontal force / A
-    # rad, of the flight that it makes the fastest, from x to y in L: that of the wind
-    second_harmonic_direction: float = checked(0.0, _check_size)
 
-    def make(self, attachments: NDArray) -> InternalForcePattern:
-        """The pattern for attachments (n, 3) in L.
-
-        Raises:
-            ScenarioError: a number is out of its range, or the forces would have a wrench on a
-                regular polygon of n attachments, or the second harmonic makes one of them stand
-                still, or as `check_pattern`.
-        """
-        attachments = _checked(attachments)
-        _require_directions(attachments)
-        require_ranges("pattern", self)
+    def _forces(self, attachments: NDArray) -> InternalForcePattern:
         n, turns = len(attachments), self.phase_turns
         sizes = {name: getattr(self, name) for name in _ELLIPSE}
         if not self._suits(n, turns, sizes):
             require(False, "pattern.phase_turns", turns, _remedy(self, n, sizes))
-        basis, phases = self._forces(attachments, turns, sizes), np.array([0.0, -np.pi / 2] * 2)
-        count = 4 if self.second_harmonic > 0 else 2
-        pattern = InternalForcePattern(
-            without_wrench(attachments, basis[:, :count]),
-            phases[:count],
-            self.spread * spread(attachments),
-            (1, 1, 2, 2) if count == 4 else (),
-        )
-        cable, harmonic = _standing_force(pattern), self.second_harmonic
-        if cable is not None:
-            stops = f"the force in cable {cable} stands still, so that its carrier would stop"
-            remedy = _moving_remedy(pattern, harmonic)
-            require(False, "pattern.second_harmonic", harmonic, f"{stops}; {remedy}")
-        return pattern
-
-    def _forces(self, attachments: NDArray, turns: int, sizes: dict[str, float]) -> NDArray:
-        return elliptic_carousel(
-            attachments,
-            phase_turns=turns,
-            second_harmonic_direction=self.second_harmonic_direction,
-            **sizes,
-        )
+        forces = elliptic_carousel(attachments, phase_turns=turns, **sizes)
+        outward = self.spread * spread(attachments)
+        return InternalForcePattern(without_wrench(attachments, forces), np.array(_CIRCLE), outward)
 
     def _suits(self, n: int, turns: int, sizes: dict[str, float]) -> bool:
         """Whether such forces on a regular polygon of n attachments have no wrench."""
         angles = 2 * np.pi * np.arange(n) / n
         polygon = np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1)
-        forces = self._forces(polygon, turns % n, sizes)
+        forces = elliptic_carousel(polygon, phase_turns=turns % n, **sizes)
         limit = 1e-9 * np.max(np.abs(forces))
         return bool(np.all(np.abs(grasp_matrix(polygon) @ forces) <= limit))
 
@@ -249,38 +230,20 @@ class EllipticCarouselConfig(StrictFields):
 
 def _remedy(config: EllipticCarouselConfig, n: int, sizes: dict[str, float]) -> str:
     """Least change that makes elliptic carousels of n attachments possible."""
-    changes: list[tuple[dict[str, float], str]] = [
-        ({}, ""),
-        ({"second_harmonic": 0.0}, " with second_harmonic = 0"),
-        ({"vertical": 0.0}, " with vertical = 0"),
-        ({"vertical": 0.0, "second_harmonic": 0.0}, " with vertical = second_harmonic = 0"),
-    ]
-    round_ = {"vertical": 0.0, "second_harmonic": 0.0, "radial": sizes["tangential"]}
-    changes.append((round_, " with radial = tangential and vertical = second_harmonic = 0"))
-    for change, words in changes:
+    level = {"vertical": 0.0}
+    for change in ({}, level, level | {"radial": sizes["tangential"]}):
         turns = config.suitable_turns(n, **change)
         if turns:
-            numbers = " or ".join(map(str, turns))
+            words = " and ".join(f"{name} = {value:g}" for name, value in change.items())
             return (
-                f"with {n} cables the forces would have a net wrench on the load; give {numbers} "
-                f"(modulo {n}){words}"
+                f"with {n} cables the forces would have a net wrench on the load; give "
+                f"{' or '.join(map(str, turns))} (modulo {n})" + (f" with {words}" if words else "")
             )
     raise AssertionError("a circle suits every number of cables")
 
 
-def _moving_remedy(pattern: InternalForcePattern, harmonic: float) -> str:
-    """Remedy for a force that stands still in an elliptic carousel with that second harmonic."""
-    ratios = []  # of the slowest rate of the first order to the fastest one of the second
-    for ellipses in zip(*_ellipses(pattern), strict=True):
-        (_, least), (most, _) = (np.linalg.svd(axes, compute_uv=False) for axes in ellipses)
-        ratios.append(least / (2 * most))
-    if min(ratios) < _MIN_SINE:
-        return "give another number, and another radial or vertical one than 0"
-    return f"give at most {0.9 * harmonic * min(ratios):.2g}"
-
-
 @dataclass(kw_only=True)
-class ConstantSpreadConfig(StrictFields):
+class ConstantSpreadConfig(_Pattern):
     """A constant outward pull alone, for a load that turns, and its carriers with it.
 
     m = 1, a coordinate without any force. The carriers keep their places above the load, and move
@@ -290,60 +253,32 @@ class ConstantSpreadConfig(StrictFields):
 
     spread: float = positive(2.5)  # N, the constant outward pull C of every cable
 
-    def make(self, attachments: NDArray) -> InternalForcePattern:
-        """The pattern for attachments (n, 3) in L.
-
-        Raises:
-            ScenarioError: the spread is not positive, or an attachment is in the middle of all.
-        """
-        require_ranges("pattern", self)
-        attachments = _checked(attachments)
-        _require_directions(attachments)
-        nothing = np.zeros((attachments.size, 1))
-        return InternalForcePattern(nothing, np.zeros(1), self.spread * spread(attachments))
-
-
-def _checked(attachments: Any) -> NDArray:
-    """The attachments as an array; raises ScenarioError for what is no (n, 3)."""
-    return require_array("attachments", attachments, [None, 3], "one position per cable, in L")
-
-
-def _require_directions(attachments: NDArray) -> None:
-    """Raises ScenarioError if an attachment has no direction from the centre of all."""
-    from_centre = (attachments - attachments.mean(axis=0))[:, :2]
-    radii = np.linalg.norm(from_centre, axis=1)
-    require(
-        np.all(radii > 1e-6 * np.max(radii)),
-        "system.attachments",
-        attachments.tolist(),
-        "one is in the middle of all, so that a carousel has no direction for its cable; move "
-        "it, or give another pattern",
-    )
+    def _forces(self, attachments: NDArray) -> InternalForcePattern:
+        nothing, outward = np.zeros((attachments.size, 1)), self.spread * spread(attachments)
+        return InternalForcePattern(nothing, np.zeros(1), outward)
 
 
 @dataclass(kw_only=True)
-class LinearPatternConfig(StrictFields):
+class LinearPatternConfig(_Pattern):
     """A user's pattern: any matrix and offset in the null space, any phases."""
+
+    has_directions = False
 
     # N₀, 3n rows of m numbers, in L; none: that of the cycle
     basis: list[list[float]] = field(default_factory=list)
     phases: list[float] = field(default_factory=list)  # φ, m numbers, rad; none: 2π (k-1)/m
     offset: list[float] = field(default_factory=list)  # f̃⁰, 3n numbers, N, in L; none: 0
 
-    def make(self, attachments: NDArray) -> InternalForcePattern:
-        """The pattern for attachments (n, 3) in L; raises ScenarioError for wrong shapes."""
-        attachments = _checked(attachments)
-        rows = 3 * len(attachments)
-        basis = hamiltonian_cycle(attachments)
+    def _forces(self, attachments: NDArray) -> InternalForcePattern:
+        rows = attachments.size
+        basis, offset = hamiltonian_cycle(attachments), np.zeros(rows)
         if self.basis:
-            basis = require_array(
-                "pattern.basis", self.basis, [rows, None], "3n rows, a column per phase"
-            )
-        phases = even_phases(basis.shape[1])
+            meaning = "3n rows, a column per phase"
+            basis = require_array("pattern.basis", self.basis, [rows, None], meaning)
+        count = basis.shape[1]
+        phases = even_phases(count)
         if self.phases:
-            columns = [basis.shape[1]]
-            phases = require_array("pattern.phases", self.phases, columns, "one per column")
-        offset = np.zeros(rows)
+            phases = require_array("pattern.phases", self.phases, [count], "one per column")
         if self.offset:
             offset = require_array("pattern.offset", self.offset, [rows], "3 per cable")
         return InternalForcePattern(basis, phases, offset)
@@ -355,14 +290,11 @@ def check_pattern(
     """Checks the conditions on every pattern.
 
     `gravity_forces` (n, 3) are the shares of a resting, level load's weight, in L. What is refused
-    stops a carrier at any amplitude A. With harmonics of several orders and vertical internal
-    forces a carrier may also stop at some A only, where its force changes along itself: that is
-    left to the speeds of a run, since a pattern does not know A.
+    stops a carrier at any amplitude A, with cables of any length.
 
     Raises:
         ScenarioError: the pattern has a net wrench, or some carrier would stop: the
-            force in its cable moves on a line, or in a plane through the attachment, or stands
-            still for an instant, as harmonics of several orders may make it. A pattern
+            force in its cable moves on a line, or in a plane through the attachment. A pattern
             without any internal force but its offset is for a load that turns, and passes.
     """
     grasp = grasp_matrix(attachments)
@@ -378,55 +310,13 @@ def check_pattern(
     if pattern.is_constant:
         return
     constant = gravity_forces + pattern.offset.reshape(-1, 3)
-    axes = [constant[:, None], *_ellipses(pattern)]
-    for i, of_cable in enumerate(zip(*axes, strict=True)):
+    axes = np.stack([constant, *orbit_axes(pattern.basis, pattern.phases)], axis=1)
+    volumes, sizes = np.abs(np.linalg.det(axes)), np.linalg.norm(axes, axis=2).prod(axis=1)
+    for i in np.flatnonzero(volumes <= _MIN_SINE * sizes):
         require(
-            _span_space(np.concatenate(of_cable)),
+            False,
             "pattern.phases",
             pattern.phases.tolist(),
             f"cable {i + 1} swings in a plane or not at all, so its carrier would stop; "
             "choose other phases or another basis, or other amplitudes",
         )
-    cable = _standing_force(pattern)
-    require(
-        cable is None,
-        "pattern.harmonics",
-        pattern.harmonics,
-        f"the force in cable {cable} stands still, so that its carrier would stop; "
-        "choose other phases, or other amplitudes of one order",
-    )
-
-
-def _ellipses(pattern: InternalForcePattern) -> list[NDArray]:
-    """Two conjugate axes (n, 2, 3) of each cable's ellipse, in L, for each order that there is."""
-    found = []
-    for order in np.unique(pattern.orders):
-        columns = pattern.orders == order
-        axes = orbit_axes(pattern.basis[:, columns], pattern.phases[columns])
-        found.append(np.stack(axes, axis=1))
-    return found
-
-
-def _standing_force(pattern: InternalForcePattern) -> int | None:
-    """The number of the first cable whose force stands still for an instant; None: no one's does.
-
-    Of one order they do so on a line only, which is not looked for.
-    """
-    orders = pattern.orders
-    if len(np.unique(orders)) < 2:
-        return None
-    count = math.ceil(_INSTANTS * np.max(np.abs(orders)))
-    instants = np.linspace(0, 2 * np.pi, count, endpoint=False)
-    rates = (orders * np.sin(instants[:, None] * orders + pattern.phases)) @ pattern.basis.T
-    speeds = np.linalg.norm(rates.reshape(count, -1, 3), axis=2)
-    slow = np.flatnonzero(speeds.min(axis=0) < _SLOWEST * speeds.max(axis=0))
-    return int(slow[0]) + 1 if len(slow) > 0 else None
-
-
-def _span_space(vectors: NDArray) -> bool:
-    """Whether vectors (k, 3) span space: the volume of some three is not small for their size."""
-    for three in itertools.combinations(vectors, 3):
-        size = np.prod([np.linalg.norm(vector) for vector in three])
-        if abs(np.linalg.det(np.stack(three))) > _MIN_SINE * size:
-            return True
-    return False

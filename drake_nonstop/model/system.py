@@ -25,12 +25,16 @@ from drake_nonstop.model.aircraft import (
 from drake_nonstop.model.pattern import InternalForcePattern, check_pattern
 from drake_nonstop.validation import (
     StrictFields,
-    fulfilling,
+    checked,
     is_number,
     non_negative,
+    number_or_list,
+    number_with,
     positive,
     require,
     require_array,
+    require_non_negative,
+    require_positive,
     require_ranges,
 )
 
@@ -39,12 +43,20 @@ AIRCRAFT = "aircraft."  # begins the names of an aircraft's fields among them
 # Pa, of a braid of Dyneema SK78 over its whole section: half of the 3.3 GPa that the fibre has at
 # least (DSM Dyneema, fact sheet of its UHMWPE fibre, CIS YA100, 2010), for its gaps and angles.
 _STRENGTH = 1.6e9
+_STIFFNESS = "give a number greater than zero, or .inf if the controllers assume no stretch"
 _MAX_CARRIERS = 100  # whose blocks take ten seconds to trace
+# Fields of the system that are a number for all cables, or a list of one for each.
+_NUMBERS = ("length", "stiffness", "damping", "diameter", "drag", "friction", "density")
+OF_CABLES = (*(f"cable_{name}" for name in _NUMBERS), "cable_breaking_load")
+_positive, _non_negative = map(number_or_list, (require_positive, require_non_negative))
 
 
 @dataclass(kw_only=True)
 class SystemParameters(StrictFields):
-    """Load, cables and carriers; the defaults are the paper's (Table I, figures)."""
+    """Load, cables and carriers; the defaults are the paper's (Table I, figures).
+
+    Each number of the cables is one for all, or a list of one for each.
+    """
 
     load_mass: float = positive(1.0)  # kg
     load_inertia: list[list[float]] = field(  # kg m², about the centre of mass, in L
@@ -60,18 +72,19 @@ class SystemParameters(StrictFields):
             [0.75, -0.75, 0.0],
         ]
     )
-    cable_length: float = positive(0.8)  # m, unstretched
-    cable_stiffness: float = fulfilling(  # N/m; .inf: the controllers assume no stretch
-        500.0,
-        lambda stiffness: stiffness > 0,
-        "give a number greater than zero, or .inf if the controllers are to assume no stretch",
+    cable_length: float | list[float] = checked(0.8, _positive)  # m, unstretched
+    cable_stiffness: float | list[float] = checked(  # N/m; .inf: the controllers assume no stretch
+        500.0, number_or_list(number_with(lambda stiffness: stiffness > 0, _STIFFNESS))
     )
-    cable_damping: float = non_negative(0.1)  # N s/m
-    cable_diameter: float = non_negative(CABLE_DIAMETER)  # m
-    cable_drag: float = non_negative(CABLE_DRAG)  # C_D of air across a cable, of its diameter
-    cable_friction: float = non_negative(0.02)  # C_f of air along it, of its circumference
-    cable_density: float = non_negative(CABLE_DENSITY)  # kg/m³
-    cable_breaking_load: float | None = positive(None)  # N; none: that of Dyneema SK78
+    cable_damping: float | list[float] = checked(0.1, _non_negative)  # N s/m
+    cable_diameter: float | list[float] = checked(CABLE_DIAMETER, _non_negative)  # m
+    # C_D of air across a cable, of its diameter
+    cable_drag: float | list[float] = checked(CABLE_DRAG, _non_negative)
+    # C_f of air along a cable, of its circumference
+    cable_friction: float | list[float] = checked(0.02, _non_negative)
+    cable_density: float | list[float] = checked(CABLE_DENSITY, _non_negative)  # kg/m³
+    # N; none: that of Dyneema SK78
+    cable_breaking_load: float | list[float] | None = checked(None, _positive)
     carrier_mass: float = positive(0.1)  # kg
     gravity: float = positive(9.81)  # m/s²
     # An SDF or URDF file with load_mass, load_inertia and attachments, read as a scenario is
@@ -139,6 +152,9 @@ class Model:
         bears_cable_drag: whether these have a share of their cable's drag; cables may have their
             own.
         cable_shape: of the references' cables, for what plans; None: they are straight.
+        cable_length, cable_stiffness, cable_compliance, cable_damping, cable_mass,
+            cable_breaking_load: m, N/m, m/N (0 without stretch), N s/m, kg and N, each a number, or
+            (n,) of cables that differ.
 
     Raises:
         ScenarioError: a parameter is out of range, there are fewer than 3 attachments,
@@ -155,11 +171,17 @@ class Model:
         overridden: Iterable[str] = (),
     ):
         require_ranges(field, system)
-        self.aircraft: Aircraft | None = None
+        self.aircraft = aircraft_in(system, field)
         self.bears_cable_drag = True
         self.cable_shape: CableShape | None = None
-        if system.aircraft is not None:
-            system, self.aircraft = _with_aircraft(system, field, "carrier_mass" in overridden)
+        if self.aircraft is not None:
+            mass, stated = float(self.aircraft.mass), system.carrier_mass
+            is_given = stated != SystemParameters.carrier_mass or "carrier_mass" in overridden
+            remedy = (
+                f"leave it out: the carriers are aircraft of {mass:g} kg, {field}.aircraft.mass"
+            )
+            require(stated == mass or not is_given, f"{field}.carrier_mass", stated, remedy)
+            system = dataclasses.replace(system, carrier_mass=mass)
         self.system, self.pattern_config, self.field = system, pattern, field
         self.overridden = frozenset(overridden)
         require(
@@ -176,13 +198,8 @@ class Model:
             angular_drag=system.load_angular_drag,
             gravity=system.gravity,
         )
-        self.cable_length = system.cable_length
-        self.cable_stiffness = system.cable_stiffness
-        self.cable_compliance = 1 / system.cable_stiffness  # m/N, 0 without stretch
-        self.cable_damping = system.cable_damping
         self.carrier_mass = system.carrier_mass
         self.gravity = system.gravity
-
         name = f"{field}.attachments"
         self.attachments = require_array(
             name, system.attachments, [None, 3], "one position per cable"
@@ -190,6 +207,17 @@ class Model:
         self.n = len(self.attachments)
         require(self.n >= 3, name, system.attachments, "give 3 or more attachment points")
         require_few(name, self.n)
+        for key in OF_CABLES:
+            value = getattr(system, key)
+            remedy = f"give one number for all cables, or a list of {self.n}, one per attachment"
+            fits = not isinstance(value, list) or len(value) == self.n
+            require(fits, f"{field}.{key}", value, remedy)
+        self.cable_length = per_cable(system, "cable_length")
+        self.cable_stiffness = per_cable(system, "cable_stiffness")
+        self.cable_compliance = 1 / self.cable_stiffness
+        self.cable_damping = per_cable(system, "cable_damping")
+        self.cable_mass = per_cable(system, "cable_density") * _area(system) * self.cable_length
+        self.cable_breaking_load = breaking_load(system)
         grasp = grasp_matrix(self.attachments)
         size = np.max(np.abs(self.attachments))
         scaled = grasp / np.array([[size or 1.0]] * 3 + [[1.0]] * 3)
@@ -209,16 +237,6 @@ class Model:
         check_pattern(self.pattern, self.attachments, (self.pseudo_inverse @ weight).reshape(-1, 3))
 
     @property
-    def cable_mass(self) -> float:
-        """A cable's mass in kg."""
-        return self.system.cable_density * _cable_area(self.system) * self.cable_length
-
-    @property
-    def cable_breaking_load(self) -> float:
-        """Tension in N that a cable breaks at."""
-        return breaking_load(self.system)
-
-    @property
     def load_mass(self) -> float:
         """The load's mass in kg, that of `load`."""
         return self.system.load_mass
@@ -236,11 +254,18 @@ class Model:
         return self.pattern.offset if name == OFFSET else getattr(self.system, name)
 
 
-def breaking_load(system: SystemParameters) -> float:
+def per_cable(system: SystemParameters, name: str) -> Any:
+    """A field of `OF_CABLES`: a number of all cables, or an array (n,) of cables that differ."""
+    value = getattr(system, name)
+    return np.array(value) if isinstance(value, list) else value
+
+
+def breaking_load(system: SystemParameters) -> float | NDArray:
     """Tension in N that a cable of a system breaks at; inf: it has no diameter."""
     if system.cable_breaking_load is not None:
-        return system.cable_breaking_load
-    return _STRENGTH * _cable_area(system) or math.inf
+        return per_cable(system, "cable_breaking_load")
+    area = _area(system)
+    return np.where(area > 0, _STRENGTH * area, math.inf)[()]
 
 
 def diameter_of(breaking: Any) -> Any:
@@ -248,46 +273,25 @@ def diameter_of(breaking: Any) -> Any:
     return np.sqrt(4 / math.pi / _STRENGTH * breaking)
 
 
-def _cable_area(system: SystemParameters) -> float:
-    return math.pi / 4 * system.cable_diameter**2
+def _area(system: SystemParameters) -> float | NDArray:
+    return math.pi / 4 * per_cable(system, "cable_diameter") ** 2
 
 
-def aircraft_in(system: SystemParameters | Model) -> Aircraft | None:
+def aircraft_in(system: SystemParameters | Model, field: str = "system") -> Aircraft | None:
     """The aircraft that the carriers of a system are; None where they are none.
+
+    `field` is the system's name in error messages.
 
     Raises:
         ScenarioError: a field of them is out of range.
     """
-    if isinstance(system, Model):
-        return system.aircraft
-    return None if system.aircraft is None else _aircraft_of(system, "system")
-
-
-def _aircraft_of(system: SystemParameters, field: str) -> Aircraft:
-    assert system.aircraft is not None
-    return make_aircraft(
-        system.aircraft,
-        cable_length=system.cable_length,
-        gravity=system.gravity,
-        cable_diameter=system.cable_diameter,
-        cable_drag=system.cable_drag,
-        field=f"{field}.aircraft",
-    )
-
-
-def _with_aircraft(
-    system: SystemParameters, field: str, is_given: bool
-) -> tuple[SystemParameters, Aircraft]:
-    """The system with the aircraft's mass as that of its carriers, and the aircraft.
-
-    `is_given` tells that the mass of the carriers is not a default.
-    """
-    aircraft = _aircraft_of(system, field)
-    mass, stated = float(aircraft.mass), system.carrier_mass
-    is_default = stated == SystemParameters.carrier_mass and not is_given
-    remedy = f"leave it out: the carriers are aircraft of {mass:g} kg, {field}.aircraft.mass"
-    require(stated == mass or is_default, f"{field}.carrier_mass", stated, remedy)
-    return dataclasses.replace(system, carrier_mass=mass), aircraft
+    if isinstance(system, Model) or system.aircraft is None:
+        return system.aircraft if isinstance(system, Model) else None
+    cables = {
+        key: per_cable(system, key) for key in ("cable_length", "cable_diameter", "cable_drag")
+    }
+    own = f"{field}.aircraft"
+    return make_aircraft(system.aircraft, gravity=system.gravity, field=own, **cables)
 
 
 def checked_inertia(name: str, value: list[list[float]]) -> NDArray:

@@ -7,6 +7,7 @@ it is traced once, with exact gradients.
 """
 
 import dataclasses
+import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,7 +15,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.autodiffutils import AutoDiffXd, ExtractGradient, ExtractValue, InitializeAutoDiff
 from pydrake.solvers import MathematicalProgram, SnoptSolver, SolverOptions
 
 from drake_nonstop.mechanics.aircraft import (
@@ -35,6 +35,7 @@ from drake_nonstop.mechanics.formation_orbit import (
 from drake_nonstop.mechanics.planned_orbit import OrbitMotion
 from drake_nonstop.model.system import diameter_of
 from drake_nonstop.optimization.limits import Limit
+from drake_nonstop.optimization.nonlinear_program import evaluated
 from drake_nonstop.systems.tracing import TracedFunction
 
 LEANING, CO_ROTATING = "leaning", "co_rotating"
@@ -101,16 +102,6 @@ class DesignLimits(NamedTuple):
     asked: tuple[tuple[Limit, float], ...] = ()  # rows of the table of limits, with their values
 
 
-class CableDesign(NamedTuple):
-    """How cables follow from a formation."""
-
-    safety: float = 0.0  # breaking load over the largest tension; 0: their diameter is given
-    density: float = 0.0  # kg/m³; 0: their mass does not count
-
-
-_GIVEN = CableDesign()
-
-
 @dataclass(frozen=True, kw_only=True)
 class FormationTask:
     """Task that a formation is designed for.
@@ -123,7 +114,8 @@ class FormationTask:
         limits: and margins.
         gust: m/s, along the flight, which may take so much of an airspeed before the aircraft's
             answer; lift and airspeed are then within their own limits.
-        cables: how they follow.
+        cable_safety: breaking load over the largest tension; 0: the diameter is the aircraft's.
+        cable_density: kg/m³; 0: the mass of cables does not count.
     """
 
     aircraft: Aircraft
@@ -132,7 +124,8 @@ class FormationTask:
     motions: tuple[LoadMotion, ...]
     limits: DesignLimits
     gust: float = 0.0
-    cables: CableDesign = _GIVEN
+    cable_safety: float = 0.0
+    cable_density: float = 0.0
 
     def with_motions(self, count: int) -> "FormationTask":
         """The same with the first motions only."""
@@ -156,25 +149,22 @@ class FormationTask:
         of the pattern in each direction, and the largest sideward force on the load.
         """
         diameter = self.aircraft.cable_diameter
-        if self.cables.safety > 0:
-            load, (fastest, steepest) = (
-                self.load,
-                (
-                    max(float(np.linalg.norm(motion[order])) for motion in self.motions)
-                    for order in range(2)
-                ),
+        if self.cable_safety > 0:
+            load = self.load
+            fastest, steepest = (
+                max(float(np.linalg.norm(motion[order])) for motion in self.motions)
+                for order in range(2)
             )
             moved = x.mass * steepest * x.speed * x.speed
             aside = moved + load.drag * (fastest * x.speed + x.wind)
             level = x.spread + x.radial + aside / (load.carriers * self.share(x))
             squares = level * level + x.tangential * x.tangential + (1 + x.vertical) ** 2
-            diameter = diameter_of(self.cables.safety * self.share(x) * np.sqrt(squares))
+            diameter = diameter_of(self.cable_safety * self.share(x) * np.sqrt(squares))
         return self.aircraft._replace(cable_length=x.cable_length, cable_diameter=diameter)
 
     def built(self, x: FormationVariables) -> "FormationTask":
         """The task of the cables that a formation has, whatever becomes of it."""
-        cables = self.cables._replace(safety=0.0)
-        return dataclasses.replace(self, aircraft=self.flown_by(x), cables=cables)
+        return dataclasses.replace(self, aircraft=self.flown_by(x), cable_safety=0.0)
 
     def needed_force(self, aircraft: Aircraft, motion: OrbitMotion) -> NDArray:
         """The `needed_force` (k, 3), N, of an aircraft `flown_by` the formation.
@@ -182,7 +172,7 @@ class FormationTask:
         It bears its cable's weight, and the inertia of one whose end at the load is at rest.
         """
         area = np.pi / 4 * aircraft.cable_diameter * aircraft.cable_diameter
-        mass = self.cables.density * area * aircraft.cable_length
+        mass = self.cable_density * area * aircraft.cable_length
         of_cable = mass * (motion.accelerations / 2 + aircraft.gravity * np.eye(3)[2])
         return needed_force(aircraft, motion.accelerations, motion.forces + of_cable)
 
@@ -220,18 +210,31 @@ _FINE = 24  # phases of a turn
 _LIKELY = 3.0  # of a reserve: a row farther from it hardly matters
 _ROUNDS = 4  # of adding rows that do
 _TOLERANCE = 2e-3  # of a reserve
-_CROSSING, _CROSSING_MARGIN = 0.85, 0.015  # see `_Formation.of_pair`
+_CROSSING, _CROSSING_MARGIN = 0.85, 0.015  # see `_pair_rows`
 _LEAST = 1e-18  # m², beside a squared distance that may vanish
 
 
-class _Formation:
-    """The rows of a task and a kind of formation, of numbers or symbols.
+class FormationProgram:
+    """The program of a task, a kind of formation and a κ.
 
-    Each is a margin over what is asked of it: 1 where it is kept, 0 at the limit.
+    The rows are the margins over what is asked of each: 1 where it is kept, 0 at the limit. They
+    are those of all carriers at phases of a turn, of the load's motions, and of all pairs of
+    carriers where the load rests in still air.
+
+    Args:
+        task: what is designed for.
+        kind: one of `KINDS`.
+        phase_turns: κ.
+        phases: of a turn.
+
+    Attributes:
+        row_names: (m,), of the quantities.
     """
 
-    def __init__(self, task: FormationTask, kind: str):
-        self.task, self.kind = task, kind
+    def __init__(
+        self, task: FormationTask, kind: str, phase_turns: int = 0, *, phases: int = _FINE
+    ):
+        self.task, self.kind, self.phase_turns = task, kind, phase_turns
         own, wanted = task.limits.own, task.limits.wanted
         margins = FlightMargins(*(abs(a - b) for a, b in zip(own, wanted, strict=True)))
         climb = math.sin(own.climb)
@@ -249,16 +252,31 @@ class _Formation:
             ("share", 1, 0.0, _LEAST_SHARE),
         ]
         asked = [limit.words for limit, _ in task.limits.asked for _ in range(limit.margin_count)]
-        self.names = [*(name for name, *_ in self._limits), *asked]
-        if task.gust > 0:
-            self.names += [LIFT_IN_GUSTS, AIRSPEED_IN_GUSTS]
+        in_gusts = [LIFT_IN_GUSTS, AIRSPEED_IN_GUSTS] if task.gust > 0 else []
+        names = [*(name for name, *_ in self._limits), *asked, *in_gusts]
+        self._of_carrier = self._traced(self._carrier_rows, [2, _MOTION_SIZE])
+        self._of_pair = self._traced(self._pair_rows, [4])
+        n = task.load.carriers
+        turn, places = (2 * np.pi * np.arange(k) / k for k in (_FINE, n))
+        pairs = task.angles(kind, phases).reshape(2, -1).T
+        self._samples = [
+            (angles, np.concatenate(motion)) for motion in task.motions for angles in pairs
+        ]
+        self._per_motion = len(pairs)
+        self._neighbours = [
+            (np.array([0.0, step, angle, angle + phase_turns * step]),)
+            for step in places[1 : n // 2 + 1]
+            for angle in (turn if kind == LEANING else turn[:1])
+        ]
+        apart = np.repeat(["apart", "apart_reach", "cables"], len(self._neighbours))
+        self.row_names: NDArray = np.concatenate([np.repeat(names, len(self._samples)), apart])
 
-    def traced(self, function: Callable, sizes: list[int]) -> TracedFunction:
+    def _traced(self, function: Callable, sizes: list[int]) -> TracedFunction:
         """One of the two functions below, with its Jacobian by the variables."""
         task, limits = self.task, self.task.limits
         asked = [(limit.field, value) for limit, value in limits.asked]
-        key = function.__name__, self.kind, task.aircraft, task.load, task.wind, task.gust
-        of_cables = task.cables, task.motions if task.cables.safety > 0 else ()
+        motions = task.motions if task.cable_safety > 0 else ()
+        of_task = task.aircraft, task.load, task.wind, task.gust, task.cable_safety
         # The search tries speeds of km/s, too: any finite number will do.
         return TracedFunction(
             function,
@@ -266,10 +284,13 @@ class _Formation:
             name=lambda: "design",
             largest=1e100,
             jacobian_of=0,
-            key=(*key, *of_cables, limits._replace(asked=()), asked),
+            key=(
+                *(function.__name__, self.kind, *of_task, task.cable_density, motions),
+                *(limits._replace(asked=()), asked),
+            ),
         )
 
-    def of_carrier(self, values: NDArray, angles: NDArray, motion: NDArray) -> NDArray:
+    def _carrier_rows(self, values: NDArray, angles: NDArray, motion: NDArray) -> NDArray:
         """The rows of one carrier, and its power, W, at [azimuth, phase] and a `LoadMotion`."""
         x = _variables(values)
         moved = LoadMotion(*(motion[i : i + 3] for i in range(0, _MOTION_SIZE, 3)))
@@ -309,7 +330,7 @@ class _Formation:
             rows += [1 + (share - 1) / ASKED_MARGIN for share in shares]
         return np.concatenate([*rows, drawn_power(aircraft, thrust, airspeed)])
 
-    def of_pair(self, values: NDArray, angles: NDArray) -> NDArray:
+    def _pair_rows(self, values: NDArray, angles: NDArray) -> NDArray:
         """The rows of two carriers, and their distance, m, above a load at rest in still air.
 
         `angles` (4,) are their azimuths and their phases. Of the slopes of two cables against the
@@ -319,10 +340,11 @@ class _Formation:
         """
         x = _variables(values)._replace(wind=np.zeros(1))
         task, limits = self.task, self.task.limits
-        cables = task.orbit(self.kind, x, angles, LoadMotion(*np.zeros((4, 3)))).cables
+        places = task.orbit(self.kind, x, angles, LoadMotion(*np.zeros((4, 3)))).positions
         ends = task.load.radius * np.stack([np.cos(angles[:2]), np.sin(angles[:2])], axis=1)
-        leans, level = cables[:, :2] / cables[:, 2:], ends + cables[:, :2]
-        gap = np.concatenate([level[0] - level[1], cables[0, 2:] - cables[1, 2:]])
+        level = places[:, :2]
+        leans = (level - ends) / places[:, 2:]
+        gap = np.concatenate([level[0] - level[1], places[0, 2:] - places[1, 2:]])
         distance = np.sqrt((gap * gap).sum(keepdims=True) + _LEAST)
         way, lean = ends[0] - ends[1], leans[0] - leans[1]
         way = way / np.sqrt((way * way).sum(keepdims=True))
@@ -336,53 +358,6 @@ class _Formation:
                 distance,
             ]
         )
-
-
-def _variables(values: NDArray) -> Any:
-    """The variables, each an array (1,)."""
-    return FormationVariables(*(values[i : i + 1] for i in range(_SIZE)))  # type: ignore[arg-type]
-
-
-class FormationProgram:
-    """The program of a task, a kind of formation and a κ.
-
-    The rows are the margins over what is asked of each: 1 where it is kept, 0 at the limit. They
-    are those of all carriers at phases of a turn, of the load's motions, and of all pairs of
-    carriers where the load rests in still air.
-
-    Args:
-        task: what is designed for.
-        kind: one of `KINDS`.
-        phase_turns: κ.
-        phases: of a turn.
-
-    Attributes:
-        row_names: (m,), of the quantities.
-    """
-
-    def __init__(
-        self, task: FormationTask, kind: str, phase_turns: int = 0, *, phases: int = _FINE
-    ):
-        self.task, self.kind, self.phase_turns = task, kind, phase_turns
-        formation, is_leaning = _Formation(task, kind), kind == LEANING
-        self._of_carrier = formation.traced(formation.of_carrier, [2, _MOTION_SIZE])
-        self._of_pair = formation.traced(formation.of_pair, [4])
-        n = task.load.carriers
-        between = 2 * np.pi * np.arange(_FINE) / _FINE
-        places = 2 * np.pi * np.arange(n) / n
-        pairs = task.angles(kind, phases).reshape(2, -1).T
-        self._samples = [
-            (angles, np.concatenate(motion)) for motion in task.motions for angles in pairs
-        ]
-        self._per_motion = len(pairs)
-        self._neighbours = [
-            (np.array([0.0, step, angle, angle + phase_turns * step]),)
-            for step in places[1 : n // 2 + 1]
-            for angle in (between if is_leaning else between[:1])
-        ]
-        names = np.repeat(formation.names, len(self._samples))
-        apart = np.repeat(["apart", "apart_reach", "cables"], len(self._neighbours))
-        self.row_names: NDArray = np.concatenate([names, apart])
 
     def rows(self, values: NDArray) -> tuple[NDArray, NDArray, float, NDArray]:
         """The rows (m,), their gradients (m, 10), one aircraft's mean power, W, and its (10,)."""
@@ -448,43 +423,38 @@ class FormationProgram:
         program.AddBoundingBoxConstraint(lower / scale, upper / scale, x)
         if np.any(cost):
             program.AddLinearCost(cost * scale, 0.0, x)
-        known: list[tuple[bytes, tuple]] = []
 
-        def at(y: NDArray) -> tuple:
-            key = y.tobytes()
-            if not known or known[0][0] != key:
-                known[:] = [(key, self.rows(y * scale))]
-            return known[0][1]
+        @functools.lru_cache(maxsize=1)  # for constraint and cost
+        def everything(numbers: bytes) -> tuple[NDArray, NDArray]:
+            """The rows above the reserve, then the weighted power, and their gradients."""
+            y = np.frombuffer(numbers)
+            rows, gradients, power, slope = self.rows(y * scale)
+            values = np.append(rows[counting] - y[-1], power_weight * power)
+            slopes = np.vstack([gradients[counting], power_weight * slope]) * scale
+            slopes[:-1, -1] -= 1
+            return values, slopes
 
-        # Drake calls these with floats or with AutoDiffXd, and wants the same back.
-        def margins(y: NDArray) -> NDArray:
-            is_float = y.dtype == float
-            number = y if is_float else ExtractValue(y)[:, 0]
-            rows, gradients, _, _ = at(number)
-            left = rows[counting] - number[-1]
-            if is_float:
-                return left
-            slopes = gradients[counting] * scale
-            slopes[:, -1] -= 1
-            return InitializeAutoDiff(left, slopes @ ExtractGradient(y))
-
-        def power(y: NDArray) -> AutoDiffXd | float:
-            is_float = y.dtype == float
-            _, _, value, slope = at(y if is_float else ExtractValue(y)[:, 0])
-            if is_float:
-                return power_weight * value
-            gradient = power_weight * slope * scale
-            return AutoDiffXd(power_weight * value, gradient @ ExtractGradient(y))
+        def part(y: NDArray, of: slice) -> Any:
+            return evaluated(lambda number: [e[of] for e in everything(number.tobytes())], y)
 
         zero = np.zeros(len(counting))
-        program.AddConstraint(margins, zero, zero + np.inf, vars=x)
+        program.AddConstraint(lambda y: part(y, slice(0, -1)), zero, zero + np.inf, vars=x)
         if power_weight:
-            program.AddCost(power, vars=x)
+            program.AddCost(lambda y: part(y, slice(-1, None))[0], vars=x)
         if self.kind == LEANING and self.task.load.carriers == 3:  # only circles have no wrench
             program.AddLinearEqualityConstraint(np.array([[1.0, -1.0]]), [0.0], x[1:3])
-        result = SnoptSolver().Solve(program, start / scale, _options())
+        options, snopt = SolverOptions(), SnoptSolver.id()
+        options.SetOption(snopt, "Major iterations limit", 100)
+        options.SetOption(snopt, "Major feasibility tolerance", 1e-5)
+        options.SetOption(snopt, "Major optimality tolerance", 1e-4)
+        result = SnoptSolver().Solve(program, start / scale, options)
         found: NDArray = result.get_x_val() * scale
         return np.clip(found, lower, upper) if np.all(np.isfinite(found)) else start
+
+
+def _variables(values: NDArray) -> Any:
+    """The variables, each an array (1,)."""
+    return FormationVariables(*(values[i : i + 1] for i in range(_SIZE)))  # type: ignore[arg-type]
 
 
 def _evaluated(function: TracedFunction, values: NDArray, samples: list) -> tuple[NDArray, NDArray]:
@@ -492,12 +462,3 @@ def _evaluated(function: TracedFunction, values: NDArray, samples: list) -> tupl
     found = [tuple(map(np.copy, function(values, *sample))) for sample in samples]
     outputs, gradients = map(np.array, zip(*found, strict=True))
     return outputs.T, gradients.swapaxes(0, 1)
-
-
-def _options() -> SolverOptions:
-    options = SolverOptions()
-    snopt = SnoptSolver.id()
-    options.SetOption(snopt, "Major iterations limit", 100)
-    options.SetOption(snopt, "Major feasibility tolerance", 1e-5)
-    options.SetOption(snopt, "Major optimality tolerance", 1e-4)
-    return options

@@ -42,7 +42,6 @@ class HorizonConfig:
     terminal_knots: int = 4  # of the last part, in which all phases of the orbit are constrained
     terminal_instants: int = 2  # of it, between two knots
     terminal_phases: int = whole(24, 8, 360)  # of the orbit
-    terminal_amplitudes: int = whole(33, 2, 1000)  # of the table
     amplitude_weight: float = positive(4.0)  # w_A
     smoothing: float = positive(  # τ, in intervals between knots
         0.4,
@@ -56,8 +55,6 @@ class HorizonConfig:
         DAQP, one_of(SOLVERS, f"give one of {', '.join(SOLVERS)}")
     )
     fixed_coefficients: int = 4  # the first of ξ and A: 4 for three continuous rates
-    overshoot: float = non_negative(0.35)  # of a carrier's velocity, of a jump of the plan's
-    settling_time: float = non_negative(0.1)  # s, of that overshoot
     orbit_tightening: float = non_negative(0.005)  # of the nominal orbits' speed, the least margin
 
 

@@ -4,96 +4,109 @@ With ξ = ξ₀ B(t) c and A = A₀ B(t) d, uniform splines of fourth degree, so
 
     min ∫ (ξ/ξ₀ − 1)² + w_A (A/A₀ − 1)² + τ⁴ (second rates)² + τ⁶ (third rates)² + ρ slack dt
 
-such that ‖v_i(t_k)‖² ≥ ((1 + m) ε)² (1 − slack) at the predicted phases θ(t_k), and, in the last
-part of the horizon, A ξ ≥ s(t, A) (1 − slack), above which no phase of the orbit is too slow. The
-rates are those of ξ/ξ₀ and A/A₀. Limits on speeds from above, on tensions and on the distances
-between carriers are constraints of the same kind, with slack of their own. Limits on the rates of
-ξ and A, and their bounds, hold for the coefficients, and so at all times.
+such that every margin, such as ‖v_i‖²/ε² − 1 with ε tightened, is at least −slack at each of the
+points: instants of the plan, at the predicted phases θ(t_k), and, in the last part of the horizon,
+all phases of the orbit of the ξ and A there, taken as constant. The rates are those of ξ/ξ₀ and
+A/A₀. The limits are the rows of the table of limits; their slacks are three per interval between
+knots: of the bound, of limits of aircraft, and of all others. Limits on the rates of ξ and A, and
+their bounds, hold for the coefficients, and so at all times.
 
-The speeds of aircraft are those through the air. The limits of their lift, bank, climb and thrust
-are constraints, with slack of their own, at some of the predicted phases and, in the last part, at
-all phases of the orbit of the ξ and A there, taken as constant: these limits are not monotone in ξ.
+The speeds of aircraft are those through the air. Where cables bow, the margins are those of the
+carriers at their upper ends, see `mechanics.bowed_orbit`.
 """
 
+import math
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.bowed_orbit import CableShape
-from drake_nonstop.mechanics.planned_orbit import (
-    FlightTerms,
-    OrbitTerms,
-    PlannedOrbit,
-    planned_gaps,
-    planned_speeds,
-    term_columns,
+from drake_nonstop.mechanics.rigid_load import STILL_AIR
+from drake_nonstop.mechanics.signals import (
+    LOAD_REFERENCE_SIZE,
+    PLANNED_SIZE,
+    WIND_SIZE,
+    constant_plan,
 )
 from drake_nonstop.model.system import Model
-from drake_nonstop.optimization.bowed_margins import BowedMargins
+from drake_nonstop.optimization.carrier_margins import CarrierMargins
+from drake_nonstop.optimization.constraints import Constraints
 from drake_nonstop.optimization.diagnostics import BOUND
-from drake_nonstop.optimization.elementwise import ElementwiseFunction
 from drake_nonstop.optimization.horizon_config import HorizonConfig, timed
-from drake_nonstop.optimization.horizon_motion import HorizonData, HorizonMotions
 from drake_nonstop.optimization.limits import Of
-from drake_nonstop.optimization.linearization import (
-    ConstraintBlock,
-    ConstraintLayout,
-    Linearization,
-    with_dips,
-)
+from drake_nonstop.optimization.model_parameters import ModelParameters, model_parameters_of
 from drake_nonstop.optimization.plan import DEGREE, Plan, spline_rows
-from drake_nonstop.optimization.problem_config import LimitsConfig
-from drake_nonstop.optimization.update_data import ModelParameters
+from drake_nonstop.optimization.problem_config import LimitsConfig, tightened_bound
 
 _OTHERS_SHARE = 0.3  # of the weight of the speed bound's slack: that of the other limits
+_AIRCRAFT, _MATERIAL = "aircraft.", "material."  # begin the names of numbers
+_LEAST = 1e-12  # m², beside a square that may vanish
+_STEP = 1e-4  # of θ in rad, and of the nominal ξ and A and their rates, for differences
+_RISE = 3  # knots, in which speeds reach a bound that has risen
+_MOST_NODES = 4  # of the cables of plans: chords are 0.1 % too long
+_BOWED_EVERY = 4  # of the instants, at which margins of bowed cables are found
+_OF_XI, _OF_AMPLITUDE = [0, 1, 3, 5], [2, 4, 6, 7]  # the entries of `planned`
+
+Reference = Callable[[float], NDArray]  # the load's reference (22,) at a time in s
 
 
-_RATES = [2, 4, 5]  # of a `PlannedOrbit`: zero on orbits of constant ξ and A
-_NOT_OF_ORBITS = [0, *_RATES]  # by which the needs on these have no derivatives
+class HorizonData(NamedTuple):
+    """Data that vary from plan to plan."""
+
+    start_time: float  # s
+    start_angle: float  # θ, rad
+    speed_bounds: NDArray  # (n,), m/s, of the carriers, tightened
+    references: NDArray  # (k, 22), at the instants
+    # (27, p), the reference and the wind at the points; 1 on whole orbits, else 0; and half the way
+    # to the next point, s, there rad
+    motion: NDArray
+    ease: NDArray  # (p,), that speeds may fall short of their margins by, where the bound has risen
 
 
-class MarginFunction(NamedTuple):
-    """Margins of the carriers, or of pairs of them, at some instants of a plan.
+@dataclass(frozen=True, eq=False)
+class Linearization:
+    """The margins about a plan, of r rows at p points, and their gradients."""
 
-    The function is one of an orbit (6), terms, constants, and the bound with its unit (2).
-    """
+    margins: NDArray  # (r, p)
+    gradients: NDArray  # (g, r, p), by the entries of `planned` at the point
+    rows: NDArray  # (g, p, N), from the coefficients to these entries
+    of_spline: NDArray  # (g,), the spline that each belongs to: 0 of ξ, 1 of A
 
-    function: ElementwiseFunction
-    instants: NDArray  # (r,), the numbers of those of the plan
-    along: int  # so many are of the plan, the others of whole orbits of its ξ and A there
-    angles: NDArray  # (r,), rad, the phases of the others
-    places: NDArray  # (margins, r, carriers), the numbers of the constraints
-    source: str  # of the terms, a field of `HorizonData`
-    rows: NDArray  # (r,), those of the source
-    columns: NDArray  # (terms, carriers), likewise
-    constants: NDArray  # (..., 1, carriers)
+    def changes(self, step: NDArray) -> NDArray:
+        """Changes of the margins (r, p) by a step (2, N) of the coefficients, to first order."""
+        moved = (self.rows @ step[self.of_spline][..., None])[..., 0]
+        return np.einsum("grp,gp->rp", self.gradients, moved)
 
-    def orbits(self, orbit: PlannedOrbit) -> NDArray:
-        """The orbit's entries (6, r, 1)."""
-        found = np.stack(orbit)[:, self.instants, None]
-        found[0, self.along :, 0] = self.angles[self.along :]
-        found[_RATES, self.along :] = 0
-        return found
-
-    def inputs(self, data: HorizonData, orbit: PlannedOrbit) -> tuple[NDArray, ...]:
-        """The inputs of the function, (..., r, carriers) or what broadcasts to it."""
-        terms = np.moveaxis(getattr(data, self.source)[self.rows][:, self.columns], 1, 0)
-        scale = np.array([data.speed_bound, data.speed_unit])[:, None, None]
-        return self.orbits(orbit), terms, self.constants, scale
+    def jacobian(self, chosen: tuple[NDArray, ...], fixed: int) -> NDArray:
+        """Rows of chosen margins, by all but the first coefficients of ξ, then of A."""
+        gradients, rows = self.gradients[:, chosen[0], chosen[1]], self.rows[:, chosen[1], fixed:]
+        parts = [
+            np.einsum("gc,gcn->cn", gradients[own], rows[own])
+            for own in (self.of_spline == 0, self.of_spline == 1)
+        ]
+        return np.hstack(parts)
 
 
-class HorizonProblem(HorizonMotions):
+class HorizonProblem:
     """The problem of all plans of one model and config.
 
     Args:
         model: what the controllers believe.
         limits: ε, `tightening`, the nominal ξ and A, and their bounds.
         config: the horizon.
-        name: tells what evaluates the terms, for the error of a value that is not finite.
         beliefs: numbers in place of those of model and limits.
-        shape: of cables that bow, see `BowedMargins`; None: they are straight.
+        shape: of cables that bow; None: they are straight.
+
+    Attributes:
+        count: N, of the coefficients of ξ, and of A.
+        instants: (k,), s from the start.
+        names: (r,), of the rows of margins, as `missed_limits` has them.
+        slacks: (r, p), the numbers of the slacks.
+        before: (p,), the numbers of the neighbouring points; p: there is none.
+        after: (p,), likewise.
     """
 
     def __init__(
@@ -101,28 +114,160 @@ class HorizonProblem(HorizonMotions):
         model: Model,
         limits: LimitsConfig,
         config: HorizonConfig,
-        name: Callable[[], str],
         *,
         beliefs: ModelParameters | None = None,
         shape: CableShape | None = None,
     ):
         config = timed(config, limits.frequency, model.control_period)
-        super().__init__(model, limits, config, name, beliefs=beliefs, shape=shape)
-        self._place_instants()
-        self.count = self.intervals + DEGREE  # of the coefficients of ξ, and of A
-        self._place_constraints()
+        shape = planned_shape(shape)
+        if shape is not None:
+            config = replace(config, instants=max(math.ceil(config.instants / _BOWED_EVERY), 4))
+        self.model, self.limits, self.config, self.shape = model, limits, config, shape
+        beliefs = beliefs or model_parameters_of(model, limits)
+        self.nominal, self._lower, self._upper = beliefs.nominal, beliefs.lower, beliefs.upper
+        self.constraints = Constraints(limits)
+        self.intervals = round(config.horizon / config.knot_spacing)
+        self.count = self.intervals + DEGREE
+        self._place_points()
+        xi, A = self.nominal
+        fast = 1 / config.knot_spacing
+        units = [1, xi, A, xi * fast, A * fast, xi * fast**2, A * fast**2, A * fast**3]
+        steps = _STEP * np.array(units)
+        self._margins = CarrierMargins(model, self.constraints, beliefs, steps, shape)
+        self.names = self._margins.names
+        self._place_slacks()
+        self.hessian = self._hessian()
+
+    # Points
+
+    def _place_points(self) -> None:
+        """Tells the instants, and the points: these, and all phases at some of them."""
+        config, count = self.config, self.intervals * self.config.instants
+        end = self.intervals * config.knot_spacing
+        # Where coefficients are fixed, so is the value at the start: no instant is there.
+        self._first_instant = 1 if config.fixed_coefficients else 0
+        self.instants = end / count * np.arange(self._first_instant, count + 1)
+        along, phases = len(self.instants), config.terminal_phases
+        each = min(config.terminal_instants, config.instants)
+        back = np.arange(each * config.terminal_knots)[::-1]
+        ends = along - 1 - back * config.instants // each
+        self._along = along
+        self._instant_of = np.concatenate([np.arange(along), np.repeat(ends, phases)])
+        self.points = len(self._instant_of)
+        self._phases = np.zeros(self.points)
+        self._phases[along:] = np.tile(2 * np.pi * np.arange(phases) / phases, len(ends))
+        self._kinds = np.zeros(
+            (2, self.points)
+        )  # whether of whole orbits, and half the way to the next
+        self._kinds[:, along:] = np.array([[1.0], [np.pi / phases]])
+        self._kinds[1, :along] = end / count / 2
+        if not self._first_instant:  # nothing before the start counts
+            self._kinds[1, 0] = 0
+        on_orbits = np.arange(along, self.points).reshape(-1, phases)
+        none = np.array([self.points])
+        self.before, self.after = (
+            np.concatenate([own, np.roll(on_orbits, shift, axis=1).ravel()])
+            for own, shift in (
+                (np.append(none, np.arange(along - 1)), 1),
+                (np.append(np.arange(1, along), none), -1),
+            )
+        )
         rows = spline_rows(self.instants, self.intervals, config.knot_spacing)
         xi, A = self.nominal
-        self.terminal_unit = float(xi * A)  # N/s, of the margins of A ξ
-        self.jacobians = PlannedOrbit(
-            angle=xi * rows.integral,
-            frequency=xi * rows.value,
-            frequency_rate=xi * rows.rate,
-            amplitude=A * rows.value,
-            amplitude_rate=A * rows.rate,
-            amplitude_second_rate=A * rows.second_rate,
-        )
-        self.hessian = self._hessian()
+        parts = [rows.integral, rows.value, rows.value, rows.rate, rows.rate]
+        parts += [rows.second_rate, rows.second_rate, rows.third_rate]
+        units = np.where(np.isin(np.arange(PLANNED_SIZE), _OF_XI), xi, A)
+        self._rows = units[:, None, None] * np.stack(parts)[:, self._instant_of]
+        self._rows[[0, 3, 4, 5, 6, 7], along:] = 0  # whole orbits are those of constant ξ and A
+        self._of_spline = np.isin(np.arange(PLANNED_SIZE), _OF_AMPLITUDE).astype(int)
+
+    def planned(self, data: HorizonData, coefficients: NDArray) -> NDArray:
+        """The values (8, p) of `planned` at the points."""
+        found = (self._rows @ coefficients[self._of_spline][..., None])[..., 0]
+        found[0] += np.where(np.arange(self.points) < self._along, data.start_angle, self._phases)
+        return found
+
+    # Margins
+
+    def _place_slacks(self) -> None:
+        """Tells the slacks of the margins, and their weights."""
+        slacks = self.intervals + 1
+        flying = np.isin(self.names, self.constraints.names(Of.FLIGHT))
+        kinds = np.where(self.names == BOUND, 0, np.where(flying, 2, 1))
+        kinds = np.unique(kinds, return_inverse=True)[1]
+        piece = np.floor(self.instants[self._instant_of] / self.config.knot_spacing - 1e-9).clip(0)
+        piece[self._along :] = self.intervals
+        self.slacks = slacks * kinds[:, None] + piece.astype(int)
+        weights = np.full(slacks, self.config.knot_spacing)
+        weights[-1] *= self.config.terminal_knots
+        shares = [1.0] + [_OTHERS_SHARE] * int(kinds.max())
+        self.slack_weights = self.config.slack_weight * np.outer(shares, weights).ravel()
+
+    def linearization(self, data: HorizonData, coefficients: NDArray) -> Linearization:
+        """The margins about coefficients (2, N)."""
+        planned = self.planned(data, coefficients)
+        points = np.concatenate([planned, data.motion])
+        margins, gradients = self._margins(points, data.speed_bounds)
+        margins[: self.model.n] += data.ease
+        by = self._margins.by
+        return Linearization(margins, gradients, self._rows[by], self._of_spline[by])
+
+    def orbit_margins(self, data: HorizonData, parameters: NDArray) -> NDArray:
+        """The worst margins (r, c) of constant [ξ, A] (2, c) over whole orbits.
+
+        Each is taken at every second phase and knot.
+        """
+        count = parameters.shape[1]
+        angles = self._phases[self._along :][: self.config.terminal_phases : 2]
+        knots = data.motion[:, : self._along][:, :: 2 * self.config.instants].copy()
+        knots[-2:] = np.array([[1], [2 * np.pi / self.config.terminal_phases]])
+        orbits = constant_plan(np.tile(angles, count), *np.repeat(parameters, len(angles), axis=1))
+        planned = np.repeat(orbits.T, knots.shape[1], axis=1)
+        points = np.concatenate([planned, np.tile(knots, len(orbits))])
+        margins, _ = self._margins(points, data.speed_bounds)
+        return margins.reshape(len(margins), count, -1).min(axis=-1)
+
+    def squared_speeds(self, planned: NDArray, reference: NDArray, wind: NDArray) -> NDArray:
+        """The carriers' squared speeds (n, p), m²/s², at values (8, p) of `planned`.
+
+        Above one reference (22,), and through the air of a wind (3,), m/s, in W.
+        """
+        motion = np.tile(np.concatenate([reference, wind, [0, 0]])[:, None], planned.shape[1])
+        points, n = np.concatenate([planned, motion]), self.model.n
+        return self._margins(points, np.zeros(n))[0][:n]
+
+    def slowest(self, data: HorizonData, margins: NDArray) -> float:
+        """The least speed along the plan, m/s, of its margins (r, p)."""
+        least = (margins[: self.model.n] - data.ease)[:, : self._along].min(axis=1)
+        bounds = data.speed_bounds
+        squares = least * np.where(bounds > 0, bounds, 1.0) ** 2 + bounds**2
+        return math.sqrt(max(float(squares.min()), 0.0))
+
+    def least_slacks(self, margins: NDArray) -> NDArray:
+        """The least slacks, as many as `slack_weights`, that margins (r, p) need."""
+        slacks = np.zeros(len(self.slack_weights))
+        violated = ~(margins >= 0)
+        with np.errstate(invalid="ignore"):  # where margins are no numbers, slacks are none
+            np.maximum.at(slacks, self.slacks[violated], -margins[violated])
+        return slacks
+
+    def missed(self, margins: NDArray, tolerance: float) -> set[str]:
+        """Names of the limits that margins (r, p) miss by more than a tolerance."""
+        return {*self.names[np.any(~(margins >= -tolerance), axis=1)].tolist()}
+
+    def dips(self, margins: NDArray, largest: float) -> NDArray:
+        """Which margins (r, p), of at most `largest`, are the least of their neighbours'."""
+        padded = np.hstack([margins, np.full((len(margins), 1), np.inf)])
+        is_dip = (margins <= padded[:, self.before]) & (margins < padded[:, self.after])
+        return is_dip & (margins <= largest)
+
+    def with_neighbours(self, chosen: NDArray, margins: NDArray, largest: float) -> NDArray:
+        """Which are chosen (r, p), or are next to those that are and at most `largest`."""
+        padded = np.hstack([chosen, np.zeros((len(chosen), 1), bool)])
+        near = padded[:, self.before] | padded[:, self.after]
+        return chosen | (near & (margins <= largest))
+
+    # Coefficients
 
     @property
     def largest_differences(self) -> NDArray:
@@ -139,233 +284,27 @@ class HorizonProblem(HorizonMotions):
 
         A spline stays within the range of its coefficients.
         """
-        low, high = self._bounds
-        return (low / self.nominal)[:, None], (high / self.nominal)[:, None]
-
-    @property
-    def is_compiled(self) -> bool:
-        """Whether C evaluates all functions."""
-        functions = [self.limits_of_carriers, *(part.function for part in self.functions)]
-        return all(function.memory.evaluate for function in functions)
+        return (self._lower / self.nominal)[:, None], (self._upper / self.nominal)[:, None]
 
     def nominal_coefficients(self) -> NDArray:
         """Coefficients (2, N) of the nominal ξ and A."""
         return np.ones((2, self.count))
 
-    def amplitude_margins(
-        self, data: HorizonData, every: int
-    ) -> Callable[[NDArray], NDArray] | None:
-        """Tells the worst margin (a,) of A (a,) in what does not depend on ξ, over whole orbits.
-
-        At every so many instants of the horizon; None where there is no such limit.
-        """
-        if not self.constraints.names(Of.TENSION, Of.SEPARATION):
-            return None
-        flat = data.flat_terms[::every]
-        return lambda A: self.terminal_set(flat, 0.0, A).amplitude_margins.min(axis=0)
-
     def plan(self, data: HorizonData, coefficients: NDArray) -> Plan:
         """The plan of coefficients (2, N)."""
-        return Plan(
-            data.start_time, data.start_angle, self.config.knot_spacing, self.nominal, coefficients
-        )
+        spacing = self.config.knot_spacing
+        return Plan(data.start_time, data.start_angle, spacing, self.nominal, coefficients)
 
     def cost(self, coefficients: NDArray) -> float:
         """The cost of coefficients (2, N), without slack."""
         away = (coefficients - 1).ravel()
         return float(away @ self.hessian @ away) / 2
 
-    def orbit(self, data: HorizonData, coefficients: NDArray) -> PlannedOrbit:
-        """Phase, ξ and A with their rates (k,) at the instants."""
-        angle, *others = (rows @ coefficients[i // 3] for i, rows in enumerate(self.jacobians))
-        return PlannedOrbit(data.start_angle + angle, *others)
-
-    def speeds(self, data: HorizonData, coefficients: NDArray) -> NDArray:
-        """The carriers' speeds (k, n), m/s, at the instants."""
-        return self.values_along(Of.SPEED, data.terms, self.orbit(data, coefficients))
-
-    def bowed(self, data: HorizonData, coefficients: NDArray) -> HorizonData:
-        """The data with what margins lose as cables bow along a plan of coefficients (2, N)."""
-        if self._bowed_margins is None:
-            return data
-        return data._replace(losses=self._bowed_margins.losses(data, coefficients))
-
-    def linearization(self, data: HorizonData, coefficients: NDArray) -> Linearization:
-        """The constraints about coefficients (2, N)."""
-        orbit, size = self.orbit(data, coefficients), len(self.layout.names)
-        margins, gradients, weights = np.zeros(size), np.zeros((6, size)), np.zeros((3, size))
-        for part in self.functions:
-            values, slopes = part.function(*part.inputs(data, orbit))
-            slopes[:, _NOT_OF_ORBITS, part.along :] = 0
-            margins[part.places], gradients[:, part.places] = values, slopes.swapaxes(0, 1)
-        self._set_terminal(data, orbit, margins, gradients)
-        if data.losses is not None:
-            margins -= data.losses.at(orbit, self.layout.instants)
-            gradients -= data.losses.slopes
-        speeds = margins[self._speed_places]
-        slowest = data.speed_of(speeds.min())
-        for place in self.neighbouring:
-            dipping, own_weights = with_dips(margins[place])
-            margins[place], weights[:, place] = dipping, own_weights
-        # What carriers have to keep beyond the bound steps with time: no minimum follows from it.
-        margins[self._speed_places] -= data.excess
-        return Linearization(margins, gradients, weights, self.jacobians, self.layout, slowest)
-
-    def judged(self, data: HorizonData, coefficients: NDArray) -> tuple[NDArray, float]:
-        """The margins (r,) of `linearization`, and the least speed at the instants, m/s."""
-        found = self.linearization(self.bowed(data, coefficients), coefficients)
-        return found.margins, found.slowest
-
-    def slacks(self, margins: NDArray) -> NDArray:
-        """The least slacks, as many as `slack_weights`, that margins (r,) need."""
-        slacks = np.zeros(len(self.slack_weights))
-        violated = np.flatnonzero(~(margins >= 0))
-        np.maximum.at(slacks, self.layout.slacks[violated], -margins[violated])
-        return slacks
-
-    def missed(self, margins: NDArray, tolerance: float) -> set[str]:
-        """Limits missed by more than a tolerance, of margins (r,), by names of `missed_limits`."""
-        return {*self.layout.names[~(margins >= -tolerance)].tolist()} - {""}
-
     def angle_rows(self) -> NDArray:
         """The matrix (intervals, N) of θ at the knots after the start, by the coefficients of ξ."""
         knots = self.config.knot_spacing * np.arange(1, self.intervals + 1)
         rows = spline_rows(knots, self.intervals, self.config.knot_spacing)
         return self.nominal[0] * rows.integral
-
-    def _place_constraints(self) -> None:
-        """Tells where margins belong: their instants, slacks and names.
-
-        The bound on the speeds has slack of its own, all limits of aircraft together, and all
-        others together: one per interval between knots and one of the last part, of each.
-        """
-        limits, n, slacks = self.constraints, self.model.n, self.intervals + 1
-        fast, tensions = limits.names(Of.SPEED), limits.names(Of.TENSION)
-        pairs = limits.names(Of.SEPARATION)
-        names = np.array([BOUND, *fast, *tensions] * n).reshape(n, -1).T.ravel()
-        names = np.append(names, np.repeat(pairs, self.pairs.shape[1]))
-        of_flight = np.repeat(limits.names(Of.FLIGHT), n)
-        has_others = len(names) > n
-        kinds, flight_kind = (names != BOUND) * 1, 1 + has_others
-        pieces = np.floor(self.instants / self.config.knot_spacing - 1e-9).clip(0).astype(int)
-        along = np.arange(len(self.instants))[:, None]
-        blocks = [ConstraintBlock(along, pieces[:, None] + slacks * kinds, names, 0)]
-        if self._limits_flight:
-            at, first = self.flight_at[:, None], slacks * flight_kind
-            blocks.append(ConstraintBlock(at, pieces[at] + first, of_flight, 0))
-        # Of the terminal set, what does not depend on ξ is one margin, of any limit of these.
-        apart = tensions + pairs
-        only = [(names[0] if len(names) == 1 else "") for names in ([BOUND], fast, apart)]
-        self.terminal_kinds = np.flatnonzero([True, bool(fast), bool(apart)])
-        last = self.intervals + slacks * (self.terminal_kinds > 0)
-        terminal_names = np.array(only)[self.terminal_kinds]
-        blocks.append(
-            ConstraintBlock(self.terminal_at, last[:, None], terminal_names[:, None], None)
-        )
-        if self._limits_flight:
-            phases = np.zeros((len(self.orbit_angles), 1), int)
-            at = self.flight_at[self.orbits_of, None, None]
-            slack = self.intervals + first + phases
-            blocks.append(ConstraintBlock(at, slack, of_flight, 1))
-        self.layout = ConstraintLayout.of_blocks(blocks)
-        weights = np.full(slacks, self.config.knot_spacing)
-        weights[-1] *= self.config.terminal_knots
-        shares = [1.0] + [_OTHERS_SHARE] * (has_others + self._limits_flight)
-        self.slack_weights = self.config.slack_weight * np.outer(shares, weights).ravel()
-        shapes = [np.broadcast_shapes(*(part.shape for part in block[:3])) for block in blocks]
-        numbers = np.split(np.arange(len(self.layout.names)), np.cumsum([*map(np.prod, shapes)]))
-        places = [own.reshape(shape) for own, shape in zip(numbers, shapes, strict=False)]
-        self.neighbouring = places[: 1 + self._limits_flight]
-        self._speed_places = places[0][:, :n]
-        self.terminal_places = places[1 + self._limits_flight]
-        self._make_functions(places)
-        self._bowed_margins = (
-            None
-            if self.shape is None
-            else BowedMargins(
-                self, self.shape, places[0], places[1::2] if self._limits_flight else []
-            )
-        )
-
-    def _make_functions(self, places: list[NDArray]) -> None:
-        """Makes the functions of margins, of constraints numbered as in each block."""
-        count, n = len(self.instants), self.model.n
-        every = np.arange(count)
-        pairs = places[0].shape[1] - (self.pairs.shape[1] if self._keeps_apart else 0)
-        of_carriers = places[0][:, :pairs].reshape(count, -1, n).swapaxes(0, 1)
-        of_terms = term_columns(n)
-        along: dict[str, Any] = {"instants": every, "along": count, "angles": np.zeros(count)}
-        numbers = np.repeat(self.numbers[:, None, None], n, axis=2)
-        axes = np.concatenate([np.hstack(self.axes).T[:, None], numbers])
-        size = len(axes)
-        self.functions = [
-            MarginFunction(
-                self._elementwise(self._carrier_margins, [6, 12, size, 2], (count, n)),
-                **along,
-                places=of_carriers,
-                source="flat_terms",
-                rows=every,
-                columns=of_terms,
-                constants=axes,
-            )
-        ]
-        if self._keeps_apart:
-            of_pairs = places[0][None, :, pairs:]
-            vectors = (*self.axes, self.model.attachments)
-            constants = [part[chosen].T for part in vectors for chosen in self.pairs]
-            constants.append(np.repeat(self.numbers[:, None], of_pairs.shape[2], axis=1))
-            self.functions.append(
-                MarginFunction(
-                    self._elementwise(
-                        self._gap_margins, [6, 6, size + 12, 2], (count, of_pairs.shape[2])
-                    ),
-                    **along,
-                    places=of_pairs,
-                    source="flat_terms",
-                    rows=every,
-                    columns=np.concatenate([of_terms[:3, chosen] for chosen in self.pairs]),
-                    constants=np.concatenate(constants)[:, None],
-                )
-            )
-        if self._limits_flight:
-            at, angles = self.flight_at, self.orbit_angles
-            orbits = np.repeat(self.orbits_of, len(angles))
-            of_both = [part.reshape(-1, part.shape[-1] // n, n) for part in (places[1], places[3])]
-            rows = np.concatenate([np.arange(len(at)), orbits])
-            self.functions.append(
-                MarginFunction(
-                    self._elementwise(
-                        self._flight_margins_of_one, [6, 24, size, 2], (len(rows), n)
-                    ),
-                    instants=at[rows],
-                    along=len(at),
-                    angles=np.append(np.zeros(len(at)), np.tile(angles, len(self.orbits_of))),
-                    places=np.concatenate(of_both).swapaxes(0, 1),
-                    source="flat_flight",
-                    rows=rows,
-                    columns=term_columns(n, 5, 3),
-                    constants=axes,
-                )
-            )
-
-    def _set_terminal(
-        self, data: HorizonData, orbit: PlannedOrbit, margins: NDArray, gradients: NDArray
-    ) -> None:
-        """Sets the margins of the terminal set among all, and their gradients.
-
-        A ξ/s − 1 by a fixed unit of s, the same from above, and what does not depend on ξ.
-        """
-        xi, A = orbit.frequency[self.terminal_at], orbit.amplitude[self.terminal_at]
-        (least, most, others), slopes = data.terminal.at(A)
-        unit = self.terminal_unit
-        by_xi, by_A = gradients[1], gradients[3]
-        zero, kinds, places = np.zeros(len(A)), self.terminal_kinds, self.terminal_places
-        with np.errstate(invalid="ignore"):
-            values = np.stack([(A * xi - least) / unit, (most - A * xi) / unit, others])
-            margins[places] = values[kinds]
-            by_xi[places] = np.stack([A / unit, -A / unit, zero])[kinds]
-            rates = (xi - slopes[0]) / unit, (slopes[1] - xi) / unit, slopes[2]
-            by_A[places] = np.stack(rates)[kinds]
 
     def _hessian(self) -> NDArray:
         """That (2N, 2N) of the cost by both splines' coefficients."""
@@ -388,48 +327,64 @@ class HorizonProblem(HorizonMotions):
         )
         return hessian
 
-    def _carrier_margins(
-        self, orbit: NDArray, terms: NDArray, constants: NDArray, scale: NDArray
-    ) -> list[NDArray]:
-        """The margins of one carrier's speed and tension at an instant.
+    # Data
 
-        `constants` are its axes and the `numbers`; `scale` are the bound on its speed and the unit
-        of that, m/s.
+    def data(
+        self,
+        start_time: float,
+        start_angle: float,
+        reference: Reference,
+        speed_bound: float,
+        last: HorizonData | None = None,
+        wind: NDArray = STILL_AIR,
+        share: float = 1.0,
+    ) -> HorizonData:
+        """The data of a plan from a time in s and phase in rad on, for ε in m/s.
+
+        Of a bound that has risen speeds have to reach a `share` at the start, and all of it three
+        knots later.
+
+        Where `last` is of the same reference, what it has of it is taken. The wind (3,) in m/s, in
+        W, is that of the whole horizon, or those (k, 3) at its instants; it counts for aircraft.
         """
-        cables, constraints, _ = self._of_numbers(constants[6:])
-        own, axes = OrbitTerms.view(terms[None]), (constants[None, :3], constants[None, 3:6])
-        squares, tension_squares = planned_speeds(
-            own, axes, PlannedOrbit(*orbit[:, None]), **cables
-        )
-        tensions = constraints.of_squares(Of.TENSION, tension_squares)
-        return [*constraints.of_speeds(squares, scale[:1], scale[1:]), *tensions]
+        bound = tightened_bound(self.limits, speed_bound)
+        # Where carriers pass low speeds they are off by a share of their orbits' speeds.
+        orbits = float(np.prod(self.nominal)) * self._margins.resting_speeds
+        of_orbits = speed_bound + self.config.orbit_tightening * orbits
+        bounds = np.maximum(bound, of_orbits) if speed_bound > 0 else np.zeros(self.model.n)
+        times, rows = self.times(start_time), np.zeros((0, LOAD_REFERENCE_SIZE))
+        if last is not None:
+            first = self.config.instants * round(
+                (start_time - last.start_time) / self.config.knot_spacing
+            )
+            if first >= 0 and np.array_equal(self.times(last.start_time)[first:][:1], times[:1]):
+                rows = last.references[first:]
+        if len(rows) < len(times):
+            rows = np.concatenate([rows, references_at(reference, times[len(rows) :])])
+        own = STILL_AIR if self.model.aircraft is None else wind
+        winds = np.broadcast_to(own, (len(rows), WIND_SIZE))
+        motion = np.hstack([rows, winds]).T[:, self._instant_of]
+        risen = self.instants[self._instant_of] / (_RISE * self.config.knot_spacing)
+        ease = 1 - np.minimum(share + (1 - share) * risen, 1.0) ** 2
+        motion = np.vstack([motion, self._kinds])
+        return HorizonData(start_time, start_angle, bounds, rows, motion, ease)
 
-    def _gap_margins(
-        self, orbit: NDArray, forces: NDArray, constants: NDArray, scale: NDArray
-    ) -> list[NDArray]:
-        """The margins of the distance of one pair of carriers at an instant."""
-        cables, constraints, _ = self._of_numbers(constants[18:])
-        forces, (p, q, attachments) = forces.reshape(2, 3), constants[:18].reshape(3, 2, 3)
-        squares = planned_gaps(
-            forces[None],
-            (p, q),
-            PlannedOrbit(*orbit[:, None]),
-            attachments=attachments,
-            pairs=np.array([[0], [1]]),
-            **cables,
-        )
-        return constraints.of_squares(Of.SEPARATION, squares)
+    def times(self, start_time: float) -> NDArray:
+        """The times of the instants, s, those of two plans that start at knots to the bit."""
+        spacing = self.config.knot_spacing / self.config.instants
+        knot = round(start_time / self.config.knot_spacing)
+        numbers = self._first_instant + np.arange(len(self.instants))
+        if abs(start_time - knot * self.config.knot_spacing) > 1e-9 * max(1.0, start_time):
+            return start_time + numbers * spacing
+        return (knot * self.config.instants + numbers) * spacing
 
-    def _flight_margins_of_one(
-        self, orbit: NDArray, terms: NDArray, constants: NDArray, scale: NDArray
-    ) -> list[NDArray]:
-        """`_flight_margins` of one aircraft at an instant."""
-        own, axes = FlightTerms.view(terms[None]), (constants[None, :3], constants[None, 3:6])
-        return self._flight_margins(own, axes, PlannedOrbit(*orbit[:, None]), constants[6:])
 
-    def _elementwise(
-        self, function: Callable, sizes: list[int], shape: tuple[int, int]
-    ) -> ElementwiseFunction:
-        """A function of one carrier or pair at an instant, for all of them."""
-        key = function.__name__, self.constraints.names(*Of)
-        return ElementwiseFunction(function, sizes, shape, key=key, compiles=True)
+def planned_shape(shape: CableShape | None) -> CableShape | None:
+    """Bowed cables as plans resolve them."""
+    return shape and shape._replace(nodes=min(shape.nodes, _MOST_NODES))
+
+
+def references_at(reference: Reference, times: NDArray) -> NDArray:
+    """The references (k, 22) at times (k,) in s."""
+    at = getattr(reference, "at", None)  # of a `ReferencePreview`
+    return np.array([reference(time) for time in times]) if at is None else at(times)

@@ -8,21 +8,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.mechanics.planned_orbit import OrbitTerms
 from drake_nonstop.mechanics.rigid_load import STILL_AIR
-from drake_nonstop.optimization.compiled_plan import CompiledPlan, compiled_solver
-from drake_nonstop.optimization.constraints import FEASIBILITY_TOLERANCE
-from drake_nonstop.optimization.horizon_motion import HorizonData, Reference
-from drake_nonstop.optimization.horizon_problem import HorizonProblem, Linearization
-from drake_nonstop.optimization.plan import DEGREE, Plan
-from drake_nonstop.optimization.search_problem import (
-    FEW,
-    SearchProblem,
-    best_on_grid,
-    nearest_feasible,
+from drake_nonstop.optimization.horizon_problem import (
+    HorizonData,
+    HorizonProblem,
+    Linearization,
+    Reference,
 )
-from drake_nonstop.optimization.step_program import DAQP, StepProgram
-from drake_nonstop.optimization.terminal_set import orbit_polynomials
+from drake_nonstop.optimization.plan import DEGREE, Plan
+from drake_nonstop.optimization.step_program import StepProgram
 from drake_nonstop.systems.tracing import NotFiniteError
 
 PLAN_TOLERANCE = 2e-4  # on the slack of a plan: 0.01 % of a speed
@@ -38,14 +32,8 @@ _LEAST_SCALE, _LARGEST_SCALE = 1e-3, 4.0  # of the trust region
 LEAST_START_SCALE = 0.1  # of the trust region with which a plan goes on from another
 _ROW_TOLERANCE = 1e-6  # on a margin of a step
 _ACTIVE_MARGIN = 0.01  # below which a constraint is likely to decide
-_SETTINGS = (  # in the order of solve_plan.c
-    *(_ANGLE_RADIUS, _COEFFICIENT_RADIUS, _LARGEST_MARGIN, _NEAR_MARGIN),
-    *(_LEAST_RATIO, _FAIR_RATIO, _GOOD_RATIO, _LEAST_SCALE, _LARGEST_SCALE),
-    *(_ROW_TOLERANCE, _ACTIVE_MARGIN, PLAN_TOLERANCE),
-)
-_SEARCH_PHASES = 16
-_MOST_BOWS = 4  # plans, each with cables that bow as along the one before it
-_SAME_BOW = 0.02  # of the nominal ξ and A, within which a plan's cables bow as another one's
+_TRIED = (12, 8)  # values of ξ and of A of a first guess
+_TRIED_SHARES = (0.5, 4.0), (0.5, 2.0)  # of the nominal ones
 _FIRST_ITERATIONS = 20  # of the first plan, which has no other to begin with
 
 
@@ -59,7 +47,7 @@ class PlanAnswer(NamedTuple):
     iterations: int  # quadratic programs
     scale: float  # of the trust region at the end
     converged: bool
-    margins: NDArray  # (r,), of its constraints
+    margins: NDArray  # (r, p), of its constraints
     slowest: float  # m/s, the least speed at the instants
 
     @property
@@ -81,45 +69,37 @@ class HorizonSolver:
     constraints a few decide: a step begins with those that are near, and is found anew with those
     that it violates. It is accepted where cost and exact penalty of the slack fall; where they
     fall less than predicted and slack is left, a second-order correction is tried (Nocedal and
-    Wright, Numerical Optimization, 2006, section 18.3). With DAQP all of it is one call of
-    solve_plan.c, where that can be compiled.
+    Wright, Numerical Optimization, 2006, section 18.3).
+
+    Args:
+        problem: what all plans share.
+        name: tells what solves it, for the error of a value that is not finite.
 
     Attributes:
-        problem: what all plans share.
         fixed: how many of the first coefficients are given.
-        free: (f,), the numbers of the others, among both splines' coefficients.
-        weights: (s,), of the slacks.
-        step_hessian: (f + s, f + s), of the cost of a step.
-        fixed_rows: (a + d, f + s), of the changes of θ at the knots, and of the differences of
-            neighbouring coefficients with a limit.
-        differences: (d, 2N), the latter by all coefficients.
-        largest_differences: (d,).
     """
 
-    def __init__(self, problem: HorizonProblem, *, compiles: bool = True):
+    def __init__(self, problem: HorizonProblem, name: Callable[[], str] = lambda: "a plan"):
         self.problem, self.fixed = problem, problem.config.fixed_coefficients
-        self.solver = problem.config.solver
+        self._name = name
+        self._solver = problem.config.solver
         count = problem.count
         free = np.arange(self.fixed, count)
-        self.free = np.concatenate([free, count + free])
-        self.weights = problem.slack_weights
-        size, slacks = len(self.free), len(self.weights)
-        self.step_hessian = np.zeros((size + slacks, size + slacks))
-        self.step_hessian[:size, :size] = problem.hessian[np.ix_(self.free, self.free)]
+        self._free = np.concatenate([free, count + free])  # among both splines' coefficients
+        self._weights = problem.slack_weights
+        size, slacks = len(self._free), len(self._weights)
+        self._hessian = np.zeros((size + slacks, size + slacks))
+        self._hessian[:size, :size] = problem.hessian[np.ix_(self._free, self._free)]
         rows = _difference_rows(count, self.fixed)
         largest = np.repeat(problem.largest_differences, len(rows) // 2)
         limited = np.isfinite(largest)
-        self.differences, self.largest_differences = rows[limited], largest[limited]
+        self._differences, self._largest_differences = rows[limited], largest[limited]
         angles = problem.angle_rows()[:, self.fixed :]
         of_angles = np.hstack([angles, np.zeros(angles.shape)])
-        of_step = np.vstack([of_angles, self.differences[:, self.free]])
-        self.fixed_rows = np.hstack([of_step, np.zeros((len(of_step), slacks))])
-        self._little_slack = PLAN_TOLERANCE * float(self.weights.min())
-        self._compiled: CompiledPlan | None = None
-        compiles = compiles and self.solver == DAQP and problem.is_compiled
-        if compiles and (solve_plan := compiled_solver()) is not None:
-            settings = [*_SETTINGS, self._little_slack, _MOST_ROUNDS]
-            self._compiled = CompiledPlan(solve_plan, self, settings)
+        # Of the changes of θ at the knots, and of the differences of neighbouring coefficients.
+        of_step = np.vstack([of_angles, self._differences[:, self._free]])
+        self._fixed_rows = np.hstack([of_step, np.zeros((len(of_step), slacks))])
+        self._little_slack = PLAN_TOLERANCE * float(self._weights.min())
 
     def solve(
         self,
@@ -142,46 +122,20 @@ class HorizonSolver:
             scale: of the trust region at the start.
             until_feasible: ends with the first plan that needs no slack.
 
-        Where cables bow the plan is made anew until it is nearly that along which they bow so.
+        Raises:
+            NotFiniteError: the merit of the start is not finite.
         """
-        answer, begun = None, start
-        for _ in range(_MOST_BOWS if self.problem.shape is not None else 1):
-            given = self.problem.bowed(data, begun)
-            answer = self._solved(given, begun, max_iterations, tolerance, scale, until_feasible)
-            moved = np.abs(answer.coefficients - begun).max()
-            if moved <= _SAME_BOW:
-                break
-            begun, scale = answer.coefficients, max(answer.scale, LEAST_START_SCALE)
-        assert answer is not None
-        return answer
-
-    def _solved(
-        self,
-        data: HorizonData,
-        start: NDArray,
-        max_iterations: int,
-        tolerance: float,
-        scale: float,
-        until_feasible: bool,
-    ) -> PlanAnswer:
-        """Answer of `solve` for cables that bow as the data tell."""
         problem = self.problem
         x = self._within_limits(start)
-        if self._compiled is not None:
-            made = self._compiled.solved(
-                data, x, max_iterations, tolerance, scale, until_feasible=until_feasible
-            )
-            return PlanAnswer(problem.plan(data, x), x, *made)
-        linearization = problem.linearization(data, x)
-        merit, slack = self._merit(x, linearization)
+        about = problem.linearization(data, x)
+        merit, slack = self._merit(x, about)
         if not math.isfinite(merit):
-            raise NotFiniteError(problem.name())
+            raise NotFiniteError(self._name())
         steps = _Steps(self)
-        converged = False
-        iterations = 0
+        converged, iterations = False, 0
         while iterations < max_iterations and scale >= _LEAST_SCALE:
             iterations += 1
-            found = steps.step(x, linearization, scale)
+            found = steps.step(x, about, scale)
             if found is None:
                 scale /= 4
                 continue
@@ -196,10 +150,10 @@ class HorizonSolver:
             there = problem.linearization(data, candidate)
             new_merit, new_slack = self._merit(candidate, there)
             is_poor = not merit - new_merit > _GOOD_RATIO * decrease
-            if is_poor and new_slack > PLAN_TOLERANCE and math.isfinite(new_merit):
+            if is_poor and new_slack > 0 and math.isfinite(new_merit):
                 # The step again, with the curvature of the constraints along it.
-                margins = there.margins - linearization.changes(candidate - x)
-                found = steps.step(x, replace(linearization, margins=margins), scale)
+                margins = there.margins - about.changes(candidate - x)
+                found = steps.step(x, replace(about, margins=margins), scale)
                 if found is not None:
                     again = problem.linearization(data, found[0])
                     again_merit, again_slack = self._merit(found[0], again)
@@ -208,7 +162,7 @@ class HorizonSolver:
                         new_merit, new_slack = again_merit, again_slack
             ratio = (merit - new_merit) / decrease if math.isfinite(new_merit) else -math.inf
             if ratio > _LEAST_RATIO:
-                x, merit, slack, linearization = candidate, new_merit, new_slack, there
+                x, merit, slack, about = candidate, new_merit, new_slack, there
             if ratio > _GOOD_RATIO:
                 scale = min(2 * scale, _LARGEST_SCALE)
             elif ratio < _FAIR_RATIO:
@@ -223,32 +177,47 @@ class HorizonSolver:
             iterations=iterations,
             scale=scale,
             converged=converged,
-            margins=linearization.margins,
-            slowest=linearization.slowest,
+            margins=about.margins,
+            slowest=problem.slowest(data, about.margins),
         )
 
     def first_guess(self, data: HorizonData, fixed: NDArray | None = None) -> NDArray:
-        """Coefficients (2, N) of the constant ξ and A that the global search finds.
+        """Coefficients (2, N) of constant ξ and A that keep the margins on whole orbits.
 
-        They keep all carriers above the bound at all instants and phases, or come near to it. The
-        first coefficients are `fixed` (2, fixed), or the nominal ones.
+        Of a grid of them those nearest to the nominal ones, or where none do, the ones that miss
+        least. The first coefficients are `fixed` (2, fixed), or the nominal ones.
         """
-        problem = self.problem
-        coefficients = problem.nominal_coefficients()
-        constant = _constant_parameters(problem, data) / problem.nominal
-        coefficients[:, self.fixed :] = constant[:, None]
+        coefficients = self.problem.nominal_coefficients()
+        coefficients[:, self.fixed :] = self._constant_shares(data)[:, None]
         if fixed is not None:
             coefficients[:, : self.fixed] = fixed
         return coefficients
 
+    def _constant_shares(self, data: HorizonData) -> NDArray:
+        """The shares (2,) of the nominal ξ and A of a first guess."""
+        problem = self.problem
+        low, high = problem.bounds
+        tried = [
+            np.append(np.geomspace(*np.clip(ends, low[k, 0], high[k, 0]), count), 1.0)  # type: ignore[call-overload]
+            for k, (ends, count) in enumerate(zip(_TRIED_SHARES, _TRIED, strict=True))
+        ]
+        shares = np.stack([part.ravel() for part in np.meshgrid(*tried)])
+        worst = problem.orbit_margins(data, shares * problem.nominal[:, None]).min(axis=0)
+        worst = np.nan_to_num(worst, nan=-np.inf)
+        if worst.max() < 0:
+            return shares[:, worst.argmax()]
+        away = (shares - 1) ** 2
+        cost = away[0] + problem.config.amplitude_weight * away[1]
+        return shares[:, np.where(worst >= 0, cost, np.inf).argmin()]
+
     def merit(self, answer: PlanAnswer) -> float:
         """Score to compare plans of the same data by: the cost and the penalty of the slack."""
         slack = 0.0 if answer.is_feasible else answer.slack
-        return answer.cost + float(self.weights.sum()) * slack
+        return answer.cost + float(self._weights.sum()) * slack
 
-    def _merit(self, x: NDArray, linearization: Linearization) -> tuple[float, float]:
-        slacks = self.problem.slacks(linearization.margins)
-        return self.problem.cost(x) + float(self.weights @ slacks), float(slacks.max())
+    def _merit(self, x: NDArray, about: Linearization) -> tuple[float, float]:
+        slacks = self.problem.least_slacks(about.margins)
+        return self.problem.cost(x) + float(self._weights @ slacks), float(slacks.max())
 
     def _within_limits(self, start: NDArray) -> NDArray:
         """The coefficients with the free ones within their bounds and those of their rates."""
@@ -268,63 +237,63 @@ class _Steps:
 
     def __init__(self, solver: HorizonSolver):
         self._owner, self._problem = solver, solver.problem
-        self._active = np.zeros(0, int)  # constraints that have decided a step
+        self._active = np.zeros(solver.problem.slacks.shape, bool)  # that have decided a step
 
-    def step(
-        self, x: NDArray, linearization: Linearization, scale: float
-    ) -> tuple[NDArray, float] | None:
+    def step(self, x: NDArray, about: Linearization, scale: float) -> tuple[NDArray, float] | None:
         """The next coefficients and the merit that is predicted; None where no step is found."""
         problem, owner = self._problem, self._owner
-        free = owner.free
+        free = owner._free
         low, high = problem.bounds
         flat, part = x.ravel(), x[:, owner.fixed :]
         radius = scale * _COEFFICIENT_RADIUS
-        slacks = len(owner.weights)
+        slacks = len(owner._weights)
         angle = np.full(problem.intervals, scale * _ANGLE_RADIUS)
-        differences, most = owner.differences @ flat, owner.largest_differences
+        differences, most = owner._differences @ flat, owner._largest_differences
         program = StepProgram(
-            hessian=owner.step_hessian,
-            gradient=np.concatenate([(problem.hessian @ (flat - 1))[free], owner.weights]),
+            hessian=owner._hessian,
+            gradient=np.concatenate([(problem.hessian @ (flat - 1))[free], owner._weights]),
             # No change at all is always allowed.
             lower=np.append(np.clip(low - part, -radius, 0.0), np.zeros(slacks)),
             upper=np.append(np.clip(high - part, 0.0, radius), np.full(slacks, np.inf)),
-            rows=owner.fixed_rows,
+            rows=owner._fixed_rows,
             least=np.concatenate([-angle, np.minimum(-most - differences, 0)]),
             most=np.concatenate([angle, np.maximum(most - differences, 0)]),
         )
-        dips = linearization.dips(linearization.margins, _LARGEST_MARGIN)
-        near = linearization.with_neighbours(dips, linearization.margins, _NEAR_MARGIN)
-        chosen = np.union1d(self._active, near)
+        margins = about.margins
+        near = problem.with_neighbours(
+            problem.dips(margins, _LARGEST_MARGIN), margins, _NEAR_MARGIN
+        )
+        chosen = self._active | near
         for _ in range(_MOST_ROUNDS):
-            values = self._with_rows(program, linearization, chosen).solved(owner.solver)
+            values = self._with_rows(program, about, chosen).solved(owner._solver)
             if values is None:
                 return None
             flat_step = np.zeros(x.size)
             flat_step[free], slack = values[: len(free)], values[len(free) :]
             step = flat_step.reshape(x.shape)
-            margins = linearization.margins + linearization.changes(step)
-            excess = margins + slack[linearization.layout.slacks]
-            self._active = chosen[excess[chosen] < _ACTIVE_MARGIN]
-            violated = linearization.dips(excess, -_ROW_TOLERANCE)
-            new = np.setdiff1d(violated, chosen)
-            if len(new) == 0:
+            margins = about.margins + about.changes(step)
+            excess = margins + slack[problem.slacks]
+            self._active = chosen & (excess < _ACTIVE_MARGIN)
+            new = problem.dips(excess, -_ROW_TOLERANCE) & ~chosen
+            if not new.any():
                 break
-            chosen = np.union1d(chosen, linearization.with_neighbours(new, excess, _ACTIVE_MARGIN))
-        candidate, penalty = x + step, float(owner.weights @ problem.slacks(margins))
+            chosen = chosen | problem.with_neighbours(new, excess, _ACTIVE_MARGIN)
+        candidate, penalty = x + step, float(owner._weights @ problem.least_slacks(margins))
         return candidate, problem.cost(candidate) + penalty
 
     def _with_rows(
-        self, program: StepProgram, linearization: Linearization, chosen: NDArray
+        self, program: StepProgram, about: Linearization, chosen: NDArray
     ) -> StepProgram:
         """The program with chosen constraints."""
-        rows = len(chosen)
-        slacks = np.zeros((rows, len(self._owner.weights)))
-        slacks[np.arange(rows), linearization.layout.slacks[chosen]] = 1
-        own = np.hstack([linearization.jacobian(chosen, self._owner.fixed), slacks])
+        at = np.nonzero(chosen)
+        count = len(at[0])
+        slacks = np.zeros((count, len(self._owner._weights)))
+        slacks[np.arange(count), self._problem.slacks[at]] = 1
+        own = np.hstack([about.jacobian(at, self._owner.fixed), slacks])
         return program._replace(
             rows=np.vstack([program.rows, own]),
-            least=np.concatenate([program.least, -linearization.margins[chosen]]),
-            most=np.concatenate([program.most, np.full(rows, np.inf)]),
+            least=np.concatenate([program.least, -about.margins[at]]),
+            most=np.concatenate([program.most, np.full(count, np.inf)]),
         )
 
 
@@ -334,36 +303,6 @@ def _difference_rows(count: int, fixed: int) -> NDArray:
     Of each difference one coefficient at least is free.
     """
     return np.kron(np.eye(2), (np.eye(count) - np.eye(count, k=-1))[max(fixed, 1) :])
-
-
-def _constant_parameters(problem: HorizonProblem, data: HorizonData) -> NDArray:
-    """The [ξ, A] (2,) nearest to the nominal ones that suit all instants and phases."""
-    every = problem.config.instants
-    terms = OrbitTerms.view(data.flat_terms[::every])
-    polynomials = orbit_polynomials(terms, problem.axes, _SEARCH_PHASES)
-    low, high = (bound[:, 0] * problem.nominal for bound in problem.bounds)
-    search = SearchProblem(
-        polynomials=polynomials.reshape(*polynomials.shape[:2], -1),
-        rest_length=problem.rest_length,
-        compliance=problem.compliance,
-        amplitude_margins=problem.amplitude_margins(data, every),
-        angles=np.zeros(0),
-        previous=problem.nominal,
-        nominal=problem.nominal,
-        lower=low,
-        upper=high,
-        speed_bound=float(data.target_speeds.max()),
-        speed_unit=data.speed_bound or 1.0,
-        max_speed=problem.max_speed,
-        internal_force_weight=0.0,
-        internal_force_rate_weight=0.0,
-        anchor_weight=0.0,
-    )
-    speeds, others = search.margins(problem.nominal[1:], problem.nominal[:1])
-    if min(speeds.min(), others.min()) >= -FEASIBILITY_TOLERANCE:
-        return problem.nominal
-    found, cost = nearest_feasible(search)
-    return found if np.isfinite(cost) else best_on_grid(search.margins, low, high, FEW)[0]
 
 
 def receding_coefficients(
@@ -401,5 +340,5 @@ def receding_coefficients(
         answers.append(answer)
         flown[:, k : k + DEGREE + 1] = answer.coefficients[:, : DEGREE + 1]
         start, scale = answer.next_start, max(answer.scale, LEAST_START_SCALE)
-        angle = answer.plan.values((k + 1) * spacing).angle
+        angle = answer.plan.planned((k + 1) * spacing)[0]
     return flown, answers

@@ -1,8 +1,8 @@
 """The table of limits on what carriers, cables and aircraft do: a row for each field of a layer.
 
-All that keeps, predicts or judges a limit reads `LIMITS`: the horizon, the one-sample layer, the
-turn rate, the check of a task, the design of formations, the outcome of a run and the figures. A
-new limit of aircraft is a row here and a field of `LimitsConfig`.
+All that keeps, predicts or judges a limit reads `LIMITS`: the layers, the check of a task, the
+design of formations, the outcome of a run and the figures. A new limit of aircraft is a row here
+and a field of `LimitsConfig`.
 """
 
 import math
@@ -30,7 +30,7 @@ Values = Callable[[Aircraft, FlightNeeds], NDArray]
 Margins = Callable[[Aircraft, FlightNeeds, float], list[NDArray]]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Limit:
     """A limit, which a layer is asked for by a field of its config.
 
@@ -39,13 +39,13 @@ class Limit:
         field: of the configs; a least value of 0, or a largest of .inf, is no limit.
         unit: of the field; "": a share.
         words: for what is limited, in tables and figures.
-        of: what it is a limit of.
-        is_least: whether it is the least value; if not, it is the largest.
+        of: the bodies that it holds for.
         sentence: about what missed it, with {} for the value.
         largest: of the field, of a limit of aircraft.
         quantity: what the limit holds for, of needs of aircraft: its size counts.
         own_margins: where the margin is not that of the quantity's square.
         margin_count: how many margins it has.
+        is_least: whether it is the least value; if not, it is the largest.
     """
 
     name: str
@@ -54,11 +54,11 @@ class Limit:
     words: str
     of: Of
     sentence: str
-    is_least: bool = False
     largest: float = math.inf
     quantity: Values | None = None
     own_margins: Margins | None = None
     margin_count: int = 1
+    is_least: bool = False
 
     @property
     def is_of_aircraft(self) -> bool:
@@ -105,10 +105,6 @@ class Limit:
         value = self.quantity(aircraft, needs)
         return [self.margin_of_squares(value * value, limit)]
 
-    def is_kept(self, value: float, limit: float, tolerance: float = 0.0) -> bool:
-        """Whether a value is within the limit, or beyond it by at most a share."""
-        return self.side * (value - limit) >= -tolerance * abs(limit)
-
     def worst(self, values: NDArray) -> tuple[int, ...]:
         """The place of the value that is the farthest on the limit's side; of equal ones first."""
         place = np.argmin(self.side * values.round(9))
@@ -147,81 +143,46 @@ def _thrust_margins(aircraft: Aircraft, needs: FlightNeeds, limit: float) -> lis
 
 
 LIMITS = (
+    Limit("speed", "max_speed", "m/s", "carrier speed", Of.SPEED, "a carrier flew at {}"),
     Limit(
-        name="speed",
-        field="max_speed",
-        unit="m/s",
-        words="carrier speed",
-        of=Of.SPEED,
-        sentence="a carrier flew at {}",
-    ),
-    Limit(
-        name="least_tension",
-        field="min_tension",
-        unit="N",
-        words="tension",
-        of=Of.TENSION,
+        *("least_tension", "min_tension", "N", "tension", Of.TENSION),
+        "a cable's tension fell to {}",
         is_least=True,
-        sentence="a cable's tension fell to {}",
     ),
     Limit(
-        name="largest_tension",
-        field="max_tension",
-        unit="N",
-        words="tension",
-        of=Of.TENSION,
-        sentence="a cable's tension rose to {}",
+        *("largest_tension", "max_tension", "N", "tension", Of.TENSION),
+        "a cable's tension rose to {}",
     ),
     Limit(
-        name="separation",
-        field="min_separation",
-        unit="m",
-        words="carriers apart",
-        of=Of.SEPARATION,
+        *("separation", "min_separation", "m", "carriers apart", Of.SEPARATION),
+        "two carriers came within {} of each other",
         is_least=True,
-        sentence="two carriers came within {} of each other",
     ),
     Limit(
-        name="lift",
-        field="max_lift_share",
-        unit="",
-        words="C_L / C_Lmax",
-        of=Of.FLIGHT,
-        sentence="an aircraft flew with {} of C_Lmax",
-        largest=1.0,
-        quantity=lambda aircraft, needs: needs.lift / aircraft.max_lift,
-        own_margins=_lift_margins,
+        *("lift", "max_lift_share", "", "C_L / C_Lmax", Of.FLIGHT),
+        "an aircraft flew with {} of C_Lmax",
+        1.0,
+        lambda aircraft, needs: needs.lift / aircraft.max_lift,
+        _lift_margins,
     ),
     Limit(
-        name="bank",
-        field="max_bank",
-        unit="rad",
-        words="bank",
-        of=Of.FLIGHT,
-        sentence="an aircraft banked by {}",
-        largest=math.pi / 2,
-        quantity=lambda aircraft, needs: needs.bank,
+        *("bank", "max_bank", "rad", "bank", Of.FLIGHT),
+        "an aircraft banked by {}",
+        math.pi / 2,
+        lambda aircraft, needs: needs.bank,
     ),
     Limit(
-        name="climb",
-        field="max_climb",
-        unit="rad",
-        words="climb or descent",
-        of=Of.FLIGHT,
-        sentence="an aircraft climbed or descended at {}",
-        largest=math.pi / 2,
-        quantity=lambda aircraft, needs: needs.climb,
+        *("climb", "max_climb", "rad", "climb or descent", Of.FLIGHT),
+        "an aircraft climbed or descended at {}",
+        math.pi / 2,
+        lambda aircraft, needs: needs.climb,
     ),
     Limit(
-        name="thrust",
-        field="max_thrust_share",
-        unit="",
-        words="thrust, of its range",
-        of=Of.FLIGHT,
-        sentence="an aircraft's thrust was {} of its range from the middle to an end",
-        largest=1.0,
-        quantity=_thrust_share,
-        own_margins=_thrust_margins,
+        *("thrust", "max_thrust_share", "", "thrust, of its range", Of.FLIGHT),
+        "an aircraft's thrust was {} of its range from the middle to an end",
+        1.0,
+        _thrust_share,
+        _thrust_margins,
         margin_count=2,
     ),
 )

@@ -10,23 +10,9 @@ from numpy.typing import NDArray
 from pydrake.math import BsplineBasis
 from pydrake.trajectories import BsplineTrajectory
 
-from drake_nonstop.systems.block import number
 from drake_nonstop.systems.tracing import where
 
 DEGREE = 4  # of ξ and A, whose third rates are continuous
-
-
-class PlanValues(NamedTuple):
-    """A plan at a time; `np.array` of it is the vector (8,) of the signal `planned`."""
-
-    angle: float  # θ, rad
-    frequency: float  # ξ, rad/s
-    amplitude: float  # A, N
-    frequency_rate: float  # rad/s²
-    amplitude_rate: float  # N/s
-    frequency_second_rate: float  # rad/s³
-    amplitude_second_rate: float  # N/s²
-    amplitude_third_rate: float  # N/s³
 
 
 class SplineRows(NamedTuple):
@@ -58,16 +44,13 @@ def spline_rows(times: NDArray, intervals: int, spacing: float) -> SplineRows:
     return SplineRows(rows[0] - start, *rows[1:])
 
 
-def _powers(x: float) -> NDArray:
+def _powers(x: Any) -> NDArray:
     """The powers (4, 5) of x from 0 on, and three derivatives."""
-    return np.array(
-        [
-            [1.0, x, x**2, x**3, x**4],
-            [0.0, 1.0, 2 * x, 3 * x**2, 4 * x**3],
-            [0.0, 0.0, 2.0, 6 * x, 12 * x**2],
-            [0.0, 0.0, 0.0, 6.0, 24 * x],
-        ]
-    )
+    zero = 0 * x
+    rows = [[zero + 1, x, x**2, x**3, x**4]]
+    for _ in range(3):
+        rows.append([zero, *(k * rows[-1][k - 1] for k in range(1, DEGREE + 1))])
+    return np.array(rows)
 
 
 def _piece() -> NDArray:
@@ -80,62 +63,16 @@ _PIECE = _piece()
 _TURN = _PIECE.T @ (1 / np.arange(1, DEGREE + 2))  # of a piece, by its coefficients
 
 
-def _values_in_piece(
-    plan: "Plan", turned: Any, polynomials: NDArray, place: tuple[Any, Any], is_moving: Any
-) -> list[Any]:
-    """The entries of `PlanValues`, of numbers or symbols.
-
-    Args:
-        plan: whose spacing, nominal ξ and A, and phase at the start count.
-        turned: by how much θ has turned at the beginning of the piece, over ξ₀ times the spacing.
-        polynomials: (2, 5), of ξ/ξ₀ and A/A₀ over the piece.
-        place: in the piece, 0 to 1, and how far behind the plan's end; in intervals.
-        is_moving: 0 after the end of the plan, else 1.
-    """
-    x, late = place
-    frequency, amplitude = polynomials
-    rows = _powers(x) / plan.spacing ** np.arange(4)[:, None]
-    integrals = np.array([x * power for power in rows[0]]) / np.arange(1, DEGREE + 2)
-    turns = frequency @ integrals + late * (frequency @ rows[0])
-    xi, *xi_rates = [plan.nominal[0] * value for value in rows @ frequency]
-    A, *A_rates = [plan.nominal[1] * value for value in rows @ amplitude]
-    first, second, _ = [rate * is_moving for rate in xi_rates]
-    A_first, A_second, A_third = [rate * is_moving for rate in A_rates]
-    theta = plan.start_angle + plan.nominal[0] * plan.spacing * (turned + turns)
-    return [theta, xi, A, first, A_first, second, A_second, A_third]
-
-
-def traced_plan_values(plan: "Plan", time: Any) -> NDArray:
-    """`Plan.values` as the vector (8,), at a time in s, by one formula for all pieces.
-
-    Plan and time are numbers of any scalar type, or symbols.
-    """
-    intervals, coefficients = plan.intervals, plan.coefficients
-    place = (time - plan.start_time) / plan.spacing
-    turns = [coefficients[0, k : k + DEGREE + 1] @ _TURN for k in range(intervals)]
-    before = list(itertools.accumulate(turns, initial=0.0))
-    # Of the piece: its number, by how much θ has turned before it, and its coefficients.
-    chosen = np.zeros(0)
-    for k in range(intervals):
-        piece = np.array([float(k), before[k], *coefficients[:, k : k + DEGREE + 1].ravel()])
-        chosen = where(place >= k, piece, chosen) if k else piece
-    polynomials = chosen[2:].reshape(2, -1) @ _PIECE.T
-    late = place - intervals
-    behind = np.array([1.0, late, 0.0])
-    x, late, is_moving = where(late > 0, behind, np.array([place - chosen[0], 0.0, 1.0]))
-    return np.array(_values_in_piece(plan, chosen[1], polynomials, (x, late), is_moving))
-
-
 @dataclass(frozen=True, eq=False)
 class Plan:
     """ξ and A from `start_time` on: N = intervals + 4 coefficients each, relative to the nominal.
 
     After its end a plan goes on with the last ξ and A that it has, for the convenience of callers
-    that are late; the rates are zero there.
+    that are late; the rates are zero there. All are numbers of any scalar type, or symbols.
     """
 
-    start_time: float  # s
-    start_angle: float  # θ, rad
+    start_time: Any  # s
+    start_angle: Any  # θ, rad
     spacing: float  # s, of the knots
     nominal: NDArray  # (2,), [ξ₀, A₀], rad/s and N
     coefficients: NDArray  # (2, N), of ξ/ξ₀ and A/A₀
@@ -146,28 +83,42 @@ class Plan:
         return self.coefficients.shape[1] - DEGREE
 
     @property
-    def end_time(self) -> float:
+    def end_time(self) -> Any:
         """The end in s."""
         return self.start_time + self.intervals * self.spacing
 
-    def values(self, time: float) -> PlanValues:
-        """The plan at a time in s, not before its start, in any scalar type."""
-        x = (time - self.start_time) / self.spacing
-        place = number(x)
-        piece = min(max(int(place), 0), self.intervals - 1)
-        late = x - self.intervals if place > self.intervals else 0.0
-        x = x - piece if place - piece < 1 else 1.0
-        is_moving = float(place <= self.intervals)
-        polynomials = self.coefficients[:, piece : piece + DEGREE + 1] @ _PIECE.T
-        return PlanValues(
-            *_values_in_piece(self, self._turned[piece], polynomials, (x, late), is_moving)
-        )
+    def planned(self, time: Any) -> NDArray:
+        """θ, ξ, A and their rates (8,), as of the signal `planned`, at a time in s.
+
+        It is not before the start; one formula holds for all pieces.
+        """
+        place = (time - self.start_time) / self.spacing
+        turned = self._turned
+        # Of the piece: its number, by how much θ has turned before it, and its coefficients.
+        chosen = np.zeros(0)
+        for k in range(self.intervals):
+            own = self.coefficients[:, k : k + DEGREE + 1].ravel()
+            piece = np.array([float(k), turned[k], *own])
+            chosen = where(place >= k, piece, chosen) if k else piece
+        late = place - self.intervals
+        behind = np.array([1.0, late, 0.0])
+        x, late, is_moving = where(late > 0, behind, np.array([place - chosen[0], 0.0, 1.0]))
+        frequency, amplitude = chosen[2:].reshape(2, -1) @ _PIECE.T
+        rows = _powers(x) / self.spacing ** np.arange(4)[:, None]
+        integrals = np.array([x * power for power in rows[0]]) / np.arange(1, DEGREE + 2)
+        turns = chosen[1] + frequency @ integrals + late * (frequency @ rows[0])
+        xi, *xi_rates = [self.nominal[0] * value for value in rows @ frequency]
+        A, *A_rates = [self.nominal[1] * value for value in rows @ amplitude]
+        first, second, _ = [rate * is_moving for rate in xi_rates]
+        A_first, A_second, A_third = [rate * is_moving for rate in A_rates]
+        theta = self.start_angle + self.nominal[0] * self.spacing * turns
+        return np.array([theta, xi, A, first, A_first, second, A_second, A_third])
 
     @cached_property
-    def _turned(self) -> NDArray:
+    def _turned(self) -> list[Any]:
         """By how much θ has turned at the knots, over ξ₀ times the spacing."""
-        turns = np.convolve(self.coefficients[0], _TURN[::-1], "valid")
-        return np.concatenate([[0.0], np.cumsum(turns)])
+        turns = [self.coefficients[0, k : k + DEGREE + 1] @ _TURN for k in range(self.intervals)]
+        return [*itertools.accumulate(turns, initial=0.0)]
 
     def shifted(self, count: int = 1) -> "Plan":
         """The plan from a later knot on, as long, which goes on with its last coefficients."""

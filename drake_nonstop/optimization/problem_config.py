@@ -6,10 +6,9 @@ from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
 from drake_nonstop.mechanics.aircraft import Aircraft, stall_speed
-from drake_nonstop.model.block import AUTO
 from drake_nonstop.model.system import Model
 from drake_nonstop.optimization.limits import LIMITS, Limit, Of, limits_of
-from drake_nonstop.optimization.local_solver import LocalSolver
+from drake_nonstop.optimization.measured_margin import FIRST_SHARE, MEASURED
 from drake_nonstop.systems.tracing import LARGEST
 from drake_nonstop.validation import (
     StrictFields,
@@ -17,21 +16,16 @@ from drake_nonstop.validation import (
     fields_of,
     fulfilling,
     is_number,
-    non_negative,
     number_with,
-    one_of,
     positive,
     require,
     require_array,
     require_non_negative,
-    require_period,
     require_ranges,
 )
 
 LEAST_BOUND = 1e-3  # m/s, unless there is none at all: margins are relative to the bound
-_UNCOMPUTED = 0.02  # the tightening of what has no margin computed for it
 _Config = TypeVar("_Config")
-_SOLVERS = ("search", "grid", *LocalSolver.NAMES)
 
 
 if typing.TYPE_CHECKING:
@@ -71,10 +65,7 @@ class AircraftLimits(StrictFields):
 @dataclass(kw_only=True)
 class _BoundAndLimits(StrictFields):
     speed_bound: SpeedBound = checked(0.2, check_speed_bound)  # m/s, ε; of aircraft also "1.4 V_s"
-    tightening: float | str = 0.01  # the solver aims at (1 + tightening) ε; "auto": computed
-    speed_margin: float = non_negative(0.0)  # m/s above ε that "auto" aims at; 0: computed
-    # of the load's weight, by which its wrench may be off
-    model_error: float = non_negative(0.0, below_one)
+    tightening: float | str = 0.01  # the solver aims at (1 + tightening) ε
     frequency: float = positive(2.0)  # rad/s, ξ at the start
     amplitude: float = positive(1.2)  # N, A at the start
     frequency_bounds: list[float] = field(default_factory=lambda: [0.1, 20.0])  # rad/s
@@ -90,43 +81,6 @@ class _BoundAndLimits(StrictFields):
 @dataclass(kw_only=True)
 class LimitsConfig(AircraftLimits, _BoundAndLimits):
     """The bound, the nominal ξ and A, and what limits them and the carriers' flight."""
-
-    @property
-    def wants_margin(self) -> bool:
-        """Whether a speed margin is computed for it."""
-        return self.tightening == AUTO and self.speed_margin == 0 < self.speed_bound
-
-    def instant_spacing(self, control_period: float) -> float:
-        """Between the instants of the constraints, s, where controllers have a period in s."""
-        return 0.0
-
-
-@dataclass(kw_only=True)
-class NonstopProblemConfig(LimitsConfig):
-    """The bound, the problem of eqs. 24-26 and how it is solved."""
-
-    # instants from now to the next update; 1: now, as in the paper
-    look_ahead_points: int = points(2, 50, " (the instant of the update only)")
-    look_ahead_time: float = non_negative(0.08)  # s, from the next update to the orbit ahead
-    # phases of the orbit ahead; 1: the present one, as in the paper
-    orbit_points: int = points(16, 64, " (the present phase only)")
-    orbit_updates: int = 4  # successive updates that share these phases
-    load_motion: str = checked(  # of the carriers; "desired", or "measured" as in the paper
-        "desired", one_of(("desired", "measured"), 'give "desired" or "measured"')
-    )
-    internal_force_weight: float = non_negative(1.0)  # w_pos of eq. 26
-    internal_force_rate_weight: float = non_negative(1.0)  # w_vel of eq. 26
-    anchor_weight: float = non_negative(0.0)  # of the distance from the initial ξ and A, at rest
-    period: float = checked(0.01, require_period)  # s, between updates
-    change_time: float = positive(2.0)  # s, in which a bound set during a run takes effect
-    solver: str = checked(  # "search", "grid", "snopt", "ipopt" or "nlopt"
-        "search", one_of(_SOLVERS, f"give one of {', '.join(_SOLVERS)}")
-    )
-    global_search: bool = True  # compare what snopt, ipopt or nlopt finds with the search
-
-    def instant_spacing(self, control_period: float) -> float:
-        """Bound of `LimitsConfig`."""
-        return self.period / max(self.look_ahead_points - 1, 1)
 
 
 def stated_speed_bound(field: str, value: Any, aircraft: Aircraft | None) -> Any:
@@ -185,50 +139,35 @@ def range_for(share: float, amplitude: float) -> list[float]:
 
 
 def tightened_bound(config: LimitsConfig, speed_bound: float) -> float:
-    """The speed (m/s) that the solver aims at for ε in m/s; 0 where there is no bound.
-
-    A computed margin stays as it is where ε falls below the config's, and grows with ε above it.
-    """
-    if speed_bound == 0:
-        return 0.0
-    if not _has_margin(config):
-        return (1 + limit_tightening(config)) * speed_bound
-    growth = speed_bound / config.speed_bound if config.speed_bound > 0 else 0.0
-    return speed_bound + config.speed_margin * max(1.0, growth)
-
-
-def _has_margin(config: LimitsConfig) -> bool:
-    return config.tightening == AUTO and config.speed_margin > 0
+    """The speed (m/s) that the solver aims at for ε in m/s; 0 where there is no bound."""
+    return (1 + limit_tightening(config)) * speed_bound
 
 
 def limit_tightening(config: Any) -> float:
-    """The share by which limits other than the speed bound are tightened."""
-    return _UNCOMPUTED if isinstance(config.tightening, str) else config.tightening
+    """The share by which limits are tightened; where the bound's is measured, its first one."""
+    return FIRST_SHARE if config.tightening == MEASURED else float(config.tightening)
 
 
 def highest_speed_bound(config: LimitsConfig) -> float:
     """The speed bound (m/s) that limits of the speeds leave no room above."""
     most = min(limit.stated(config) for limit in limits_of(Of.SPEED))
-    if not _has_margin(config) or most == math.inf:
-        return most / _least_ratio(config)
-    limit = (1 - limit_tightening(config)) * most
-    own, margin = config.speed_bound, config.speed_margin
-    return limit - margin if own == 0 or own + margin > limit else limit / (1 + margin / own)
+    return most / _least_ratio(config)
 
 
-def check_limits(box: str, config: LimitsConfig, model: Model) -> None:
-    """Raises ScenarioError for the first limit, of the config's `box`, that cannot be used."""
-    if isinstance(config.tightening, str):
-        remedy = f'give a number, without quotes, or "{AUTO}"'
-        require(config.tightening == AUTO, f"{box}.tightening", config.tightening, remedy)
-    least = {limit.field: limit.stated(config) for limit in LIMITS if limit.is_least}
-    for name, value in {"tightening": limit_tightening(config), **least}.items():
-        require_non_negative(f"{box}.{name}", value)
+def check_limits(box: str, config: LimitsConfig, model: Model, *, measures: bool = False) -> None:
+    """Raises ScenarioError for the first limit, of the config's `box`, that cannot be used.
+
+    `measures` is whether the margin above the bound may be measured.
+    """
+    tightening = config.tightening
+    is_share = not isinstance(tightening, str) and is_number(tightening) and 0 <= tightening < 1
+    remedy = f'give a number from 0 to below 1, or "{MEASURED}" to RecedingHorizonOptimizer'
+    is_known = is_share or (tightening == MEASURED and measures)
+    require(is_known, f"{box}.tightening", tightening, remedy)
+    for limit in LIMITS:
+        if limit.is_least:
+            require_non_negative(f"{box}.{limit.field}", limit.stated(config))
     require_ranges(box, config)
-    remedy = f"give {box}.tightening: {AUTO}, which alone aims at it, or leave it out"
-    for name in ("speed_margin", "model_error"):
-        value = getattr(config, name)
-        require(value == 0 or config.tightening == AUTO, f"{box}.{name}", value, remedy)
     _check_ratios(box, config)
     check_flight_limits(box, config, model.aircraft)
     for name, start, bounds in (
@@ -236,18 +175,6 @@ def check_limits(box: str, config: LimitsConfig, model: Model) -> None:
         ("amplitude", config.amplitude, amplitude_range(config, model)),
     ):
         check_initial(box, name, start, bounds)
-
-
-def check_problem(box: str, config: NonstopProblemConfig, model: Model) -> None:
-    """Raises ScenarioError for the first field, of the config's `box`, that cannot be used."""
-    check_limits(box, config, model)
-    updates, points = config.orbit_updates, config.orbit_points
-    is_divisor = isinstance(updates, int) and updates >= 1 and points % updates == 0
-    is_used = points > 1 or not isinstance(updates, int) or updates < 1
-    remedy = f"give a whole number that divides orbit_points = {points}"
-    require(is_divisor or not is_used, f"{box}.orbit_updates", updates, remedy)
-    check_pattern(box, model, "NonstopOptimizer")
-    check_samples(box, config.period, model)
 
 
 def check_samples(box: str, period: float, model: Model) -> None:
@@ -282,8 +209,6 @@ def _check_ratios(box: str, config: LimitsConfig) -> None:
             value,
             f"give at most {LARGEST:g}, in SI units",
         )
-    tightening = limit_tightening(config)
-    require(tightening < 1, f"{box}.tightening", config.tightening, "give less than 1")
     for limit in LIMITS:
         if not (limit.is_least or limit.is_of_aircraft):
             require_limit(box, limit.field, limit.stated(config), _least_room(limit, config))
@@ -292,8 +217,7 @@ def _check_ratios(box: str, config: LimitsConfig) -> None:
 def _least_room(limit: Limit, config: LimitsConfig) -> float:
     """Value that a largest one has to be above, for the least ones of the same quantity."""
     if limit.of is Of.SPEED:
-        bound = tightened_bound(config, config.speed_bound)
-        return bound / (1 - limit_tightening(config))
+        return tightened_bound(config, config.speed_bound) / (1 - limit_tightening(config))
     least = [each.stated(config) for each in limits_of(limit.of) if each.is_least]
     return _least_ratio(config) * max(least, default=0.0)
 
@@ -325,13 +249,6 @@ def check_pattern(box: str, model: Model, block: str) -> None:
         block,
         "the pattern has no orbits that it could change; give !ConstantParameters with "
         "amplitude: 0, for aircraft !TurnRateOptimizer, or a pattern with orbits",
-    )
-    require(
-        all(order == 1 for order in model.pattern.harmonics),
-        box,
-        block,
-        "its constraints hold for patterns of one harmonic; give !ConstantParameters, or a pattern "
-        "without a second harmonic",
     )
 
 

@@ -12,7 +12,8 @@ from typing import Any
 
 from drake_nonstop.diagrams.nonstop import BOXES, SIGNALS
 from drake_nonstop.loop.box import config_class
-from drake_nonstop.mechanics.signal_layouts import HELD, Layout
+from drake_nonstop.mechanics.signal_layouts import Layout
+from drake_nonstop.mechanics.signals import HELD
 from drake_nonstop.model.aircraft import AircraftParameters
 from drake_nonstop.model.system import Model
 from drake_nonstop.scenario.schema import PATTERN, PATTERNS, Scenario

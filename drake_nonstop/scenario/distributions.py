@@ -122,10 +122,10 @@ def from_entry(path: str, entry: dict[str, Any]) -> Any:
 
 def _require_usable(path: str, distribution: Any, kind: Any) -> None:
     """Raises ScenarioError for a distribution that nothing can be drawn from for such a field."""
-    kind = of_given(kind)
     entry = to_entry(distribution)
     text = dump_plain(entry)
     is_vector = isinstance(distribution, DistributionVector)
+    kind = of_given(kind, [] if is_vector else None)
     if kind in (float, int):
         require(not is_vector, path, text, _NUMBER)
     elif kind is np.ndarray or kind == list[float]:
@@ -215,7 +215,7 @@ def has_distributions(config: Any) -> bool:
 
 def item_kind(kind: Any) -> Any:
     """The type of the items of a field of lists; Any where there is none."""
-    return next(iter(typing.get_args(of_given(kind))), Any)
+    return next(iter(typing.get_args(of_given(kind, []))), Any)
 
 
 def _name(distribution: Any) -> str:

@@ -30,15 +30,15 @@ def _amplitude(scenario: Scenario) -> float:
 # What quantities are measured by, in SI units.
 _MEASURES: dict[str, Callable[[Scenario], float]] = {
     "1/ξ": lambda scenario: 1 / float(scenario.optimization_layer.frequency),
-    "a cable's length": lambda scenario: scenario.system.cable_length,
-    "a cable's length in 1 s": lambda scenario: scenario.system.cable_length,
+    "a cable's length": lambda scenario: float(np.max(scenario.system.cable_length)),
+    "a cable's length in 1 s": lambda scenario: float(np.max(scenario.system.cable_length)),
     "a radian": lambda _: 1.0,
     "a radian per second": lambda _: 1.0,
     "the attachments' distance from the load's centre": lambda scenario: float(
         np.max(np.linalg.norm(scenario.system.attachments, axis=1))
     ),
     "a cable's share of the weight by its length": lambda scenario: (
-        _share(scenario) / scenario.system.cable_length
+        _share(scenario) / float(np.max(scenario.system.cable_length))
     ),
     "that of internal forces like a cable's share of the weight": _amplitude,
 }

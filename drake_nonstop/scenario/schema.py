@@ -28,7 +28,7 @@ from drake_nonstop.model.pattern import (
     LinearPatternConfig,
     SpreadCarouselConfig,
 )
-from drake_nonstop.model.system import SystemOverrides, SystemParameters, aircraft_in
+from drake_nonstop.model.system import OF_CABLES, SystemOverrides, SystemParameters, aircraft_in
 from drake_nonstop.optimization.problem_config import stated_speed_bound
 from drake_nonstop.scenario import distributions
 from drake_nonstop.scenario.obstacles import Obstacle, require_obstacles
@@ -64,7 +64,27 @@ _FORMER_FIELDS = {
 }
 
 FORMER_BLOCKS = {
-    ("load_disturbance", "Wind"): "Wind, a force on the load, is called DisturbanceForce now"
+    ("load_disturbance", "Wind"): "Wind, a force on the load, is called DisturbanceForce now",
+    ("carrier_controller", "LoadedCarrierPid"): "give a PID with an integral_gain, which learns "
+    "weight and pull",
+    ("carrier_controller", "TunedCarrierPid"): "give !TunedFeedforwardCarrierPid, or !CarrierPid "
+    "with the gains m_c ω² and 2 ζ ω m_c",
+    ("carrier_dynamics", "LoadedCarrierDynamics"): "give !LimitedCarriers {has_weight: true, "
+    "feels_cable: true}",
+    ("carrier_dynamics", "IdealCarriers"): "give !CarrierDynamics {}, or a block of your own whose "
+    "carrier_state is its carrier_reference",
+    ("carrier_dynamics", "JsbsimCarriers"): "it is a block of an example now, see "
+    "examples/six_degrees_of_freedom",
+    ("cables", "IndividualCables"): "give !Cables {}, and lists in simulated.cable_length, "
+    "simulated.cable_stiffness and simulated.cable_damping",
+    ("optimization_layer", "NonstopOptimizer"): "give PaperLayer instead, the paper's problem at "
+    "the present phase, or NlpLayer, the same along the orbit ahead",
+    ("wind", "Dryden"): "give !GustyWind, with a gust of 0.1 W_20 / (0.177 + 0.0027 altitude)^0.4",
+    ("wind", "WindProfile"): "give !SteadyWind, with the velocity at that height",
+    ("wrench_controller", "GeometricPd"): "give !WrenchController {position_integral_gain: 0, "
+    "orientation_integral_gain: 0, feedforward: 0}, which is the same",
+    ("wind_estimator", "AssumedWind"): "give !NoWind {}, or a block of your own",
+    ("load_trajectory", "Circle"): "give SampledTrajectory, or a LoadTrajectory of your own",
 }
 
 
@@ -139,9 +159,10 @@ class Scenario(_Boxes):
     """The system, a config per box of the figure, and how to simulate them.
 
     It can be copied and pickled, and equals another one whose fields are all equal. Drake's
-    `yaml_dump_typed` writes it, where its blocks are the package's and its numbers are drawn, and
-    `yaml_load_typed` with `schema=Scenario` reads that back; what it reads is checked where it is
-    used, or by `check`. Its numbers and lists of numbers may be distributions; see `sampled`.
+    `yaml_dump_typed` writes it, where its blocks are the package's, its numbers are drawn and its
+    cables alike, and `yaml_load_typed` with `schema=Scenario` reads that back; what it reads is
+    checked where it is used, or by `check`. Its numbers and lists of numbers may be distributions;
+    see `sampled`.
     """
 
     scene: SceneConfig = field(default_factory=SceneConfig)
@@ -180,8 +201,12 @@ class Scenario(_Boxes):
 
         Raises:
             ScenarioError: the field's value is of a class that `yaml_load_typed` would not make, or
-                holds a distribution in the place of a number.
+                holds a distribution or a list in the place of a number.
         """
+        remedy = "write it with dump_scenario, which can write lists in the place of numbers"
+        for key in OF_CABLES if name in ("system", "simulated") else ():
+            value = getattr(getattr(self, name), key)
+            require(not isinstance(value, list), f"{name}.{key}", value, remedy)
         has_none = not distributions.has_distributions(getattr(self, name))
         remedy = "write it with dump_scenario, which can write distributions"
         require(has_none, name, "a distribution, or a part with one", remedy)

@@ -13,6 +13,7 @@ from typing import Any
 from pydrake.common.yaml import yaml_dump, yaml_load_typed
 from pydrake.systems.analysis import SimulatorConfig
 
+from drake_nonstop.blocks.load_trajectory import SampledTrajectoryConfig
 from drake_nonstop.loop.box import import_path
 from drake_nonstop.model.system import SystemParameters, require_few
 from drake_nonstop.scenario import distributions
@@ -53,7 +54,7 @@ def to_tree(scenario: Scenario) -> Tree:
     """
     check(scenario)
     scenario = copy.copy(scenario)
-    _resolve_configs(scenario)
+    _read_trajectory(scenario)
     tree = _plain(scenario, Scenario)
     for name, choices in CHOICES.items():
         config = type(getattr(scenario, name))
@@ -106,9 +107,15 @@ def from_tree(
             read = read_load(system.load_file, system.attachment_frames or [])
             read |= {"load_file": "", "attachment_frames": []}
             setattr(scenario, owner, dataclasses.replace(system, **read))
-    _resolve_configs(scenario)
+    _read_trajectory(scenario)
     check(scenario)
     return scenario
+
+
+def _read_trajectory(scenario: Scenario) -> None:
+    """Puts the samples of the load's trajectory in the place of the name of their file."""
+    if isinstance(scenario.load_trajectory, SampledTrajectoryConfig):
+        scenario.load_trajectory = scenario.load_trajectory.resolved()
 
 
 def filled(
@@ -162,7 +169,7 @@ def _typed(path: str, tree: Any, kind: Any, default: Any) -> Any:
     if part is not None:
         return None if tree is None else filled(path, tree, part() if default is None else default)
     item = distributions.item_kind(kind)
-    is_list = isinstance(tree, list) and typing.get_origin(of_given(kind)) is list
+    is_list = isinstance(tree, list) and typing.get_origin(of_given(kind, tree)) is list
     if is_list and (_is_plain(kind) or parts_of(item)):
         return [_typed(f"{path}[{i}]", value, item, None) for i, value in enumerate(tree)]
     require_type(path, tree, kind)
@@ -223,14 +230,6 @@ def config_class_of(name: str, tag: str, trusted: Trusted) -> type:
     matching = [option for option in options if block_name(option) == block]
     require(matching, name, tag, f"give one of !{', !'.join(map(block_name, options))}")
     return matching[0]
-
-
-def _resolve_configs(scenario: Scenario) -> None:
-    """Puts what files say in the place of the files' names, in the boxes' configs."""
-    for name in CHOICES:
-        config = getattr(scenario, name)
-        if hasattr(config, "resolved"):
-            setattr(scenario, name, config.resolved())
 
 
 def _checked_entry(name: str, entry: Any, trusted: Trusted) -> tuple[type, Tree]:

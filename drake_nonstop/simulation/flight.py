@@ -218,15 +218,13 @@ class Flight:
         self._interruption.patience = ALL  # nothing may come between a run and who keeps it
         make_loop = self._request.make_loop
         own = {} if make_loop is make_nonstop else {"make_loop": make_loop}
-        blocks = loop_in(self.nonstop, RUN_SIGNALS).GetSystems()
-        notes = [note for each in blocks if (note := getattr(each, "engine_note", ""))]
         return Run.from_logs(
             self._logs,
             self.context,
             self.scenario,
             step=self._simulator.get_integrator().get_maximum_step_size(),
             wall_time=time.perf_counter() - self._start - self.monitor.waited,
-            engine=", ".join([self.engine, *notes]),
+            engine=self.engine,
             stopped=stopped,
             replacements=own | self._replacements,
         )

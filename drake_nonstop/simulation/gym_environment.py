@@ -124,7 +124,7 @@ class NonstopEnv(DrakeGymEnv):
             observation, _, terminated, truncated, info = super().step(values)
         except NotFiniteError as error:
             return before, DIVERGED, True, False, {"message": str(error)}
-        if is_implausible(observation, self._scenario.system.cable_length):
+        if is_implausible(observation, np.max(self._scenario.system.cable_length)):
             return before, DIVERGED, True, False, {"message": IMPLAUSIBLE}
         is_over = end >= self._scenario.simulation_duration - 1e-9
         reward = checked_reward(self._judge(observation, values))
@@ -157,7 +157,7 @@ class NonstopEnv(DrakeGymEnv):
     def _default_reward(self, observation: NDArray, action: NDArray) -> float:
         scenario = self._scenario
         return float(
-            default_reward(observation, scenario.system.cable_length, scenario.speed_bound)
+            default_reward(observation, np.max(scenario.system.cable_length), scenario.speed_bound)
         )
 
 

@@ -191,7 +191,7 @@ class NonstopVecEnv(VectorEnv[NDArray, NDArray, NDArray]):
             own = _Start(self._given.sampled(self._generators[i]), *self._kind)
             self._starts[i], self._flights[i] = own, own.flight()
         start, scenario = self._starts[i], self._starts[i].scenario
-        length, duration = scenario.system.cable_length, scenario.simulation_duration
+        length, duration = np.max(scenario.system.cable_length), scenario.simulation_duration
         self._numbers[:, i] = length, scenario.speed_bound, duration
         self._steps[i] = 0
         self._flights[i].go_to(0, start.state)

@@ -464,22 +464,6 @@ _ROWS: dict[str, Metric] = {
         Quantity("solve, max", "ms", better=LOWER),
         is_wall_time=True,
     ),
-    "optimizer.predicted_speed_margin_m_s": Metric(
-        lambda run: run.predicted_margin,
-        Quantity("computed margin of the speed", "mm/s", 1e3, LOWER),
-    ),
-    "optimizer.predicted_speed_margin_of_bound": Metric(
-        lambda run: run.share_of_bound(run.predicted_margin),
-        Quantity("computed margin over the bound", better=LOWER),
-    ),
-    "optimizer.measured_speed_margin_m_s": Metric(
-        lambda run: run.measured_margin,
-        Quantity("largest shortfall of a speed", "mm/s", 1e3, LOWER),
-    ),
-    "optimizer.measured_speed_margin_of_bound": Metric(
-        lambda run: run.share_of_bound(run.measured_margin),
-        Quantity("largest shortfall over the bound", better=LOWER),
-    ),
     "optimizer.xi_final_rad_s": Metric(
         lambda run: run.run.signal("parameters")[-1, 0], Quantity("final ξ", "rad/s")
     ),

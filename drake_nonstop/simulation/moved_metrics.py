@@ -13,11 +13,8 @@ _LENGTH = 1e-3  # m; what a length may move by, whatever its value
 # What the other metrics have to move by besides, in the unit that ends their path: less is the
 # grain that they are measured with (a time is counted in steps, an update is one), or does not
 # matter for a carrier. Radii of turns are lengths of which a share counts, not a distance; the
-# direction of a velocity may move by as much of it as its size. A shortfall is a difference of two
-# speeds: it may move by as much as one that is at the bound.
+# direction of a velocity may move by as much of it as its size.
 _GRAINS = {
-    "measured_speed_margin_m_s": 0.02,
-    "measured_speed_margin_of_bound": SHARE,
     "turn_radius_min_m": 1e-3,
     "climb_angle_max_rad": 0.02,
     "rad": 1e-3,

@@ -15,6 +15,7 @@ from drake_nonstop.mechanics.aircraft import stall_speed
 from drake_nonstop.model.system import breaking_load
 from drake_nonstop.optimization.limits import LIMITS as ASKED
 from drake_nonstop.optimization.limits import Of, limits_of
+from drake_nonstop.optimization.measured_margin import LARGEST_SHARE
 from drake_nonstop.simulation.run_quantities import RunQuantities
 
 _ROUNDING = 1e-3  # of a limit that a block aims at, by which it may be missed
@@ -111,10 +112,10 @@ LIMITS = (
         for asked in rows
     ),
     Limit(
-        path="carrier_dynamics.max_force",
-        sentence="a carrier was asked for a force of {}",
-        unit="N",
-        measure=lambda run: run.largest_carrier_force,
+        path="carrier_dynamics.max_acceleration",
+        sentence="a carrier was asked for an acceleration of {}",
+        unit="m/s²",
+        measure=lambda run: run.largest_commanded_acceleration,
         tolerance=_ROUNDING,
     ),
 )
@@ -132,12 +133,21 @@ def judge(run: RunQuantities) -> Judgement:
     if run.first_stall is not None:
         wrong.append((RunOutcome.STALLED, _told(run)))
     if run.first_break is not None:
+        loads = np.broadcast_to(breaking_load(run.system), len(run.system.attachments))
+        bears = loads[run.first_break.cable - 1]
         broken = (
             f"cable {run.first_break.cable} broke at t = {run.first_break.time:.3f} s, with "
-            f"{run.first_break.tension:.4g} N: it bears {breaking_load(run.system):.4g} N "
+            f"{run.first_break.tension:.4g} N: it bears {bears:.4g} N "
             "(system.cable_breaking_load); what follows is that of a cable which holds"
         )
         wrong.append((RunOutcome.CABLE_BROKEN, broken))
+    if run.largest_margin_share >= LARGEST_SHARE - _ROUNDING:
+        grown = (
+            f"the margin above the speed bound grew to its largest, {LARGEST_SHARE:.0%} of it: the "
+            "carriers do not fly as planned; filter the feedback (load_feedback="
+            "!EstimatedFeedback), correct the model, or give optimization_layer.tightening a number"
+        )
+        wrong.append((RunOutcome.LIMIT_MISSED, grown))
     wrong += [(RunOutcome.UNCONVERGED, sentence) for sentence in run.run.unresolved]
     severity = list(RunOutcome)
     wrong.sort(key=lambda item: severity.index(item[0]))

@@ -25,18 +25,13 @@ from pydrake.systems.primitives import Multiplexer
 
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold
 from drake_nonstop.diagrams.nonstop import BOXES, SIGNALS
-from drake_nonstop.mechanics.signal_layouts import (
-    HELD,
-    SAMPLED,
-    Entry,
-    Layout,
-    by_name,
-    numbered_entries,
-)
+from drake_nonstop.mechanics.signal_layouts import Entry, Layout, by_name, numbered_entries
 from drake_nonstop.mechanics.signals import (
+    HELD,
     LOAD_REFERENCE_SIZE,
     LOAD_STATE_SIZE,
     PARAMETERS_SIZE,
+    SAMPLED,
     SIGNAL_PERIOD,
 )
 from drake_nonstop.scenario.schema import Scenario

@@ -39,8 +39,7 @@ class Run(SignalTable):
     Beyond 32 MB, some 100 s of flight, `signals` and `steps` are in temporary files, which are
     removed with the run: the arrays are mapped to memory, and cannot be written to.
     `engine` is what flew it: "compiled: C", "compiled: virtual machine", that is CasADi's, or
-    "diagram", with the reason where it is not the scenario's, and "plans in Python" where C of them
-    could not be had.
+    "diagram", with the reason where it is not the scenario's.
     `is_steered` tells whether a user changed the loop while the run went on. `stopped` says why a
     run ended before its time, and is empty where it did not. `step` is the longest step of the
     integrator, s; `unresolved` has a sentence for each metric that this step does not resolve, and

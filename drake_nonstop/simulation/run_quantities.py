@@ -27,11 +27,9 @@ from drake_nonstop.model.block import AUTO
 from drake_nonstop.model.system import SystemParameters, aircraft_in, breaking_load, overridden
 from drake_nonstop.optimization.diagnostics import Diagnostics
 from drake_nonstop.optimization.limits import Limit, Of, asked
-from drake_nonstop.simulation.measured_speed_margin import measured_speed_margin
 from drake_nonstop.simulation.run import Run
 from drake_nonstop.simulation.signal_table import UnknownSignalError
 from drake_nonstop.systems.documentation import meanings
-from drake_nonstop.systems.tracing import NotFiniteError
 
 # The entries of the signal `diagnostics` that count updates.
 _UPDATE_COUNTS = ("updates", "kept", "solved", "relaxed", "held")
@@ -128,6 +126,16 @@ class RunQuantities(Spacing):
             return self.run.steps["speed_bound"][:, 0]
         return np.full(len(self.time), self.scenario.speed_bound)
 
+    @property
+    def largest_margin_share(self) -> float:
+        """The largest measured margin of plans above the speed bound, over it; 0: there is none."""
+        try:
+            margin, bound = map(self.run.signal, ("measured_margin", "speed_bound"))
+        except UnknownSignalError:
+            return 0.0
+        is_bound = bound > 0
+        return float(np.max(margin[is_bound] / bound[is_bound], initial=0.0))
+
     @cached_property
     def saturated_share(self) -> float | None:
         """The share of the time with a command of any aircraft at its limit; None: unknown."""
@@ -201,13 +209,14 @@ class RunQuantities(Spacing):
         return acceleration, normal_acceleration, 1 / curvature if curvature > 0 else None
 
     @cached_property
-    def largest_carrier_force(self) -> float | None:
-        """The largest force commanded to a carrier at 100 Hz, N; None: unknown."""
+    def largest_commanded_acceleration(self) -> float | None:
+        """Largest force over mass commanded to a carrier at 100 Hz, m/s²; None: unknown."""
         try:
             forces = self.run.signal("carrier_forces")
         except KeyError:  # nothing in the loop makes it
             return None
-        return float(np.max(_norms(forces.reshape(len(forces), -1, 3))))
+        largest = np.max(_norms(forces.reshape(len(forces), -1, 3)))
+        return float(largest / self.system.carrier_mass)
 
     @cached_property
     def has_aircraft(self) -> bool:
@@ -363,10 +372,10 @@ class RunQuantities(Spacing):
             ends.append((self.run.time, self.carrier_tensions))
         breaks = []
         for times, tensions in ends:
-            broken = tensions > breaking_load(self.system)
-            if np.any(broken):
-                k = int(np.argmax(np.any(broken, axis=1)))
-                i = int(np.argmax(tensions[k]))
+            shares = tensions / breaking_load(self.system)
+            if np.any(shares > 1):
+                k = int(np.argmax(np.any(shares > 1, axis=1)))
+                i = int(np.argmax(shares[k]))
                 breaks.append(Break(float(times[k]), i + 1, float(tensions[k, i])))
         return min(breaks, default=None)
 
@@ -417,25 +426,6 @@ class RunQuantities(Spacing):
         columns = [np.interp(self.time, self.run.time, column) for column in nodes.T]
         positions = np.stack(columns, axis=1).reshape(len(self.time), -1, *ends.shape[2:])
         return np.concatenate([ends[:1], positions.swapaxes(0, 1), ends[1:]])
-
-    @property
-    def predicted_margin(self) -> float | None:
-        """The margin on ε, m/s, that was computed for the optimization layer; None: none was."""
-        margin = getattr(self.run.diagram, "speed_margin", None)
-        return None if margin is None else float(margin.total)
-
-    @cached_property
-    def measured_margin(self) -> float | None:
-        """The largest amount by which a carrier was slower than planned, m/s; None: unknown."""
-        try:
-            return measured_speed_margin(self.run)
-        except NotFiniteError:  # no speeds follow from such a reference
-            return None
-
-    def share_of_bound(self, speed: float | None) -> float | None:
-        """A speed, m/s, over the last speed bound; None: no speed, or no bound."""
-        bound = float(self.speed_bounds[-1])
-        return None if speed is None or bound == 0 else speed / bound
 
     @cached_property
     def update_counts(self) -> dict[str, float]:

@@ -28,7 +28,6 @@ from drake_nonstop.optimization.formation_program import (
     ASKED_MARGIN,
     LEANING,
     LIFT_IN_GUSTS,
-    CableDesign,
     DesignLimits,
     FlightMargins,
     FormationProgram,
@@ -148,9 +147,8 @@ def design_task(request: DesignRequest, carriers: int, count: int = KEY_INSTANTS
             asked=tuple(asked(request, Of.FLIGHT)),
         ),
         gust=_GUSTS * request.gust,
-        cables=CableDesign(
-            request.cable_safety, CABLE_DENSITY if request.cables == LUMPED else 0.0
-        ),
+        cable_safety=request.cable_safety,
+        cable_density=CABLE_DENSITY if request.cables == LUMPED else 0.0,
     )
 
 

@@ -194,7 +194,7 @@ def _errors(scenario: Scenario, seed: int) -> Iterator[tuple[str, float, str, li
         points = (attachments + percent / 100 * radius * directions).tolist()
         yield "attachment points", percent, "% of radius", [f"simulated.attachments={points}"]
     for percent in (-1.0, -0.3, 0.3, 1.0):
-        length = system.cable_length * (1 + percent / 100)
+        length = (np.array(system.cable_length) * (1 + percent / 100)).tolist()
         yield "cable length", percent, "%", [f"simulated.cable_length={length}"]
     period = scenario.control_period or 0.01
     measurement = f"load_feedback=!NoisyFeedback {{period: {period}, "

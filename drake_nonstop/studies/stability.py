@@ -14,18 +14,18 @@ from pydrake.systems.analysis import (
 )
 from pydrake.systems.framework import Context, Diagram, System
 
+from drake_nonstop.analysis.sampled_maps import map_of_turn
 from drake_nonstop.blocks.load_disturbance import NoDisturbanceConfig
 from drake_nonstop.blocks.load_feedback import MeasurementConfig
 from drake_nonstop.blocks.load_trajectory import RestToRestConfig, SteadyTurnConfig
 from drake_nonstop.blocks.optimization_layer import ConstantParametersConfig
 from drake_nonstop.blocks.phase import AccumulatedPhaseConfig
-from drake_nonstop.blocks.wind import DrydenConfig, GustyWindConfig, WindProfileConfig
+from drake_nonstop.blocks.wind import GustyWindConfig, SteadyWindConfig
 from drake_nonstop.blocks.wind_estimator import LoadAnemometerConfig, WindObserverConfig
 from drake_nonstop.diagrams.nonstop import BOXES, SAMPLE_AND_HOLD, box_of, make_nonstop
 from drake_nonstop.loop.start import port_slopes, set_equilibrium
 from drake_nonstop.loop.step import with_largest_step
 from drake_nonstop.mechanics.rotation import quaternion_rate
-from drake_nonstop.mechanics.sampled_loop import map_of_turn
 from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, LoadState
 from drake_nonstop.optimization.problem_config import with_fields_of
 from drake_nonstop.scenario.schema import Scenario, check
@@ -117,8 +117,8 @@ def at_rest(scenario: Scenario) -> Scenario:
 
 def _steady(wind: Any) -> Any:
     """The wind without gusts, risen from the beginning on."""
-    if isinstance(wind, GustyWindConfig | DrydenConfig):
-        wind = with_fields_of(WindProfileConfig, wind)
+    if isinstance(wind, GustyWindConfig):
+        wind = with_fields_of(SteadyWindConfig, wind)
     changing = [name for name in _CHANGES_OF_WIND if hasattr(wind, name)]
     return dataclasses.replace(wind, **dict.fromkeys(changing, 0.0)) if changing else wind
 

@@ -13,7 +13,7 @@ import tokenize
 from collections.abc import Iterable
 from typing import Any, NamedTuple, TypeVar, cast
 
-from drake_nonstop.mechanics.signal_layouts import HELD, SIGNALS
+from drake_nonstop.mechanics.signals import HELD, SIGNALS
 from drake_nonstop.validation import ScenarioError
 
 _Kind = TypeVar("_Kind", bound=type)

@@ -50,7 +50,7 @@ class EquationBlock(LeafBlock):
     A layer has a method `answer(context)`, which returns the next state (s,) of a context of the
     block in which its inputs can be evaluated, such as by a search; outputs are equations of that
     state. It is asked at the initialization, and every some samples, after all other states have
-    stepped.
+    stepped. Where its equations make the next state, too, that steps at each sample.
 
     Args:
         equations: of the block; its names of inputs and outputs are those of the ports.
@@ -121,8 +121,9 @@ class EquationBlock(LeafBlock):
                 self.DeclareInitializationDiscreteUpdateEvent(self._event(ask))
                 step = self._event(ask, waits=True)
                 self.DeclarePeriodicDiscreteUpdateEvent(period, period, step)
-            else:
-                step = self._event(functools.partial(type(self).result, name=STATE), waits=True)
+            if STATE in own.results:
+                step = functools.partial(type(self).result, name=STATE)
+                step = self._event(step, waits=not own.answers)
                 self.DeclarePeriodicUnrestrictedUpdateEvent(period, period, step)
         if START in own.results:
             begin = self._event(functools.partial(type(self).result, name=START))

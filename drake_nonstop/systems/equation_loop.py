@@ -23,6 +23,7 @@ from drake_nonstop.systems.block import (
     title,
 )
 from drake_nonstop.systems.equation_block import EquationBlock
+from drake_nonstop.systems.equations import STATE
 from drake_nonstop.systems.loop_equations import LoopEquations, Now, Sample, Structure
 from drake_nonstop.systems.native import Interpreted, Native, native
 from drake_nonstop.systems.wiring import require_context
@@ -248,5 +249,8 @@ def _structure_of(diagram: Diagram, numbers: Mapping[System, int]) -> Structure:
         source = maker.get_output_port(OutputPortIndex(int(output))).get_name()
         if name in reader.equations_of_block.inputs:
             sources[numbers[reader], name] = numbers[maker], source
-    every = [0 if block.equations_of_block.answers else block.every for block in blocks]
+    every = []
+    for block in blocks:
+        own = block.equations_of_block
+        every.append((1 if STATE in own.results else 0) if own.answers else block.every)
     return Structure([block.equations_of_block for block in blocks], every, sources)

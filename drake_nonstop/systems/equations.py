@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from pydrake.autodiffutils import AutoDiffXd, ExtractValue
 from pydrake.symbolic import Variable
 
-from drake_nonstop.mechanics.signal_layouts import SAMPLE_TIME
+from drake_nonstop.mechanics.signals import SAMPLE_TIME
 from drake_nonstop.systems.parameters import NumericParameters
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError, object_array, recent
 from drake_nonstop.validation import ScenarioError, one_line, require
@@ -100,7 +100,8 @@ class Equations:
         reads_time: whether the function takes the time.
         parameters: of the context; None: it has none.
         period: s, between steps of a sampled state; 0: the state is continuous.
-        makes_next_state: whether the function returns the next sampled state, and not its rate.
+        makes_next_state: whether the function returns the next sampled state, and not its rate; a
+            layer's then steps at each sample, besides its answers.
         start: function as `function` that returns the state at the start of a run; None: it is the
             one of a new context.
         starts_first: whether that is made before the states of other blocks start.
@@ -108,7 +109,7 @@ class Equations:
         joint: whether all results are made together.
         title: of the functions in errors.
         answers: whether a function in Python answers the next state, of a layer: the equations then
-            make outputs alone.
+            make outputs alone, unless they make the next state, too.
         motion: how further outputs follow from these between samples; None: there are none.
 
     Attributes:
@@ -154,7 +155,7 @@ class Equations:
         self.arguments |= {NUMBERS: len(self.parameters)} if len(self.parameters) else {}
         self.answers = answers
         self.results = (
-            ({} if answers else has_state)
+            ({} if answers and not makes_next_state else has_state)
             | self.outputs
             | ({START: len(self.state)} if start else {})
         )

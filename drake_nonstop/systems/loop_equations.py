@@ -50,8 +50,8 @@ class Structure(NamedTuple):
 
     Attributes:
         blocks: the equations of the blocks, in the diagram's order.
-        every: of each block the number of samples between its steps; of a layer, whose state
-            a function in Python answers, 0.
+        every: of each block the number of samples between its steps; 0 of a layer whose state
+            changes by its answers alone.
         sources: of each input, by block and name, the output that it is connected to.
     """
 

@@ -14,7 +14,7 @@ from pydrake.systems.framework import (
     System,
 )
 
-from drake_nonstop.mechanics.signal_layouts import HELD
+from drake_nonstop.mechanics.signals import HELD
 from drake_nonstop.systems.block import box_of
 from drake_nonstop.systems.documentation import declared_by
 from drake_nonstop.validation import listed, require

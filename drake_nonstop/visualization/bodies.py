@@ -11,8 +11,7 @@ from pydrake.math import RigidTransform, RotationMatrix
 
 from drake_nonstop.mechanics.aircraft import Aircraft, angle_of_attack
 from drake_nonstop.mechanics.rotation import cross
-from drake_nonstop.mechanics.signal_layouts import SIGNALS
-from drake_nonstop.mechanics.signals import AircraftState, CarrierStates, Pose
+from drake_nonstop.mechanics.signals import SIGNALS, AircraftState, CarrierStates, Pose
 from drake_nonstop.scenario.obstacles import GroundConfig, Obstacle, SphereConfig
 
 Colour = tuple[float, float, float]  # red, green and blue, from 0 to 1

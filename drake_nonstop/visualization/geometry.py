@@ -138,7 +138,7 @@ class NonstopGeometry(DiagramBlock):
         self.load_frame = add("load", load, next(labels))
         self.carrier_frames: list[FrameId] = []
         self.cable_frames: list[tuple[FrameId, FrameId]] = []
-        length = _HALF_CABLE * system.cable_length
+        length = _HALF_CABLE * float(np.max(system.cable_length))
         cylinder = Cylinder(scene.cable_radius, length)
         centre, ball = RigidTransform([0, 0, length / 2]), Sphere(scene.wing_span / 2)
         cable_colour = scene.cable_colour(scene.weight_share)

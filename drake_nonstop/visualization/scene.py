@@ -109,7 +109,7 @@ class Scene:
         self._attachments = np.array(system.attachments)
         self._n = len(self._attachments)
         self.radius = float(np.max(np.linalg.norm(self._attachments, axis=1)))  # m, of the load
-        self.reach = self.radius + system.cable_length
+        self.reach = self.radius + float(np.max(system.cable_length))
         self.cable_radius = self.config.cable_radius * self.reach  # m
         self.bar_radius = max(self.config.bar_radius * self.radius, 2 * self.cable_radius)  # m
         self.wing_span = self.config.wing_span * self.reach  # m

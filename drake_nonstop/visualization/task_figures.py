@@ -140,6 +140,6 @@ def make_aircraft_margins_figure(found: AircraftMargins) -> Figure:
         axes.set_xticks(np.arange(0, phases[-1] + 1, 60 * (1 + phases[-1] // 720)))
     legend_below(figure, lift, limit=lift.lines[-1])
     verdict = "flies within all limits" if found.is_flyable else "cannot be flown within the limits"
-    wind = np.linalg.norm(found.wind.velocity)
+    wind = np.linalg.norm(found.wind)
     where = f", {wind:.3g} m/s of wind" if wind > 0 else ""
     return titled(figure, f"{found.scenario}{where}: the resting orbit {verdict}")

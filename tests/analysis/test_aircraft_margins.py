@@ -17,7 +17,6 @@ from drake_nonstop.analysis.aircraft_margins import (
 from drake_nonstop.analysis.flight_envelope import FlightEnvelope
 from drake_nonstop.mechanics.aircraft import drag_coefficient, stall_speed
 from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE, AircraftState, LoadReference
-from drake_nonstop.mechanics.wind import MeanWind
 from drake_nonstop.model.aircraft import AircraftParameters
 from drake_nonstop.model.pattern import ConstantSpreadConfig, EllipticCarouselConfig
 from drake_nonstop.model.system import Model, SystemParameters
@@ -54,7 +53,7 @@ def margins(made, frequency, *, yaw_rate=0.0, wind=(0.0, 0.0, 0.0), amplitude=1.
     reference[0] = 1.0
     LoadReference.view(reference).angular_velocity[2] = yaw_rate
     parameters = np.array([frequency, amplitude])
-    return margins_at_rest(made, reference, parameters, wind=MeanWind(np.array(wind)), **others)
+    return margins_at_rest(made, reference, parameters, wind=np.array(wind), **others)
 
 
 def found(result, name):
@@ -181,14 +180,6 @@ def test_wind_and_turning_with_the_load_shift_the_airspeed_by_both():
     )
     assert needs.lift.max() / 1.4 == pytest.approx(0.49, abs=0.005)
     assert [needs.thrust.min(), needs.thrust.max()] == pytest.approx([7, 17.5], abs=0.1)
-
-
-def test_a_wind_profile_is_taken_at_the_carriers_heights():
-    profile = MeanWind(np.array([2.0, 0.0, 0.0]), 0.14, 10.0, -5.0)
-    positions = np.array([[[0.0, 0.0, 5.0], [1.0, 2.0, 95.0]]])
-    np.testing.assert_allclose(
-        profile.at(positions)[0], [[2.0, 0.0, 0.0], [2.0 * 10**0.14, 0.0, 0.0]]
-    )
 
 
 def test_internal_force_and_load_that_turn_at_different_rates_repeat_after_some_turns():

@@ -7,7 +7,12 @@ from helpers import nightly_beyond
 
 from drake_nonstop import load_scenario
 from drake_nonstop.analysis.aircraft_margins import aircraft_margins
+from drake_nonstop.analysis.carriers_along import resting_carriers
 from drake_nonstop.analysis.flight_envelope import BowedCables
+from drake_nonstop.blocks.lumped_cables import material_of
+from drake_nonstop.mechanics.bowed_line import TimeWindow
+from drake_nonstop.mechanics.bowed_orbit import CableShape
+from drake_nonstop.mechanics.signals import constant_plan
 from drake_nonstop.model.aircraft import AircraftParameters
 from drake_nonstop.model.pattern import HamiltonianCycleConfig
 from drake_nonstop.model.system import Model, SystemParameters
@@ -53,6 +58,47 @@ def test_a_bowed_cable_is_that_of_its_differential_equation():
     assert found.shortening[0] == pytest.approx(longer, rel=1e-6)
     assert found.safety == pytest.approx(1600e6 * np.pi / 4 * 1e-6 / TENSION)
     assert f"break at {found.safety:.2g} times the largest tension" in found.text
+
+
+def test_the_bow_of_each_cable_is_that_of_many_like_it():
+    own = {
+        "cable_length": [140.0, 150.0, 155.0, 160.0],
+        "cable_diameter": [1e-3, 2e-3, 1.5e-3, 3e-3],
+    }
+    own["cable_stiffness"] = [100.0, 120.0, 200.0, 400.0]
+    parameters = AircraftParameters(model="rascal_110")
+    times = np.linspace(0, 3, 5)
+    planned = constant_plan(2 * times, 2.0, 1.2)
+
+    def bowed(**system):
+        fields = {"load_mass": 10.0, "aircraft": parameters, **system}
+        model = Model(SystemParameters(**fields), HamiltonianCycleConfig())
+        shape = CableShape(3, TimeWindow.of(0.75, 9), material_of(model))
+        carriers = resting_carriers(
+            *(model, model, np.eye(7)[0], times),
+            yaw_rate=0.1,
+            load_wind=np.array([2.0, 1.0, 0.0]),
+            shape=shape,
+        )
+        straight = carriers.motion(planned)
+        lines = carriers.bowed(planned, straight)
+        told = BowedCables.of(model, SPEED * np.ones((5, 4)), straight.forces)
+        needs = carriers.needs(straight)
+        return [*lines.motion, lines.nodes.swapaxes(0, 1), lines.bows, needs.thrust], told
+
+    together, told = bowed(**own)
+    shortest = []
+    for i in range(4):
+        alone, one = bowed(**{name: values[i] for name, values in own.items()})
+        shortest.append(one)
+        for unlike, alike in zip(together, alone, strict=True):
+            axis = 2 if unlike.ndim == 4 else 1
+            np.testing.assert_allclose(
+                *(v.take(i, axis) for v in (unlike, alike)), rtol=1e-9, atol=1e-9
+            )
+    assert told.bow <= max(one.bow for one in shortest)
+    assert told.mass == pytest.approx(max(one.mass for one in shortest))
+    assert told.safety >= min(one.safety for one in shortest)
 
 
 @pytest.mark.parametrize(

@@ -91,6 +91,14 @@ def test_growth_without_control_is_that_of_the_whole_loop_and_of_a_run(unstable)
     assert quick.rate == pytest.approx(1.136, rel=0.1)
 
 
+def test_growth_on_unlike_cables_is_that_of_the_whole_loop():
+    scenario = load_scenario("quintic", [*UNSTABLE, "system.cable_length=[1.2, 3.6, 1.5, 4.0]"])
+    task = task_of(scenario)
+    found = task.deviations.growth(REST, task.nominal).rate
+    assert found == pytest.approx(linearize(at_rest(scenario)).rate, rel=0.02)
+    assert found < 0.4  # 1.083 with cables of 2.9561 m
+
+
 def test_the_integral_of_the_position_stays_while_the_axes_turn():
     """That of the attitude is in L, which turns with them."""
     reference, rate = REST.copy(), np.array([0.1, -0.2, 0.7])

@@ -1,8 +1,5 @@
 """Whether a task's bound can be kept."""
 
-import copy
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -61,17 +58,6 @@ def test_the_set_over_time_is_shown_over_a_range_even_where_there_is_one_value()
     assert ratios.shape == (len(times), len(values)) == (3, 3)
 
 
-@pytest.mark.parametrize(("order", "is_planned"), [(1, True), (2, False)])
-def test_patterns_of_the_first_order_alone_are_planned(order, is_planned):
-    task = task_of(load_scenario("quintic", ["simulation_duration=1"]))
-    found = check_speeds(task, is_quick=True)
-    pattern = task.model.pattern
-    model = copy.copy(task.model)
-    model.pattern = replace(pattern, harmonics=(order,) * len(pattern.phases))
-    of_pattern = set_over_time(replace(task, model=model), found, 0, count=3)
-    assert (of_pattern is not None) == is_planned
-
-
 def test_a_bound_that_is_kept_and_one_out_of_reach():
     tight = [
         "optimization_layer.frequency_bounds=[0.1, 2.2]",
@@ -113,20 +99,17 @@ def test_a_task_without_a_bound_is_feasible():
     assert check_speeds(task).is_feasible
 
 
-def test_the_wind_of_a_check_is_that_at_the_height_of_the_load_when_it_has_risen():
-    profile = "velocity: [4, 0, 0], exponent: 0.3, ground_height: -80, start_time: 2, rise_time: 4"
-    assumed = "wind_estimator=!AssumedWind {velocity: [3, 0, 0]}"
-    settings = [f"wind=!WindProfile {{{profile}}}", assumed]
+def test_the_wind_of_a_check_is_the_mean_when_it_has_risen():
+    rising = "{gust: 0.2, velocity: [4, 0, 0], start_time: 2, rise_time: 4}"
+    settings = [f"wind=!GustyWind {rising}", "wind_estimator=NoWind"]
     scenario = load_scenario("aircraft_transfer", settings)
     task = task_of(scenario)
-    height = 80 + task.reference(0.0)[6]
-    at_load = 4 * (height / 10) ** 0.3
-    np.testing.assert_allclose(task.wind, [at_load, 0, 0], rtol=1e-12)
+    np.testing.assert_allclose(task.wind, [4, 0, 0], rtol=1e-12)
     assert task.wind_at(1.0)[0] == 0
-    assert task.wind_at(4.0)[0] == pytest.approx(at_load / 2)
-    assert task.wind_at(9.0, above=20.0)[0] == pytest.approx(4 * ((height + 20) / 10) ** 0.3)
+    assert task.wind_at(4.0)[0] == pytest.approx(2)
+    assert task.wind_at(9.0)[0] == 4
     np.testing.assert_allclose(task.counted_wind(9.0), task.wind_at(9.0))
-    np.testing.assert_allclose(task.planned_wind(9.0), [3, 0, 0])
+    np.testing.assert_allclose(task.planned_wind(9.0), [0, 0, 0])
 
 
 @pytest.mark.usefixtures("coarse")

@@ -122,11 +122,6 @@ def test_growth_in_samples_is_looked_at_more_closely(monkeypatch):
     assert found.is_stable
 
 
-def test_the_plan_has_the_margin_that_is_computed_for_the_loop():
-    limits = task_of(quintic("optimization_layer.tightening=auto")).limits
-    assert (limits.tightening, limits.speed_margin > 0) == ("auto", True)
-
-
 def test_limits_of_aircraft_are_judged_along_the_plan_too():
     given = ["simulation_duration=3", "optimization_layer.max_bank=0.2"]
     task = task_of(load_scenario("aircraft_transfer_rising_wind", given))

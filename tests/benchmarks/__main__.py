@@ -13,7 +13,6 @@ from benchmarks import (  # noqa: E402
     accuracy,
     claims,
     many,
-    optimizer,
     scaling,
     shell,
     viewer,
@@ -36,7 +35,6 @@ from drake_nonstop.validation import (  # noqa: E402
     message_of,
     require,
     require_installed,
-    require_seed,
     require_whole,
     show_warning,
 )
@@ -137,16 +135,9 @@ def _many(options: argparse.Namespace) -> int:
 def _add_optimizer(commands: Commands) -> None:
     parser = commands.add_parser(
         "optimizer",
-        help="the optimization layer: solvers on random and recorded problems, whole tasks",
-        description="Solvers of the optimization layer on random problems and on those of a run, "
-        "and layers that fly whole tasks, compared with the best plan that knows all of a task.",
+        help="layers that fly whole tasks, compared with the best plan that knows all of a task",
     )
     parser.set_defaults(action=_optimizer)
-    parser.add_argument("--instances", type=int, default=1000, metavar="N", help="(1000)")
-    parser.add_argument("--seed", type=int, default=0, help="of the instances (0)")
-    parser.add_argument(
-        "--solvers", nargs="+", metavar="NAME", default=[], help="these only, of all in the table"
-    )
     parser.add_argument(
         "--tasks",
         nargs="*",
@@ -158,22 +149,11 @@ def _add_optimizer(commands: Commands) -> None:
 
 
 def _optimizer(options: argparse.Namespace) -> int:
-    known = [*optimizer.SOLVERS, *optimizer.PEERS]
-    for name in options.solvers:
-        require(name in known, "--solvers", name, f"give some of {', '.join(known)}")
-    require(options.instances > 0, "--instances", options.instances, "give at least 1")
-    require_seed("--seed", options.seed)
     for name in options.tasks:
         remedy = f"give some of {', '.join(whole_tasks.TASKS)}"
         require(name in scenario_names(), "--tasks", name, remedy)
-    measure = partial(
-        optimizer.benchmark_optimizer,
-        options.instances,
-        options.seed,
-        options.solvers,
-        options.tasks,
-    )
-    return run_benchmark(options, "optimizer", measure, optimizer.table)
+    measure = partial(whole_tasks.benchmark_tasks, options.tasks)
+    return run_benchmark(options, "optimizer", measure, whole_tasks.tasks_table)
 
 
 def _add_pictures(commands: Commands) -> None:
@@ -240,17 +220,14 @@ def _report(options: argparse.Namespace) -> int:
     require_writable(options.out, files)
     with TaskProgress() as progress:
         measured = claims.measure(measurable, progress=progress)
-    failed, solvers = claims.wrong_claims(measured), ""
+    failed = claims.wrong_claims(measured)
     if not options.quick:
         with TaskProgress() as progress:
             make_pictures(options.out, progress=progress)
-            results = optimizer.benchmark_optimizer(1000, 0, [], progress=progress)
-        solvers = optimizer.table(results)
-        failed += claims.wrong_shares(text, results)
         print("running tests/evals, which measure the rest ...", flush=True)
         failed += claims.failing_evals(options.readme.parent)
     with replacing_file(options.out / "report.md") as file:
-        file.write(claims.report_text(measured, solvers, failed).encode())
+        file.write(claims.report_text(measured, failed).encode())
     for claim in failed:
         print(claim, file=sys.stderr)
     print(f"{len(measurable)} numbers measured, {len(failed) or 'no'} claims failed")

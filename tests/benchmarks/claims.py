@@ -43,9 +43,6 @@ from drake_nonstop.validation import ScenarioError, read_text, require
 
 Metrics = dict[str, Any]
 
-_SHARES = re.compile(r"^\| ([\w +]+) \| [\d.]+ / [\d.]+ \| ([\d.]+)% \| ([\d.]+)% \|", re.MULTILINE)
-_SAME_SHARE = 0.01  # rounding differs between machines, which changes few instances
-
 _PRINTED = r"(?:≤ )?\d+(?:\.\d+)?(?:–\d+(?:\.\d+)?)?"
 _ROW = re.compile(rf"^\| `([^`]+)` \| ([^|]+) \|[^|]*\| ({_PRINTED}) \|$")
 _NUMBER = re.compile(r"\d+(?:\.\d+)?")
@@ -202,26 +199,6 @@ def measure(claims: Sequence[Claim], progress: Progress = no_progress) -> dict[C
     return {claim: values[claim.arguments][claim.quantity] for claim in claims}
 
 
-def wrong_shares(text: str, results: dict[str, Any]) -> list[str]:
-    """Where a text's table of solvers differs from what `benchmark_optimizer` returned.
-
-    A row begins with the solver, its times, and its shares of feasible and optimal answers.
-    """
-    rows = _SHARES.findall(text)
-    require(rows, "--readme", "a text without a table of solvers", "give the README")
-    wrong = []
-    for name, *printed in rows:
-        found = results["instances"]["solvers"].get(name)
-        if found is None:
-            wrong.append(f"{name}: not measured")
-            continue
-        for kind, percent in zip(("feasible", "optimal"), printed, strict=True):
-            share = found[f"{kind}_share"]
-            if abs(share - float(percent) / 100) > _SAME_SHARE:
-                wrong.append(f"{name}: {kind} = {share:.1%}, not {percent}%")
-    return wrong
-
-
 def failing_evals(folder: Path) -> list[str]:
     """The failures of tests/evals, which measure the other claims, in the folder of a checkout."""
     command = [sys.executable, "-m", "pytest", "-q", "tests/evals", "-m", ""]  # nightly ones, too
@@ -257,19 +234,14 @@ def as_markdown(values: dict[Claim, Measured]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def report_text(values: dict[Claim, Measured], solvers: str, failures: Sequence[str]) -> str:
+def report_text(values: dict[Claim, Measured], failures: Sequence[str]) -> str:
     """The report in Markdown.
 
     Args:
         values: of the claims.
-        solvers: the table of the solvers' benchmark, "" where that was not run.
         failures: a sentence for each claim that does not hold, of whatever kind.
     """
-    parts = [as_markdown(values)]
-    if solvers:
-        parts.append(f"\n```\n{solvers}\n```\n")
-    parts += [f"\nFails: {line}\n" for line in failures]
-    return "".join(parts)
+    return "".join([as_markdown(values), *(f"\nFails: {line}\n" for line in failures)])
 
 
 def _scenario(arguments: str) -> Scenario:

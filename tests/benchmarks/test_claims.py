@@ -17,7 +17,6 @@ from benchmarks.claims import (
     read_claims,
     unresolved_quantities,
     wrong_claims,
-    wrong_shares,
 )
 from benchmarks.speed_claims import BENCHMARKS, _of_scenario
 from drake_nonstop.simulation.metrics import METRICS
@@ -26,9 +25,6 @@ from drake_nonstop.validation import ScenarioError
 
 RUN = "quintic simulation_duration=0.1 optimization_layer=ConstantParameters"
 ROW = "| `{}` | {} | | {} |"
-
-
-SHARES = "| search | 1.4 / 3.2 | 100.0% | {}% | 0.3 / 0.6 |"
 
 
 @pytest.fixture(autouse=True)
@@ -217,14 +213,6 @@ def test_a_run_that_its_step_does_not_resolve_fails_its_claim():
     arguments = f"quintic simulation_duration=2 simulated.attachments={points}"
     claim = Claim(arguments=arguments, quantity="slowest final speed (m/s)", printed="1")
     assert not measure([claim])[claim].is_resolved
-
-
-def test_shares_of_the_solvers_are_compared():
-    results = {
-        "instances": {"solvers": {"search": {"feasible_share": 1.0, "optimal_share": 0.955}}}
-    }
-    assert wrong_shares(SHARES.format("95.5"), results) == []
-    assert wrong_shares(SHARES.format("98.0"), results) == ["search: optimal = 95.5%, not 98.0%"]
 
 
 def test_without_a_readme_there_is_a_sentence(tmp_path, monkeypatch, capsys):

@@ -13,7 +13,7 @@ from drake_nonstop.cli.main import main
 
 pytestmark = pytest.mark.filterwarnings("ignore:compiled loop")
 
-BRIEF = ["simulation_duration=0.1", "optimization_layer=NonstopOptimizer"]
+BRIEF = ["simulation_duration=0.1", "optimization_layer=NlpLayer"]
 
 
 @pytest.mark.nightly("benchmarks")

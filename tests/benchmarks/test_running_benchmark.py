@@ -122,8 +122,8 @@ def test_calls_are_counted(timed):
     run, timers = timed
     assert timers.steps == len(run.steps["time"]) - 1
     assert calls(timers, "load_plant", "DoCalcTimeDerivatives") == 3 * timers.steps
-    # The layer's plans are told at each sample.
-    updates = round(run.scenario.simulation_duration / run.scenario.control_period)
+    # The layer is asked for plans, and its measured margin steps, at each sample.
+    updates = 2 * round(run.scenario.simulation_duration / run.scenario.control_period)
     assert abs(calls(timers, "optimization_layer", "update") - updates) <= 1
     evaluations = sum(f.evaluations for f in timers.root.walk() if f.box == "load_plant")
     assert evaluations == 3 * timers.steps

@@ -14,11 +14,10 @@ from whole_task_plans import plan_task
 
 from drake_nonstop.analysis.task import Task, task_of
 from drake_nonstop.blocks.phase import ShapedPhaseConfig
-from drake_nonstop.mechanics.planned_orbit import OrbitTerms, PlannedOrbit
+from drake_nonstop.mechanics.rigid_load import STILL_AIR
 from drake_nonstop.mechanics.signals import SIGNAL_PERIOD, PlannedParameters
 from drake_nonstop.optimization.horizon_config import HorizonConfig, timed
 from drake_nonstop.optimization.horizon_problem import HorizonProblem
-from drake_nonstop.optimization.limits import Of
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.scenario.schema import Scenario
@@ -29,7 +28,7 @@ from drake_nonstop.simulation.simulate import simulate
 TASKS = ("line", "quintic", "three_carriers", "real_scale_spread")
 OFFLINE = "offline optimum"
 _MARGIN = "optimization_layer.tightening=0.02"  # of all, since costs depend on it
-ONE_SAMPLE = ["optimization_layer=NonstopOptimizer", "phase=AccumulatedPhase"]
+ONE_SAMPLE = ["optimization_layer=NlpLayer", "phase=AccumulatedPhase"]
 LAYERS: dict[str, list[str]] = {
     "one sample": [*ONE_SAMPLE, _MARGIN],
     "horizon": ["optimization_layer=RecedingHorizonOptimizer", "phase=ShapedPhase", _MARGIN],
@@ -130,17 +129,17 @@ def _offline(task: Task, config: HorizonConfig) -> Row:
         task.limits,
         task.reference,
         task.duration,
-        name=lambda: OFFLINE,
         config=config,
     )
     total = time.perf_counter() - start
     times = np.arange(0.0, task.duration, SIGNAL_PERIOD)
-    planned = np.array([best.plan.values(instant) for instant in times])
-    problem = HorizonProblem(task.model, task.limits, config, lambda: OFFLINE)
-    terms = problem.all_terms(np.array([task.reference(instant) for instant in times]))
-    speeds = problem.values_along(
-        Of.SPEED, OrbitTerms.view(terms), PlannedOrbit.of_planned(planned)
-    )
+    planned = np.array([best.plan.planned(instant) for instant in times])
+    problem = HorizonProblem(task.model, task.limits, config)
+    squares = [
+        problem.squared_speeds(values[:, None], task.reference(instant), STILL_AIR)[:, 0]
+        for values, instant in zip(planned, times, strict=True)
+    ]
+    speeds = np.sqrt(squares)
     bound = task.limits.speed_bound
     return {
         **_costs(planned[:, 1:3] / task.nominal, planned, task.nominal, config),

@@ -1,4 +1,4 @@
-"""The cables, alike and individual."""
+"""Straight cables."""
 
 import math
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from helpers import Motion, fix, model, output, regular
 
-from drake_nonstop.blocks.cables import Cables, IndividualCables, IndividualCablesConfig
+from drake_nonstop.blocks.cables import Cables
 from drake_nonstop.mechanics.cable import cable_forces_and_tensions
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.simulation.run import StepCheck
@@ -63,37 +63,12 @@ def test_cable_of_no_length_is_named():
         block.GetOutputPort("tensions").Eval(context)
 
 
-def state(n=4, height=0.85):
-    """A level load at the origin, and carriers `height` above its attachments: taut cables."""
-    load = np.array([1.0, *[0.0] * 12])
-    points = model(n).attachments + np.array([0.0, 0.0, height])
-    return load, np.concatenate([points.ravel(), np.zeros(3 * n)])
-
-
-def test_alike_cables_are_the_plain_ones_and_unlike_ones_are_not():
-    load, carriers = state()
-    plain, alike = Cables(model()), IndividualCables(model())
-    config = IndividualCablesConfig(stiffness=[100.0, 200.0, 400.0, 800.0])
-    unlike = IndividualCables(model(), config)
-    results = []
-    for block in (plain, alike, unlike):
-        context = block.CreateDefaultContext()
-        fix(block, context, load_state=load, carrier_state=carriers)
-        results.append(output(block, context, "tensions"))
-    np.testing.assert_array_equal(results[0], results[1])
-    np.testing.assert_allclose(results[2], 0.05 * np.array(config.stiffness))
-    short = IndividualCables(model(), IndividualCablesConfig(rest_length=[0.8, 0.86, 0.8, 0.84]))
-    context = short.CreateDefaultContext()
-    fix(short, context, load_state=load, carrier_state=carriers)
-    np.testing.assert_allclose(output(short, context, "tensions"), [25, 0, 25, 5], atol=1e-9)
-
-
 @pytest.mark.nightly("flights")
 @pytest.mark.slow
 def test_a_cable_that_goes_slack_and_taut_does_not_chatter():
     """One cable 3 % too long: it is slack part of each turn, and the tension has no jumps."""
     settings = [
-        "cables=!IndividualCables {rest_length: [0.8, 0.8, 0.8, 0.83]}",
+        "simulated.cable_length=[0.8, 0.8, 0.8, 0.83]",
         *("simulation_duration=1.5", "optimization_layer=ConstantParameters"),
     ]
     switches = []
@@ -106,12 +81,3 @@ def test_a_cable_that_goes_slack_and_taut_does_not_chatter():
     # What chatters does so at every step: 2.5 times as often with steps that are as much shorter.
     assert switches[0] > 0
     assert switches[1] < 1.5 * switches[0]
-
-
-@pytest.mark.parametrize(
-    ("field", "value"),
-    [("stiffness", [1.0, 2.0]), ("damping", [-1.0] * 4), ("rest_length", [0.0] * 4)],
-)
-def test_bad_cables(field, value):
-    with pytest.raises(ScenarioError, match=f"^cables\\.{field} = "):
-        IndividualCables(model(), IndividualCablesConfig(**{field: value}))

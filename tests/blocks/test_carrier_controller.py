@@ -1,18 +1,14 @@
-"""The carrier controllers: plain, tuned, with feedforward and with weight."""
+"""The carrier controllers: plain, with feedforward, and tuned."""
 
 import numpy as np
 import pytest
 from helpers import fix, model, output, outputs
 
-from drake_nonstop.blocks import carrier_controller
 from drake_nonstop.blocks.carrier_controller import (
     CarrierPid,
     CarrierPidConfig,
     FeedforwardCarrierPid,
     FeedforwardCarrierPidConfig,
-    LoadedCarrierPid,
-    TunedCarrierPid,
-    TunedCarrierPidConfig,
     TunedFeedforwardCarrierPid,
     TunedFeedforwardCarrierPidConfig,
 )
@@ -64,7 +60,11 @@ def test_bad_gain_of_the_carrier_controller_is_named(gain, value):
     ("make", "config", "message"),
     [
         (CarrierPid, CarrierPidConfig(integral_gain=-1.0), r"integral_gain = -1\.0"),
-        (TunedCarrierPid, TunedCarrierPidConfig(frequency=0.0), r"frequency = 0\.0"),
+        (
+            TunedFeedforwardCarrierPid,
+            TunedFeedforwardCarrierPidConfig(frequency=0.0),
+            r"frequency = 0\.0",
+        ),
         (
             TunedFeedforwardCarrierPid,
             TunedFeedforwardCarrierPidConfig(damping=-0.1),
@@ -85,43 +85,21 @@ def test_parameters_out_of_range_are_named(make, config, message):
 @pytest.mark.parametrize("n", [3, 4])
 def test_default_tuned_gains_of_the_papers_carriers_are_those_of_the_pid(rng, n):
     inputs = {"carrier_reference": rng.normal(size=6 * n), "carrier_state": rng.normal(size=6 * n)}
-    tuned = outputs(TunedCarrierPid(model(n)), **inputs)["carrier_forces"]
-    plain = outputs(CarrierPid(model(n)), **inputs)["carrier_forces"]
-    np.testing.assert_allclose(tuned, plain, rtol=1e-13)
-    heavy = outputs(TunedCarrierPid(model(n, carrier_mass=6.0)), **inputs)["carrier_forces"]
-    np.testing.assert_allclose(heavy, 60 * plain, rtol=1e-13)
+    inputs["carrier_reference_acceleration"] = rng.normal(size=3 * n)
+    plain = outputs(FeedforwardCarrierPid(model(n)), **inputs)["carrier_forces"]
+    for mass, share in ((0.1, 1), (6.0, 60)):
+        tuned = outputs(TunedFeedforwardCarrierPid(model(n, carrier_mass=mass)), **inputs)
+        np.testing.assert_allclose(tuned["carrier_forces"], share * plain, rtol=1e-13)
 
 
 @pytest.mark.parametrize("integral_gain", [0.0, 3.0])
-@pytest.mark.parametrize(
-    ("make", "config", "without"),
-    [
-        (FeedforwardCarrierPid, FeedforwardCarrierPidConfig(), CarrierPid),
-        (TunedFeedforwardCarrierPid, TunedFeedforwardCarrierPidConfig(), TunedCarrierPid),
-    ],
-)
-def test_feedforward_adds_the_mass_times_the_acceleration_of_the_reference(
-    rng, make, config, without, integral_gain
-):
+def test_feedforward_adds_the_mass_times_the_acceleration_of_the_reference(rng, integral_gain):
     body = model(4, carrier_mass=0.3)
-    fields = vars(config)
-    if "integral_gain" in fields:
-        fields["integral_gain"] = integral_gain
-    plain = getattr(carrier_controller, f"{without.__name__}Config")(**fields)
     acceleration = rng.normal(size=12)
     inputs = {"carrier_reference": rng.normal(size=24), "carrier_state": rng.normal(size=24)}
-    expected = outputs(without(body, plain), **inputs)["carrier_forces"] + 0.3 * acceleration
-    forces = outputs(make(body, config), **inputs, carrier_reference_acceleration=acceleration)
+    plain = outputs(CarrierPid(body, CarrierPidConfig(integral_gain=integral_gain)), **inputs)
+    config = FeedforwardCarrierPidConfig(integral_gain=integral_gain)
+    block = FeedforwardCarrierPid(body, config)
+    forces = outputs(block, **inputs, carrier_reference_acceleration=acceleration)
+    expected = plain["carrier_forces"] + 0.3 * acceleration
     np.testing.assert_allclose(forces["carrier_forces"], expected, rtol=1e-12, atol=1e-11)
-
-
-def test_controller_of_loaded_carriers_carries_weight_and_cable():
-    block = LoadedCarrierPid(model())
-    context = block.CreateDefaultContext()
-    still = np.arange(24.0)
-    pull = np.linspace(-1, 1, 12)
-    fix(block, context, carrier_reference=still, carrier_state=still, desired_cable_forces=pull)
-    weight = [0, 0, model().carrier_mass * model().gravity]
-    np.testing.assert_allclose(
-        output(block, context, "carrier_forces").reshape(4, 3), pull.reshape(4, 3) + weight
-    )

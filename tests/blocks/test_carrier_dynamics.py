@@ -1,20 +1,22 @@
-"""The carriers: double integrators, with weight and cable, and ideal."""
+"""The carriers: double integrators, free, or with a limit, a lag, weight and cable."""
 
 import numpy as np
 import pytest
-from helpers import fix, model, output, outputs
+from helpers import fix, model, output
+from pydrake.autodiffutils import ExtractGradient, InitializeAutoDiff
 from pydrake.systems.analysis import Simulator
 
 from drake_nonstop.blocks.carrier_dynamics import (
     CarrierDynamics,
-    IdealCarriers,
-    LoadedCarrierDynamics,
-    LoadedCarrierDynamicsConfig,
+    LimitedCarriers,
+    LimitedCarriersConfig,
 )
+from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.simulation.metrics import compute_metrics
 from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.systems.tracing import NotFiniteError
+from drake_nonstop.validation import ScenarioError
 
 counts = pytest.mark.parametrize("n", [3, 4, 6])
 
@@ -44,44 +46,105 @@ def test_pushed_carrier_moves_on_a_parabola():
 
 
 def test_carrier_that_gets_no_number_is_named():
-    block = LoadedCarrierDynamics(model())
+    block = CarrierDynamics(model())
     block.set_name("carrier_dynamics")
     context = block.CreateDefaultContext()
-    fix(block, context, carrier_forces=np.full(12, np.inf), carrier_cable_forces=np.zeros(12))
+    fix(block, context, carrier_forces=np.full(12, np.inf))
     with pytest.raises(NotFiniteError, match="carrier_dynamics"):
         block.EvalTimeDerivatives(context)
 
 
-def acceleration(block, **inputs):
+LOADED = {"has_weight": True, "feels_cable": True}
+WEIGHTY = "carrier_dynamics=!LimitedCarriers {has_weight: true, feels_cable: true}"
+
+
+def test_a_limited_carrier_follows_a_step_exponentially():
+    """v = a (t − τ (1 − e^{−t/τ})), and its integral, of a command a at rest."""
+    lag, time, command = 0.2, 0.7, np.linspace(-1, 1, 9)
+    block = LimitedCarriers(model(3, carrier_mass=0.5), LimitedCarriersConfig(lag=lag))
+    simulator = Simulator(block)
+    simulator.get_mutable_integrator().set_target_accuracy(1e-11)
+    context = simulator.get_mutable_context()
+    fix(block, context, carrier_forces=0.5 * command)
+    simulator.AdvanceTo(time)
+    rise = 1 - np.exp(-time / lag)
+    shares = [time**2 / 2 - lag * time + lag**2 * rise, time - lag * rise]
+    expected = np.concatenate([share * command for share in shares])
+    np.testing.assert_allclose(output(block, context, "carrier_state"), expected, atol=1e-9)
+    state = context.get_continuous_state_vector().CopyToVector()
+    np.testing.assert_allclose(state[18:], rise * command, atol=1e-9)
+
+
+def rates(block, state, **inputs):
+    """Rates (3, n, 3) of positions, velocities and the carriers' own accelerations."""
     context = block.CreateDefaultContext()
+    context.SetContinuousState(state)
     fix(block, context, **inputs)
-    return block.EvalTimeDerivatives(context).CopyToVector()[12:].reshape(4, 3)
+    return block.EvalTimeDerivatives(context).CopyToVector().reshape(3, -1, 3)
 
 
-def test_carriers_feel_weight_cable_and_their_limit():
-    free = LoadedCarrierDynamics(model())
-    mass, gravity = model().carrier_mass, model().gravity
-    forces = np.arange(12.0)
-    cables = np.linspace(-1, 1, 12)
-    expected = (forces - cables).reshape(4, 3) / mass - [0, 0, gravity]
-    np.testing.assert_allclose(
-        acceleration(free, carrier_forces=forces, carrier_cable_forces=cables), expected
-    )
-    limited = LoadedCarrierDynamics(model(), LoadedCarrierDynamicsConfig(max_force=5.0))
-    got = acceleration(limited, carrier_forces=forces, carrier_cable_forces=np.zeros(12))
-    applied = mass * (got + np.array([0, 0, gravity]))
-    sizes = np.linalg.norm(forces.reshape(4, 3), axis=1)
-    np.testing.assert_allclose(np.linalg.norm(applied, axis=1), np.minimum(sizes, 5.0))
-    np.testing.assert_allclose(np.cross(applied, forces.reshape(4, 3)), 0, atol=1e-12)
+@counts
+@pytest.mark.parametrize("options", [{}, {"has_weight": True}, {"feels_cable": True}, LOADED])
+def test_limited_carriers_feel_weight_cable_and_their_limit(rng, n, options):
+    config = LimitedCarriersConfig(max_acceleration=9.0, lag=0.1, **options)
+    body = model(n, carrier_mass=0.25)
+    block = LimitedCarriers(body, config)
+    state = rng.normal(size=(3, n, 3))
+    forces, cables = np.arange(3.0 * n), rng.normal(size=3 * n)
+    pull = {"carrier_cable_forces": cables} if config.feels_cable else {}
+    moved, pulled, own = rates(block, state.ravel(), carrier_forces=forces, **pull)
+    np.testing.assert_array_equal(moved, state[1])
+    felt = np.array([0, 0, -9.81]) * config.has_weight
+    felt = felt - config.feels_cable * cables.reshape(n, 3) / 0.25
+    np.testing.assert_allclose(pulled - state[2], felt, atol=1e-12)
+    commands, limited = forces.reshape(n, 3) / 0.25, state[2] + 0.1 * own
+    sizes = np.linalg.norm(commands, axis=1)
+    assert np.any(sizes < 9)
+    assert np.any(sizes > 9)
+    np.testing.assert_allclose(np.linalg.norm(limited, axis=1), np.minimum(sizes, 9))
+    np.testing.assert_allclose(np.cross(limited, commands), 0, atol=1e-11)
 
 
-LOADED = ["carrier_dynamics=!LoadedCarrierDynamics {}", "carrier_controller=!LoadedCarrierPid {}"]
+def test_a_limited_carrier_without_a_command_has_derivatives():
+    block = LimitedCarriers(model())
+    converted, context = block.ToAutoDiffXd(), block.CreateDefaultContext()
+    fix(block, context, carrier_forces=np.zeros(12))
+    own = converted.CreateDefaultContext()
+    forces = InitializeAutoDiff(np.zeros(12)).ravel()
+    converted.GetInputPort("carrier_forces").FixValue(own, forces)
+    rate = converted.EvalTimeDerivatives(own).CopyToVector()
+    slopes = ExtractGradient(rate)[24:]
+    expected = np.eye(12) / (model().carrier_mass * block.config.lag)
+    np.testing.assert_allclose(slopes, expected, atol=1e-9)
+
+
+def test_a_run_starts_with_the_accelerations_that_the_references_need():
+    settings = [WEIGHTY, "optimization_layer=ConstantParameters"]
+    loop = make_nonstop(load_scenario("quintic", settings))
+    context = loop.CreateDefaultContext()
+    Simulator(loop, context).Initialize()  # what is sampled is held from then on
+    carriers = loop.GetSubsystemByName("carrier_dynamics").GetMyContextFromRoot(context)
+    own = carriers.get_continuous_state_vector().CopyToVector()[24:]
+    pull = output(loop, context, "cable_forces").reshape(4, 3)
+    desired = output(loop, context, "carrier_reference_acceleration").reshape(4, 3)
+    expected = desired + pull / 0.1 + [0, 0, 9.81]
+    np.testing.assert_allclose(own.reshape(4, 3), expected, atol=1e-6)
+
+
+@pytest.mark.parametrize(("field", "value"), [("lag", 0.0), ("max_acceleration", -1.0)])
+def test_bad_limits_of_carriers_are_named(field, value):
+    with pytest.raises(ScenarioError, match=f"carrier_dynamics.{field} = {value}: give"):
+        LimitedCarriers(model(), LimitedCarriersConfig(**{field: value}))
 
 
 @pytest.mark.nightly("flights")
 @pytest.mark.parametrize("mass", [0.9, 1.0, 1.1])
 def test_with_the_cables_reaction_and_a_wrong_mass_the_bound_holds(mass):
-    run = simulate(load_scenario("quintic", [*LOADED, f"simulated.load_mass={mass}"]))
+    settings = [
+        *(WEIGHTY, f"simulated.load_mass={mass}", "carrier_controller.integral_gain=5000"),
+        "simulator_config.max_step_size=0.0025",
+    ]
+    run = simulate(load_scenario("quintic", settings))
     metrics = compute_metrics(run)
     assert metrics["carriers"]["time_below_bound_s"] == 0
     assert metrics["load"]["position_error_final_m"] <= 1.2e-3
@@ -89,27 +152,19 @@ def test_with_the_cables_reaction_and_a_wrong_mass_the_bound_holds(mass):
 
 
 @pytest.mark.slow
-def test_with_the_cables_reaction_carriers_stay_on_their_references():
-    """Of a load that is heavier than believed, which only the cables tell."""
-    settings = [*LOADED, "optimization_layer=ConstantParameters", "simulation_duration=0.5"]
-    distances = []
-    for mass in (1.0, 1.1):
-        run = simulate(load_scenario("quintic", [*settings, f"simulated.load_mass={mass}"]))
-        places = [run.signal(name)[:, :12] for name in ("carrier_state", "carrier_reference")]
-        distances.append(np.abs(places[0] - places[1]).max())
-    # Weight and believed pull are fed forward; without that, weight and cable, 3.4 N, would move
-    # the carriers by 3.4 mm at 1000 N/m. A quarter of 0.1 kg moves them by 0.25 mm.
-    assert distances[0] < 3e-4
-    assert distances[1] < distances[0] + 2.5e-4
+def test_loaded_carriers_sag_by_weight_and_pull_over_the_gain():
+    """‖m_c g e₃ + f‖/K_p, of what the cables pull with."""
+    settings = ["optimization_layer=ConstantParameters", "simulation_duration=2"]
+    settings += [WEIGHTY, "load_trajectory.start_time=20"]
+    run = simulate(load_scenario("quintic", settings))
+    places = [run.signal(name)[-1, :12] for name in ("carrier_state", "carrier_reference")]
+    sag = (places[0] - places[1]).reshape(4, 3)
+    pull = run.signal("cable_forces")[-1].reshape(4, 3)
+    expected = -(pull + np.array([0, 0, 0.1 * 9.81])) / 1000
+    np.testing.assert_allclose(sag, expected, atol=4e-5)
 
 
 @pytest.mark.slow
 def test_carriers_too_weak_for_the_load_let_it_down(fleet):
-    run = fleet.run("that_falls")  # of four LoadedCarrierDynamics with 1 N each
+    run = fleet.run("that_falls")  # of four carriers that hold 1 N each
     assert run.signal("load_state")[-1, 6] < -0.1
-
-
-def test_ideal_carriers_are_where_they_should_be(rng):
-    values = rng.normal(size=24)
-    state = outputs(IdealCarriers(model()), carrier_reference=values)["carrier_state"]
-    np.testing.assert_array_equal(state, values)

@@ -10,7 +10,7 @@ from pydrake.systems.analysis import Simulator
 
 from drake_nonstop import (
     FixedWingControllerConfig,
-    IdealCarriersConfig,
+    LimitedCarriersConfig,
     ScenarioError,
     ScenarioWarning,
     compute_metrics,
@@ -85,7 +85,7 @@ def test_a_trimmed_block_flies_straight():
     set_carriers(context, start)
     block.trim(context, np.zeros(9))
     states = FlightStates.view(context.get_continuous_state_vector().CopyToVector())
-    fix(block, context, aircraft_command=np.concatenate([*states[1:4]]))
+    fix(block, context, aircraft_command=np.concatenate([*states[2:5]]))
     simulator.AdvanceTo(1.0)
     expected = start + np.concatenate([np.tile([15.0, 0.0, 0.0], 3), np.zeros(9)])
     np.testing.assert_allclose(output(block, context, "carrier_state"), expected, atol=1e-6)
@@ -180,11 +180,11 @@ def test_parameters_are_those_of_a_loop_built_with_them(loop):
         ),
         (
             {
-                "carrier_dynamics": IdealCarriersConfig(),
+                "carrier_dynamics": LimitedCarriersConfig(),
                 "carrier_controller": FixedWingControllerConfig(),
             },
             "carrier_controller = FixedWingController: it reads aircraft_state, which "
-            "carrier_dynamics = IdealCarriers does not make; give "
+            "carrier_dynamics = LimitedCarriers does not make; give "
             "carrier_dynamics=FixedWingDynamics, or carrier_controller=FeedforwardCarrierPid",
         ),
     ],
@@ -201,36 +201,20 @@ def test_aircraft_that_are_not_flown_are_told():
         make_nonstop(scenario, at_equilibrium=False)
 
 
-@pytest.mark.slow
-def test_a_layer_without_limits_of_aircraft_is_told_before_they_fly():
-    other = "optimization_layer=!NonstopOptimizer {period: 0.04}"
-    pattern = "pattern=!SpreadCarousel {spread: 6.75}"
-    with pytest.warns(ScenarioWarning) as warned:
-        make_nonstop(load_scenario("aircraft_rest", [other, pattern]), at_equilibrium=False)
-    assert [str(warning.message) for warning in warned] == [
-        "optimization_layer.max_lift_share = inf: the layer may ask of aircraft what they cannot "
-        "fly; give at most the lift_share of carrier_controller, such as 0.85, and max_bank and "
-        "max_thrust_share, or optimization_layer: !ConstantParameters"
-    ]
-    limited = other.replace("}", ", max_lift_share: 0.85, speed_bound: 10}")
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        make_nonstop(load_scenario("aircraft_rest", [limited, pattern]), at_equilibrium=False)
-
-
 def test_a_layer_that_plans_for_straight_cables_is_told_where_they_bow():
     def over(layer, **fields):
-        fields |= {"speed_bound": 10, "max_lift_share": 0.85}
+        fields |= {"speed_bound": 10}
         return [f"optimization_layer=!{layer} {fields}", "pattern=!SpreadCarousel {spread: 6.75}"]
 
-    own = over("NonstopOptimizer", period=0.04)
-    with pytest.warns(ScenarioWarning, match="= NonstopOptimizer: it plans for straight") as warned:
+    own = over("NlpLayer", period=0.04)
+    with pytest.warns(ScenarioWarning, match="= NlpLayer: it plans for straight") as warned:
         make_nonstop(load_scenario("aircraft_rest_cables", own), at_equilibrium=False)
     assert len(warned) == 1
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         make_nonstop(load_scenario("aircraft_rest", own), at_equilibrium=False)
-        other = load_scenario("aircraft_rest_cables", over("RecedingHorizonOptimizer"))
+        planned = over("RecedingHorizonOptimizer", max_lift_share=0.85)
+        other = load_scenario("aircraft_rest_cables", planned)
         make_nonstop(other, at_equilibrium=False)
 
 

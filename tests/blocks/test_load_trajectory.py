@@ -8,8 +8,6 @@ from helpers import difference, model, output, rotation
 from pydrake.math import RollPitchYaw
 
 from drake_nonstop.blocks.load_trajectory import (
-    Circle,
-    CircleConfig,
     ConstantVelocityMove,
     ConstantVelocityMoveConfig,
     RestToRest,
@@ -51,10 +49,6 @@ WAYPOINTS = WaypointsConfig(
     move_times=[2.5, 4.0, 3.0],
     rest_times=[0.5, 0.0, 1.0],
 )
-CIRCLE = CircleConfig(
-    **START, radius=0.6, centre_direction=2.0, turns=-1.25, start_time=1.0, move_time=9.0
-)
-FOLLOWING_CIRCLE = dataclasses.replace(CIRCLE, turns=0.7, turns_with_path=True)
 STEADY_TURN = SteadyTurnConfig(
     **START, yaw_rate=-0.7, displacement=[1.0, -2.0, 0.5], start_time=1.0, move_time=9.0
 )
@@ -74,8 +68,6 @@ CASES = {
     "blend 4": (ConstantVelocityMove, move(4.0), [0.5, 4.5, 6.5, 10.5]),
     "no cruise": (ConstantVelocityMove, move(4.0, 4.0), [0.5, 4.5, 8.5]),
     "waypoints": (Waypoints, WAYPOINTS, [0.5, 3, 7, 8, 11]),
-    "circle": (Circle, CIRCLE, [1, 10]),
-    "following circle": (Circle, FOLLOWING_CIRCLE, [1, 10]),
     "samples": (
         SampledTrajectory,
         SampledTrajectoryConfig(samples=SAMPLES),
@@ -339,41 +331,6 @@ def test_waypoints_without_angles_and_rests_keep_the_attitude_and_go_on_at_once(
         np.testing.assert_array_equal(reference(time)[7:10], 0)
 
 
-@pytest.mark.parametrize("config", [CIRCLE, FOLLOWING_CIRCLE])
-def test_circle_keeps_its_radius_height_and_sense(config):
-    reference = reference_of(Circle, config)
-    start = np.array(START["start_position"])
-    centre = start + 0.6 * np.array([np.cos(2.0), np.sin(2.0), 0])
-    for time in np.linspace(1.1, 9.9, 23):
-        now = reference(time)
-        arm, velocity = now[4:7] - centre, now[10:13]
-        assert arm[2] == now[12] == now[18] == now[21] == 0
-        assert np.linalg.norm(arm) == pytest.approx(0.6, abs=1e-15)
-        assert arm @ velocity == pytest.approx(0, abs=1e-15)
-        assert np.cross(arm, velocity)[2] * config.turns > 0
-    for time, share in ((1.0, 0.0), (5.5, 0.5), (10.0, 1.0)):
-        angle = 2.0 + np.pi + share * config.turns * 2 * np.pi
-        expected = centre + 0.6 * np.array([np.cos(angle), np.sin(angle), 0])
-        np.testing.assert_allclose(reference(time)[4:7], expected, rtol=0, atol=1e-13)
-        still = reference(time)[7:19]
-        assert share == 0.5 or np.max(np.abs(still)) < 1e-12
-    speed = np.linalg.norm(reference(5.5)[10:13])  # 15/8 of the mean speed
-    assert speed == pytest.approx(15 / 8 * 2 * np.pi * 0.6 * abs(config.turns) / 9)
-
-
-def test_load_turns_with_its_circle_where_asked():
-    straight, following = reference_of(Circle, CIRCLE), reference_of(Circle, FOLLOWING_CIRCLE)
-    roll, pitch, yaw = START["start_roll_pitch_yaw"]
-    for time, share in ((0.0, 0.0), (5.5, 0.5), (20.0, 1.0)):
-        rotated = RollPitchYaw(roll, pitch, yaw + share * 0.7 * 2 * np.pi).ToRotationMatrix()
-        R = rotation(following(time)[:4])
-        np.testing.assert_allclose(R, rotated.matrix(), rtol=0, atol=1e-13)
-        np.testing.assert_array_equal(straight(time)[:4], straight(0.0)[:4])
-    now = following(4.0)
-    np.testing.assert_allclose(now[7:9], 0, atol=1e-15)
-    assert now[9] == pytest.approx(np.linalg.norm(now[10:13]) / 0.6)
-
-
 def test_samples_are_passed_by_a_curve_that_begins_and_ends_without_velocity():
     reference = reference_of(SampledTrajectory, SampledTrajectoryConfig(samples=SAMPLES))
     for row in SAMPLES:
@@ -407,8 +364,6 @@ def test_samples_from_a_file_are_those_in_it(tmp_path, columns):
     config = SampledTrajectoryConfig(file=str(path))
     resolved = config.resolved()
     assert resolved == SampledTrajectoryConfig(samples=rows)
-    assert config.start_position == resolved.start_position == [0.5, -1.0, 2.0]
-    assert resolved.start_roll_pitch_yaw == ([0.2, -0.3, 0.4] if columns == 7 else [0.0, 0.0, 0.0])
     one, other = (reference_of(SampledTrajectory, c) for c in (config, resolved))
     for time in np.linspace(0, 10, 11):
         np.testing.assert_array_equal(one(time), other(time))
@@ -426,24 +381,28 @@ def test_a_relative_file_is_in_the_current_folder(tmp_path, monkeypatch):
     [
         (None, "can be read"),
         (b"t,x,y,z\n0,0,0,\xff\n", "can be read"),
-        ("", "yaw in its first line"),
-        ("t,x,y\n0,0,0\n1,0,0\n", "yaw in its first line"),
-        ("x,t,y,z\n0,0,0,0\n1,0,0,0\n", "t, x, y, z or t, x, y, z, roll, pitch, yaw in its first"),
-        ("0,0,0,0\n1,0,0,0\n", "yaw in its first line"),
-        ("t;x;y;z\n0;0;0;0\n", "yaw in its first line"),
-        ("secret:x:0:0\n", "yaw in its first line"),
-        ("t,x,y,z\nsecret:x:0:0\n", "4 numbers in line 2"),
-        ("t,x,y,z\n0,0,0,0\n1,0,0\n", "4 numbers in line 3"),
-        ("t,x,y,z\n0,0,0,0\n\n1,0,zero,0\n", "4 numbers in line 4"),
-        ("t,x,y,z\n0,0,0,0\n1,0,0,\n", "4 numbers in line 3"),
-        ("t,x,y,z\n0,0,0,0\n1,0,nan,0\n", "finite numbers up to 1e6 in row 2"),
-        ("t,x,y,z\n0,0,0,0\n1,inf,0,0\n", "finite numbers up to 1e6 in row 2"),
-        ("t,x,y,z\n0,0,0,0\n1e300,1,0,0\n", "finite numbers up to 1e6 in row 2"),
-        ("t,x,y,z\n0,0,0,0\n2,0,0,0\n2,1,0,0\n", "row 3 has 2 after 2"),
-        ("t,x,y,z\n0,0,0,0\n2,0,0,0\n1.5,1,0,0\n", "row 3 has 1.5 after 2"),
-        ("t,x,y,z\n-1,0,0,0\n2,0,0,0\n", "from 0 up, not -1 in row 1"),
-        ("t,x,y,z\n0,0,0,0\n", "2 or more rows"),
-        ("t,x,y,z\n", "2 or more rows"),
+        ("", "named in its first line"),
+        ("t,x,y\n0,0,0\n1,0,0\n", "named in its first line"),
+        (
+            "x,t,y,z\n0,0,0,0\n1,0,0,0\n",
+            "x, y, z or of t, x, y, z, roll, pitch, yaw, named in",
+        ),
+        ("0,0,0,0\n1,0,0,0\n", "named in its first line"),
+        ("t;x;y;z\n0;0;0;0\n", "named in its first line"),
+        ("secret:x:0:0\n", "named in its first line"),
+        ("t,x,y,z\nsecret:x:0:0\n", "2 to 20000 rows"),
+        ("t,x,y,z\n0,0,0,0\n1,secret,0,0\n", "unlike in row 2"),
+        ("t,x,y,z\n0,0,0,0\n1,0,0\n", "4 numbers in each row"),
+        ("t,x,y,z\n0,0,0,0\n\n1,0,zero,0\n", "finite numbers up to 1e6, unlike in row 2"),
+        ("t,x,y,z\n0,0,0,0\n1,0,0,\n", "unlike in row 2"),
+        ("t,x,y,z\n0,0,0,0\n1,0,nan,0\n", "finite numbers up to 1e6, unlike in row 2"),
+        ("t,x,y,z\n0,0,0,0\n1,inf,0,0\n", "finite numbers up to 1e6, unlike in row 2"),
+        ("t,x,y,z\n0,0,0,0\n1e300,1,0,0\n", "finite numbers up to 1e6, unlike in row 2"),
+        ("t,x,y,z\n0,0,0,0\n2,0,0,0\n2,1,0,0\n", "by 1e-6 s or more, unlike in row 3"),
+        ("t,x,y,z\n0,0,0,0\n2,0,0,0\n1.5,1,0,0\n", "by 1e-6 s or more, unlike in row 3"),
+        ("t,x,y,z\n-1,0,0,0\n2,0,0,0\n", "by 1e-6 s or more, unlike in row 1"),
+        ("t,x,y,z\n0,0,0,0\n", "2 to 20000 rows"),
+        ("t,x,y,z\n", "2 to 20000 rows"),
     ],
 )
 def test_a_bad_file_is_told_in_a_sentence(tmp_path, text, words):
@@ -485,12 +444,6 @@ def test_a_bad_file_is_told_in_a_sentence(tmp_path, text, words):
         (WaypointsConfig(move_times=[0.0]), r"move_times = \[0.0\]"),
         (WaypointsConfig(rest_times=[1.0, 2.0]), r"rest_times = \[1.0, 2.0\]"),
         (WaypointsConfig(rest_times=[-1.0]), r"rest_times = \[-1.0\]"),
-        (CircleConfig(radius=0.0), "radius = 0.0"),
-        (CircleConfig(centre_direction=np.nan), "centre_direction = nan"),
-        (CircleConfig(turns=np.inf), "turns = inf"),
-        (CircleConfig(start_time=-1.0), "start_time = -1.0"),
-        (CircleConfig(move_time=0.0), "move_time = 0.0"),
-        (CircleConfig(start_roll_pitch_yaw=[0.0]), r"start_roll_pitch_yaw = \[0.0\]"),
         (SampledTrajectoryConfig(samples=[]), r"samples = \[\]"),
         (SampledTrajectoryConfig(samples=[[0.0] * 4]), r"samples = \[\[0.0"),
         (SampledTrajectoryConfig(samples=[[0.0] * 4, [1.0] * 7]), "samples"),
@@ -511,7 +464,6 @@ def test_bad_parameter_is_named(config, field):
     [
         RestToRestConfig(start_time=1e8, move_time=1e-9),
         WaypointsConfig(positions=[[1, 0, 0]] * 2, move_times=[1, 1], rest_times=[0, 1e-17]),
-        CircleConfig(start_time=1e8, move_time=1e-9),
         ConstantVelocityMoveConfig(start_time=1e8, blend_time=1e-9),
     ],
     ids=lambda config: type(config).__name__,

@@ -168,15 +168,10 @@ def test_sampled_parameters_follow_almost_so():
 
 
 @pytest.mark.parametrize("period", [0.0, 0.01])
-def test_no_rate_is_above_its_bound_and_no_value_outside_the_targets(period):
+def test_no_value_is_outside_the_targets(period):
     values = np.random.default_rng(1).uniform([1.0, 0.5], [3.0, 2.0], (40, 2))
     values[20:30] = [1.0, 2.0]
-    config = ShapedPhaseConfig(max_frequency_rate=4.0, max_amplitude_rate=1.5)
-    times = np.arange(0.0, 0.4, 0.005)
-    found = planned(values, period=period, times=times, config=config)
-    assert np.max(np.abs(found[:, 3])) <= 4.0 + 1e-9
-    assert np.max(np.abs(found[:, 4])) <= 1.5 + 1e-9
-    assert np.max(np.abs(found[:, 3])) > 3.5
+    found = planned(values, period=period, times=np.arange(0.0, 0.4, 0.005))
     assert np.all((found[:, 1:3] >= values.min(axis=0)) & (found[:, 1:3] <= values.max(axis=0)))
 
 
@@ -196,8 +191,6 @@ def test_a_plan_takes_the_place_of_the_parameters(period):
     [
         ("bandwidth", np.inf, "give a finite number greater than zero"),
         ("bandwidth", 0.0, "give a finite number greater than zero"),
-        ("max_frequency_rate", -1.0, "give a finite number greater than zero"),
-        ("max_amplitude_rate", np.nan, "give a finite number greater than zero"),
     ],
 )
 def test_what_cannot_shape_is_refused(field, value, remedy):

@@ -16,20 +16,18 @@ from pydrake.symbolic import Expression
 from pydrake.systems.framework import DiagramBuilder
 
 from drake_nonstop import blocks
-from drake_nonstop.blocks.cables import Cables, IndividualCables
+from drake_nonstop.blocks.cables import Cables
 from drake_nonstop.blocks.carrier_controller import (
     CarrierPid,
     CarrierPidConfig,
     FeedforwardCarrierPid,
-    LoadedCarrierPid,
-    TunedCarrierPid,
     TunedFeedforwardCarrierPid,
 )
 from drake_nonstop.blocks.carrier_dynamics import (
     CarrierDynamics,
     FixedWingDynamics,
-    IdealCarriers,
-    LoadedCarrierDynamics,
+    LimitedCarriers,
+    LimitedCarriersConfig,
 )
 from drake_nonstop.blocks.carrier_trajectory import (
     BowedCarrierTrajectory,
@@ -61,7 +59,6 @@ from drake_nonstop.blocks.load_feedback import (
 )
 from drake_nonstop.blocks.load_plant import LoadPlant, MultibodyLoadPlant
 from drake_nonstop.blocks.load_trajectory import (
-    Circle,
     ConstantVelocityMove,
     PlannedTurn,
     RestToRest,
@@ -70,7 +67,7 @@ from drake_nonstop.blocks.load_trajectory import (
     Waypoints,
 )
 from drake_nonstop.blocks.lumped_cables import LumpedCables, LumpedCablesConfig
-from drake_nonstop.blocks.optimization_layer import ConstantParameters, NonstopOptimizer
+from drake_nonstop.blocks.optimization_layer import ConstantParameters, PaperLayer
 from drake_nonstop.blocks.phase import AccumulatedPhase, PaperPhase, ShapedPhase
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold
 from drake_nonstop.blocks.wind import (
@@ -79,25 +76,21 @@ from drake_nonstop.blocks.wind import (
     SteadyWind,
     SteadyWindConfig,
     StillAir,
-    WindProfile,
-    WindProfileConfig,
 )
 from drake_nonstop.blocks.wind_estimator import (
-    AssumedWind,
     KnownWind,
     LoadAnemometer,
     NoWind,
     WindObserver,
 )
 from drake_nonstop.blocks.wrench_controller import (
-    GeometricPd,
     PaperWrenchController,
     TunedWrenchController,
     WrenchController,
 )
 from drake_nonstop.diagrams.nonstop import BOXES, SIGNALS
 from drake_nonstop.loop.box import config_class
-from drake_nonstop.mechanics.signal_layouts import SIGNALS as LAYOUTS
+from drake_nonstop.mechanics.signals import SIGNALS as LAYOUTS
 from drake_nonstop.model.aircraft import AircraftParameters
 from drake_nonstop.scenario.describe import parameters
 from drake_nonstop.systems.wiring import output_sizes
@@ -122,20 +115,17 @@ def gusty_force(model):
     return DisturbanceForce(model, DisturbanceForceConfig(gust_force=1.0))
 
 
-_ALOFT = {"ground_height": -5.0}  # load and carriers are higher than 1 m
-
-
 def rising_wind(model):
     return SteadyWind(model, SteadyWindConfig(rise_time=8.0))
 
 
-def wind_profile(model):
-    return WindProfile(model, WindProfileConfig(velocity=[3, 1, 1], rise_time=8.0, **_ALOFT))
-
-
 def gusty_wind(model):
-    config = GustyWindConfig(velocity=[3, 1, 1], exponent=0.2, load_gust=0.3, **_ALOFT)
+    config = GustyWindConfig(velocity=[3, 1, 1], load_gust=0.3)
     return GustyWind(model, config)
+
+
+def loaded_carriers(model):
+    return LimitedCarriers(model, LimitedCarriersConfig(has_weight=True, feels_cable=True))
 
 
 def bounded_distribution(model):
@@ -194,16 +184,16 @@ def bowed_trajectory(made):
     return BowedCarrierTrajectory(made, BowedCarrierTrajectoryConfig(nodes=2))
 
 
+_WRENCH_INPUTS = ["measured_load_state", "reference", "wind_estimate"]
+_WRENCH = ("wrench", "wrench_rate", "tracking_error")  # go by the integrals after the sample
+
 # block: (inputs, outputs, direct feedthrough), for continuous controllers
 BLOCKS = {
     moving_reference: ([], _REFERENCES, []),
     ConstantVelocityMove: ([], _REFERENCES, []),
     **dict.fromkeys(
-        (WrenchController, PaperWrenchController, GeometricPd, TunedWrenchController),
-        everything(
-            ["measured_load_state", "reference", "wind_estimate"],
-            ["wrench", "wrench_rate", "tracking_error"],
-        ),
+        (WrenchController, PaperWrenchController, TunedWrenchController),
+        everything([*_WRENCH_INPUTS, "reference_higher_rates"], [*_WRENCH]),
     ),
     bounded_distribution: DISTRIBUTION,
     **dict.fromkeys(
@@ -228,7 +218,6 @@ BLOCKS = {
         ["measured_load_state", "desired_cable_forces", "desired_cable_force_rates"],
         ["carrier_reference"],
     ),
-    TunedCarrierPid: everything(["carrier_reference", "carrier_state"], ["carrier_forces"]),
     **dict.fromkeys(
         (FeedforwardCarrierPid, TunedFeedforwardCarrierPid),
         everything(
@@ -236,9 +225,7 @@ BLOCKS = {
             ["carrier_forces"],
         ),
     ),
-    IdealCarriers: everything(["carrier_reference"], ["carrier_state"]),
     Waypoints: ([], _REFERENCES, []),
-    Circle: ([], _REFERENCES, []),
     SampledTrajectory: ([], _REFERENCES, []),
     PlannedTurn: everything(["planned"], ["reference", "reference_higher_rates"]),
     IdealFeedback: (
@@ -252,17 +239,17 @@ BLOCKS = {
         [("reference", "measured_load_state")],
     ),
     DesiredAttitudeFeedback: everything(["load_state", "reference"], ["measured_load_state"]),
-    NonstopOptimizer: (
+    PaperLayer: (
         [
+            "phase",
             "measured_load_state",
             "reference",
             "wrench",
             "wrench_rate",
-            "phase",
             "wind_estimate",
             "speed_bound_command",
         ],
-        ["parameters", "diagnostics", "solve_time", "speed_bound", "missed_limits"],
+        ["parameters", "diagnostics", "solve_time", "speed_bound"],
         [("speed_bound_command", "speed_bound")],
     ),
     ConstantParameters: (
@@ -295,7 +282,8 @@ BLOCKS = {
         [("carrier_reference", "carrier_forces"), ("carrier_state", "carrier_forces")],
     ),
     CarrierDynamics: (["carrier_forces"], ["carrier_state"], []),
-    LoadedCarrierDynamics: (["carrier_forces", "carrier_cable_forces"], ["carrier_state"], []),
+    LimitedCarriers: (["carrier_forces"], ["carrier_state"], []),
+    loaded_carriers: (["carrier_forces", "carrier_cable_forces"], ["carrier_state"], []),
     FixedWingDynamics: (
         ["aircraft_command", "carrier_cable_forces", "wind"],
         ["carrier_state", "aircraft_state", "carrier_acceleration"],
@@ -309,20 +297,6 @@ BLOCKS = {
         [*_FLIGHT[:-2], "carrier_acceleration", *_FLIGHT[-2:]],
         ["aircraft_command", "command_saturation"],
         [(s, t) for s in _FLIGHT for t in ("aircraft_command", "command_saturation")],
-    ),
-    LoadedCarrierPid: (
-        ["carrier_reference", "carrier_state", "desired_cable_forces"],
-        ["carrier_forces"],
-        [
-            ("carrier_reference", "carrier_forces"),
-            ("carrier_state", "carrier_forces"),
-            ("desired_cable_forces", "carrier_forces"),
-        ],
-    ),
-    IndividualCables: (
-        ["load_state", "carrier_state"],
-        _CABLES,
-        [(source, target) for source in ("load_state", "carrier_state") for target in _CABLES],
     ),
     **dict.fromkeys(
         (noisy_feedback, EstimatedFeedback), everything(["load_state"], ["measured_load_state"])
@@ -344,28 +318,16 @@ BLOCKS = {
         ],
     ),
     NoDisturbance: ([], ["disturbance_wrench"], []),
-    **dict.fromkeys((StillAir, SteadyWind, rising_wind), ([], _WINDS, [])),
-    **dict.fromkeys(
-        (wind_profile, gusty_wind),
-        (
-            ["carrier_state", "load_state"],
-            _WINDS,
-            [
-                ("carrier_state", "wind"),
-                ("load_state", "load_wind"),
-                ("load_state", "mean_wind"),
-            ],
-        ),
-    ),
+    **dict.fromkeys((StillAir, SteadyWind, rising_wind, gusty_wind), ([], _WINDS, [])),
     KnownWind: everything(["mean_wind"], ["wind_estimate"]),
-    **dict.fromkeys((NoWind, AssumedWind), ([], ["wind_estimate"], [])),
+    NoWind: ([], ["wind_estimate"], []),
     WindObserver: (
-        ["wind", "carrier_state"],
-        ["wind_estimate", "wind_variance", "carrier_gust_estimate"],
+        ["wind"],
+        ["wind_estimate", "carrier_gust_estimate"],
         [],
     ),
     LoadAnemometer: (
-        ["load_wind", "wind", "carrier_state"],
+        ["load_wind", "wind"],
         ["wind_estimate", "carrier_gust_estimate"],
         [],
     ),
@@ -373,12 +335,10 @@ BLOCKS = {
 }
 
 _MOVED = ("carrier_reference", "carrier_reference_acceleration")
-_WRENCH = ("wrench", "wrench_rate", "tracking_error")  # go by the integrals after the sample
 # The outputs that the time of the sample, which a control period adds, feeds through to.
 SAMPLED = {
     PaperPhase: ("phase", "planned"),
     **dict.fromkeys((WrenchController, PaperWrenchController, TunedWrenchController), _WRENCH),
-    GeometricPd: (),
     CarrierTrajectory: _MOVED,
     InextensibleCarrierTrajectory: _MOVED,
     bowed_trajectory: _MOVED,
@@ -557,11 +517,13 @@ def test_outputs_follow_each_change_of_an_input_the_state_and_the_time(make, per
     context.SetTime(time)
     after = check("time")
     for name in before:
-        constant = make in (NoDisturbance, StillAir, SteadyWind, NoWind, AssumedWind) or (
+        constant = make in (NoDisturbance, StillAir, SteadyWind, NoWind) or (
             make is ConstantParameters and name == "parameters"
         )
         if name == "reference_higher_rates":  # no snap on a line, nor along cubics
             constant = make in (ConstantVelocityMove, SampledTrajectory)
+        if name == "mean_wind":
+            constant = make is not rising_wind
         assert np.array_equal(before[name], after[name]) == constant, name
 
 
@@ -571,7 +533,7 @@ def test_what_feeds_through_changes_the_output(make, period):
     inputs = {name: values(name, 1, 4) for name in input_names(block)}
     before = fresh(block, inputs, 1, 5.5)
     for source, target in feedthrough(block):
-        if source == "wind_estimate" and target not in _DERIVATIVES:
+        if source in ("wind_estimate", "reference_higher_rates") and target not in _DERIVATIVES:
             continue  # made by one call with what it changes; a whole feedforward cancels its rate
         if (make is lumped_cables and (source, target) not in _ENDS) or target == "tracking_error":
             continue  # likewise
@@ -680,14 +642,23 @@ SECTION = re.compile(r"\.\. pydrake_system::\n\n((?:    .*\n)+)")
 @of_every(DOCUMENTED)
 def test_the_declared_ports_are_those_that_it_has(block, period):
     made = built(block, 4, period)
-    absent = ["is false", "are not all zero", *(["control period"] if period <= 0 else [])]
+    absent = [
+        "is false",
+        "is true",
+        "are not all zero",
+        *(["control period"] if period <= 0 else []),
+    ]
 
     def is_there(name):
         return not any(reason in where(block, name) for reason in absent)
 
     read = [name.removeprefix("sampled_").removeprefix("held_") for name in input_names(made)]
-    assert read == [name for name in block.reads if is_there(name)]
-    assert output_names(made) == [name for name in block.makes if is_there(name)]
+    told = [name.removeprefix("held_") for name in block.reads if is_there(name)]
+    if period <= 0:  # what is measured is so at samples
+        told = [name for name in told if f"held_{name}" not in block.reads]
+    assert read == told
+    makes = [name for name in block.makes if is_there(name)]
+    assert output_names(made) == [n for n in makes if period > 0 or n != "measured_margin"]
 
 
 def where(block, name):
@@ -703,7 +674,9 @@ def test_docstring_tells_all_that_is_declared(block):
         assert [port.partition(" ")[0] for port in ports.get(kind, [])] == list(names)
     for name in (*block.reads, *block.makes):
         (line,) = {line for line in text.splitlines() if line.startswith(f"- `{name}` (")}
-        layout = {**LAYOUTS, **SIGNALS, **getattr(block, "signal_layouts", {})}[name]
+        layout = {**LAYOUTS, **SIGNALS, **getattr(block, "signal_layouts", {})}[
+            name.removeprefix("held_")
+        ]
         size = "abstract" if layout is None else layout.size
         assert line.startswith((f"- `{name}` ({size})", f"- `{name}` ({size}, "))
     fields = parameters(config_class(block))

@@ -266,8 +266,6 @@ def test_a_preview_that_ends_before_the_horizon_is_refused():
         ({"horizon": 2.0}, r"horizon = 2.0: it is shorter than a turn"),
         ({"knot_spacing": 0.405}, r"knot_spacing = 0.405: give"),
         ({"max_iterations": 0}, r"max_iterations = 0: give 1 to 100"),
-        ({"speed_margin": 0.1}, r"speed_margin = 0.1: give optimization_layer.tightening: auto"),
-        ({"model_error": 0.1}, r"model_error = 0.1: give optimization_layer.tightening: auto"),
         ({"speed_bound": -1.0}, r"speed_bound = -1.0: give 0"),
     ],
 )

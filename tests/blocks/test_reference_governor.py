@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from helpers import difference, model, nightly_beyond, output
+from helpers import difference, model, output, resting_orbits
 from pydrake.autodiffutils import AutoDiffXd
 from pydrake.common.value import Value
 from pydrake.systems.framework import LeafSystem
@@ -21,15 +21,21 @@ from drake_nonstop.analysis.speed_check import check_speeds
 from drake_nonstop.analysis.task import task_of
 from drake_nonstop.blocks.load_trajectory import (
     ConstantVelocityMove,
+    ConstantVelocityMoveConfig,
     RestToRest,
     RestToRestConfig,
 )
-from drake_nonstop.blocks.reference_governor import ReferenceGovernor
-from drake_nonstop.loop import assembly
+from drake_nonstop.blocks.reference_governor import (
+    PathDelay,
+    ReferenceGovernor,
+    ReferenceGovernorConfig,
+    delay_of,
+    orbits_hold,
+)
 from drake_nonstop.mechanics.signals import CarrierStates
-from drake_nonstop.optimization.stretched_time import PathDelay
+from drake_nonstop.optimization.problem_config import LimitsConfig
 from drake_nonstop.systems.wiring import output_sizes
-from drake_nonstop.validation import ScenarioError, ScenarioWarning
+from drake_nonstop.validation import ScenarioError
 
 # A line with ξ and A that do not change, and a bound that their orbit keeps at rest only.
 FAST_LINE = [
@@ -39,7 +45,7 @@ FAST_LINE = [
     "load_trajectory.velocity=[0.5, 0, 0]",
     "optimization_layer.speed_bound=0.25",
 ]
-GOVERNED = "reference_governor={change_time: 0.5, largest_rate: 1.3}"
+GOVERNED = "reference_governor={change_time: 0.5}"
 
 
 def governor():
@@ -82,8 +88,8 @@ def test_its_signals_are_those_of_the_delayed_motion():
     assert delay == pytest.approx(0.5 * 10 * 0.4)
 
 
-def test_its_higher_rates_are_differences_and_left_out_where_they_are_not_known():
-    block, preview = governor()
+def test_its_higher_rates_are_differences():
+    block, _ = governor()
     context = block.CreateDefaultContext()
     ahead = block.GetOutputPort("reference_preview").Eval(context)
     for time in (2.1, 4.3, 6.8, 30.0):  # between the knots of the delay
@@ -92,10 +98,6 @@ def test_its_higher_rates_are_differences_and_left_out_where_they_are_not_known(
         expected = np.concatenate([rates[13:16], rates[19:22]])
         found = output(block, context, "reference_higher_rates")
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-5)
-    unknown = ReferencePreview(preview.reference)
-    assert not ReferenceGovernor(unknown, PathDelay(0.5, np.zeros(9))).HasOutputPort(
-        "reference_higher_rates"
-    )
 
 
 def test_it_does_not_differentiate_by_time():
@@ -129,7 +131,7 @@ def test_a_bound_that_is_missed_at_full_speed_is_kept_and_the_load_arrives_late(
     assert figures[0]["load"]["reference_delay_max_s"] is None
     delays = governed.signal("reference_delay")[:, 0]
     assert figures[1]["load"]["reference_delay_max_s"] == np.max(delays) > 0.5
-    assert figures[1]["load"]["reference_delay_final_s"] == delays[-1] < np.max(delays)
+    assert figures[1]["load"]["reference_delay_final_s"] == delays[-1] == np.max(delays)
     for run in flights:  # 1 m away
         assert run.signal("load_state")[-1, 4] == pytest.approx(1.0, abs=1e-3)
     middle = np.searchsorted(governed.time, 3.0)
@@ -148,22 +150,6 @@ def test_check_looks_at_the_motion_that_the_governor_lets_pass():
     assert [check_speeds(task).is_feasible for task in tasks] == [False, True]
 
 
-@pytest.mark.nightly("flights")
-@pytest.mark.slow
-def test_it_slows_down_for_the_margin_that_is_computed(monkeypatch):
-    margins = []
-
-    def recorded(model, config, trajectory, layer, duration, *wind):
-        margins.append(layer.speed_margin)
-        return trajectory
-
-    monkeypatch.setattr(assembly, "governed", recorded)
-    scenario = load_scenario("three_carriers", [GOVERNED, "optimization_layer.tightening=auto"])
-    make_nonstop(scenario, at_equilibrium=False)
-    assert len(margins) == 1
-    assert margins[0] > 0
-
-
 def test_a_motion_that_needs_none_is_the_same_to_the_bit():
     overrides = ["simulation_duration=0.1", "optimization_layer=ConstantParameters"]
     runs = [simulate(load_scenario("quintic", [*overrides, *o])) for o in ([], [GOVERNED])]
@@ -178,7 +164,7 @@ def test_a_scenario_has_none_unless_it_is_given_and_can_be_written():
     assert load_scenario("quintic").reference_governor is None
     assert "governor" not in dump_scenario(load_scenario("quintic"))
     scenario = load_scenario("quintic", ["reference_governor.least_rate=0.5"])
-    assert scenario.reference_governor.largest_rate == 1.1
+    assert scenario.reference_governor.change_time == 2.0
     assert parse_scenario(dump_scenario(scenario)) == scenario
 
 
@@ -188,10 +174,6 @@ def test_a_scenario_has_none_unless_it_is_given_and_can_be_written():
         (
             ["reference_governor.least_rate=0"],
             "reference_governor.least_rate = 0.0: give 0.01 to 1",
-        ),
-        (
-            ["reference_governor.largest_rate=3"],
-            "reference_governor.largest_rate = 3.0: give 1 to 2",
         ),
         (
             ["reference_governor.change_time=0.01"],
@@ -204,7 +186,7 @@ def test_a_scenario_has_none_unless_it_is_given_and_can_be_written():
                 "optimization_layer.amplitude=0",
                 "load_trajectory=SteadyTurn",
             ],
-            "reference_governor = with pattern = ConstantSpread: give a pattern with orbits, or",
+            "reference_governor = with this pattern: give one with orbits, or leave this out",
         ),
     ],
 )
@@ -218,11 +200,13 @@ def test_what_cannot_be_used_is_told(overrides, said):
 class OwnTrajectory(LeafSystem):
     """A load at rest, of which a preview is known until a time, or not at all."""
 
-    def __init__(self, end_time):
+    def __init__(self, end_time, higher_rates=None):
         super().__init__()
         rest = np.eye(22)[0]
         self.DeclareVectorOutputPort("reference", 22, lambda c, output: output.SetFromVector(rest))
-        preview = ReferencePreview(lambda time: rest, end_time=end_time or 0.0)
+        preview = ReferencePreview(
+            lambda time: rest, end_time=end_time or 0.0, higher_rates=higher_rates
+        )
         if end_time is not None:
             self.DeclareAbstractOutputPort(
                 "reference_preview", lambda: Value(preview), lambda c, o: o.set_value(preview)
@@ -231,103 +215,122 @@ class OwnTrajectory(LeafSystem):
 
 def test_the_motion_has_to_be_known_for_ever():
     scenario = load_scenario("quintic", ["optimization_layer=ConstantParameters", GOVERNED])
-    for end_time, said in (
-        (None, "give this block, without inputs, an output reference_preview of a Refer"),
-        (9.0, "give a reference_preview that is known for ever, of end_time inf"),
-    ):
+    for end_time in (None, 9.0, np.inf):
         with pytest.raises(ScenarioError) as error:
             make_nonstop(scenario, load_trajectory=lambda model, end=end_time: OwnTrajectory(end))
-        start = "reference_governor = with load_trajectory = OwnTrajectory: "
-        assert str(error.value).startswith(start + said)
+        assert str(error.value) == (
+            "reference_governor = with load_trajectory = OwnTrajectory: give this block, without "
+            "inputs, an output reference_preview of a ReferencePreview with higher_rates that is "
+            "known for ever, of end_time inf"
+        )
     with pytest.raises(ScenarioError, match=r"^load_trajectory = None: give a block for load_traj"):
         make_nonstop(scenario, load_trajectory=None)
-    make_nonstop(
-        scenario, load_trajectory=lambda model: OwnTrajectory(np.inf), at_equilibrium=False
-    )
+    known = OwnTrajectory(np.inf, higher_rates=lambda time: np.zeros(6))
+    make_nonstop(scenario, load_trajectory=lambda model: known, at_equilibrium=False)
 
 
-def test_a_bound_that_no_rate_keeps_is_told_and_the_motion_stays():
+def test_aircraft_have_none():
+    with pytest.raises(ScenarioError, match=r"^reference_governor = with system.aircraft: it does"):
+        make_nonstop(load_scenario("aircraft_rest", ["reference_governor={}"]))
+
+
+def test_a_bound_that_no_rate_keeps_leaves_the_motion_as_it_is():
     overrides = [*FAST_LINE, "optimization_layer.speed_bound=3", GOVERNED]
-    scenario = load_scenario("line_without_optimization", overrides)
-    with pytest.warns(ScenarioWarning, match="from 0.0 s of the motion on even a load at rest"):
-        loop = make_nonstop(scenario)
+    loop = make_nonstop(load_scenario("line_without_optimization", overrides))
     assert type(loop.GetSubsystemByName("load_trajectory")) is ConstantVelocityMove
 
 
-def test_a_least_rate_that_is_too_fast_is_told():
-    overrides = [*FAST_LINE, GOVERNED, "reference_governor.least_rate=0.95"]
-    with pytest.warns(ScenarioWarning, match=r"^reference_governor.least_rate = 0.95: at .* it is"):
-        make_nonstop(load_scenario("line_without_optimization", overrides))
+START, MOVE = 3.0, 3.0  # s, of the line
+DURATION = 24.0  # s
 
 
-AIRCRAFT = [  # a transfer that is too fast in the wind, with ξ and A that do not change
-    "simulation_duration=40",
-    "load_trajectory.displacement=[20, 0, 0]",
-    "load_trajectory.start_time=2",
-    "load_trajectory.move_time=30",
-    "optimization_layer.frequency=0.595",
-    "optimization_layer.speed_bound=1.4 V_s",
-    GOVERNED,
-]
+def line(speed=0.7):
+    block = ConstantVelocityMove(
+        model(),
+        ConstantVelocityMoveConfig(
+            velocity=[speed, 0.0, 0.0], start_time=START, move_time=MOVE, blend="c4"
+        ),
+    )
+    return block.GetOutputPort("reference_preview").Eval(block.CreateDefaultContext())
 
 
-BELIEVED = [
-    ("!SteadyWind {velocity: [-1, 0, 0]}", True, "KnownWind"),
-    ("!SteadyWind {velocity: [-1, 0, 0]}", False, "NoWind"),
-    ("!SteadyWind {velocity: [-1, 0, 0], start_time: 33}", False, "KnownWind"),
-    # At the load, 50 m above the ground: 1 and 0.25 m/s.
-    (
-        "!WindProfile {velocity: [-0.25, 0, 0], exponent: 0.86, ground_height: -50}",
-        True,
-        "KnownWind",
-    ),
-    ("!WindProfile {velocity: [-0.25, 0, 0], exponent: 0, ground_height: -50}", False, "KnownWind"),
-    ("!SteadyWind {velocity: [1, 0, 0]}", False, "KnownWind"),
-]
-
-
-@pytest.mark.parametrize(("wind", "is_slowed", "estimator"), nightly_beyond(4, "studies", BELIEVED))
-def test_the_wind_that_is_believed_counts_for_aircraft(wind, is_slowed, estimator):
-    settings = [*AIRCRAFT, f"wind={wind}", f"wind_estimator={estimator}"]
-    scenario = load_scenario("aircraft_transfer", settings)
-    loop = make_nonstop(scenario, at_equilibrium=False)
-    trajectory = loop.GetSubsystemByName("load_trajectory")
-    assert (type(trajectory) is ReferenceGovernor) == is_slowed
-
-
-class OwnWind(LeafSystem):
-    """Some wind, which a state or an input tells."""
-
-    def __init__(self, source):
-        super().__init__()
-        if source == "state":
-            self.DeclareDiscreteState(3)
-        else:
-            port = self.DeclareVectorInputPort("tensions", 4)
-        for name, size in (("wind", 12), ("load_wind", 3), ("mean_wind", 3)):
-
-            def calc(context, output, size=size):
-                if source != "state":
-                    port.Eval(context)
-                output.SetFromVector(np.zeros(size))
-
-            self.DeclareVectorOutputPort(name, size, calc)
-
-
-@pytest.mark.parametrize("source", ["state", "input"])
-def test_the_wind_has_to_be_known_before_the_run(source):
-    scenario = load_scenario("aircraft_transfer", AIRCRAFT)
-    with pytest.raises(ScenarioError) as error:
-        make_nonstop(scenario, at_equilibrium=False, wind=lambda model: OwnWind(source))
-    assert str(error.value) == (
-        "reference_governor = with wind = OwnWind: its mean_wind is not known before the run; "
-        "let it follow from time and load_state alone, or leave reference_governor out"
+def limits(bound, highest=2.0):
+    return LimitsConfig(
+        speed_bound=bound, frequency_bounds=[0.1, highest], amplitude_bounds=[0.1, 1.2]
     )
 
 
-def test_less_wind_is_a_remedy_of_aircraft_that_do_not_fly_at_rest():
-    wind = "wind.velocity=[6, 0, 0]"
-    scenario = load_scenario("aircraft_transfer", [*AIRCRAFT, "wind=SteadyWind", wind])
-    said = r"even a load at rest .* higher ones of max_lift_share, .*, or less wind$"
-    with pytest.warns(ScenarioWarning, match=said):
-        make_nonstop(scenario, at_equilibrium=False)
+def found(bound, preview=None, **changes):
+    """The delay of the line for a bound in m/s."""
+    settings = {"least_rate": 0.1, "change_time": 1.0} | changes
+    config = ReferenceGovernorConfig(**settings)
+    return delay_of(model(), limits(bound), preview or line(), DURATION, config)
+
+
+def test_rates_of_a_delay_are_its_differences_and_it_stays_at_its_end():
+    rates = np.zeros(30)
+    rates[3:27] = np.random.default_rng(1).uniform(-0.2, 0.8, 24)
+    delay = PathDelay(0.25, rates)
+
+    def at(time):
+        return delay.at(np.array([time]))[0]
+
+    for time in (0.3, 2.111, 5.1):
+        slope = difference(at, time, 1e-3)
+        np.testing.assert_allclose(at(time)[1:], slope[:4], rtol=0, atol=1e-6)
+    np.testing.assert_array_equal(at(0.0)[:4], 0)
+    np.testing.assert_array_equal(at(-1.0), 0)
+    assert delay.end_time == pytest.approx(27 * 0.25)
+    np.testing.assert_allclose(at(50.0), [0.25 * rates.sum(), 0, 0, 0, 0], rtol=0, atol=1e-12)
+
+
+def test_a_load_at_rest_is_feasible_up_to_the_speed_of_its_slowest_orbit():
+    """For ξ and A that cannot change; the orbit's speeds are those of positions, differenced."""
+    system, xi, A = model(), 2.0, 1.2
+    times = np.linspace(0, 2 * np.pi / xi, 16, endpoint=False)
+    parameters, still = np.array([xi, A]), np.zeros(3)
+    orbits = resting_orbits(system, np.eye(7)[0], times, parameters, load_wind=still)
+    slowest = float(np.min(np.linalg.norm(orbits.velocities, axis=-1)))
+    rest = np.eye(22)[:1]
+    for factor, expected in ((0.995, True), (1.005, False)):
+        fixed = LimitsConfig(
+            speed_bound=factor * slowest,
+            tightening=0.0,
+            frequency_bounds=[xi, xi],
+            amplitude_bounds=[A, A],
+        )
+        assert orbits_hold(system, fixed, rest).tolist() == [expected]
+
+
+def test_a_motion_that_is_feasible_is_left_alone():
+    assert found(0.1, line(0.2)) is None
+    assert found(0.0) is None  # without a bound
+
+
+def test_an_infeasible_motion_is_slowed_just_as_far_as_its_orbits_need():
+    preview, delay = line(), found(0.3)
+    times = np.linspace(0, DURATION, 801)
+    delays = delay.at(times)
+    rates = 1 - delays[:, 1]
+    assert 0.1 < np.min(rates) < 0.9
+    assert np.max(rates) <= 1 + 1e-12
+    assert np.min(delays[:, 0]) == 0
+    # Every stretched instant is feasible, and hardly so where the load is at its fastest.
+    stretched = delay.stretched(preview).at(times)
+    assert orbits_hold(model(), limits(0.3), stretched).all()
+    assert not orbits_hold(model(), limits(0.35), stretched).all()
+    # Until it slows down it is the given motion, to the bit; at the end it is there, late.
+    before = times < START - 2.5
+    np.testing.assert_array_equal(stretched[before], preview.at(times[before]))
+    assert np.max(delays[:, 0]) > 1.0
+    assert delays[-1, 0] == pytest.approx(np.max(delays[:, 0]), abs=1e-12)
+    np.testing.assert_allclose(stretched[-1, 4:7], preview(1e3)[4:7], atol=1e-9)
+
+
+def test_a_load_that_keeps_no_bound_at_rest_is_not_slowed():
+    assert found(3.0) is None
+
+
+def test_a_least_rate_that_is_too_fast_is_flown():
+    delay = found(0.3, least_rate=0.9)
+    assert np.min(1 - delay.at(np.linspace(0, DURATION, 241))[:, 1]) == pytest.approx(0.9)

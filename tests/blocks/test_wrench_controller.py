@@ -9,8 +9,6 @@ from pydrake.systems.analysis import Simulator
 
 from drake_nonstop import compute_metrics, load_scenario, simulate
 from drake_nonstop.blocks.wrench_controller import (
-    GeometricPd,
-    GeometricPdConfig,
     PaperWrenchController,
     PaperWrenchControllerConfig,
     TunedWrenchController,
@@ -106,15 +104,10 @@ SIGNALS = STILL_AIR | {
 }
 
 
-def test_pd_is_the_controller_without_integrals_and_feedforward():
-    none = WrenchControllerConfig(
-        position_integral_gain=0.0, orientation_integral_gain=0.0, feedforward=0.0
-    )
-    expected = outputs(WrenchController(model(), none), **SIGNALS)
-    block = GeometricPd(model())
+def test_without_integral_gains_it_has_no_state():
+    none = WrenchControllerConfig(position_integral_gain=0.0, orientation_integral_gain=0.0)
+    block = WrenchController(model(), none)
     assert block.CreateDefaultContext().num_continuous_states() == 0
-    for name, value in outputs(block, **SIGNALS).items():
-        np.testing.assert_array_equal(value, expected[name], err_msg=name)
 
 
 INTEGRALS = np.array([0.1, -0.2, 0.3, 0.2, 0.1, -0.1])
@@ -130,7 +123,7 @@ def test_sign_of_the_paper_reverses_the_damping_of_the_rotation():
     assert np.linalg.norm((without - damped)[:3]) > 1e-3
 
 
-@pytest.mark.parametrize("make", [WrenchController, PaperWrenchController, GeometricPd])
+@pytest.mark.parametrize("make", [WrenchController, PaperWrenchController])
 def test_gains_that_are_auto_are_those_of_the_load_about_its_quickest_axis(rng, make):
     turned, _ = np.linalg.qr(rng.normal(size=(3, 3)))
     inertia = turned @ np.diag([3.0, 2.0, 4.0]) @ turned.T
@@ -142,22 +135,18 @@ def test_gains_that_are_auto_are_those_of_the_load_about_its_quickest_axis(rng, 
     following = load_gains(20.0, 2.0, 30.0, 9.81)
     plain = config(**{name: following[name] for name in names & {*following}})
     mixed = config(position_gain=following["position_gain"])
-    expected = outputs(make(body, plain), *integrals_of(make), **SIGNALS)
+    expected = outputs(make(body, plain), INTEGRALS, **SIGNALS)
     for block in (make(body), make(body, mixed)):
         assert block.gains["velocity_gain"] == following["velocity_gain"]
-        for name, value in outputs(block, *integrals_of(make), **SIGNALS).items():
+        for name, value in outputs(block, INTEGRALS, **SIGNALS).items():
             np.testing.assert_allclose(value, expected[name], rtol=1e-12, err_msg=name)
-
-
-def integrals_of(make):
-    return [] if make is GeometricPd else [INTEGRALS]
 
 
 @pytest.mark.parametrize("word", ["load", "", "Auto"])
 def test_another_word_for_a_gain_is_refused(word):
     remedy = f'wrench_controller.velocity_gain = {word}: give a number, without quotes, or "auto"'
     with pytest.raises(ScenarioError, match=remedy):
-        GeometricPd(model(), GeometricPdConfig(velocity_gain=word))
+        WrenchController(model(), WrenchControllerConfig(velocity_gain=word))
 
 
 def test_tuned_gains_are_the_plain_ones_of_that_mass_and_inertia():
@@ -203,7 +192,7 @@ def test_tuned_rotation_answers_alike_about_all_axes():
 @pytest.mark.parametrize(
     ("make", "config", "message"),
     [
-        (GeometricPd, GeometricPdConfig(position_gain=-1.0), r"position_gain = -1\.0"),
+        (WrenchController, WrenchControllerConfig(position_gain=-1.0), r"position_gain = -1\.0"),
         (
             PaperWrenchController,
             PaperWrenchControllerConfig(velocity_gain=np.nan),
@@ -213,11 +202,6 @@ def test_tuned_rotation_answers_alike_about_all_axes():
             TunedWrenchController,
             TunedWrenchControllerConfig(position_frequency=0.0),
             r"position_frequency = 0\.0: .*greater than zero",
-        ),
-        (
-            TunedWrenchController,
-            TunedWrenchControllerConfig(position_damping=0.1, position_integral_rate=0.0),
-            r"position_damping = 0\.1: the load's drag alone damps more",
         ),
     ],
 )

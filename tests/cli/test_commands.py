@@ -200,7 +200,7 @@ def test_the_former_name_of_a_field_is_refused_with_its_name_of_today(capsys):
             [
                 "quintic",
                 "--set",
-                "optimization_layer=NonstopOptimizer",
+                "optimization_layer=NlpLayer",
                 "optimization_layer.period=0.003",
             ],
             "multiple",

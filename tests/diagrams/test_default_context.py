@@ -18,7 +18,7 @@ REPRESENTATIVE = ("quintic", "aircraft_transfer_gusty", "three_carriers")
 STARTS = [
     ("quintic", ["control_period=0", CONSTANT]),
     ("quintic", ["load_feedback=!NoisyFeedback {delay: 0.02}", CONSTANT]),
-    ("quintic", ["carrier_dynamics=IdealCarriers", CONSTANT]),
+    ("quintic", ["carrier_dynamics=LimitedCarriers", CONSTANT]),
     ("quintic", ["load_trajectory.start_roll_pitch_yaw=[0.2,-0.1,2.5]", CONSTANT]),
     *((name, []) for name in dict.fromkeys([*REPRESENTATIVE, *scenario_names()])),
 ]

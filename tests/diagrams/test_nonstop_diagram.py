@@ -20,7 +20,7 @@ from drake_nonstop.blocks.load_trajectory import ConstantVelocityMoveConfig, Res
 from drake_nonstop.blocks.optimization_layer import (
     ConstantParameters,
     ConstantParametersConfig,
-    NonstopOptimizerConfig,
+    NlpLayerConfig,
 )
 from drake_nonstop.blocks.phase import AccumulatedPhase, PaperPhase
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold
@@ -29,7 +29,7 @@ from drake_nonstop.diagrams.nonstop import BOXES, box_of, figure_wires, make_non
 from drake_nonstop.loop.box import block_of, config_class
 from drake_nonstop.loop.parameters import set_parameter
 from drake_nonstop.loop.start import set_equilibrium
-from drake_nonstop.mechanics.signal_layouts import MOST_NODES
+from drake_nonstop.mechanics.signals import MOST_NODES
 from drake_nonstop.model.system import SystemOverrides, SystemParameters
 from drake_nonstop.scenario.loading import dump_scenario, load_scenario
 from drake_nonstop.scenario.schema import Scenario
@@ -70,7 +70,7 @@ NOT_BY_DEFAULT = {
     ),
     "carrier_controller": ("aircraft_command", "command_saturation"),
     "carrier_dynamics": ("aircraft_state", "carrier_acceleration"),
-    "wind_estimator": ("wind_variance", "carrier_gust_estimate"),
+    "wind_estimator": ("carrier_gust_estimate",),
     "cables": ("cable_state",),
 }
 
@@ -81,7 +81,7 @@ def block_names(diagram):
 
 def test_figure_as_listed_is_the_figure_as_built(figure):
     assert set(wiring.connections(figure)) == figure_wires()
-    assert len(figure_wires()) == 29
+    assert len(figure_wires()) == 30
 
 
 def test_every_box_is_there_under_its_name_with_its_default_block(figure):
@@ -132,7 +132,7 @@ HELD = {
 def test_contract_has_the_signals_of_the_figure_as_built(sampled_figure):
     built = {b.get_name(): wiring.output_sizes(b) for b in sampled_figure.GetSystems()}
     hold = built.pop("sample_and_hold")
-    assert hold == HELD
+    assert hold == HELD | {"held_carrier_state": 24}
     contract = {name: sizes_of(box, 4, 4) for name, box in BOXES.items()}
     for name, signals in NOT_BY_DEFAULT.items():
         for signal in signals:
@@ -200,6 +200,8 @@ def test_sampled_controllers_read_the_held_signals(sampled_figure):
     assert type(diagram.GetSubsystemByName("sample_and_hold")) is SampleAndHold
     pairs = [wire.split(" -> ") for wire in wiring.connections(diagram)]
     expected = {
+        ("carrier_dynamics.carrier_state", "sample_and_hold.carrier_state"),
+        ("sample_and_hold.held_carrier_state", "optimization_layer.held_carrier_state"),
         ("load_feedback.measured_load_state", "sample_and_hold.measured_load_state"),
         ("load_trajectory.reference", "sample_and_hold.reference"),
         ("load_trajectory.reference_higher_rates", "sample_and_hold.reference_higher_rates"),
@@ -256,7 +258,7 @@ class CommandingDisturbance(LeafSystem):
         )
 
 
-@pytest.mark.parametrize("layer", [NonstopOptimizerConfig(), ConstantParametersConfig()])
+@pytest.mark.parametrize("layer", [NlpLayerConfig(), ConstantParametersConfig()])
 def test_speed_bound_command_of_a_block_is_the_bound(layer):
     scenario = Scenario(optimization_layer=layer)
     diagram = make_nonstop(scenario, at_equilibrium=False, load_disturbance=CommandingDisturbance)
@@ -376,7 +378,12 @@ def test_block_with_other_inputs_is_reported_with_the_signals(inputs, period):
     end = f"; rename the port, or give make_nonstop or connect_by_name inputs={[unknown]}"
     assert message.startswith(start)
     assert message.endswith(end)
-    absent = {"diagnostics", "plan", "solve_time"}  # of the optimizer, which is not there
+    absent = {
+        "diagnostics",
+        "plan",
+        "solve_time",
+        "measured_margin",
+    }  # of the optimizer, which is not there
     absent |= {signal for signals in NOT_BY_DEFAULT.values() for signal in signals}
     if period > 0:
         signals |= HELD
@@ -421,7 +428,7 @@ def test_a_run_starts_at_the_parameters_that_the_context_has(period):
         np.testing.assert_allclose(planned[1:], [2.5, 1.4, 0, 0, 0, 0, 0], rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize("layer", [NonstopOptimizerConfig(), ConstantParametersConfig()])
+@pytest.mark.parametrize("layer", [NlpLayerConfig(), ConstantParametersConfig()])
 def test_an_internal_force_that_reads_what_is_smoothed_is_told(layer):
     fields = {"internal_force": InternalForceTrajectory, "at_equilibrium": False}
     make_nonstop(Scenario(optimization_layer=layer), phase=AccumulatedPhase, **fields)
@@ -443,7 +450,7 @@ def test_a_phase_that_leaves_the_plan_unread_is_told():
     with warnings.catch_warnings():  # its remedies
         warnings.simplefilter("error")
         make_nonstop(Scenario(), at_equilibrium=False)
-        make_nonstop(Scenario(optimization_layer=NonstopOptimizerConfig()), **fields)
+        make_nonstop(Scenario(optimization_layer=NlpLayerConfig()), **fields)
     with pytest.warns(ScenarioWarning, match="as PlannedInternalForce does$"):
         make_nonstop(Scenario(), internal_force=InternalForceTrajectory, at_equilibrium=False)
     assert len(told) == 1
@@ -511,7 +518,7 @@ def scenario_and_diagram(request):
         (name, block)
         for name, box in BOXES.items()
         for block in box.variants
-        if not block.__name__.startswith(("FixedWing", "Jsbsim"))  # they come in pairs
+        if not block.__name__.startswith("FixedWing")  # they come in pairs
         and block is not TurnRateOptimizer  # of aircraft
     ],
     ids=lambda value: value if isinstance(value, str) else value.__name__,
@@ -544,7 +551,7 @@ def test_each_block_alone_can_be_swapped_in(name, block, scenario_and_diagram):
         if port in wiring.optional_inputs(swapped) and f"{name}.{port}" not in sources:
             continue
         source = sources[f"{name}.{port}"].split(".")[1]
-        assert source.removeprefix("held_") == port
+        assert source.removeprefix("held_") == port.removeprefix("held_")
 
 
 def test_only_the_plant_takes_the_simulated_system():
@@ -602,12 +609,12 @@ def test_block_of_a_config():
 
 @pytest.mark.parametrize("name", ["quintic", "aircraft_transfer"])
 def test_each_box_is_a_leaf_system(name):
-    """Physics by others' own plants, MultibodyPlant and JSBSim, are diagrams of these."""
+    """Physics by Drake's own plant, MultibodyPlant, is a diagram of these."""
     diagram = make_nonstop(load_scenario(name), at_equilibrium=False)
     assert all(isinstance(block, LeafSystem) for block in diagram.GetSystems())
     variants = [variant for box in BOXES.values() for variant in box.variants]
     others = {variant.__name__ for variant in variants if not issubclass(variant, LeafSystem)}
-    assert others == {"MultibodyLoadPlant", "JsbsimCarriers"}
+    assert others == {"MultibodyLoadPlant"}
 
 
 def test_box_of_a_signal():

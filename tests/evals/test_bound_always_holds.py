@@ -5,7 +5,7 @@ import pytest
 from helpers import nightly_beyond
 
 from drake_nonstop import Scenario, compute_metrics, load_scenario
-from drake_nonstop.blocks.optimization_layer import NonstopOptimizerConfig
+from drake_nonstop.blocks.optimization_layer import NlpLayerConfig, PaperLayerConfig
 from drake_nonstop.simulation.run import StepCheck
 from drake_nonstop.simulation.simulate import simulate
 
@@ -55,16 +55,11 @@ def test_bound_holds_on_variations(seed):
     assert_no_carrier_is_ever_below_its_bound(variation(seed))
 
 
-def one_sample_ahead(scenario: Scenario, **fields) -> Scenario:
-    """The scenario with the layer that looks one sample ahead."""
-    bound = scenario.optimization_layer.speed_bound
-    scenario.optimization_layer = NonstopOptimizerConfig(speed_bound=bound, **fields)
-    return scenario
-
-
 @pytest.mark.nightly("flights")
 def test_without_foresight_of_the_orbit_some_variations_break_the_bound():
-    scenario = one_sample_ahead(variation(7), orbit_points=1)
+    scenario = variation(7)
+    bound = scenario.optimization_layer.speed_bound
+    scenario.optimization_layer = PaperLayerConfig(speed_bound=bound, tightening=0.02)
     carriers = compute_metrics(simulate(scenario))["carriers"]
     assert carriers["time_below_bound_s"] > 0.1
 
@@ -101,5 +96,7 @@ def test_a_higher_bound_holds_with_any_time_between_plans(name, knots, control_p
 @pytest.mark.nightly("flights")
 @pytest.mark.parametrize(("rate", "control_period"), [(50, 0.01), (250, 0.004)])
 def test_a_higher_bound_holds_at_any_rate_one_sample_ahead(rate, control_period):
-    scenario = one_sample_ahead(load_scenario("quintic"), period=1 / rate)
+    scenario = load_scenario("quintic")
+    bound = scenario.optimization_layer.speed_bound
+    scenario.optimization_layer = NlpLayerConfig(speed_bound=bound, period=1 / rate)
     assert_a_higher_bound_holds(scenario, control_period)

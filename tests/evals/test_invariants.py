@@ -38,7 +38,6 @@ FLIGHTS = {
     "six_noisy": Tolerances(3e-4, 5e-5, 1e-2),
     "seven_gusty": Tolerances(5e-5, 5e-5, 2e-3),
     "that_stalls": Tolerances(1e-5, 1e-5, 5e-4),
-    "rigid_aircraft": Tolerances(1e-5, 1e-5, 5e-3),
 }
 FINE = "fine"  # the quintic, slowly turning and moving, with its signals at every ms
 TOLERANCES = FLIGHTS | {FINE: Tolerances(1e-5, 1e-5, 1e-4)}
@@ -69,11 +68,6 @@ def plant_of(scenario):
         for field in dataclasses.fields(scenario.system)
     }
     fields |= {name: value for name, value in vars(scenario.simulated).items() if value is not None}
-    fields |= {
-        f"cable_{name.removeprefix('rest_')}": np.array(values)
-        for name, values in vars(scenario.cables).items()
-        if values
-    }
     return SimpleNamespace(**fields)
 
 

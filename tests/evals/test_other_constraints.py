@@ -1,31 +1,37 @@
 """The constraints that are off by default, kept by whole runs."""
 
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
 import pytest
-from helpers import nightly_beyond
+from numpy.typing import NDArray
 
-from drake_nonstop import Run, Scenario, compute_metrics, load_scenario
+from drake_nonstop import (
+    NlpLayer,
+    NlpLayerConfig,
+    Run,
+    Scenario,
+    carrier_distances,
+    compute_metrics,
+    load_scenario,
+)
 from drake_nonstop.simulation.run import StepCheck
 from drake_nonstop.simulation.simulate import simulate
 
-ONE_SAMPLE = [  # the layer that looks one sample ahead, with what reads its ξ and A
-    "optimization_layer=NonstopOptimizer",
-    "optimization_layer.tightening=0.01",
-    "phase=AccumulatedPhase",
-    "internal_force=InternalForceTrajectory",
-]
+
+@dataclass(kw_only=True)
+class ApartConfig(NlpLayerConfig):
+    least_distance: float = 0.8  # m
 
 
-def octagon(**fields: float) -> Scenario:
-    """A load on the corners of an octagon of radius 1 m, whose carriers would meet."""
-    scenario = load_scenario("quintic", ONE_SAMPLE)
-    scenario.simulation_duration = 8.0
-    angles = 2 * np.pi * np.arange(8) / 8
-    corners = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(8)])
-    scenario.system.attachments = corners.tolist()
-    scenario.pattern.phases = [0.0, np.pi / 2] * 4
-    scenario.optimization_layer.speed_bound = 0.3
-    return with_fields(scenario, **fields)
+class Apart(NlpLayer):
+    """Keeps carriers apart along the orbit, too."""
+
+    def constraints(self, x: NDArray, now: Any) -> NDArray:
+        distances = carrier_distances(*self.prediction(x, now))
+        apart = distances - 1.02 * self.config.least_distance
+        return np.concatenate([super().constraints(x, now).ravel(), apart.ravel()])
 
 
 def with_fields(scenario: Scenario, **fields: float) -> Scenario:
@@ -39,12 +45,12 @@ def quintic(duration: float, **fields: float) -> Scenario:
     return with_fields(load_scenario("quintic", [f"simulation_duration={duration}"]), **fields)
 
 
-def flown(scenario: Scenario) -> Run:
-    return simulate(scenario, check_step=StepCheck.NOTHING)
+def flown(scenario: Scenario, **blocks: Any) -> Run:
+    return simulate(scenario, check_step=StepCheck.NOTHING, **blocks)
 
 
-def metrics_of(scenario: Scenario) -> dict:
-    return kept(compute_metrics(flown(scenario)))
+def metrics_of(scenario: Scenario, **blocks: Any) -> dict:
+    return kept(compute_metrics(flown(scenario, **blocks)))
 
 
 def kept(metrics: dict) -> dict:
@@ -55,10 +61,11 @@ def kept(metrics: dict) -> dict:
 
 
 @pytest.mark.nightly("flights")
-def test_min_separation_keeps_the_carriers_of_an_octagon_apart():
-    assert metrics_of(octagon())["carriers"]["separation_min_m"] < 0.05
-    apart = metrics_of(octagon(min_separation=0.15))
-    assert apart["carriers"]["separation_min_m"] >= 0.15
+def test_a_constraint_on_distances_keeps_the_carriers_apart():
+    scenario = load_scenario("quintic_nlp", ["simulation_duration=8"])
+    assert metrics_of(scenario)["carriers"]["separation_min_m"] < 0.79
+    apart = metrics_of(scenario, optimization_layer=Apart)
+    assert apart["carriers"]["separation_min_m"] >= 0.8
 
 
 def test_min_tension_keeps_every_cable_above_it(evaluated):
@@ -84,34 +91,13 @@ def test_max_speed_keeps_every_carrier_below_it():
     assert slow["carriers"]["speed_max_m_s"] <= 0.95
 
 
-@pytest.mark.parametrize("layer", nightly_beyond(1, "flights", ["horizon", "one sample"]))
-def test_rates_of_the_parameters_stay_within_their_limits(layer):
-    overrides = ONE_SAMPLE if layer == "one sample" else ["simulation_duration=5"]
+def test_rates_of_the_parameters_stay_within_their_limits():
     limits = {"max_frequency_rate": 1.0, "max_amplitude_rate": 0.2}
-    scenario = with_fields(load_scenario("quintic", overrides), **limits)
-    run = flown(scenario)
+    run = flown(quintic(5.0, **limits))
     parameters, largest = run.signal("parameters"), np.array(list(limits.values()))
     steps = np.abs(np.diff(parameters, axis=0))
     assert np.any(steps > 0)
-    if layer == "one sample":
-        # By rounding, an interval of the log may hold two updates or none.
-        updates = np.diff(run.signal("diagnostics")[:, 1:2], axis=0)
-        assert np.all(steps <= 0.01 * updates * largest * (1 + 1e-9))
-    else:
-        assert np.all(np.abs(run.signal("plan")[:, 3:5]) <= largest * (1 + 1e-6))
-        # So may it hold two samples.
-        assert np.all(np.abs(parameters[2:] - parameters[:-2]) <= 0.03 * largest * (1 + 1e-6))
+    assert np.all(np.abs(run.signal("plan")[:, 3:5]) <= largest * (1 + 1e-6))
+    # By rounding, an interval of the log may hold two samples or none.
+    assert np.all(np.abs(parameters[2:] - parameters[:-2]) <= 0.03 * largest * (1 + 1e-6))
     assert compute_metrics(run)["carriers"]["time_below_bound_s"] == 0
-
-
-@pytest.mark.nightly("flights")
-def test_anchor_brings_the_parameters_back_without_breaking_the_bound():
-    scenario = load_scenario("quintic", ONE_SAMPLE)
-    layer = scenario.optimization_layer
-    nominal = np.array([layer.frequency, layer.amplitude])
-    free = flown(scenario).signal("parameters")[-1]
-    anchored = flown(with_fields(scenario, anchor_weight=0.05))
-    metrics = compute_metrics(anchored)
-    assert metrics["carriers"]["time_below_bound_s"] == 0
-    left = np.abs(anchored.signal("parameters")[-1] - nominal)
-    assert np.max(left) < np.max(np.abs(free - nominal)) / 4

@@ -18,14 +18,17 @@ OUTCOMES = {
         "limit_missed",
         "commands of aircraft were at their limits for 11.7 % of the time (limits.saturated_share",
     ),
-    "five_tilted_loaded": ("bound_missed", BELOW.format(0.275)),
-    "six_noisy": ("unconverged", "not resolved by steps of 5 ms: peak speed: 1.412 m/s, 1.521"),
-    "that_falls": ("load_lost", "the load was 2.01 m from its reference"),
+    "five_tilted_loaded": ("bound_missed", BELOW.format(0.245)),
+    "six_noisy": (
+        "unconverged",
+        "not resolved by steps of 5 ms: largest normal acceleration: 6.203 m/s², 5.857",
+    ),
+    "that_falls": ("load_lost", "the load was 2.02 m from its reference"),
     "that_stalls": (
         "stalled",
         "carrier 2 stalled at t = 1.480 s, where the run ended: C_L was 1.16",
     ),
-    "that_diverges": ("stopped", "the run diverged at t = 0.1200 s: load_plant made a value"),
+    "that_diverges": ("stopped", "the run diverged at t = 0.1175 s: load_plant made a value"),
     "with_bowed_cables": ("cable_broken", "cable 4 broke at t = 0.000 s, with 31.03 N: it bears"),
     "with_slack_cables": ("cables_slack", "a cable was slack for 0.845 s"),
 }
@@ -34,12 +37,12 @@ ALSO = {
     "paper_line": "slowest speed: 0.1806 m/s, 0.1836 m/s with half the step",
     "real_scale_cycle": "two cables came within 0 m of each other",
     "that_stalls": BELOW.format(0.415),
-    "that_falls": "a cable was slack for 0.435 s",
-    "that_diverges": "the load was turned by 1.83 rad from its reference",
+    "that_falls": "a cable was slack for 0.45 s",
+    "that_diverges": "the load was turned by 1.53 rad from its reference",
 }
 WARNED = {
-    "that_falls": ["was asked for a force of 2.13e+03 N"],
-    "that_diverges": ["flew at 3.63e+04 m/s", "was accelerated by 1.19e+05", "rose to 1.02e+05 N"],
+    "that_falls": ["was asked for an acceleration of "],
+    "that_diverges": ["flew at 3.62e+04 m/s", "was accelerated by 1.19e+05", "rose to 1.01e+05 N"],
 }
 
 

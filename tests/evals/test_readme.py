@@ -29,7 +29,7 @@ for claim in ALL:
 SHIPPED = [arguments for arguments in BY_ARGUMENTS if arguments in scenario_names()]
 CHANGED = [arguments for arguments in BY_ARGUMENTS if arguments not in SHIPPED]
 # One that flies fast.
-CHEAP = "line optimization_layer=NonstopOptimizer"
+CHEAP = "line optimization_layer=NlpLayer"
 
 
 def test_the_claims_were_found():

@@ -35,7 +35,7 @@ PAIRS = [
 ]
 AIRCRAFT = ("FixedWingController", "FixedWingDynamics")  # which come in pairs, and need a scale
 TURN = ("TurnRateOptimizer", "PlannedTurn")  # of a formation without orbits
-ALONE = (*AIRCRAFT, *TURN, "JsbsimCarriers")  # which do not fly alone
+ALONE = (*AIRCRAFT, *TURN)  # which do not fly alone
 ALTERNATIVES = [
     ("load_feedback", "EstimatedFeedback"),
     ("pattern", "EllipticCarousel"),

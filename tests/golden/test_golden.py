@@ -34,7 +34,7 @@ FAULTS = [
     ("line", "carriers.speed_min_m_s"),
     ("aircraft_transfer_gusty", "aircraft.thrust_max_N"),
     ("three_on_a_circle", "tensions at 1.33 s"),
-    ("loop_1", "wrench at 1.00 s"),
+    ("loop_5", "wrench at 1.00 s"),
 ]
 
 

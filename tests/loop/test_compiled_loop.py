@@ -34,7 +34,7 @@ from drake_nonstop.systems.compiled_loop import CompiledLoop, reason_against
 from drake_nonstop.systems.native import compiler
 from drake_nonstop.systems.tracing import NotFiniteError
 
-NONSTOP = "optimization_layer=NonstopOptimizer"
+PROGRAM = "optimization_layer=NlpLayer"
 CONSTANT = "optimization_layer=ConstantParameters"
 DURATION = 0.24  # s, a multiple of all control periods
 
@@ -78,7 +78,7 @@ def test_shipped_scenarios_are_the_same(name):
 
 MIXED = [
     [
-        "optimization_layer=!NonstopOptimizer {period: 0.03, orbit_points: 1, max_tension: 9}",
+        "optimization_layer=!NlpLayer {period: 0.03, orbit_points: 1}",
         "load_feedback=!NoisyFeedback {delay: 0.02, velocity_noise: 0.01, seed: 3, "
         "measures_attitude: false}",
         "wind=!GustyWind {velocity: [1, 0, 0], rise_time: 0.1}",
@@ -87,9 +87,9 @@ MIXED = [
     ],
     [
         "load_feedback=!NoisyFeedback {position_noise: 0.01, period: 0.02}",
-        *("carrier_dynamics=LoadedCarrierDynamics", "carrier_controller=LoadedCarrierPid"),
+        "carrier_dynamics=!LimitedCarriers {has_weight: true, feels_cable: true}",
         *("phase=PaperPhase", "carrier_trajectory=InextensibleCarrierTrajectory", CONSTANT),
-        *("cables=IndividualCables", "load_trajectory=Circle"),
+        "load_trajectory=Waypoints",
         "wind=!SteadyWind {velocity: [1, 0, 0], start_time: 0.1}",
     ],
     [
@@ -113,31 +113,28 @@ def test_mixed_blocks_are_the_same(overrides):
 @pytest.mark.parametrize(
     "overrides",
     [
-        ["load_trajectory=Circle", "optimization_layer=NonstopOptimizer"],
-        ["optimization_layer=!NonstopOptimizer {speed_bound: 0.6, anchor_weight: 0.5}"],
-        ["optimization_layer=!NonstopOptimizer {speed_bound: 1.5}"],
-        ["optimization_layer=!NonstopOptimizer {period: 0.03, orbit_points: 1, max_tension: 9}"],
-        ["optimization_layer=!NonstopOptimizer {min_separation: 0.2, solver: ipopt}"],
-        ["optimization_layer=!NonstopOptimizer {speed_bound: 0, load_motion: measured}"],
+        ["load_trajectory=Waypoints", PROGRAM],
+        ["optimization_layer=!NlpLayer {speed_bound: 0.9, solver: ipopt}"],
+        ["optimization_layer=!PaperLayer {speed_bound: 0.9, period: 0.03}", "phase=PaperPhase"],
         ["load_trajectory=SteadyTurn", CONSTANT],
-        ["load_feedback=DesiredStateFeedback", "cables=IndividualCables"],
-        ["wrench_controller=GeometricPd", "carrier_controller=TunedCarrierPid"],
+        ["load_feedback=DesiredStateFeedback"],
+        ["wrench_controller.feedforward=0", "carrier_controller=TunedFeedforwardCarrierPid"],
         ["phase=AccumulatedPhase", "internal_force=InternalForceTrajectory"],
         ["phase=PaperPhase", "carrier_trajectory=InextensibleCarrierTrajectory"],
         ["carrier_trajectory=MeasuredCarrierTrajectory", "carrier_controller=CarrierPid"],
-        ["carrier_dynamics=LoadedCarrierDynamics", "carrier_controller=LoadedCarrierPid"],
-        ["carrier_dynamics=IdealCarriers", "load_feedback=DesiredAttitudeFeedback"],
+        ["carrier_dynamics=!LimitedCarriers {has_weight: true, feels_cable: true}"],
+        ["carrier_dynamics=LimitedCarriers", "load_feedback=DesiredAttitudeFeedback"],
         ["carrier_controller.integral_gain=5", "carrier_trajectory.hold=velocity"],
         ["load_disturbance=!DisturbanceForce {force: [1, 0, 0], start_time: 0.05}"],
         ["wind=!SteadyWind {velocity: [1, 0, 0], start_time: 0.1}", "system.load_drag=0.1"],
-        ["wind=!WindProfile {velocity: [1, 0, 0], exponent: 0.2, ground_height: -3}"],
+        ["wind=!GustyWind {gust: 0.1, velocity: [1, 0, 0]}"],
         ["wind=!GustyWind {velocity: [1, 0, 0], rise_time: 0.1}", "system.load_drag=0.1"],
         ["load_feedback=!NoisyFeedback {position_noise: 0.01, orientation_noise: 0.02}"],
         ["load_feedback=!NoisyFeedback {delay: 0.02, velocity_noise: 0.01, seed: 3}"],
         ["load_feedback=!NoisyFeedback {position_noise: 0.01, period: 0.02}"],
         ["load_feedback=!EstimatedFeedback {position_noise: 0.01, orientation_noise: 0.02}"],
         ["load_feedback=!EstimatedFeedback {delay: 0.03, angular_velocity_noise: 0.1}"],
-        ["load_trajectory=PlannedTurn", NONSTOP, "simulator_config.max_step_size=0.0025"],
+        ["load_trajectory=PlannedTurn", PROGRAM, "simulator_config.max_step_size=0.0025"],
         ["control_period=0.005"],
         ["control_period=0.02", "simulator_config.max_step_size=0.004"],
         ["pattern=Carousel", "simulated.load_mass=1.1"],
@@ -178,7 +175,7 @@ def test_drawn_loops_are_the_same(task, seed):
 @pytest.mark.parametrize("is_enabled", [True, False])
 def test_a_layer_keeps_its_parameters_by_its_context(is_enabled):
     """Another ε, or a layer that is switched off, from the start on."""
-    scenario = load_scenario("quintic", [NONSTOP])
+    scenario = load_scenario("quintic")
     loop, context = traced(scenario, compiles=False)
     diagram = make_nonstop(scenario)
     simulator = Simulator(diagram)
@@ -193,7 +190,7 @@ def test_a_layer_keeps_its_parameters_by_its_context(is_enabled):
         shown = diagram.GetOutputPort(name).Eval(simulator.get_context())
         np.testing.assert_allclose(signals[name][-1], shown, rtol=1e-9, atol=1e-9)
     updates = signals["diagnostics"][-1, 1]
-    assert updates == 24 if is_enabled else updates == 0
+    assert (updates > 0) == is_enabled
 
 
 OTHER_NUMBERS = [
@@ -209,7 +206,7 @@ OTHER_EQUATIONS = [
     "carrier_trajectory.hold=velocity",
     "carrier_controller.integral_gain=1",
     "pattern=Carousel",
-    NONSTOP,
+    PROGRAM,
     "wrench_controller=PaperWrenchController",
 ]
 
@@ -232,7 +229,7 @@ def test_loops_of_equal_equations_share_their_functions():
 
 
 def test_a_run_depends_on_nothing_that_ran_before():
-    loop, context = traced(load_scenario("quintic", [NONSTOP]), compiles=False)
+    loop, context = traced(load_scenario("quintic", [PROGRAM]), compiles=False)
     first, second = (loop.run(context, DURATION)[1] for _ in range(2))
     for name, values in first.items():
         if name != "solve_time":  # measured with a clock
@@ -359,7 +356,6 @@ def test_what_a_diagram_checks_or_samples_otherwise_is_named():
 
 
 SOURCES = [
-    ("load_trajectory", "Circle", {"start_time": 0.02, "move_time": 0.2}),
     ("load_trajectory", "SteadyTurn", {"displacement": [1, 0, 0], "move_time": 0.5}),
     ("load_trajectory", "Waypoints", {"move_times": [0.1], "rest_times": [0.03]}),
     ("load_disturbance", "DisturbanceForce", {"gust_force": 1.0}),
@@ -453,7 +449,7 @@ class EndingSource(DisturbanceForce):
         return super().precomputed_inputs(names, times)
 
 
-@pytest.mark.parametrize("layer", [CONSTANT, NONSTOP])
+@pytest.mark.parametrize("layer", [CONSTANT, PROGRAM])
 def test_a_source_is_read_no_longer_than_the_flight(layer):
     loop = loop_with(load_scenario("quintic", [layer]), load_disturbance=EndingSource)
     times, _ = loop.run(loop.diagram.CreateDefaultContext(), 0.2)
@@ -521,16 +517,12 @@ class Command(Block):
         return np.array([0.6])
 
 
-LAYERS = ["RecedingHorizonOptimizer", "NonstopOptimizer"]
-
-
-@pytest.mark.parametrize("layer", nightly_beyond(1, "engines", LAYERS))
-def test_what_a_command_may_be_is_that_of_each_loop(layer):
+def test_what_a_command_may_be_is_that_of_each_loop():
     """Loops whose highest bounds differ share a trace, which does not have them."""
     shown = []
     for highest in (0.5, 3.0):
-        fields = f"{{speed_bound: 0.3, max_speed: {highest}}}"
-        scenario = load_scenario("quintic", [f"optimization_layer=!{layer} {fields}"])
+        bounds = ["optimization_layer.speed_bound=0.3", f"optimization_layer.max_speed={highest}"]
+        scenario = load_scenario("quintic", bounds)
         diagram = make_nonstop(scenario, at_equilibrium=False, extra={"command": Command})
         loop = CompiledLoop(
             diagram, scenario.simulator_config, 0.01, signals=["speed_bound"], compiles=False

@@ -11,7 +11,7 @@ from drake_nonstop.systems.compiled_loop import CompiledLoop
 from drake_nonstop.systems.compiled_system import CompiledSystem
 
 DURATION = 0.6
-NONSTOP = "optimization_layer=NonstopOptimizer"
+PROGRAM = "optimization_layer=NlpLayer"
 
 
 def loop_of(*overrides, **options):
@@ -28,7 +28,7 @@ def logged(system, name):
     return Simulator(builder.Build()), log
 
 
-@pytest.mark.parametrize("override", [NONSTOP, "optimization_layer=RecedingHorizonOptimizer"])
+@pytest.mark.parametrize("override", [PROGRAM, "optimization_layer=RecedingHorizonOptimizer"])
 def test_a_simulator_runs_it_as_the_loop_flies(override):
     loop = loop_of(override)
     system = CompiledSystem(loop)
@@ -47,7 +47,7 @@ def test_a_simulator_runs_it_as_the_loop_flies(override):
 
 
 def test_a_copy_of_a_context_goes_on_from_there():
-    system = CompiledSystem(loop_of(NONSTOP))
+    system = CompiledSystem(loop_of(PROGRAM))
     simulator = Simulator(system)
     simulator.AdvanceTo(0.3)
     copied = simulator.get_context().Clone()
@@ -60,7 +60,7 @@ def test_a_copy_of_a_context_goes_on_from_there():
 
 
 def test_a_run_begins_anew_in_a_new_context():
-    system = CompiledSystem(loop_of(NONSTOP))
+    system = CompiledSystem(loop_of(PROGRAM))
     shown = []
     for _ in range(2):
         simulator = Simulator(system)
@@ -75,7 +75,7 @@ def test_a_loop_that_shows_signals_between_samples_is_named():
 
 
 def test_it_starts_at_zero():
-    system = CompiledSystem(loop_of(NONSTOP))
+    system = CompiledSystem(loop_of(PROGRAM))
     context = system.CreateDefaultContext()
     context.SetTime(0.5)
     with pytest.raises(ScenarioError, match=r"^context.time = 0.5: start at 0"):

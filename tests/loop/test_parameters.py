@@ -33,7 +33,7 @@ def quintic(*overrides):
 
 
 def test_a_loop_set_to_numbers_is_the_one_built_for_them():
-    gains = "wrench_controller=GeometricPd"  # which are no auto
+    gains = "wrench_controller.position_integral_gain=0"
     loop, built = quintic(gains), quintic(gains, *(f"{k}={v}" for k, v in GIVEN.items()))
     context, expected = loop.CreateDefaultContext(), built.CreateDefaultContext()
     for name, value in GIVEN.items():

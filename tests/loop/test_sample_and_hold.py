@@ -165,25 +165,6 @@ def test_the_wind_is_held_where_it_may_change():
         assert hold.HasInputPort("wind_estimate") is is_held
 
 
-def test_what_is_held_before_the_first_sample_is_the_start_of_the_reference():
-    turned = ["load_trajectory.start_roll_pitch_yaw=[0.2,-0.1,2.5]"]
-    blocks, hold, builder = unsampled(scenario(turned))
-    for block in blocks.values():
-        builder.AddSystem(block)
-    trajectory = blocks["load_trajectory"]
-    start = trajectory.CreateDefaultContext()
-    reference = output(trajectory, start, "reference")
-    assert np.all(reference[1:4] != 0)
-    for each in (hold, add_sample_and_hold(builder, model(4, PERIOD))):
-        context = each.CreateDefaultContext()
-        np.testing.assert_array_equal(output(each, context, "held_reference"), reference)
-        load = output(each, context, "held_measured_load_state")
-        np.testing.assert_array_equal(load, reference[:13])
-        rates = output(trajectory, start, "reference_higher_rates")
-        held = output(each, context, "held_reference_higher_rates")
-        np.testing.assert_array_equal(held, rates)
-
-
 def test_other_systems_of_the_builder_do_not_matter():
     builder = added(controllers())
     for _ in range(2):  # ports of the same names

@@ -314,7 +314,7 @@ def test_an_optional_input_without_a_value_is_not_blamed():
 
 
 def test_carriers_that_follow_an_input_from_outside_start_as_the_figure():
-    arguments = (0.01, "line", ("carrier_dynamics=IdealCarriers",))
+    arguments = (0.01, "line", ("carrier_dynamics=LimitedCarriers",))
     blocks = make_blocks(scenario(*arguments))
     forces = blocks.pop("force_distribution")
     plant = grouped({name: blocks.pop(name) for name in PLANT})

@@ -1,24 +1,36 @@
 """Lines that bow, against closed forms, the plant's nodes and other formulas of the rates."""
 
 import itertools
+from functools import partial
 
 import numpy as np
 import pytest
 
 from drake_nonstop.mechanics import bowed_line
-from drake_nonstop.mechanics.bowed_line import TimeWindow, bowed_lines, motion_over_window
+from drake_nonstop.mechanics.bowed_line import (
+    TimeWindow,
+    bowed_lines,
+    motion_over_window,
+    with_feedback,
+)
 from drake_nonstop.mechanics.carrier import carrier_motion
 from drake_nonstop.mechanics.grasp import (
     cable_forces_and_rates,
+    forces_along,
     grasp_matrix,
-    second_and_third_force_rates,
-    wrenches_along,
 )
-from drake_nonstop.mechanics.internal_force import elliptic_carousel, planned_internal_force
+from drake_nonstop.mechanics.internal_force import (
+    elliptic_carousel,
+    harmonics,
+    orbit_axes,
+    orbit_forces,
+)
+from drake_nonstop.mechanics.load_motion import LoadMotion
 from drake_nonstop.mechanics.lumped_cable import CableMaterial, lumped_cables
+from drake_nonstop.mechanics.planned_orbit import FlightTerms
 from drake_nonstop.mechanics.rigid_load import RigidLoad
-from drake_nonstop.mechanics.rotation import rotation_matrix
 from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE, LoadReference, PlannedParameters
+from drake_nonstop.mechanics.wrench import feedforward_wrench
 
 CABLE = CableMaterial(150.0, 120.0, 0.0, 1e-3, 970.0, 1.1, 0.02, 1.225, 9.81)
 WINDOW = TimeWindow.of(0.75, 9)
@@ -143,24 +155,11 @@ def test_forces_over_a_window_have_the_rates_that_other_formulas_give():
             radial=1.0,
             tangential=1.4,
             vertical=1.5,
-            second_harmonic=0.0,
-            second_harmonic_direction=0.0,
         ),
     }
-    pattern = {"phases": np.array([0, -np.pi / 2] * 2), "orders": np.array([1, 1, 2, 2])}
-    rates = planned_internal_force(PlannedParameters.view(planned), **pattern)
-    turn = rotation_matrix(LoadReference.view(reference).quaternion)
-    omega = turn.T @ LoadReference.view(reference).angular_velocity
-    of_load = wrenches_along(load, reference, STILL)
-    torque, force = np.split(of_load[0], 2)
-    torque_rate, force_rate = np.split(of_load[1], 2)
-    wrench = np.concatenate([turn @ torque, turn @ force])
-    wrench_rate = np.concatenate(
-        [
-            turn @ (torque_rate + np.cross(omega, torque)),
-            turn @ (force_rate + np.cross(omega, force)),
-        ]
-    )
+    pattern = {"phases": np.array([0, -np.pi / 2])}
+    rates = harmonics(*PlannedParameters.view(planned).series, **pattern).rates
+    wrench, wrench_rate = feedforward_wrench(load, reference)
     forces, force_rates = cable_forces_and_rates(
         reference[:13],
         wrench,
@@ -169,23 +168,15 @@ def test_forces_over_a_window_have_the_rates_that_other_formulas_give():
         offset=np.ones(12),
         **geometry,
     )
-    second, _ = second_and_third_force_rates(
-        load, reference, forces, force_rates, np.concatenate(rates[2:]), STILL, higher, **geometry
+    motion, thirds = LoadMotion.along(reference, higher), np.concatenate(rates[2:])
+    series = forces_along(load, motion, forces, force_rates, thirds, **geometry)
+    second = (series @ motion.axes).rates[2]
+    terms = FlightTerms.along(
+        load, motion, pseudo_inverse=geometry["pseudo_inverse"], offset=np.ones(12)
     )
-    over_window, attachments = motion_over_window(
-        load,
-        reference,
-        higher,
-        planned,
-        forces,
-        force_rates,
-        STILL,
-        WINDOW,
-        attachments=SQUARE,
-        offset=np.ones(12),
-        **geometry,
-        **pattern,
-    )
+    shape = partial(orbit_forces, orbit_axes(geometry["basis"], **pattern))
+    along, attachments = motion_over_window(terms, shape, planned, WINDOW, SQUARE)
+    over_window = with_feedback(WINDOW, along, forces, force_rates)
     # The feedback is nothing: the forces are those along the reference.
     for made, known in zip(
         WINDOW.at_present(over_window), (forces, force_rates, second), strict=False

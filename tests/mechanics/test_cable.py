@@ -101,7 +101,11 @@ def test_forces_under_another_wrench_are_those_of_a_load_that_has_moved_to_where
     points = irregular(n) + np.array([0, 0, 0.1])
     carriers = 1.05 * LENGTH * np.array([0, 0, 1.0]) + 1.4 * points + 0.05 * rng.normal(size=(n, 3))
     state = np.concatenate([carriers.ravel(), np.zeros(3 * n)])
-    still = {**CONSTANTS, "damping": 0.0, "attachments": points}
+    own = {
+        "rest_length": LENGTH * (1 + 0.01 * np.arange(n)),
+        "stiffness": STIFFNESS * (1 + 0.2 * np.arange(n)),
+    }
+    still = {**CONSTANTS, **own, "damping": 0.0, "attachments": points}
     rest = np.array([1.0, *np.zeros(12)])
     forces, _ = cable_forces_and_tensions(rest, state, **still)
 
@@ -115,8 +119,7 @@ def test_forces_under_another_wrench_are_those_of_a_load_that_has_moved_to_where
             forces[None],
             points,
             wrenches_of(expected, levers)[None],
-            rest_length=LENGTH,
-            stiffness=STIFFNESS,
+            **own,
         )
         return np.max(np.abs(found[0] - expected)) / np.max(np.abs(forces - expected))
 

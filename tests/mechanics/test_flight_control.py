@@ -12,13 +12,13 @@ from drake_nonstop.mechanics.aircraft import (
     thrust_limits,
 )
 from drake_nonstop.mechanics.flight_control import (
+    FlightSignals,
     ObserverStates,
     flight_command,
     limited_command,
-    observer_shares,
-    observer_targets,
+    observer_rate,
 )
-from drake_nonstop.mechanics.signals import AircraftCommand, CarrierStates
+from drake_nonstop.mechanics.signals import AircraftCommand, AircraftState, CarrierStates
 
 GRAVITY = np.array([0.0, 0.0, 9.81])
 WIND = np.array([2.0, -1.0, 0.0])
@@ -48,19 +48,18 @@ class Orbits:
 
     def command(self, time, carrier_state=None, lead=0.0, disturbance=0.0):
         reference = np.concatenate([self.motion(time, k).ravel() for k in (0, 1)])
-        return flight_command(
-            RASCAL,
+        signals = FlightSignals(
             reference,
             self.motion(time, 2).ravel(),
             self.motion(time, 3).ravel(),
             reference if carrier_state is None else carrier_state,
+            np.zeros(8),
             self.force(time).ravel(),
             self.force(time, 1).ravel(),
-            np.full(6, disturbance),
             WIND,
-            **GAINS,
-            lead=lead,
+            np.zeros(6),
         )
+        return flight_command(RASCAL, signals, np.full((2, 3), disturbance), **GAINS, lead=lead)
 
 
 def flown(command, velocities):
@@ -147,13 +146,17 @@ def test_below_the_share_of_the_stall_speed_thrust_is_added():
     np.testing.assert_allclose(flags, [0, 0, 1], atol=1e-6)
 
 
-def observed(states, command, acceleration):
-    """The targets of the observer of one aircraft in straight flight at 15 m/s."""
+LAGS = np.array([0.2, 0.2, 0.2, 0.15, 0.2])  # s, of the observer's states
+
+
+def observer(states, command, acceleration, period):
+    """The rate of the observer of one aircraft in straight flight at 15 m/s, with a bank of 0.2."""
     carrier = np.array([0.0, 0, 0, 15.0, 0, 0])
-    force = np.array([1.0, 2.0, 24.0])
-    return observer_targets(
-        RASCAL, states, command, carrier, acceleration, np.array([0.2]), force, np.zeros(3)
-    )
+    force, nothing = np.array([1.0, 2.0, 24.0]), np.zeros(3)
+    measured = np.concatenate(AircraftState(*np.array([[0.5], [0.2], [8.0], [15.0]])))
+    parts = (carrier, nothing, nothing, carrier, measured, force, nothing, nothing, acceleration)
+    signals = FlightSignals(*parts)
+    return observer_rate(RASCAL, states, command, signals, observer_time=0.2, period=period)
 
 
 def test_the_observer_tells_the_force_that_the_model_does_not_explain(rng):
@@ -164,15 +167,18 @@ def test_the_observer_tells_the_force_that_the_model_does_not_explain(rng):
     in_world = push * [1, -1, 1]  # in flight along x the right is at -y
     acceleration = (made[0] + in_world - np.array([1.0, 2.0, 24.0])) / 6.0 - GRAVITY
     states = np.concatenate(ObserverStates(np.zeros(3), np.array([0.6]), np.array([9.0])))
-    targets = observed(states, np.array([0.7, 0.3, 11.0]), acceleration)
-    np.testing.assert_allclose(targets, [*push, 0.7, 11.0], atol=1e-12)
+    rate = observer(states, np.array([0.7, 0.3, 11.0]), acceleration, 0.0)
+    np.testing.assert_allclose(states + LAGS * rate, [*push, 0.7, 11.0], atol=1e-12)
 
 
 def test_a_sampled_observer_is_where_the_continuous_one_is_at_the_samples():
-    period, target = 0.04, np.array([3.0, 1.0, -2.0, 0.7, 11.0])
+    """Of C_L and thrust, which follow constant commands."""
+    period, command = 0.04, np.array([0.7, 0.3, 11.0])
     states = np.zeros(5)
     for _ in range(10):
-        states = states + period * observer_shares(RASCAL, 1, 0.2, period) * (target - states)
-    times = np.array([0.2, 0.2, 0.2, 0.15, 0.2])
-    np.testing.assert_allclose(states, target * (1 - np.exp(-0.4 / times)), rtol=1e-12)
-    np.testing.assert_allclose(observer_shares(RASCAL, 1, 0.2, 0.0), 1 / times)
+        states = states + period * observer(states, command, np.zeros(3), period)
+    expected = np.array([0.7, 11.0]) * (1 - np.exp(-0.4 / LAGS[3:]))
+    np.testing.assert_allclose(states[3:], expected, rtol=1e-12)
+    continuous, sampled = (observer(np.zeros(5), command, np.ones(3), h) for h in (0.0, period))
+    shares = 1 - np.exp(-period / LAGS)
+    np.testing.assert_allclose(sampled * period, shares * LAGS * continuous, rtol=1e-12)

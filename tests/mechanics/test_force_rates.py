@@ -1,23 +1,15 @@
-"""Second and third rates of the desired cable forces, and the carriers' jerk that follows."""
-
-from itertools import pairwise
+"""Rates of the desired cable forces, and of the carriers' positions, above a load that turns."""
 
 import numpy as np
 import pytest
 from helpers import GAINS, INERTIA, SHAPES, difference
+from numpy.polynomial import Polynomial
 from pydrake.common.eigen_geometry import Quaternion
 
-from drake_nonstop.mechanics.carrier import carrier_motion
-from drake_nonstop.mechanics.grasp import (
-    cable_forces_and_rates,
-    grasp_matrix,
-    second_and_third_force_rates,
-)
-from drake_nonstop.mechanics.internal_force import (
-    even_phases,
-    hamiltonian_cycle,
-    internal_force,
-)
+from drake_nonstop.mechanics.carrier import carrier_positions
+from drake_nonstop.mechanics.grasp import cable_forces_and_rates, forces_along, grasp_matrix
+from drake_nonstop.mechanics.internal_force import even_phases, hamiltonian_cycle, internal_force
+from drake_nonstop.mechanics.load_motion import LoadMotion
 from drake_nonstop.mechanics.rigid_load import RigidLoad
 from drake_nonstop.mechanics.wrench import wrench_and_rate
 
@@ -26,116 +18,83 @@ WIND = np.array([3.0, -2.0, 0.5])  # m/s
 PARAMETERS = np.array([1.7, 0.9])
 AXIS = np.array([0.6, -0.48, 0.64])
 TILT = np.array([0.9, 0.3, -0.2, 0.245])
+ANGLE = Polynomial([0.3, 0.5, 0.2, 0.15])
+WAYS = [
+    Polynomial(way)
+    for way in ([0.1, 0.3, -0.4, 0.3, 0.2], [0.2, -0.2, 0.1, -0.5, 0.1], [0, 0.4, 0.2, 0.2, -0.3])
+]
 
 
-def reference(time):
-    """A motion without snap and angular jerk: a cubic, and a turn that speeds up about an axis."""
-    angle, rate, second_rate = 0.3 + 0.5 * time + 0.2 * time**2, 0.5 + 0.4 * time, 0.4
+def motion_at(time):
+    """A reference with a constant snap and a constant angular jerk, about an axis, and these."""
+    angle, *turns = [ANGLE.deriv(k)(time) if k else ANGLE(time) for k in range(4)]
+    rates = [np.array([way.deriv(k)(time) if k else way(time) for way in WAYS]) for k in range(5)]
     about_axis = Quaternion(np.array([np.cos(angle / 2), *np.sin(angle / 2) * AXIS]))
-    turn = about_axis.multiply(Quaternion(TILT / np.linalg.norm(TILT)))
-    powers = np.array([[1, time, time**2, time**3]] * 3)
-    powers = [powers, 0 * powers, 0 * powers, 0 * powers]
-    powers[1][:, 1:] = [1, 2 * time, 3 * time**2]
-    powers[2][:, 2:] = [2, 6 * time]
-    powers[3][:, 3:] = 6
-    numbers = np.array([[0.1, 0.3, -0.4, 0.3], [0.2, -0.2, 0.1, -0.5], [0, 0.4, 0.2, 0.2]])
-    position, velocity, acceleration, jerk = ((numbers * power).sum(axis=1) for power in powers)
-    return np.concatenate(
-        [
-            *(turn.wxyz(), position, rate * AXIS, velocity),
-            *(second_rate * AXIS, acceleration, jerk),
-        ]
-    )
+    turned = about_axis.multiply(Quaternion(TILT / np.linalg.norm(TILT)))
+    spin, spin_rate, angular_jerk = (turn * AXIS for turn in turns)
+    reference = [turned.wxyz(), rates[0], spin, rates[1], spin_rate, rates[2], rates[3]]
+    return np.concatenate(reference), np.concatenate([angular_jerk, rates[4]])
 
 
 class Orbits:
     """Carriers above a load on its reference, at constant ξ and A."""
 
-    def __init__(self, shape, compliance=0.02):
-        self.attachments = SHAPES[shape]
-        self.pseudo_inverse = np.linalg.pinv(grasp_matrix(self.attachments))
-        self.basis = hamiltonian_cycle(self.attachments)
-        self.cables = {
-            "attachments": self.attachments,
-            "rest_length": 0.8,
-            "compliance": compliance,
-        }
+    def __init__(self, shape, compliance):
+        attachments = SHAPES[shape]
+        grasp = np.linalg.pinv(grasp_matrix(attachments))
+        self.maps = {"pseudo_inverse": grasp, "basis": hamiltonian_cycle(attachments)}
+        self.cables = {"rest_length": 0.8, "compliance": compliance, "attachments": attachments}
+        self.phases = even_phases(len(attachments))
+        self.offset = self.maps["basis"] @ np.linspace(0.3, -0.2, len(attachments))
 
-    def internal_force(self, time):
+    def internal(self, time):
         phase = np.array([PARAMETERS[0] * time])
-        rates = internal_force(PARAMETERS, phase, phases=even_phases(len(self.attachments)))
-        return np.concatenate(rates[:2]), np.concatenate(rates[2:])
+        return internal_force(PARAMETERS, phase, phases=self.phases)
 
     def forces(self, time):
-        """f and ḟ, both exact: the load is on its reference."""
-        wanted = reference(time)
-        state = wanted[:13]
-        wrenches = wrench_and_rate(LOAD, state, wanted, np.zeros(6), WIND, **GAINS, feedforward=1.0)
-        return cable_forces_and_rates(
-            state,
-            *wrenches,
-            self.internal_force(time)[0],
-            pseudo_inverse=self.pseudo_inverse,
-            basis=self.basis,
-            offset=self.basis @ np.linspace(0.3, -0.2, len(self.attachments)),
+        """Those of the wrench controller, which has no error: the load is on its reference."""
+        reference, _ = motion_at(time)
+        wrenches = wrench_and_rate(
+            LOAD, reference[:13], reference, np.zeros(6), WIND, **GAINS, feedforward=1.0
         )
+        internal = np.concatenate(self.internal(time)[:2])
+        offset = {"offset": self.offset}
+        return cable_forces_and_rates(reference, *wrenches, internal, **self.maps, **offset)[0]
 
-    def higher_rates(self, time):
-        return second_and_third_force_rates(
-            LOAD,
-            reference(time),
-            *self.forces(time),
-            self.internal_force(time)[1],
-            WIND,
-            pseudo_inverse=self.pseudo_inverse,
-            basis=self.basis,
-        )
+    def series(self, time):
+        """The load's motion, and the forces in L."""
+        motion = LoadMotion.along(*motion_at(time))
+        rates = difference(self.forces, time)
+        higher = np.concatenate(self.internal(time)[2:])
+        forces = self.forces(time), rates, higher, WIND
+        return motion, forces_along(LOAD, motion, *forces, **self.maps)
 
-    def velocity(self, time):
-        return carrier_motion(reference(time), *self.forces(time), **self.cables)[1]
-
-    def acceleration(self, time):
-        return self.motion(time)[2]
-
-    def jerk(self, time):
-        return self.motion(time)[3]
+    def force_rates(self, time):
+        motion, forces = self.series(time)
+        return (forces @ motion.axes).rates
 
     def motion(self, time):
-        forces = *self.forces(time), *self.higher_rates(time)
-        return carrier_motion(reference(time), *forces, **self.cables)
+        return carrier_positions(*self.series(time), **self.cables).rates
 
 
-shapes = pytest.mark.parametrize("shape", ["regular-3", "irregular-4", "spatial-7"])
-
-
-@shapes
-def test_the_rates_are_differences_of_those_below_them(shape):
-    orbits = Orbits(shape)
-    for time in (-0.4, 0.7):
-        second, third = orbits.higher_rates(time)
-        expected = difference(lambda t: orbits.forces(t)[1], time)
-        np.testing.assert_allclose(second, expected, rtol=0, atol=1e-9)
-        expected = difference(lambda t: orbits.higher_rates(t)[0], time)
-        np.testing.assert_allclose(third, expected, rtol=0, atol=1e-9)
-
-
-@shapes
+@pytest.mark.parametrize("shape", ["regular-3", "irregular-4", "spatial-7"])
 @pytest.mark.parametrize("compliance", [0.0, 0.02])
-def test_accelerations_and_jerks_are_differences_of_velocities(shape, compliance):
+def test_each_rate_is_the_difference_of_the_one_below(shape, compliance):
+    """Of the cable forces and of the carriers' positions; `motion_at` has all rates of the load."""
     orbits = Orbits(shape, compliance)
-    for time in (-0.4, 0.7):
-        expected = difference(orbits.velocity, time)
-        np.testing.assert_allclose(orbits.acceleration(time), expected, rtol=0, atol=1e-8)
-        expected = difference(orbits.acceleration, time)
-        np.testing.assert_allclose(orbits.jerk(time), expected, rtol=0, atol=1e-8)
+    for rates in (orbits.force_rates, orbits.motion):
+        for time in (-0.4, 0.7):
+            for order in (1, 2, 3):
+                expected = difference(lambda t, k=order, f=rates: f(t)[k - 1], time)
+                size = np.max(np.abs(expected))
+                np.testing.assert_allclose(rates(time)[order], expected, rtol=0, atol=3e-9 * size)
 
 
-def test_the_reference_of_these_tests_is_a_motion_without_snap_and_angular_jerk():
-    parts = [slice(4, 7), slice(10, 13), slice(16, 19), slice(19, 22)]
-    for lower, upper in pairwise(parts):
-        rate = difference(lambda t, lower=lower: reference(t)[lower], 0.5)
-        np.testing.assert_allclose(reference(0.5)[upper], rate, rtol=0, atol=1e-10)
-    np.testing.assert_array_equal(reference(0.5)[[19, 20, 21, 13]], reference(1)[[19, 20, 21, 13]])
-    np.testing.assert_allclose(
-        difference(lambda t: reference(t)[7:10], 0.5), reference(0.5)[13:16], rtol=0, atol=1e-10
-    )
+def test_the_angular_jerk_of_the_load_counts_for_the_jerk_of_carriers():
+    motion, _ = Orbits("irregular-4", 0.02).series(0.7)
+    reference, higher = motion_at(0.7)
+    without = LoadMotion.along(reference, np.concatenate([np.zeros(3), higher[3:]]))
+    levers = SHAPES["irregular-4"] @ motion.axes.coefficients[0]
+    found = motion.attached(SHAPES["irregular-4"]).rates[3]
+    missing = found - without.attached(SHAPES["irregular-4"]).rates[3]
+    np.testing.assert_allclose(missing, np.cross(higher[:3], levers), rtol=0, atol=1e-12)

@@ -6,9 +6,9 @@ from drake_nonstop.mechanics.grasp import grasp_matrix
 from drake_nonstop.mechanics.internal_force import (
     even_phases,
     hamiltonian_cycle,
+    harmonics,
     internal_force,
     orbit_axes,
-    planned_internal_force,
 )
 from drake_nonstop.mechanics.signals import PlannedParameters
 
@@ -63,17 +63,16 @@ def test_internal_force_of_a_square_after_a_quarter_turn():
 
 def test_internal_force_rate_is_its_difference_at_constant_frequency(rng):
     parameters, phases = np.array([1.7, 0.8]), rng.uniform(0, 6, 5)
-    orders = np.array([1.0, 2, 1, 2, 3])
 
     def force(time):
-        return internal_force(parameters, parameters[:1] * time, phases=phases, orders=orders)
+        return internal_force(parameters, parameters[:1] * time, phases=phases)
 
     for time in (0.0, 0.4, 2.5):
         value, rate, second, third = force(time)
         expected = difference(lambda t: force(t)[0], time)
         np.testing.assert_allclose(rate, expected, rtol=0, atol=1e-9)
-        np.testing.assert_allclose(second, -((1.7 * orders) ** 2) * value, rtol=1e-13)
-        np.testing.assert_allclose(third, -((1.7 * orders) ** 2) * rate, rtol=1e-13)
+        np.testing.assert_allclose(second, -(1.7**2) * value, rtol=1e-13)
+        np.testing.assert_allclose(third, -(1.7**2) * rate, rtol=1e-13)
 
 
 def plan(time):
@@ -88,15 +87,14 @@ def plan(time):
 
 
 def test_planned_internal_force_has_the_differences_of_what_is_below_as_rates(rng):
-    phases, orders = rng.uniform(0, 6, 5), np.array([1.0, 2, 1, 2, 3])
+    phases = rng.uniform(0, 6, 5)
 
     def force(time):
-        return planned_internal_force(
-            PlannedParameters.view(plan(time)), phases=phases, orders=orders
-        )
+        series = PlannedParameters.view(plan(time)).series
+        return harmonics(*series, phases=phases).rates
 
     for time in (0.0, 0.7, 2.5):
-        expected = plan(time)[2] * np.cos(orders * plan(time)[0] + phases)
+        expected = plan(time)[2] * np.cos(plan(time)[0] + phases)
         np.testing.assert_allclose(force(time)[0], expected, rtol=0, atol=1e-14)
         for order in (1, 2, 3):
             below = difference(lambda t, k=order: force(t)[k - 1], time)
@@ -104,11 +102,11 @@ def test_planned_internal_force_has_the_differences_of_what_is_below_as_rates(rn
 
 
 def test_planned_internal_force_without_rates_is_that_of_constant_parameters(rng):
-    phases, orders = rng.uniform(0, 6, 5), np.array([1.0, 2, 1, 2, 3])
+    phases = rng.uniform(0, 6, 5)
     parameters = np.array([1.7, 0.8])
     still = PlannedParameters.view(np.array([0.4, *parameters, 0, 0, 0, 0, 0]))
-    force = planned_internal_force(still, phases=phases, orders=orders)
-    known = internal_force(parameters, np.array([0.4]), phases=phases, orders=orders)
+    force = harmonics(*still.series, phases=phases).rates
+    known = internal_force(parameters, np.array([0.4]), phases=phases)
     np.testing.assert_array_equal(force, known)
 
 

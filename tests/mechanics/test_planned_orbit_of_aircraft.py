@@ -12,19 +12,20 @@ from drake_nonstop.mechanics.aircraft import (
     stall_factor,
     stall_speed,
 )
-from drake_nonstop.mechanics.carrier import carrier_motion
-from drake_nonstop.mechanics.grasp import cable_forces_and_rates, second_and_third_force_rates
-from drake_nonstop.mechanics.internal_force import orbit_axes, planned_internal_force
+from drake_nonstop.mechanics.carrier import carrier_positions
+from drake_nonstop.mechanics.grasp import cable_forces_and_rates, forces_along
+from drake_nonstop.mechanics.internal_force import harmonics
+from drake_nonstop.mechanics.load_motion import LoadMotion, in_axes
 from drake_nonstop.mechanics.planned_orbit import (
     FlightTerms,
-    PlannedOrbit,
-    flight_along_reference,
     flight_terms,
-    planned_needs,
+    needs_of_motion,
+    orbit_motion,
     turning_terms,
 )
 from drake_nonstop.mechanics.rotation import quaternion_product, rotation_matrix
-from drake_nonstop.mechanics.signals import PlannedParameters
+from drake_nonstop.mechanics.signals import PlannedParameters, constant_plan
+from drake_nonstop.mechanics.taylor import Taylor
 from drake_nonstop.mechanics.wrench import NO_FEEDBACK, wrench_and_rate
 from drake_nonstop.model.aircraft import AircraftParameters
 from drake_nonstop.model.pattern import ConstantSpreadConfig, EllipticCarouselConfig
@@ -35,14 +36,14 @@ ORBIT = np.array([0.6, 0.01, 1.0, 0.02, -0.01])  # ξ, ξ̇, A, Ȧ, Ä
 CORNERS = [[1.5, 0.0, 0.0], [0.0, 1.5, 0.0], [-1.5, 0.0, 0.0], [0.0, -1.5, 0.0]]
 
 
-def aircraft_model(pattern=None, length=150.0):
+def aircraft_model(pattern=None, length=150.0, stiffness=120.0):
     system = SystemParameters(
         load_mass=10.0,
         load_inertia=[[5.6, 0.2, 0.1], [0.2, 5.1, 0.0], [0.1, 0.0, 9.2]],
         load_drag=0.6,
         attachments=CORNERS,
         cable_length=length,
-        cable_stiffness=120.0,
+        cable_stiffness=stiffness,
         aircraft=AircraftParameters(model="rascal_110"),
     )
     carousel = EllipticCarouselConfig(
@@ -55,33 +56,26 @@ def cables_of(model):
     return {"rest_length": model.cable_length, "compliance": model.cable_compliance}
 
 
-def geometry_of(model):
-    return {
-        "pseudo_inverse": model.pseudo_inverse,
-        "offset": model.pattern.offset,
-        "attachments": model.attachments,
-    }
-
-
-def axes_of(model):
-    return orbit_axes(model.pattern.basis, model.pattern.phases)
+def distribution_of(model):
+    return {"pseudo_inverse": model.pseudo_inverse, "offset": model.pattern.offset}
 
 
 def plan(rng, count):
     shares = rng.uniform(0.8, 1.2, (5, count))
-    return PlannedOrbit(rng.uniform(0, 6, count), *(ORBIT[:, None] * shares))
+    xi, xi_rate, A, A_rate, A_second = ORBIT[:, None] * shares
+    rates = [xi, A, xi_rate, A_rate, 0 * xi, A_second, 0 * xi]
+    return np.stack([rng.uniform(0, 6, count), *rates], axis=1)
 
 
 def stack(references, model, wind):
-    rows = [
-        flight_along_reference(model.load, reference, wind, **geometry_of(model))
-        for reference in references
-    ]
-    return FlightTerms.view(np.array(rows))
+    motion = LoadMotion.along(np.array(references))
+    return FlightTerms.along(model.load, motion, wind, **distribution_of(model))
 
 
-def needs_of(model, terms, orbit):
-    return planned_needs(model.aircraft, terms, axes_of(model), orbit, **cables_of(model))
+def needs_of(model, terms, orbit, wind=WIND):
+    pattern = model.pattern.forces(*PlannedParameters.view(orbit).series)
+    motion = orbit_motion(terms, pattern, attachments=model.attachments, **cables_of(model))
+    return needs_of_motion(model.aircraft, motion, wind)
 
 
 def slow_motion(seed, share=0.2):
@@ -93,12 +87,10 @@ def slow_motion(seed, share=0.2):
 
 def commanded(model, reference, orbit, wind):
     """Carriers' velocity, acceleration and cable force in W, by the chain that commands them."""
-    angle, xi, xi_rate, A, A_rate, A_second = orbit
-    planned = np.array([angle, xi, A, xi_rate, A_rate, 0.0, A_second, 0.0])
     pattern = model.pattern
-    values, rates, seconds, thirds = planned_internal_force(
-        PlannedParameters.view(planned), phases=pattern.phases, orders=pattern.orders
-    )
+    values, rates, seconds, thirds = harmonics(
+        *PlannedParameters.view(orbit).series, phases=pattern.phases
+    ).rates
     wrenches = wrench_and_rate(
         model.load, reference[:13], reference, np.zeros(6), wind, feedforward=1.0, **NO_FEEDBACK
     )
@@ -106,11 +98,10 @@ def commanded(model, reference, orbit, wind):
     forces, force_rates = cable_forces_and_rates(
         reference, *wrenches, np.concatenate([values, rates]), **maps, offset=pattern.offset
     )
-    second, _ = second_and_third_force_rates(
-        model.load, reference, forces, force_rates, np.concatenate([seconds, thirds]), wind, **maps
-    )
+    motion, higher = LoadMotion.along(reference), np.concatenate([seconds, thirds])
+    along = forces_along(model.load, motion, forces, force_rates, higher, wind, **maps)
     cables = {"attachments": model.attachments, **cables_of(model)}
-    _, velocities, acceleration = carrier_motion(reference, forces, force_rates, second, **cables)
+    _, velocities, acceleration, _ = carrier_positions(motion, along, **cables).rates
     return velocities, acceleration, forces
 
 
@@ -119,7 +110,7 @@ def test_needs_are_those_of_the_exact_inverse_of_the_commanded_motion(rng):
     orbit = plan(rng, 6)
     references = [slow_motion(i) for i in range(6)]
     found = needs_of(model, stack(references, model, WIND), orbit)
-    for i, (reference, instant) in enumerate(zip(references, np.transpose(orbit), strict=True)):
+    for i, (reference, instant) in enumerate(zip(references, orbit, strict=True)):
         velocities, acceleration, forces = commanded(model, reference, instant, WIND)
         force = needed_force(model.aircraft, acceleration, forces)
         air = velocities - WIND
@@ -137,30 +128,19 @@ def test_needs_are_those_of_the_exact_inverse_of_the_commanded_motion(rng):
             )
 
 
-def test_terms_of_a_wrench_have_the_second_rates_of_its_components(rng):
-    """The force in L, its first and second rates, of a wrench that is smooth in time."""
-    model, motion = aircraft_model(), Motion(3)
-    size, start = rng.uniform(5, 20, 6), rng.uniform(0, 6, 6)
+def test_terms_of_a_wrench_have_the_rates_of_its_components(rng):
+    """The force in L, its first and second rates, of a wrench that grows steadily in W."""
+    model = aircraft_model()
+    motion, (start, rate) = Motion(3), rng.uniform(5, 20, (2, 6))
 
-    def wrench(time, order=0):
-        return size * 0.9**order * np.sin(0.9 * time + start + order * np.pi / 2)
+    def forces(time):
+        wrench = start + time * rate
+        terms = flight_terms(motion.reference(time), wrench, rate, **distribution_of(model))
+        return terms.forces.rates
 
-    def terms(time):
-        reference = motion.reference(time)
-        return flight_terms(
-            reference[:13], reference, *(wrench(time, i) for i in range(3)), **geometry_of(model)
-        )
-
-    now = terms(0.4)
-    for rate, of in (("rates", "forces"), ("second_rates", "rates")):
-        expected = difference(lambda t, of=of: getattr(terms(t), of), 0.4)
-        np.testing.assert_allclose(getattr(now, rate), expected, atol=1e-8)
-
-    def in_world(time):
-        return terms(time).velocities @ rotation_matrix(motion.reference(time)[:4]).T
-
-    turned = now.accelerations @ rotation_matrix(motion.reference(0.4)[:4]).T
-    np.testing.assert_allclose(turned, difference(in_world, 0.4), atol=1e-8)
+    for order in (1, 2):
+        expected = difference(lambda t, k=order: forces(t)[k - 1], 0.4)
+        np.testing.assert_allclose(forces(0.4)[order], expected, atol=1e-8)
 
 
 @pytest.mark.parametrize("yaw_rate", [0.0, 0.4])
@@ -184,8 +164,7 @@ def test_above_a_resting_load_needs_are_those_of_the_margins(yaw_rate):
         moved = reference.copy()
         moved[0], moved[3] = np.cos(angle / 2), np.sin(angle / 2)
         turned.append(moved)
-    constant = [np.full(7, value) for value in (xi, 0.0, A, 0.0, 0.0)]
-    needs = needs_of(model, stack(turned, model, WIND), PlannedOrbit(phases, *constant))
+    needs = needs_of(model, stack(turned, model, WIND), constant_plan(phases, xi, A))
     for name in ("airspeed", "lift", "bank", "climb", "thrust"):
         np.testing.assert_allclose(
             getattr(needs, name), getattr(expected, name), rtol=1e-7, atol=1e-7, err_msg=name
@@ -195,15 +174,14 @@ def test_above_a_resting_load_needs_are_those_of_the_margins(yaw_rate):
 def test_closed_forms_of_level_orbits_that_turn_with_the_load():
     """theory: tan ϑ = C/f₀, tan φ = [V²/gR − μ tan ϑ]/(1 + μ), C_L = 2 (W + f₀)/(ρ S V² cos φ)."""
     spread, rate, length = 30.0, 0.4, 60.0
-    model = aircraft_model(ConstantSpreadConfig(spread=spread), length)
-    model.cable_compliance = 0.0
+    model = aircraft_model(ConstantSpreadConfig(spread=spread), length, np.inf)
     model.load = replace(model.load, inertia=np.diag([5.6, 5.6, 11.2]))
     aircraft = model.aircraft
     reference = np.zeros(22)
     reference[0], reference[9] = 1.0, rate
-    orbit = PlannedOrbit(*(np.array([value]) for value in (0.0, 0.4, 0.0, 0.0, 0.0, 0.0)))
+    orbit = constant_plan(np.zeros(1), 0.4, 0.0)
     terms = stack([reference], model, np.zeros(3))
-    needs = needs_of(model, terms, orbit)
+    needs = needs_of(model, terms, orbit, np.zeros(3))
     share = 10.0 * 9.81 / 4
     tangent = spread / share
     radius = 1.5 + length * tangent / np.hypot(1, tangent)
@@ -217,15 +195,13 @@ def test_closed_forms_of_level_orbits_that_turn_with_the_load():
     assert np.all(needs.lift < lift)
 
 
-def test_wind_only_shifts_the_velocity_of_the_attachments(rng):
+def test_wind_only_shifts_the_velocities(rng):
     model = aircraft_model()
     orbit, references = plan(rng, 4), [slow_motion(i) for i in range(4)]
-    still, windy = (stack(references, model, wind) for wind in (np.zeros(3), WIND))
     # The drag of the load changes the forces, too: those are of the still air here.
-    shifted = still._replace(velocities=windy.velocities)
-    airspeeds = needs_of(model, shifted, orbit).airspeed
+    airspeeds = needs_of(model, stack(references, model, np.zeros(3)), orbit).airspeed
     for i, reference in enumerate(references):
-        own = commanded(model, reference, np.transpose(orbit)[i], np.zeros(3))[0] - WIND
+        own = commanded(model, reference, orbit[i], np.zeros(3))[0] - WIND
         np.testing.assert_allclose(airspeeds[i], np.linalg.norm(own, axis=1), rtol=1e-12)
 
 
@@ -237,11 +213,9 @@ def test_the_stall_factor_bounds_the_lift_share(wind):
     weight = aircraft.mass * aircraft.gravity
     assert stall_factor(aircraft, 1.0) * stall_speed(aircraft) ** 2 == pytest.approx(weight)
     count = 40
-    orbit = PlannedOrbit(
-        np.linspace(0, 6.2, count), *(np.full(count, v) for v in (0.595, 0.0, 1.0, 0.0, 0.0))
-    )
+    orbit = constant_plan(np.linspace(0, 6.2, count), 0.595, 1.0)
     terms = stack([np.eye(22)[0]] * count, model, np.array([wind, 0.0, 0.0]))
-    needs = needs_of(model, terms, orbit)
+    needs = needs_of(model, terms, orbit, np.array([wind, 0.0, 0.0]))
     share = needs.force / (stall_factor(aircraft, 1.0) * needs.airspeed**2)
     ratio = share / (needs.lift / aircraft.max_lift)
     assert ratio.min() > 1.0
@@ -256,9 +230,9 @@ def test_terms_of_a_turning_load_are_those_of_its_turned_motion(rng):
     wrench = np.concatenate([rng.normal(size=3), [3.0, -2.0, 98.0]])
     force_rate = rng.normal(size=3)
     rates, angles = rng.uniform(0.2, 0.6, 5), rng.uniform(0, 6, 5)
-    others = geometry_of(model)
+    others = distribution_of(model)
     found = turning_terms(
-        motion, wrench, np.concatenate([np.zeros(3), force_rate]), WIND, rates, angles, **others
+        motion, wrench, np.concatenate([np.zeros(3), force_rate]), rates, angles, **others
     )
     for i, (rate, angle) in enumerate(zip(rates, angles, strict=True)):
         turn = np.array([np.cos(angle / 2), 0.0, 0.0, np.sin(angle / 2)])
@@ -269,19 +243,14 @@ def test_terms_of_a_turning_load_are_those_of_its_turned_motion(rng):
         torque = R_turn @ wrench[:3]
         omega = np.array([0.0, 0.0, rate])
         torque_rate = np.cross(omega, torque)
-        expected = flight_terms(
-            moved,
-            moved,
-            np.concatenate([torque, wrench[3:]]),
-            np.concatenate([torque_rate, force_rate]),
-            np.concatenate([np.cross(omega, torque_rate), np.zeros(3)]),
-            WIND,
-            **others,
-        )
-        for name in FlightTerms._fields:
-            np.testing.assert_allclose(
-                getattr(found, name)[i], getattr(expected, name), atol=1e-12, err_msg=name
-            )
+        turning = LoadMotion.along(moved)
+        torques = Taylor.of_rates(torque, torque_rate, np.cross(omega, torque_rate))
+        force = Taylor([wrench[3:], force_rate, np.zeros(3)])
+        expected = FlightTerms(turning, in_axes(torques, turning.axes), force, **others)
+        series = zip((*found.motion, found.forces), (*turning, expected.forces), strict=True)
+        for own, known in series:
+            for order in range(3):
+                np.testing.assert_allclose(own.rates[order][i], known.rates[order], atol=1e-12)
 
 
 def test_the_squared_airspeed_is_quadratic_in_the_rate_of_a_turn(rng):
@@ -289,7 +258,7 @@ def test_the_squared_airspeed_is_quadratic_in_the_rate_of_a_turn(rng):
     motion, wrench = np.eye(22)[0], np.array([0, 0, 0, 2.0, 0, 98.1])
     rates = np.linspace(0.1, 0.9, 9)
     terms = turning_terms(
-        motion, wrench, np.zeros(6), WIND, rates, np.full(9, 1.1), **geometry_of(model)
+        motion, wrench, np.zeros(6), rates, np.full(9, 1.1), **distribution_of(model)
     )
-    needs = needs_of(model, terms, PlannedOrbit.constant(np.zeros(1), 0.0, 0.0))
+    needs = needs_of(model, terms, constant_plan(np.zeros(1), 0.0, 0.0))
     np.testing.assert_allclose(np.diff(needs.airspeed**2, n=3, axis=0), 0, atol=1e-9)

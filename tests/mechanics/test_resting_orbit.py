@@ -10,6 +10,7 @@ from drake_nonstop.mechanics.grasp import grasp_matrix
 from drake_nonstop.mechanics.internal_force import even_phases, hamiltonian_cycle, spread
 from drake_nonstop.mechanics.rigid_load import RigidLoad
 from drake_nonstop.mechanics.rotation import rotation_matrix
+from drake_nonstop.model.pattern import InternalForcePattern
 
 LOAD = RigidLoad(mass=1.3, inertia=INERTIA, drag=0.7, angular_drag=0.2, gravity=9.81)
 YAW_RATE = 0.8
@@ -22,7 +23,6 @@ def orbits(attachments, times, *, load=LOAD, pose=POSE, wind=WIND, **others):
     cables = {
         "basis": hamiltonian_cycle(attachments),
         "phases": even_phases(len(attachments)),
-        "orders": 1 + np.arange(len(attachments)) % 2,
         "offset": 2.0 * spread(attachments),
     }
     made = SimpleNamespace(
@@ -31,7 +31,7 @@ def orbits(attachments, times, *, load=LOAD, pose=POSE, wind=WIND, **others):
         pseudo_inverse=np.linalg.pinv(grasp_matrix(attachments)),
         cable_length=2.0,
         cable_compliance=COMPLIANCE,
-        pattern=SimpleNamespace(**(cables | others)),
+        pattern=InternalForcePattern(**(cables | others)),
     )
     parameters = np.array([1.7, 1.2])
     return resting_orbits(made, pose, times, parameters, yaw_rate=YAW_RATE, load_wind=wind)
@@ -89,7 +89,6 @@ def test_above_a_turning_load_constant_forces_are_level_circles():
         wind=np.zeros(3),
         basis=np.zeros((12, 0)),
         phases=np.zeros(0),
-        orders=np.zeros(0),
         offset=outward * spread(regular(4)),
     )
     tension = np.hypot(outward, share)

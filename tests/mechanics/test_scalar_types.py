@@ -12,11 +12,12 @@ from drake_nonstop.mechanics import (
     carrier,
     grasp,
     internal_force,
+    load_motion,
     nonstop,
-    planned_orbit,
     rigid_load,
     rotation,
     shaping,
+    taylor,
     wrench,
 )
 from drake_nonstop.mechanics.signals import PlannedParameters
@@ -41,42 +42,14 @@ AIRCRAFT = aircraft.Aircraft(
     *(0.2, 0.3, 0.4, 1.1, 0.4, 0.6, 1.2, 1e-3, 1.1, 3.0, 9.81),
 )
 
-STRETCH = {"rest_length": 0.2, "compliance": 1 / 500}
-AXES = internal_force.orbit_axes(BASIS, PHASES)
-
-
-def terms_of(state, reference, *wrenches):
-    grasp = {name: GRASP[name] for name in ("pseudo_inverse", "offset")}
-    return planned_orbit.flight_terms(state, reference, *wrenches, attachments=ATTACHMENTS, **grasp)
-
-
-def predicted_speeds(x, phase, *motion):
-    """The chain from the terms of an orbit to the speeds."""
-    u, along, _ = planned_orbit.orbit_directions(AXES, phase)
-    polynomials = nonstop.speed_polynomials(terms_of(*motion).of_speeds, u[0], along[0])
-    return nonstop.speed_squares(nonstop.polynomial_values(polynomials, x), **STRETCH)
-
-
-def separations(x, *motion):
-    forces, levers = terms_of(*motion).forces, ATTACHMENTS
-    first_axes, second_axes = (axes.T for axes in AXES)
-    positions, rates = nonstop.orbit_positions(
-        x, forces.T, levers.T, first_axes, second_axes, **STRETCH
-    )
-    gaps, gap_rates = (a - np.roll(a, 1, axis=1) for a in (positions, rates))
-    return positions, rates, nonstop.nearest_squares(gaps, gap_rates, 0.1)
-
 
 def smoothed(stages, target):
-    """Rates of three stages, and their values at the next sample, at a limit and without."""
+    """Rates of three stages, and their values at the next sample."""
     stages = [stages[i : i + 1] for i in range(3)]
-    results = []
-    for max_rate in (np.inf, 0.3):
-        smoothing = shaping.Smoothing(bandwidth=40.0, period=0.01, max_rate=max_rate)
-        rate = smoothing.approach(stages[0], target)
-        results += [rate, *smoothing.stage_rates(*stages), *smoothing.rates(*stages, rate)]
-        results += smoothing.after(*stages, rate)
-    return tuple(results)
+    poles = shaping.Smoothing(bandwidth=40.0, period=0.01)
+    rate = poles.approach(stages[0], target)
+    rates = [rate, *poles.stage_rates(*stages), *poles.rates(*stages, rate)]
+    return (*rates, *poles.after(*stages, rate))
 
 
 # name: (function of flat arrays, their lengths)
@@ -93,17 +66,19 @@ EQUATIONS = {
     "quaternion_rate": (rotation.quaternion_rate, [4, 3]),
     "rotate_quaternion": (rotation.rotate_quaternion, [4, 3]),
     "roll_pitch_yaw_to_quaternion": (rotation.roll_pitch_yaw_to_quaternion, [3]),
-    "angular_motion": (rotation.angular_motion, [3, 3, 3, 3]),
-    "circular_motion": (lambda angle: rotation.circular_motion(angle, 1.3), [5]),
+    "angular_velocity_of": (
+        lambda *a: rotation.angular_velocity_of(taylor.Taylor.of_rates(*a)).rates,
+        [3, 3, 3, 3],
+    ),
     "grasp_matrix": (lambda b: grasp.grasp_matrix(b.reshape(-1, 3)), [9]),
     "cable_forces_and_rates": (
         lambda *a: grasp.cable_forces_and_rates(*a, **GRASP),
         [13, 6, 6, 2 * N],
     ),
     "internal_force": (lambda *a: internal_force.internal_force(*a, phases=PHASES), [2, 1]),
-    "planned_internal_force": (
-        lambda planned: internal_force.planned_internal_force(
-            PlannedParameters.view(planned), phases=PHASES
+    "harmonics": (
+        lambda planned: (
+            internal_force.harmonics(*PlannedParameters.view(planned).series, phases=PHASES).rates
         ),
         [8],
     ),
@@ -116,20 +91,6 @@ EQUATIONS = {
     "load_state_rate": (
         lambda *a: rigid_load.load_state_rate(LOAD, *a, attachments=ATTACHMENTS),
         [13, 3 * N, 6, 3],
-    ),
-    "load_energies": (
-        lambda state: (
-            rigid_load.load_kinetic_energy(LOAD, state),
-            rigid_load.load_potential_energy(LOAD, state),
-        ),
-        [13],
-    ),
-    "carriers_energies": (
-        lambda state: (
-            carrier.carriers_kinetic_energy(state, mass=0.1),
-            carrier.carriers_potential_energy(state, mass=0.1, gravity=9.81),
-        ),
-        [6 * N],
     ),
     "cables_elastic_energy": (
         lambda *a: cable.cables_elastic_energy(*a, stiffness=500.0, **CABLES),
@@ -153,17 +114,19 @@ EQUATIONS = {
         ),
         [22, 3 * N, 3 * N, 3 * N, 3 * N],
     ),
-    "second_and_third_force_rates": (
-        lambda reference, forces, rates, *orbit: grasp.second_and_third_force_rates(
-            LOAD,
-            reference,
-            forces.reshape(-1, 3),
-            rates.reshape(-1, 3),
-            *orbit,
-            pseudo_inverse=GRASP["pseudo_inverse"],
-            basis=BASIS,
+    "forces_along": (
+        lambda reference, higher_rates, forces, rates, *orbit: (
+            grasp.forces_along(
+                LOAD,
+                load_motion.LoadMotion.along(reference, higher_rates),
+                forces.reshape(-1, 3),
+                rates.reshape(-1, 3),
+                *orbit,
+                pseudo_inverse=GRASP["pseudo_inverse"],
+                basis=BASIS,
+            ).rates
         ),
-        [22, 3 * N, 3 * N, 2 * N, 3, 6],
+        [22, 6, 3 * N, 3 * N, 2 * N, 3],
     ),
     "motion_after": (
         lambda motion, time, acceleration: (
@@ -178,15 +141,10 @@ EQUATIONS = {
         ),
         [6 * N, 3 * N],
     ),
-    "loaded_pid_forces": (
-        lambda *a: carrier.loaded_pid_forces(
-            *a, position_gain=1000.0, velocity_gain=10.0, mass=0.1, gravity=9.81
-        ),
-        [6 * N, 6 * N, 3 * N],
-    ),
-    "loaded_carrier_rate": (
-        lambda *a: carrier.loaded_carrier_rate(*a, mass=0.1, gravity=9.81, max_force=0.8),
-        [6 * N, 3 * N, 3 * N],
+    "limited_acceleration": (lambda a: carrier.limited_acceleration(a, 0.8), [3 * N]),
+    "limited_carrier_rate": (
+        lambda *a: carrier.limited_carrier_rate(*a, max_acceleration=0.8, lag=0.1),
+        [9 * N, 3 * N, 3 * N],
     ),
     "double_integrator_rate": (
         lambda *a: carrier.double_integrator_rate(*a, mass=0.1),
@@ -204,16 +162,12 @@ EQUATIONS = {
     "shown_state": (lambda *a: aircraft.shown_state(AIRCRAFT, *a), [12 * N, 3 * N]),
     "phase_of": (nonstop.phase_of, [2, 2, 2]),
     "advance": (lambda *a: nonstop.advance(*a, 0.01), [13, 3, 3]),
-    "predicted_speeds": (predicted_speeds, [1, 1, 13, 22, 6, 6, 6]),
-    "separations": (separations, [1, 13, 22, 6, 6, 6]),
     "change_cost": (
         lambda *a: nonstop.change_cost(
             *a,
             phases=PHASES,
             internal_force_weight=2.0,
             internal_force_rate_weight=3.0,
-            anchor_weight=0.5,
-            nominal=np.array([1.0, 2.0]),
         ),
         [2, 2, 2],
     ),

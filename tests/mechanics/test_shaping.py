@@ -50,12 +50,3 @@ def test_rates_are_the_slopes_of_the_smoothed_number(bandwidth, period):
     expected = [fitted[k] * np.prod(np.arange(1, k + 1)) / times[-1] ** k for k in (1, 2, 3)]
     np.testing.assert_allclose(found, expected, rtol=1e-6)
     assert smoothing.stage_rates(*START)[1] == found[0]
-
-
-@pytest.mark.parametrize("period", [0.0, 0.01])
-def test_a_limit_holds_and_leaves_smaller_rates_alone(period):
-    given = {"bandwidth": 40.0, "period": period}
-    for target in (-3.0, 0.69, 0.7, 0.702, 4.0):
-        smoothings = [Smoothing(max_rate=rate, **given) for rate in (np.inf, 1.5)]
-        free, limited = (smoothing.approach(0.7, target) for smoothing in smoothings)
-        assert limited == pytest.approx(np.clip(free, -1.5, 1.5), abs=1e-14)

@@ -4,39 +4,25 @@ import numpy as np
 import pytest
 
 from drake_nonstop.diagrams.nonstop import SIGNALS
-from drake_nonstop.mechanics import signal_layouts, signals
+from drake_nonstop.mechanics import signals
 from drake_nonstop.mechanics.signal_layouts import Layout, Part, numbered_entries
 from drake_nonstop.optimization import diagnostics
 from drake_nonstop.validation import ScenarioError
 
 N, M = 5, 3
-VIEWS = {
-    signals.LoadState: signal_layouts.LOAD_STATE,
-    signals.LoadReference: signal_layouts.SIGNALS["reference"],
-    signals.ReferenceHigherRates: signal_layouts.SIGNALS["reference_higher_rates"],
-    signals.Wrench: signal_layouts.WRENCH,
-    signals.TrackingError: signal_layouts.SIGNALS["tracking_error"],
-    signals.CarrierStates: signal_layouts.CARRIER_STATES,
-    signals.Parameters: signal_layouts.SIGNALS["parameters"],
-    signals.Phase: signal_layouts.SIGNALS["phase"],
-    signals.PlannedParameters: signal_layouts.PLANNED_PARAMETERS,
-    signals.InternalForce: signal_layouts.SIGNALS["internal_force"],
-    signals.InternalForceHigherRates: signal_layouts.SIGNALS["internal_force_higher_rates"],
-    signals.AircraftCommand: signal_layouts.AIRCRAFT_COMMAND,
-    signals.AircraftState: signal_layouts.SIGNALS["aircraft_state"],
-    diagnostics.Diagnostics: diagnostics.DIAGNOSTICS,
-}
+VIEWS = signals.SignalParts.__subclasses__()
+VIEWS += [kind for base in VIEWS for kind in base.__subclasses__()]
+LAYOUTS = {view: view.layout for view in VIEWS} | {diagnostics.Diagnostics: diagnostics.DIAGNOSTICS}
 
 
-@pytest.mark.parametrize("view", VIEWS, ids=lambda view: view.__name__)
-def test_parts_are_those_of_the_view_in_the_same_places(view):
-    layout = VIEWS[view]
+@pytest.mark.parametrize("view", LAYOUTS, ids=lambda view: view.__name__)
+def test_entries_are_named_by_the_part_that_shows_them(view):
+    layout = LAYOUTS[view]
     count = layout.count(N, M)
     entries = layout.entries("signal", count)
     assert len(entries) == count
     assert len({entry.name for entry in entries}) == count
-    assert tuple(part.name for part in layout.parts) == view._fields
-    for name, numbers in view.view(np.arange(count))._asdict().items():
+    for name, numbers in zip(layout.names, view.view(np.arange(count)), strict=True):
         for number in np.ravel(numbers):
             assert entries[number].name.split(".")[1] == name
 
@@ -65,8 +51,8 @@ def test_names_of_entries():
 
 
 def test_sizes_that_do_not_fit_have_no_entries():
-    assert signal_layouts.LOAD_STATE.entries("load_state", 12) is None
-    assert signal_layouts.CARRIER_STATES.entries("carrier_state", 13) is None
+    assert signals.LoadState.layout.entries("load_state", 12) is None
+    assert signals.CarrierStates.layout.entries("carrier_state", 13) is None
     mixed = Layout(Part("clock", "1", "s"), Part("positions", "3n", "m", "W"))
     assert mixed.size == "1 + 3n"
     assert len(mixed.entries("own", 7)) == 7

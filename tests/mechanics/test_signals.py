@@ -63,3 +63,14 @@ def test_carrier_states_have_a_row_for_each_carrier(lead):
     np.testing.assert_array_equal(states.velocities[..., 1, :], values[..., 15:18])
     np.testing.assert_array_equal(states.flat(), values)
     assert np.shares_memory(states.positions, values)
+
+
+def test_parts_have_the_names_and_the_places_of_the_layout():
+    zero, one, two, three = (np.full(3, k) for k in range(4))
+    error = signals.TrackingError(zero, one, velocity=three, angular_velocity=two)
+    assert error.layout.names == ("orientation", "position", "angular_velocity", "velocity")
+    assert [error.orientation, error.position, error.angular_velocity, error.velocity] == [*error]
+    assert [part[0] for part in error] == [0, 1, 2, 3]
+    for parts, named in [((), {}), ((zero,), {"angle": one}), ((zero, one, two), {})]:
+        with pytest.raises(TypeError, match="Phase: give angle, slope, each once"):
+            signals.Phase(*parts, **named)

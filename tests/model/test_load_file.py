@@ -23,6 +23,14 @@ def sdf(extra="", centre="0.1 0.1 0.05"):
     </inertia></inertial></link>{frames}{extra}</model></sdf>"""
 
 
+URDF = """<robot name="crate"><link name="crate"><inertial><mass value="1.2"/>
+<inertia ixx="0.02" iyy="0.03" izz="0.04"/></inertial></link></robot>"""
+
+
+FOOT = """<link name="foot"/><joint name="weld" type="fixed"><parent>crate</parent>
+<child>foot</child></joint>"""
+
+
 @pytest.fixture
 def crate(tmp_path):
     path = tmp_path / "crate.sdf"
@@ -56,11 +64,7 @@ def test_urdf_too(tmp_path):
         f'<child link="{name}"/><origin xyz="{x} {y} {z}"/></joint>'
         for name, (x, y, z) in zip(FRAMES, POINTS, strict=True)
     )
-    (tmp_path / "crate.urdf").write_text(
-        f"""<robot name="crate"><link name="crate"><inertial><mass value="1.2"/>
-        <inertia ixx="0.02" iyy="0.03" izz="0.04" ixy="0" ixz="0" iyz="0"/></inertial></link>
-        {links}</robot>"""
-    )
+    (tmp_path / "crate.urdf").write_text(URDF.replace("</robot>", f"{links}</robot>"))
     fields = read_load(tmp_path / "crate.urdf", FRAMES)
     assert fields["load_mass"] == pytest.approx(1.2)
     np.testing.assert_allclose(fields["attachments"], POINTS, atol=1e-12)
@@ -109,6 +113,38 @@ def test_a_file_that_cannot_be_used_is_reported_in_a_sentence(tmp_path, text, fr
     (tmp_path / "load.sdf").write_text(text)
     with pytest.raises(ScenarioError) as caught:
         read_load(tmp_path / "load.sdf", frames)
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("<mass>1.2", "<mass>-1.2", "link crate, <mass> = -1.2: give a number above zero"),
+        ("<mass>1.2</mass>", "", "link crate, <mass> = 0 of them: give one"),
+        ("<mass>1.2</mass>", "<mass>1.2</mass><mass>2</mass>", "<mass> = 2 of them"),
+        ("<mass>1.2", "<mass>2,5", "link crate, <mass> = '2,5': give finite numbers"),
+        ("<mass>1.2", "<mass>nan", "<mass> = 'nan': give finite numbers"),
+        ("<izz>0.04", "<izz>0.06", "link crate, <inertia> = [[0.02, 0.001, 0.0], "),
+        ("<izz>0.04</izz>", "", "<izz> = nothing: give a number"),
+        ("0.1 0.1 0.05", "0,1 0.1 0.05", "<pose> = '0,1 0.1 0.05 0 0 0': give finite"),
+        ("</link>", f"</link>{FOOT}", "link foot, <inertial> = 0 of them: give one"),
+        ('value="1.2"', 'value="-1.2"', "link crate, <mass> = -1.2: give a number above zero"),
+        ('<mass value="1.2"/>', "", "link crate, <mass> = 0 of them: give one"),
+        ('value="1.2"', 'value="2,5"', "link crate, <mass> = '2,5': give finite numbers"),
+        ('izz="0.04"', 'izz="0.06"', "link crate, <inertia> = [[0.02, 0.0, 0.0], "),
+        (' izz="0.04"', "", "link crate, <izz> = nothing: give a number"),
+        ('ixx="0.02"', 'ixx="0,02"', "link crate, <inertia> = '0,02': give finite numbers"),
+    ],
+)
+def test_a_file_is_refused_of_which_drake_would_make_another_load(tmp_path, old, new, words):
+    is_urdf = '="' in old
+    name, text = ("load.urdf", URDF) if is_urdf else ("load.sdf", sdf())
+    assert text.count(old) == 1
+    (tmp_path / name).write_text(text.replace(old, new))
+    with pytest.raises(ScenarioError) as caught:
+        read_load(tmp_path / name, [])
+    assert f"{tmp_path / name}: " in str(caught.value)
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
 

@@ -5,17 +5,16 @@ import textwrap
 
 import numpy as np
 import pytest
-from helpers import difference, irregular, nightly_beyond, regular, spatial
+from helpers import irregular, nightly_beyond, regular, spatial
 
 from drake_nonstop.blocks.load_trajectory import RestToRestConfig
 from drake_nonstop.blocks.optimization_layer import (
     ConstantParametersConfig,
-    NonstopOptimizerConfig,
+    PaperLayerConfig,
 )
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.mechanics.grasp import grasp_matrix
 from drake_nonstop.mechanics.internal_force import hamiltonian_cycle
-from drake_nonstop.model import pattern as pattern_module
 from drake_nonstop.model.pattern import (
     CarouselConfig,
     ConstantSpreadConfig,
@@ -286,8 +285,6 @@ ELLIPTIC = {
     "radial": 0.6,
     "tangential": 0.9,
     "vertical": 0.7,
-    "second_harmonic": 0.2,
-    "second_harmonic_direction": 0.4,
 }
 
 
@@ -296,18 +293,16 @@ def elliptic_forces(config, attachments, theta, amplitude):
     x, y, _ = (attachments - attachments.mean(axis=0)).T
     beta = np.angle(x + 1j * y)
     phi = theta + config.phase_turns * beta
-    radial, tangential, vertical, second = amplitude * np.array(
-        [config.radial, config.tangential, config.vertical, config.second_harmonic]
-    )
-    lead = np.pi / 2 - config.second_harmonic_direction
+    sizes = config.radial, config.tangential, config.vertical
+    radial, tangential, vertical = amplitude * np.array(sizes)
     plane = np.exp(1j * beta) * (
         config.spread + radial * np.cos(phi) + 1j * tangential * np.sin(phi)
-    ) + second * np.exp(1j * (2 * (phi + beta) + lead))
+    )
     return np.stack([plane.real, plane.imag, -vertical * np.cos(phi)], axis=1)
 
 
 def pattern_forces(pattern, theta, amplitude):
-    coordinates = amplitude * np.cos(pattern.orders * theta + pattern.phases)
+    coordinates = amplitude * np.cos(theta + pattern.phases)
     return (pattern.offset + pattern.basis @ coordinates).reshape(-1, 3)
 
 
@@ -319,7 +314,7 @@ def turned_polygon(n, rng):
 
 
 def is_said_to_be_without_a_wrench(n, k, config):
-    """The conditions of the theory, on κ modulo n, and those of the second harmonic."""
+    """The conditions of the theory, on κ modulo n."""
     zero, one, minus_one = (k % n == value % n for value in (0, 1, -1))
     same = config.radial == config.tangential
     opposite = config.radial == -config.tangential
@@ -327,17 +322,15 @@ def is_said_to_be_without_a_wrench(n, k, config):
         (not opposite and (zero or minus_one))
         or (not same and (zero or one))
         or (config.vertical != 0 and (zero or one or minus_one))
-        or (config.second_harmonic != 0 and ((2 * k + 2) % n == 0 or (2 * k + 1) % n == 0))
     )
 
 
 @pytest.mark.parametrize("n", range(3, 9))
 def test_elliptic_carousel_has_the_forces_of_its_formula_where_they_have_no_wrench(n, rng):
     accepted = 0
-    others = ((0.0, 0.0), (0.7, 0.0), (0.0, 0.2))
-    for turns, radial, (vertical, second) in itertools.product(range(n), (0.9, -0.9, 0.6), others):
+    for turns, radial, vertical in itertools.product(range(n), (0.9, -0.9, 0.6), (0.0, 0.7)):
         k = turns + int(rng.integers(-2, 2)) * n
-        sizes = {"radial": radial, "vertical": vertical, "second_harmonic": second}
+        sizes = {"radial": radial, "vertical": vertical}
         config = EllipticCarouselConfig(**(ELLIPTIC | sizes | {"phase_turns": k}))
         attachments = turned_polygon(n, rng)
         theta, amplitude = rng.uniform(0, 6), rng.uniform(0.5, 3)
@@ -354,7 +347,7 @@ def test_elliptic_carousel_has_the_forces_of_its_formula_where_they_have_no_wren
         np.testing.assert_allclose(
             pattern_forces(pattern, theta, amplitude), forces, rtol=0, atol=1e-12
         )
-        assert len(pattern.phases) == (4 if second else 2)
+        assert len(pattern.phases) == 2
     assert accepted > n - 2
 
 
@@ -364,9 +357,9 @@ def test_the_remedy_of_an_elliptic_carousel_with_a_wrench_works(n):
     with pytest.raises(ScenarioError) as error:
         config.make(regular(n))
     match = re.search(r"give ([\d or]+) \(modulo \d\)(?: with (.*))?$", str(error.value))
-    change = {3: ["radial", "vertical", "second_harmonic"], 4: [], 6: []}[n]
+    change = {3: ["radial", "vertical"], 4: [], 6: []}[n]
     assert all(name in (match[2] or "") for name in change)
-    wanted = {"radial": config.tangential, "vertical": 0.0, "second_harmonic": 0.0}
+    wanted = {"radial": config.tangential, "vertical": 0.0}
     for turns in map(int, match[1].split(" or ")):
         sizes = {name: wanted[name] for name in change}
         EllipticCarouselConfig(**(ELLIPTIC | sizes | {"phase_turns": turns})).make(regular(n))
@@ -376,7 +369,7 @@ def test_the_remedy_of_an_elliptic_carousel_with_a_wrench_works(n):
 def test_elliptic_carousel_is_the_spread_carousel_by_default(n):
     elliptic = EllipticCarouselConfig(spread=3.0).make(regular(n))
     plain = SpreadCarouselConfig(spread=3.0).make(regular(n))
-    for name in ("basis", "phases", "offset", "orders"):
+    for name in ("basis", "phases", "offset"):
         np.testing.assert_allclose(getattr(elliptic, name), getattr(plain, name), atol=1e-14)
 
 
@@ -392,23 +385,6 @@ def test_elliptic_carousel_of_other_attachments_is_the_nearest_without_a_wrench(
     np.testing.assert_allclose(grasp.T @ row_space, change.ravel(), rtol=0, atol=1e-12)
 
 
-def test_second_harmonic_makes_one_direction_of_flight_the_fastest():
-    # Far above the load a carrier flies as its force changes.
-    fields = {"radial": 1.0, "tangential": 1.0, "vertical": 0.0, "second_harmonic": 0.1}
-    config = EllipticCarouselConfig(**(ELLIPTIC | fields))
-    pattern = config.make(regular(4))
-    thetas = np.linspace(0, 2 * np.pi, 721)
-    rates = np.array([difference(lambda t: pattern_forces(pattern, t, 1.0), t) for t in thetas])
-    speeds = np.linalg.norm(rates, axis=2)
-    np.testing.assert_allclose(speeds.max(axis=0), 1.2, rtol=1e-4)
-    np.testing.assert_allclose(speeds.min(axis=0), 0.8, rtol=1e-4)
-    for i in range(4):
-        x, y, _ = rates[np.argmax(speeds[:, i]), i]
-        assert np.arctan2(y, x) == pytest.approx(0.4, abs=0.01)
-        x, y, _ = rates[np.argmin(speeds[:, i]), i]
-        assert np.arctan2(-y, -x) == pytest.approx(0.4, abs=0.01)
-
-
 @pytest.mark.parametrize(
     ("field", "value", "remedy"),
     [
@@ -418,7 +394,6 @@ def test_second_harmonic_makes_one_direction_of_flight_the_fastest():
         ("tangential", 0.0, "would stop"),
         ("vertical", np.nan, "a number of at most"),
         ("radial", 1e7, "a number of at most"),
-        ("second_harmonic", -0.1, "not negative"),
     ],
 )
 def test_elliptic_carousel_refuses_bad_numbers(field, value, remedy):
@@ -426,62 +401,13 @@ def test_elliptic_carousel_refuses_bad_numbers(field, value, remedy):
         EllipticCarouselConfig(**(ELLIPTIC | {field: value})).make(regular(4))
 
 
-def slowest_turns(pattern, attachments, amplitude):
-    """How far each cable's direction turns per rad of the phase, at the slowest of a fine grid."""
-    thetas = np.linspace(0, 2 * np.pi, 7201)
-    forces = np.array([pattern_forces(pattern, theta, amplitude) for theta in thetas])
-    forces += weight_shares(attachments)
-    directions = forces / np.linalg.norm(forces, axis=2, keepdims=True)
-    return np.linalg.norm(np.diff(directions, axis=0), axis=2).min(axis=0) / thetas[1]
-
-
-@pytest.mark.parametrize("amplitude", [0.5, 2.0])
-def test_a_second_harmonic_that_stops_carriers_is_refused(amplitude, rng, monkeypatch):
-    """|ġ| = A |1 − 2 h| at the slowest, of a circle; it is refused where that is zero."""
-    direction = float(rng.uniform(0, 6))
-    fields = {"radial": 1.0, "tangential": 1.0, "vertical": 0.0}
-    fields["second_harmonic_direction"] = direction
-    attachments = regular(4)
-
-    def carousel(harmonic):
-        return EllipticCarouselConfig(**(ELLIPTIC | fields | {"second_harmonic": harmonic}))
-
-    with pytest.raises(ScenarioError) as error:
-        carousel(0.5).make(attachments)
-    assert str(error.value) == (
-        "pattern.second_harmonic = 0.5: the force in cable 1 stands still, so that its carrier "
-        "would stop; give at most 0.45"
-    )
-    for harmonic in (0.45, 0.55):
-        pattern = carousel(harmonic).make(attachments)
-        check_pattern(pattern, attachments, weight_shares(attachments))
-        assert np.all(slowest_turns(pattern, attachments, amplitude) > 5e-3 * amplitude)
-    with monkeypatch.context() as patch:
-        patch.setattr(pattern_module, "_standing_force", lambda pattern: None)
-        stopping = carousel(0.5).make(attachments)
-    assert np.all(slowest_turns(stopping, attachments, amplitude) < 5e-4 * amplitude)
-    with pytest.raises(ScenarioError, match=r"^pattern\.harmonics = .* cable 1 stands still"):
-        check_pattern(stopping, attachments, weight_shares(attachments))
-
-
-def test_the_remedy_of_a_second_harmonic_that_stops_a_carrier_works():
-    """Of a leaning ellipse its flattest part moves with √(A_r² + B²) or A_t."""
-    fields = {"radial": 0.6, "tangential": 0.9, "vertical": 0.0, "second_harmonic_direction": 0.0}
-    config = EllipticCarouselConfig(**(ELLIPTIC | fields | {"second_harmonic": 0.3}))
-    with pytest.raises(ScenarioError, match=r"cable \d stands still.* give at most 0\.27$"):
-        config.make(regular(4))
-    config.second_harmonic = 0.27
-    config.make(regular(4))
-
-
-@pytest.mark.parametrize("second", [0.0, 0.2])
-def test_forces_whose_ellipses_lie_in_planes_through_the_attachments_are_refused(second):
+def test_forces_whose_ellipses_lie_in_planes_through_the_attachments_are_refused():
     # cos, sin and constant part: A_t (A_r f₀ + B C) is their volume.
-    share, fields = 9.81 / 4, {"second_harmonic": 0.0, "radial": -0.7 * 1.5 / (9.81 / 4)}
+    share, fields = 9.81 / 4, {"radial": -0.7 * 1.5 / (9.81 / 4)}
     flat = EllipticCarouselConfig(**(ELLIPTIC | fields)).make(regular(4))
     with pytest.raises(ScenarioError, match="cable 1 swings in a plane"):
         check_pattern(flat, regular(4), weight_shares(regular(4)))
-    fields |= {"radial": fields["radial"] * 1.1, "second_harmonic": second}
+    fields = {"radial": fields["radial"] * 1.1}
     pattern = EllipticCarouselConfig(**(ELLIPTIC | fields)).make(regular(4))
     check_pattern(pattern, regular(4), np.tile([0, 0, share], (4, 1)))
 
@@ -528,23 +454,16 @@ REFUSED = [
         "pattern = ConstantSpread: .*give load_traj.*SteadyT",
     ),
     ({"optimization_layer": ConstantParametersConfig()}, "amplitude = 1.2: .* give 0"),
-    ({"optimization_layer": NonstopOptimizerConfig()}, "NonstopOptimizer: .*no orbits"),
+    ({"optimization_layer": PaperLayerConfig()}, "PaperLayer: .*no orbits"),
     (
         {"pattern": SpreadCarouselConfig()},
         "optimization_layer.amplitude = 0.0: .*greater than zero",
     ),
     ({"pattern": ConstantSpreadConfig(spread=0.0)}, "pattern.spread = 0.0: .*greater than zero"),
-    (
-        {
-            "pattern": EllipticCarouselConfig(**ELLIPTIC),
-            "optimization_layer": NonstopOptimizerConfig(),
-        },
-        "NonstopOptimizer: .*one harmonic",
-    ),
 ]
 
 
 @pytest.mark.parametrize(("changes", "message"), REFUSED)
-def test_what_does_not_go_with_a_turning_formation_or_harmonics_is_refused(changes, message):
+def test_what_does_not_go_with_a_turning_formation_is_refused(changes, message):
     with pytest.raises(ScenarioError, match=message):
         make_nonstop(co_rotating(**changes))

@@ -37,7 +37,6 @@ def check(control_period=0.0, **fields):
         ({"terminal_knots": 0}, "from 1 to 15"),
         ({"terminal_instants": 21}, "from 1 to 20"),
         ({"terminal_phases": 4}, "from 8 to 360"),
-        ({"terminal_amplitudes": 1}, "from 2 to 1000"),
         ({"fixed_coefficients": 3}, "from 4 to 18"),
         ({"fixed_coefficients": True}, "from 4 to 18"),
     ],

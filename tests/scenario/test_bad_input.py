@@ -19,7 +19,7 @@ from helpers import nightly_beyond
 from drake_nonstop import (
     ConstantParameters,
     ConstantParametersConfig,
-    NonstopOptimizer,
+    NlpLayer,
     Scenario,
     ScenarioError,
     ScenarioWarning,
@@ -465,7 +465,7 @@ def test_a_run_is_judged_by_the_bound_that_the_scenario_states():
     assert type(scenario.optimization_layer).__name__ == "RecedingHorizonOptimizerConfig"
 
 
-class OwnOptimizer(NonstopOptimizer):
+class OwnOptimizer(NlpLayer):
     """A block without a dataclass of parameters beside it."""
 
 

@@ -166,26 +166,24 @@ def test_one_box_is_shown_alone(capsys):
     assert (
         "\noptimization_layer -> parameters (2); "
         "optional diagnostics (7), plan (8), solve_time (1),\n"
-        "                      speed_bound (1), missed_limits (some)\n"
+        "                      speed_bound (1), missed_limits (some), measured_margin (1)\n"
     ) in shown
     assert (
         "  RecedingHorizonOptimizer (default)\n"
         "    Plans ξ and A over a horizon such that every carrier stays at or above ε.\n"
-        "    in   reference (22), wind_estimate (3, optional), speed_bound_command (1, optional), "
-        "sample_time\n"
-        "         (1), reference_preview (abstract, optional)\n"
+        "    in   reference (22), wind_estimate (3, optional), held_carrier_state (6n, optional),\n"
+        "         speed_bound_command (1, optional), sample_time (1), reference_preview (abstract, "
+        "optional)\n"
         "    out  parameters (2), plan (8), diagnostics (7), solve_time (1), speed_bound (1), "
         "missed_limits\n"
-        "         (some)\n"
-        '    speed_bound          float | str  0.2          m/s, ε; of aircraft also "1.4 V_s"\n'
+        "         (some), measured_margin (1)\n"
     ) in shown
-    assert "  NonstopOptimizer\n    Changes ξ and A as little" in shown
+    assert "  PaperLayer\n    Changes ξ and A as little" in shown
     assert (
-        "    in   measured_load_state (13), reference (22), wrench (6), wrench_rate (6), "
-        "phase (2),\n"
+        "    in   phase (2), measured_load_state (13), reference (22), wrench (6), "
+        "wrench_rate (6),\n"
         "         wind_estimate (3, optional), speed_bound_command (1, optional)\n"
-        "    out  parameters (2), diagnostics (7), solve_time (1), speed_bound (1), "
-        "missed_limits (some)\n"
+        "    out  parameters (2), diagnostics (7), solve_time (1), speed_bound (1)\n"
         "    speed_bound                 float | str  0.2          m/s, ε; of aircraft also "
         '"1.4 V_s"\n'
     ) in shown

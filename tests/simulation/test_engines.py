@@ -25,14 +25,13 @@ from drake_nonstop import (
     simulate,
 )
 from drake_nonstop.mechanics.signal_layouts import Layout, Part
-from drake_nonstop.optimization import compiled_plan
 from drake_nonstop.simulation import recording
 from drake_nonstop.studies.run_all import attempts
 from drake_nonstop.systems import compiled_loop, equation_loop, native
 from drake_nonstop.systems.native import compiler
 from drake_nonstop.systems.tracing import where
 
-NONSTOP = "optimization_layer=NonstopOptimizer"
+PROGRAM = "optimization_layer=NlpLayer"
 NOTHING = StepCheck.NOTHING
 CONSTANT = "optimization_layer=ConstantParameters"
 SHORT = [CONSTANT, "simulation_duration=0.05"]
@@ -75,7 +74,7 @@ def assert_same(run, expected, tolerance=1e-9):
         "engines",
         [
             # The rest of a sample is the Simulator's.
-            ("quintic", [NONSTOP, "simulation_duration=0.104"]),
+            ("quintic", [PROGRAM, "simulation_duration=0.104"]),
             ("quintic", [CONSTANT, "simulation_duration=0.004"]),
             (
                 "quintic",
@@ -85,11 +84,11 @@ def assert_same(run, expected, tolerance=1e-9):
             (
                 "quintic",
                 [
-                    *(NONSTOP, "optimization_layer.period=0.03"),
+                    *(PROGRAM, "optimization_layer.period=0.03"),
                     *("simulation_duration=0.15", "control_period=0.03"),
                 ],
             ),
-            ("quintic", [NONSTOP, "simulation_duration=2.5"]),
+            ("quintic", [PROGRAM, "simulation_duration=2.5"]),
             ("quintic", ["simulation_duration=0.9", "control_period=0.03"]),
             ("three_carriers", ["simulation_duration=1"]),
             ("aircraft_transfer_gusty", ["simulation_duration=1.2"]),
@@ -175,7 +174,7 @@ def test_c_and_the_virtual_machine_fly_the_same_to_the_bit(tmp_path, monkeypatch
     overrides = [CONSTANT, "simulation_duration=1.1", "system.load_drag=0.05"]
     equation_loop._kept.clear()
     with monkeypatch.context() as patched:
-        patched.setenv("DRAKE_NONSTOP_CACHE", str(tmp_path))
+        patched.setenv("DRAKE_PROGRAM_CACHE", str(tmp_path))
         slow, _ = flown("quintic", overrides, None)
     assert slow.engine == "compiled: virtual machine"
     for functions in equation_loop._kept.values():
@@ -317,8 +316,8 @@ class CommandedBound(Block):
         2,
         "engines",
         [
-            *((NONSTOP, 0.47), (NONSTOP, -1.0), (BOUNDED, 0.0)),
-            *((CONSTANT, 1e-4), (NONSTOP, 0.0), (NONSTOP, 1e-4), (BOUNDED, 0.47), (BOUNDED, -1.0)),
+            *((PROGRAM, 0.47), (PROGRAM, -1.0), (BOUNDED, 0.0)),
+            *((CONSTANT, 1e-4), (PROGRAM, 0.0), (PROGRAM, 1e-4), (BOUNDED, 0.47), (BOUNDED, -1.0)),
             *((BOUNDED, 1e-4), (CONSTANT, 0.47), (CONSTANT, 0.0), (CONSTANT, -1.0)),
         ],
     ),
@@ -362,24 +361,11 @@ def test_an_error_between_samples_loses_none():
 
 @pytest.mark.parametrize("bounds", ["frequency_bounds=[0.1,1e7]", "amplitude_bounds=[0.01,2e6]"])
 def test_what_a_search_reads_is_no_signal(bounds):
-    overrides = [NONSTOP, f"optimization_layer.{bounds}", "simulation_duration=0.03"]
+    overrides = [PROGRAM, f"optimization_layer.{bounds}", "simulation_duration=0.03"]
     _, told = flown("quintic", overrides, "compiled")
     assert not any("engine" in message for message in told)
 
 
 def test_a_run_computes_with_numbers_only():
     with np.errstate(all="raise"):
-        simulate(load_scenario("quintic", [NONSTOP, "simulation_duration=0.1"]), engine="compiled")
-
-
-def test_plans_in_python_for_want_of_c_are_told_once_and_recorded(monkeypatch):
-    monkeypatch.setattr(compiled_plan, "_quadprog", lambda: 0)
-    scenario = load_scenario("quintic", ["simulation_duration=0.02", "engine=diagram"])
-    compiled_plan.compiled_solver.cache_clear()
-    try:
-        with pytest.warns(ScenarioWarning, match="^plans: the wheel of .* Python makes") as told:
-            runs = [simulate(scenario) for _ in range(2)]
-    finally:
-        compiled_plan.compiled_solver.cache_clear()
-    assert len(told) == 1
-    assert [run.engine for run in runs] == 2 * ["diagram, plans in Python"]
+        simulate(load_scenario("quintic", [PROGRAM, "simulation_duration=0.1"]), engine="compiled")

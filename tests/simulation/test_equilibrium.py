@@ -5,7 +5,9 @@ import pytest
 from helpers import nightly_beyond
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource
+from pydrake.trajectories import PiecewisePolynomial
 
+from drake_nonstop import LoadTrajectory
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.loop.start import PlantStates, set_equilibrium
 from drake_nonstop.mechanics.signals import LoadReference, LoadState
@@ -28,8 +30,11 @@ def short(*overrides):
 @pytest.mark.parametrize("points", drawn(2, GENERATOR.uniform(-1, 1, (5, 4, 3))))
 def test_a_load_starts_with_the_acceleration_of_its_reference(points):
     """Splines through drawn points accelerate from their start on."""
-    samples = [[1.5 * k, *point] for k, point in enumerate(points)]
-    run = simulate(short(f"load_trajectory=!SampledTrajectory {{samples: {samples}}}"))
+    rows = np.hstack([np.zeros((4, 3)), points]).T
+    curve = PiecewisePolynomial.CubicWithContinuousSecondDerivatives(
+        1.5 * np.arange(4), rows, np.zeros((6, 1)), np.zeros((6, 1))
+    )
+    run = simulate(short(), load_trajectory=lambda model: LoadTrajectory(curve))
     reference, soon = (LoadReference.view(values) for values in run.signal("reference")[[0, 1]])
     start, after = (LoadState.view(state) for state in run.signal("load_state")[[0, 1]])
     size = np.linalg.norm(reference.acceleration)
@@ -123,3 +128,17 @@ def test_cables_that_have_no_steady_bow_at_the_start_are_told():
     thin = ["cables=!LumpedCables {nodes: 2}", "simulated.cable_diameter=0.0007"]
     with pytest.warns(ScenarioWarning, match="start = .*cables in their bow.* thrown at first"):
         make_nonstop(load_scenario("aircraft_rest", thin))
+
+
+@pytest.mark.parametrize("share", [-0.12, 0.1, 0.15])
+def test_a_load_whose_attachments_are_elsewhere_starts_near_its_reference(share):
+    """Full steps of Newton's method wind such a load up in its cables, or leave them slack."""
+    attachments = np.array(load_scenario("three_carriers").system.attachments)
+    shift = share * np.ptp(attachments[:, 0])
+    overrides = [f"simulated.attachments={(attachments + np.array([shift, 0, 0])).tolist()}"]
+    loop = make_nonstop(load_scenario("three_carriers", overrides))
+    context = loop.CreateDefaultContext()
+    state = LoadState.view(loop.GetOutputPort("load_state").Eval(context))
+    assert np.abs(state.quaternion[1:]).max() < 0.1
+    assert np.abs(state.position[0] + shift) < 0.05
+    assert loop.GetOutputPort("tensions").Eval(context).min() > 1.0

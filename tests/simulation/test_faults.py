@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from helpers import nightly_beyond
 
+from drake_nonstop.blocks.nlp_layer import NlpLayer
 from drake_nonstop.cli.main import main
 from drake_nonstop.optimization.horizon_solver import HorizonSolver
-from drake_nonstop.optimization.update_solver import UpdateSolver
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.validation import ScenarioError
@@ -85,34 +85,38 @@ def test_no_room_for_the_results_leaves_the_earlier_ones(tmp_path, results):
 
 
 LAYERS = [
-    (UpdateSolver, ["optimization_layer=NonstopOptimizer"]),
-    (HorizonSolver, ["optimization_layer.knot_spacing=0.13", "optimization_layer.horizon=3.25"]),
+    (NlpLayer, "_solved", ["optimization_layer=NlpLayer"]),
+    (
+        HorizonSolver,
+        "solve",
+        ["optimization_layer.knot_spacing=0.13", "optimization_layer.horizon=3.25"],
+    ),
 ]
 
 
 def layers(count):
     return pytest.mark.parametrize(
-        ("solver", "settings"), nightly_beyond(count, "adversary", LAYERS)
+        ("solver", "method", "settings"), nightly_beyond(count, "adversary", LAYERS)
     )
 
 
 def angle(data):
     """θ in rad at an update or a plan."""
-    return data.phase[0] if hasattr(data, "phase") else data.start_angle
+    return data[-1][3] if isinstance(data[0], np.ndarray) else data[0].start_angle
 
 
 @layers(1)
 def test_a_solver_that_throws_stops_the_run_with_its_cause_and_keeps_what_there_is(
-    tmp_path, monkeypatch, capsys, solver, settings
+    tmp_path, monkeypatch, capsys, solver, method, settings
 ):
-    solve = solver.solve
+    solve = getattr(solver, method)
 
-    def failing(solver, data, *arguments, **options):
+    def failing(solver, *data, **options):
         if angle(data) > 0.2:  # rad: from 0.1 s on
             raise RuntimeError("the solver\nis out of licences")
-        return solve(solver, data, *arguments, **options)
+        return solve(solver, *data, **options)
 
-    monkeypatch.setattr(solver, "solve", failing)
+    monkeypatch.setattr(solver, method, failing)
     settings = [*settings, "engine=diagram"]  # the compiled loop has a search of its own
     assert main(["run", "quintic", "--out", str(tmp_path), *BRIEF, *settings]) == 1
     error = capsys.readouterr().err
@@ -124,7 +128,7 @@ def test_a_solver_that_throws_stops_the_run_with_its_cause_and_keeps_what_there_
 
 
 @layers(2)
-def test_a_solver_that_gives_nan_does_not_go_unnoticed(monkeypatch, solver, settings):
+def test_a_solver_that_gives_nan_does_not_go_unnoticed(monkeypatch, solver, method, settings):
     def broken(*arguments, **options):
         answer = solve(*arguments, **options)
         if solver is HorizonSolver:
@@ -132,8 +136,8 @@ def test_a_solver_that_gives_nan_does_not_go_unnoticed(monkeypatch, solver, sett
         parameters, *others = answer
         return parameters * np.nan, *others
 
-    solve = solver.solve
-    monkeypatch.setattr(solver, "solve", broken)
+    solve = getattr(solver, method)
+    monkeypatch.setattr(solver, method, broken)
     with pytest.raises(ScenarioError, match=r"start = optimization_layer: .*not finite"):
         simulate(load_scenario("quintic", ["simulation_duration=0.2", *settings]))
 

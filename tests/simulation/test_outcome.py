@@ -23,7 +23,7 @@ from drake_nonstop import (
     parse_scenario,
     simulate,
 )
-from drake_nonstop.blocks.carrier_dynamics import LoadedCarrierDynamicsConfig
+from drake_nonstop.blocks.carrier_dynamics import LimitedCarriersConfig
 from drake_nonstop.blocks.force_distribution import BoundedTensionDistributionConfig
 from drake_nonstop.blocks.receding_horizon import RecedingHorizonOptimizerConfig
 from drake_nonstop.diagrams.nonstop import BOXES
@@ -300,7 +300,7 @@ def everything_stated():
         fault(made)
     made.tensions += 0.1  # but for the tensions, whose least must be above zero
     made.scenario.force_distribution = BoundedTensionDistributionConfig()
-    made.scenario.carrier_dynamics = LoadedCarrierDynamicsConfig()
+    made.scenario.carrier_dynamics = LimitedCarriersConfig(feels_cable=True)
     return made
 
 
@@ -352,7 +352,6 @@ def test_a_limit_that_a_blocks_config_states_has_a_row():
     kept = {f"{box}.{name}" for box in ("optimization_layer", "phase") for name in rates}
     kept.add("optimization_layer.max_iterations")  # a number that is counted
     kept.add("carrier_controller.max_bank")  # of the command, which the bank cannot overshoot
-    kept.add("cables.max_damping_ratio")  # of the model: it damps no more than that
     for name, box in BOXES.items():
         for config in box.configs:
             for field in dataclasses.fields(config):
@@ -424,7 +423,7 @@ def test_a_load_that_falls_is_lost(fleet):
     _, metrics = fleet.evaluated("that_falls")
     assert metrics["outcome"] == "load_lost"
     assert metrics["reasons"][0].startswith("the load was ")
-    assert any("carrier_dynamics.max_force: 1 N" in text for text in metrics["warnings"])
+    assert any("carrier_dynamics.max_acceleration: 10 m/s²" in text for text in metrics["warnings"])
 
 
 def test_a_bound_on_tensions_that_was_not_kept_is_said():

@@ -23,8 +23,8 @@ SWAPS = [  # the default optimizer, and constant parameters with everything else
         "load_disturbance=!DisturbanceForce {gust_force: 1.0}",
     ],
     [
-        *(CONSTANT, "carrier_dynamics=!LoadedCarrierDynamics {max_force: 9}"),
-        "carrier_controller=LoadedCarrierPid",
+        CONSTANT,
+        "carrier_dynamics=!LimitedCarriers {has_weight: true, feels_cable: true}",
     ],
     [
         *("control_period=0", CONSTANT, "carrier_trajectory=MeasuredCarrierTrajectory"),
@@ -32,11 +32,8 @@ SWAPS = [  # the default optimizer, and constant parameters with everything else
     ],
     ["control_period=0", CONSTANT, "phase=PaperPhase"],
     [CONSTANT, "load_feedback=!NoisyFeedback {delay: 0.02, position_noise: 0.01}"],
-    [
-        *(CONSTANT, "carrier_controller=!FeedforwardCarrierPid {integral_gain: 3}"),
-        "cables=IndividualCables",
-    ],
-    [CONSTANT, "carrier_dynamics=IdealCarriers", "load_feedback=DesiredStateFeedback"],
+    [CONSTANT, "carrier_controller=!FeedforwardCarrierPid {integral_gain: 3}"],
+    [CONSTANT, "carrier_dynamics=LimitedCarriers", "load_feedback=DesiredStateFeedback"],
 ]
 
 

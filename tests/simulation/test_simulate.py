@@ -17,7 +17,7 @@ def short(name, *overrides, duration=0.2):
 
 def test_two_runs_of_one_scenario_are_equal_to_the_bit():
     # The line's first solve is after 5 s: start the move at once to have some here.
-    layer = "optimization_layer=!NonstopOptimizer {speed_bound: 0.72}"
+    layer = "optimization_layer=!NlpLayer {speed_bound: 0.72}"
     scenario = short("quintic", layer)
     first, second = simulate(scenario), simulate(scenario, progress=lambda time: None)
     assert first.signals["optimization_layer.diagnostics"][-1, 3] > 0  # solved

@@ -27,8 +27,9 @@ DRAWN = nightly_beyond(2, "studies", sorted(np.round(10 ** GENERATOR.uniform(0, 
 FAST_YAW = (  # and ξ and A that move in steps, which the carriers' references follow
     "load_trajectory.roll_pitch_yaw=[0, 0, 12.566]",
     *("load_trajectory.start_time=0", "load_trajectory.move_time=6"),
-    *("optimization_layer=NonstopOptimizer", "phase=AccumulatedPhase"),
+    *("optimization_layer=PaperLayer", "phase=AccumulatedPhase"),
     *("carrier_trajectory.hold=velocity", "carrier_controller=CarrierPid"),
+    "limits.time_below_bound=0.1",
 )
 
 

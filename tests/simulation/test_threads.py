@@ -10,7 +10,7 @@ from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 from drake_nonstop import CompiledLoop, load_scenario, make_nonstop, set_parameter
 
 THREADS = 4
-ONE_SAMPLE = "optimization_layer=NonstopOptimizer"
+ONE_SAMPLE = "optimization_layer=NlpLayer"
 LOW = "optimization_layer.amplitude=0.6"  # too low for the bound: every update is solved
 BOUND = "optimization_layer.speed_bound"
 BOUNDS = BOUND, [0.5, 0.55, 0.6, 0.65]  # m/s

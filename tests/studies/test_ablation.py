@@ -90,7 +90,7 @@ class TestGrids:
         text = """
         grid:
           pattern.phases: [[0.0, 0.5, 0.0, 0.5]]
-          optimization_layer: [!NonstopOptimizer {speed_bound: 0.3, max_speed: .inf}]
+          optimization_layer: [!RecedingHorizonOptimizer {speed_bound: 0.3, max_speed: .inf}]
         """
         (overrides,) = read_grid(written(tmp_path, text)).variants.values()
         scenario = changed(load_scenario("line"), overrides)

@@ -465,12 +465,6 @@ def test_what_cannot_be_judged_of_a_formation_is_its_refusal(unflown, monkeypatc
     }
 
 
-def test_a_load_that_no_loop_flies_is_refused_before_the_search():
-    request = read_request(None, ["load_mass=0.05"])
-    with pytest.raises(ScenarioError, match="request: no loop flies its load; wrench_controller"):
-        module.design(request)
-
-
 def test_what_was_found_before_ctrl_c_is_told_and_kept(windy, tmp_path, capsys, monkeypatch):
     """In a folder of its own where there is a whole result, and nothing where nothing was found."""
     said, parts = [], [windy.formations]

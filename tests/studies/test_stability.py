@@ -9,7 +9,7 @@ from drake_nonstop.studies import stability
 
 WEAK = ["carrier_controller.velocity_gain=0.05"]
 FINE = ["simulator_config.max_step_size=0.0004"]  # 25 steps in a sample
-HEAVY = ["cables=IndividualCables", "simulated.load_mass=1.1"]
+HEAVY = ["simulated.load_mass=1.1"]
 CASES = [
     ("quintic", HEAVY, True, 3),
     ("three_carriers", FINE, True, 3),

@@ -32,19 +32,19 @@ SWAPS = [
     [
         *("load_plant=MultibodyLoadPlant", "carrier_trajectory=MeasuredCarrierTrajectory"),
         *("carrier_controller=CarrierPid", "load_feedback=!NoisyFeedback {delay: 0.02}"),
-        *("load_disturbance=DisturbanceForce", "wind=GustyWind", "cables=IndividualCables"),
+        *("load_disturbance=DisturbanceForce", "wind=GustyWind"),
         *("phase=PaperPhase", "wrench_controller=PaperWrenchController", CONSTANT),
     ],
     ["engine=compiled", CONSTANT],
     ["engine=compiled"],
     ["phase=PaperPhase", "wrench_controller=PaperWrenchController", "control_period=0"],
-    ["carrier_dynamics=LoadedCarrierDynamics", "carrier_controller=LoadedCarrierPid"],
-    ["carrier_dynamics=IdealCarriers", "load_feedback=DesiredStateFeedback"],
-    ["cables=IndividualCables", "force_distribution=BoundedTensionDistribution"],
+    ["carrier_dynamics=!LimitedCarriers {feels_cable: true}", "load_feedback=DesiredStateFeedback"],
+    ["force_distribution=BoundedTensionDistribution"],
     [CONSTANT],
     *(
-        [f"optimization_layer=!NonstopOptimizer {{solver: {name}}}"]
-        for name in ("search", "snopt", "ipopt", "nlopt", "grid")
+        [f"optimization_layer=!{layer} {{solver: {solver}}}"]
+        for layer in ("PaperLayer", "NlpLayer")
+        for solver in ("snopt", "ipopt")
     ),
 ]
 

@@ -8,13 +8,12 @@ from pydrake.multibody.tree import SpatialInertia, UnitInertia
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 
-from drake_nonstop.blocks.cables import Cables, IndividualCables, IndividualCablesConfig
+from drake_nonstop.blocks.cables import Cables
 from drake_nonstop.blocks.carrier_dynamics import (
     CarrierDynamics,
     CarrierDynamicsConfig,
-    IdealCarriers,
-    LoadedCarrierDynamics,
-    LoadedCarrierDynamicsConfig,
+    LimitedCarriers,
+    LimitedCarriersConfig,
 )
 from drake_nonstop.blocks.load_plant import LoadPlant, MultibodyLoadPlant
 from drake_nonstop.blocks.optimization_layer import ConstantParametersConfig
@@ -78,42 +77,37 @@ def test_energies_of_carriers_are_those_of_free_bodies(n, seed):
         plant.SetVelocities(plant_context, rates.ravel())
     kinetic, potential = energies(plant, plant_context)
     system = model(n, carrier_mass=0.2, gravity=GRAVITY)
-    for block, weight in ((CarrierDynamics, 0), (LoadedCarrierDynamics, 1), (IdealCarriers, 0)):
-        made = block(system)
+    heavy = LimitedCarriers(system, LimitedCarriersConfig(has_weight=True))
+    for made, weight in ((CarrierDynamics(system), 0), (LimitedCarriers(system), 0), (heavy, 1)):
         context = made.CreateDefaultContext()
-        if block is IdealCarriers:
-            made.GetInputPort("carrier_reference").FixValue(context, carriers.ravel())
-        else:
-            context.SetContinuousState(carriers.ravel())
+        more = np.zeros(context.num_continuous_states() - carriers.size)
+        context.SetContinuousState(np.append(carriers, more))
         expected = [kinetic, weight * potential]
         np.testing.assert_allclose(energies(made, context), expected, rtol=1e-12, atol=1e-12)
 
 
 def test_elastic_energy_is_the_work_of_stretching_the_cables():
     """From slack on, with the load at rest, by the tensions of undamped cables."""
-    numbers = {"stiffness": [300.0, 500, 700, 900], "rest_length": [0.7, 0.8, 0.8, 0.9]}
-    for block in (
-        Cables(model(cable_damping=0.0)),
-        IndividualCables(model(cable_damping=0.0), IndividualCablesConfig(**numbers)),
-    ):
-        context = block.CreateDefaultContext()
-        block.GetInputPort("load_state").FixValue(context, np.eye(13)[0])
-        direction = np.array([0.6, 0.0, 0.8])
+    block = Cables(model(cable_damping=0.0))
+    context = block.CreateDefaultContext()
+    block.GetInputPort("load_state").FixValue(context, np.eye(13)[0])
+    direction = np.array([0.6, 0.0, 0.8])
 
-        def at(length, block=block, context=context, direction=direction):
-            ends = regular(4) + length * direction
-            carriers = np.concatenate([ends.ravel(), np.zeros(12)])
-            block.GetInputPort("carrier_state").FixValue(context, carriers)
-            return output(block, context, "tensions").sum(), block.CalcPotentialEnergy(context)
+    def at(length):
+        ends = regular(4) + length * direction
+        carriers = np.concatenate([ends.ravel(), np.zeros(12)])
+        block.GetInputPort("carrier_state").FixValue(context, carriers)
+        return output(block, context, "tensions").sum(), block.CalcPotentialEnergy(context)
 
-        lengths = np.linspace(0.6, 1.1, 501)
-        tensions, found = np.transpose([at(length) for length in lengths])
-        work = np.concatenate(
-            [[0], np.cumsum(np.diff(lengths) * (tensions[1:] + tensions[:-1]) / 2)]
-        )
-        np.testing.assert_allclose(found, work, rtol=0, atol=1e-3)
-        assert found[0] == 0 < found[-1]
-        assert kinetic_energy(block, context) == 0
+    lengths = np.linspace(0.6, 1.1, 501)
+    tensions, found = np.transpose([at(length) for length in lengths])
+    work = np.concatenate([[0], np.cumsum(np.diff(lengths) * (tensions[1:] + tensions[:-1]) / 2)])
+    np.testing.assert_allclose(found, work, rtol=0, atol=1e-3)
+    assert found[0] == 0 < found[-1]
+    assert kinetic_energy(block, context) == 0
+
+
+LOADED = LimitedCarriersConfig(has_weight=True, feels_cable=True)
 
 
 class NoForces(LeafSystem):
@@ -139,6 +133,10 @@ def power(system, diagram, context, feels_its_cable):
     load = LoadState.view(output(diagram, context, "load_state"))
     carriers = CarrierStates.view(output(diagram, context, "carrier_state"))
     forces = output(diagram, context, "carrier_forces").reshape(-1, 3)
+    if feels_its_cable:  # of a force that lags behind its command
+        dynamics = diagram.GetSubsystemByName("carrier_dynamics")
+        own = dynamics.GetMyContextFromRoot(context).get_continuous_state_vector().CopyToVector()
+        forces = system.carrier_mass * own[-forces.size :].reshape(-1, 3)
     on_load = output(diagram, context, "cable_forces").reshape(-1, 3)
     if not feels_its_cable:
         forces = forces + on_load  # as if something held it against its cable
@@ -162,13 +160,16 @@ def test_a_free_undamped_loop_conserves_its_energy(load):
     system = SystemParameters(cable_damping=0.0, load_drag=0.0)
     diagram = loop(
         system,
-        carrier_dynamics=LoadedCarrierDynamicsConfig(),
+        carrier_dynamics=LOADED,
         carrier_controller=NoForces,
         load_plant=load,
     )
     simulator = Simulator(diagram)
     context = simulator.get_mutable_context()
     set_equilibrium(diagram, context)  # the carriers then fall towards the load, and swing
+    dynamics = diagram.GetSubsystemByName("carrier_dynamics")
+    own = dynamics.GetMyMutableContextFromRoot(context)
+    own.SetContinuousState(np.append(output(diagram, context, "carrier_state"), np.zeros(12)))
     simulator.get_mutable_integrator().set_target_accuracy(1e-9)
     found = []
     for time in (0.0, 0.3, 0.7):
@@ -182,7 +183,7 @@ def test_a_free_undamped_loop_conserves_its_energy(load):
 @pytest.mark.parametrize("feels_its_cable", [False, True])
 def test_energy_changes_by_the_power_of_the_carriers_less_what_is_dissipated(rng, feels_its_cable):
     system = SystemParameters(load_drag=0.8, load_angular_drag=0.05)
-    dynamics = LoadedCarrierDynamicsConfig() if feels_its_cable else CarrierDynamicsConfig()
+    dynamics = LOADED if feels_its_cable else CarrierDynamicsConfig()
     diagram = loop(system, carrier_dynamics=dynamics)
     context = diagram.CreateDefaultContext()
     set_equilibrium(diagram, context)

@@ -21,7 +21,8 @@ from drake_nonstop import (
 )
 from drake_nonstop.diagrams.nonstop import BOXES
 from drake_nonstop.mechanics.rotation import norm
-from drake_nonstop.mechanics.signal_layouts import HELD, Layout, Part
+from drake_nonstop.mechanics.signal_layouts import Layout, Part
+from drake_nonstop.mechanics.signals import HELD
 from drake_nonstop.systems.block import set_state_values, state_values
 from drake_nonstop.systems.equation_block import EquationBlock
 from drake_nonstop.systems.equations import STATE, Equations

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from pydrake.autodiffutils import ExtractGradient, InitializeAutoDiff
 
-from drake_nonstop.optimization.elementwise import ElementwiseFunction, RowsFunction
 from drake_nonstop.systems import tracing
 from drake_nonstop.systems.tracing import NotFiniteError, TracedFunction, for_each, recent
 
@@ -175,49 +174,6 @@ def test_operators_take_numbers_and_arrays_on_either_side(name, number, rng):
     traced = TracedFunction(results, [3, 3], name=str)(x, y)
     for value, expected in zip(traced, results(x, y), strict=True):
         np.testing.assert_allclose(value, expected.astype(float), rtol=1e-15)
-
-
-def test_an_elementwise_function_has_the_values_and_derivatives_of_each_entry(rng):
-    traced = TracedFunction(equations, [3, 2], name=lambda: "some_block", jacobian_of=0)
-    elementwise, in_c = (
-        ElementwiseFunction(equations, [3, 2], (4, 5), key=None, compiles=compiles)
-        for compiles in (False, True)
-    )
-    a, b = rng.uniform(1, 2, (3, 4, 1)), rng.uniform(1, 2, (2, 1, 5))
-    values, slopes = elementwise(a, b)
-    elementwise(b[[0, 1, 1]], b)  # an answer is its caller's
-    for own, other in zip((values, slopes), in_c(a, b), strict=True):
-        np.testing.assert_array_equal(own, other)  # to the bit
-    assert (values.shape, slopes.shape) == ((11, 4, 5), (11, 3, 4, 5))
-    for i, j in np.ndindex(4, 5):
-        *expected, jacobian = traced(a[:, i, 0], b[:, 0, j])
-        np.testing.assert_allclose(values[:, i, j], np.concatenate(expected), rtol=1e-14)
-        np.testing.assert_allclose(slopes[:, :, i, j], jacobian, rtol=1e-14, atol=1e-14)
-
-
-@pytest.mark.parametrize("count", [0, 1, 60, 61, 130])
-def test_rows_are_those_of_calls(count):
-    rows = np.random.default_rng(count).uniform(0.5, 2.0, (count, 5))
-    function = RowsFunction(
-        lambda a, b: np.concatenate([np.ravel(part) for part in equations(a, b)]),
-        [3, 2],
-        name=lambda: "some_block",
-    )
-    found = function(rows)
-    assert found.shape == (count, 11)
-    for row, values in zip(rows, found, strict=True):
-        np.testing.assert_allclose(values, np.concatenate(compiled()(row[:3], row[3:])), rtol=1e-14)
-
-
-def test_rows_that_are_not_finite_are_told():
-    quotient = RowsFunction(lambda a, b: a / b, [1, 1], name=lambda: "some_block")
-    rows = np.ones((3, 2))
-    rows[1, 1] = 0
-    with pytest.raises(NotFiniteError, match="some_block made a value"):
-        quotient(rows)
-    rows[1] = np.nan
-    with pytest.raises(NotFiniteError, match="some_block was given a value"):
-        quotient(rows)
 
 
 def test_a_function_for_each_is_traced_once_and_has_the_values_and_derivatives_of_calls(rng):

@@ -58,7 +58,8 @@ def with_extra_blocks(diagram: Diagram) -> Diagram:
         for system in diagram.GetSystems()
     }
     blocks["load_plant"] = Toy(["cable_forces", "disturbance_wrench", "gust"], ["load_state"])
-    blocks["wind_estimator"] = Toy(["load_state", "carrier_state", "reference"], ["wind_speed"])
+    read = ["load_state", "carrier_state", "reference"]
+    blocks["wind_estimator"] = Toy(read, ["wind_estimate", "wind_speed"])
     blocks["wind <tunnel>"] = Toy(["wind_speed", "phase"], ["gust"])
     return connected(blocks, name="toys & extras")
 

@@ -22,7 +22,7 @@ BRIEF = ["simulation_duration=0.2"]
 def test_a_run_shows_its_metrics_and_two_figures_and_its_replay_where_it_is_asked_for():
     run = simulate(load_scenario("quintic", BRIEF))
     shown = run._repr_html_()
-    assert "&lt;Run of quintic: 0.2 s, 30 signals&gt;" in shown
+    assert "&lt;Run of quintic: 0.2 s, 31 signals&gt;" in shown
     assert "carrier speed" in shown
     assert len(re.findall(r'src="data:image/png;base64,[A-Za-z0-9+/]{5000,}', shown)) == 2
     assert len(shown) < 200_000

@@ -31,14 +31,13 @@ _LARGEST = 1e100  # of a Jacobian's entries, which are in mixed units
 class Response(NamedTuple):
     """Derivatives of a loop of n carriers at an instant, in W.
 
-    Of what is commanded by [errors (12), integrals (6)]: desired positions, velocities, forces,
-    accelerations and jerks (3n each). Of the load's [ω̇; v̇] and of the cables' forces on it by
-    [errors (12), integrals (6), carriers' positions and velocities (3n each)].
+    Of what is commanded by [errors (12), integrals (6)]: desired positions, velocities,
+    accelerations and jerks (3n each). Of the load's [ω̇; v̇] by [errors (12), integrals (6),
+    carriers' positions and velocities (3n each)].
     """
 
-    commands: NDArray  # (15n, 18)
+    commands: NDArray  # (12n, 18)
     load: NDArray  # (6, 18 + 6n)
-    forces: NDArray  # (3n, 18 + 6n)
 
 
 class LoadResponse:
@@ -47,11 +46,10 @@ class LoadResponse:
     Args:
         model: of the wrench's distribution, and of what the references stretch by.
         plant: of the load and its cables.
-        stiffness: N/m, of the cables.
-        stretch: m/N, by which the cables are longer where the carriers are.
+        stiffness: N/m, of the cables, one for all or (n,).
+        stretch: m/N, likewise, by which the cables are longer where the carriers are.
         is_above_load: whether the references are above the load, instead of above its reference.
-        is_brief: whether only positions and velocities are commanded, and the cables' forces are
-            left out, which takes half the time.
+        is_brief: whether only positions and velocities are commanded, which takes half the time.
     """
 
     def __init__(
@@ -59,16 +57,17 @@ class LoadResponse:
         model: Model,
         plant: Model,
         *,
-        stiffness: float,
-        stretch: float,
+        stiffness: float | NDArray,
+        stretch: float | NDArray,
         is_above_load: bool = False,
         is_brief: bool = False,
     ):
         n, load = plant.n, plant.load
         self.n, self.load, self.pseudo_inverse = n, load, model.pseudo_inverse
-        numbers = [load.mass, load.drag, load.angular_drag, load.gravity, plant.cable_length]
-        numbers += [model.cable_compliance, stiffness, plant.cable_damping, stretch]
-        parts = [plant.attachments, self.pseudo_inverse, load.inertia, numbers]
+        numbers = [load.mass, load.drag, load.angular_drag, load.gravity]
+        of_cables = [plant.cable_length, model.cable_compliance, stiffness, plant.cable_damping]
+        each = [np.broadcast_to(number, n) for number in (*of_cables, stretch)]
+        parts = [plant.attachments, self.pseudo_inverse, load.inertia, numbers, *each]
         self._constants = np.concatenate([np.asarray(part, float).ravel() for part in parts])
         sizes = [
             TRACKING_ERROR_SIZE + WRENCH_SIZE + 6 * n,
@@ -85,7 +84,7 @@ class LoadResponse:
             jacobian_of=0,
             key=("response of a load", n, is_above_load, is_brief),
         )
-        self._commands = (6 if is_brief else 15) * n  # rows of the Jacobian
+        self._commands = (6 if is_brief else 12) * n  # rows of the Jacobian
 
     def along(
         self,
@@ -121,8 +120,7 @@ class LoadResponse:
             )
             commands = jacobian[:count, : TRACKING_ERROR_SIZE + WRENCH_SIZE].copy()
             commands[:, :TRACKING_ERROR_SIZE] *= is_measured
-            load, forces = jacobian[count : count + 6], jacobian[count + 6 :]
-            found.append(Response(commands, load.copy(), forces.copy()))
+            found.append(Response(commands, jacobian[count:].copy()))
         return found
 
 
@@ -137,8 +135,8 @@ def _trace(
     gains: NDArray,
     constants: NDArray,
 ) -> tuple[NDArray, ...]:
-    """Commands, the load's angular acceleration and acceleration, and cable forces."""
-    shapes = [(n, 3), (3 * n, 6), (3, 3), *[(1,)] * 9]
+    """Commands, and the load's angular acceleration and acceleration."""
+    shapes = [(n, 3), (3 * n, 6), (3, 3), *[(1,)] * 4, *[(n,)] * 5]
     ends = np.cumsum([math.prod(shape) for shape in shapes])
     attachments, pseudo_inverse, inertia, *numbers = (
         part.reshape(shape)
@@ -184,7 +182,7 @@ def _trace(
         state,
         np.concatenate([part.ravel() for part in there]) + carriers,
         attachments=attachments,
-        rest_length=length + norm(held[0]) * (stretch - 1 / stiffness),
+        rest_length=length + norm(held[0])[:, 0] * (stretch - 1 / stiffness),
         stiffness=stiffness,
         damping=damping,
     )
@@ -202,13 +200,4 @@ def _trace(
     _, _, accelerations, jerks = carrier_motion(
         reference, *forces, *higher, **taut, compliance=compliance
     )
-    return (
-        positions,
-        velocities,
-        forces[0],
-        accelerations,
-        jerks,
-        moved.angular_velocity,
-        moved.velocity,
-        on_load,
-    )
+    return positions, velocities, accelerations, jerks, moved.angular_velocity, moved.velocity

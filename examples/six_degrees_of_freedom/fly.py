@@ -1,13 +1,14 @@
 """The shipped flights of aircraft as point masses and with six degrees of freedom, side by side.
 
 Each flight has a line per plant: what the aircraft need, as the mean over the last turn, and the
-load's error, as the mean after the first turn. JSBSim: `pip install "drake-nonstop[jsbsim]"`.
+load's error, as the mean after the first turn. `pip install jsbsim`; see `jsbsim_carriers.py`.
 """
 
 from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
+from jsbsim_carriers import JsbsimCarriers
 
 from drake_nonstop import Run, load_scenario, simulate
 from drake_nonstop.mechanics.aircraft import drawn_power
@@ -30,7 +31,7 @@ FLIGHTS = {
         ],
     ),
 }
-PLANTS = ("FixedWingDynamics", "JsbsimCarriers")
+PLANTS = {"point masses": {}, "JSBSim": {"carrier_dynamics": JsbsimCarriers}}
 
 
 class Flown(NamedTuple):
@@ -60,9 +61,8 @@ def flights(duration: float | None = None) -> Iterator[tuple[str, str, Flown]]:
     """Each flight with each plant; with a duration, that many s of it."""
     for name, (scenario, changes) in FLIGHTS.items():
         shorter = [] if duration is None else [f"simulation_duration={duration}"]
-        for plant in PLANTS:
-            own = [*changes, *shorter, f"carrier_dynamics={plant}"]
-            run = simulate(load_scenario(scenario, own))
+        for plant, blocks in PLANTS.items():
+            run = simulate(load_scenario(scenario, [*changes, *shorter]), **blocks)
             yield name, plant, measured(run)
 
 

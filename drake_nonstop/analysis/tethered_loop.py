@@ -14,12 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.mechanics.sampled_loop import (
-    SampledLoop,
-    map_of_turn,
-    parts_of_turn,
-    sampled_loop,
-)
+from drake_nonstop.analysis.load_response import LoadResponse, Response
+from drake_nonstop.analysis.sampled_maps import map_of_turn, parts_of_turn
 from drake_nonstop.mechanics.signals import (
     TRACKING_ERROR_SIZE,
     WRENCH_SIZE,
@@ -28,31 +24,27 @@ from drake_nonstop.mechanics.signals import (
 )
 from drake_nonstop.model.descriptions import Estimator
 from drake_nonstop.model.system import Model
-from drake_nonstop.optimization.load_response import LoadResponse, Response
 
 _ERRORS = TRACKING_ERROR_SIZE  # of the load, [e_R, e_p, e_ω, e_v]
-_LOOPS = 60  # phases, of which speeds are looked at
+_LOOPS = 60  # phases of a turn, at which the loop is linearized
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Carriers:
-    """The carriers' controllers, per unit of their mass, and what reaches them of the cables.
+    """The carriers' controllers, per unit of their mass.
 
     Attributes:
         position_gain: K_p/m_c, 1/s².
         velocity_gain: K_d/m_c, 1/s.
         integral_gain: K_i/m_c, 1/s³.
-        mass: kg, where weight and cables pull at the carriers, and the desired cable forces are
-            feedforward; 0: nothing does.
         has_feedforward: whether the references' accelerations are.
-        hold: order of the references' motion within a sample: 1 goes on along their velocity, 2
-            along their acceleration, too, 3 along their jerk; 0: they are continuous.
+        hold: order of the references' motion within a sample: 1 goes on along their velocity, 3
+            along their acceleration and their jerk, too; 0: they are continuous.
     """
 
     position_gain: float
     velocity_gain: float
     integral_gain: float = 0.0
-    mass: float = 0.0
     has_feedforward: bool = True
     hold: int = 3
 
@@ -63,7 +55,6 @@ class Feedback:
 
     Attributes:
         gains: of `mechanics.wrench.wrench_and_rate`, by name.
-        deviations: (12,), standard deviations of the measured [e_R, e_p, e_ω, e_v]; SI.
         is_measured: (12,), 0 for what the controller takes as desired, else 1.
         delay: of the measurement, in samples.
         period: between samples, s.
@@ -71,7 +62,6 @@ class Feedback:
     """
 
     gains: Mapping[str, Any]
-    deviations: NDArray
     is_measured: NDArray
     delay: int
     period: float
@@ -79,13 +69,12 @@ class Feedback:
 
 
 class Orbit(NamedTuple):
-    """The cables' forces and the carriers' velocities at a phase of the orbits."""
+    """The cables' forces at a phase of the orbits."""
 
     forces: NDArray  # (n, 3), N
     rates: NDArray  # (n, 3), N/s
     second_rates: NDArray  # (n, 3), N/s²
     third_rates: NDArray  # (n, 3), N/s³
-    velocities: NDArray  # (n, 3), m/s
 
     def later(self, time: float) -> "Orbit":
         """The forces and their rates a short time (s) later, by Taylor's series."""
@@ -99,45 +88,19 @@ class Orbit(NamedTuple):
         )
 
 
-class Inputs(NamedTuple):
-    """The places of the inputs of the loop."""
-
-    acceleration: slice  # (3n,), m/s², of the planned motion at a sample
-    jerk: slice  # (3n,), m/s³
-    snap: slice  # (3n,), m/s⁴
-    measurement: slice  # (12,), errors of the measured load: rad, m, rad/s and m/s
-    velocity: slice  # (3n,), m/s, by which the planned velocities jumped just after a sample
-    disturbance: slice  # (6,), N m and N, of a wrench on the load that stays for a sample
-
-    @classmethod
-    def of(cls, n: int) -> "Inputs":
-        """Constants of n carriers."""
-        sizes = [3 * n, 3 * n, 3 * n, _ERRORS, 3 * n, WRENCH_SIZE]
-        return cls(*_slices(sizes))
-
-
 def _slices(sizes: Iterable[int]) -> list[slice]:
     return [slice(*ends) for ends in pairwise(np.cumsum([0, *sizes]).tolist())]
 
 
-class TurnOfLoops(NamedTuple):
-    """The linear sampled loop at phases that fill a turn of the carriers."""
-
-    orbits: list[Orbit]
-    loops: list[SampledLoop]
-    samples: int  # that each of them lasts
-    rate: float  # 1/s, at which a deviation grows from turn to turn, the largest one
-
-
-def turn_of_loops(
+def growth_rate(
     model: Model,
     plant: Model,
     carriers: Carriers,
     feedback: Feedback,
     frequency: float,
     orbit: Callable[[float], Orbit],
-) -> TurnOfLoops:
-    """The loop of load, cables, carriers and controllers along the orbits.
+) -> float:
+    """1/s, at which a deviation of the loop grows from turn to turn of the orbits, at most.
 
     Growth is that of the maps between the phases, too: forces that step from phase to phase move
     what is lightly damped.
@@ -151,41 +114,34 @@ def turn_of_loops(
         orbit: that at a phase in rad.
     """
     turn = 2 * math.pi / frequency
-    samples, count = parts_of_turn(turn, feedback.period, _LOOPS)
+    count = parts_of_turn(turn, feedback.period, _LOOPS)
     orbits = [orbit(2 * math.pi * i / count) for i in range(count)]
-    loops = loops_at(model, plant, carriers, feedback, orbits)
+    maps = np.stack(maps_at(model, plant, carriers, feedback, orbits))
     whole = max(1, round(turn / feedback.period))
-    maps = np.stack([loop.transition for loop in loops])
     growth = np.max(np.abs(np.linalg.eigvals(map_of_turn(maps, whole))))
-    return TurnOfLoops(orbits, loops, samples, math.log(growth) / (whole * feedback.period))
+    return math.log(growth) / (whole * feedback.period)
 
 
-def loops_at(
+def maps_at(
     model: Model,
     plant: Model,
     carriers: Carriers,
     feedback: Feedback,
     orbits: Iterable[Orbit],
-) -> list[SampledLoop]:
-    """The loop at phases of the orbits; the other arguments are as of `turn_of_loops`.
+) -> list[NDArray]:
+    """The maps (s, s) from sample to sample at phases; other arguments as of `growth_rate`.
 
-    Outputs are the carriers' shortfalls of speed (n,), m/s: −v·δv/‖v‖, δv the carrier's velocity
-    less the planned one.
-
-    The measured errors of a sample make what is commanded: references, desired forces and
-    feedforwards, by `LoadResponse`. The carriers' loops are
-    m_c p̈ = K_p (p_d − p) + K_d (v_d − v) + m_c a_d. Between samples references go on by their
-    hold, which leaves them behind the planned motion by a τ²/2 + j τ³/6 of a first-order one, by
-    j τ³/6 of a second-order one, by s τ⁴/24 of one of third order, with the snap s; a feedforward
-    that stands still is behind by j τ, that of the third order by s τ²/2, none at all by a + j τ.
-    The cables pull as in the middle of the sample: commands are half a sample behind them, which
-    takes damping away from what oscillates across a cable that turns.
+    The measured errors of a sample make what is commanded: references and feedforwards, by
+    `LoadResponse`. The carriers' loops are m_c p̈ = K_p (p_d − p) + K_d (v_d − v) + m_c a_d. Between
+    samples references go on by their hold. The cables pull as in the middle of the sample: commands
+    are half a sample behind them, which takes damping away from what oscillates across a cable that
+    turns.
 
     Left out is the reference's own turning. Own derivation.
     """
     stiffness = plant.cable_stiffness
     response = LoadResponse(model, plant, stiffness=stiffness, stretch=1 / stiffness)
-    return [_loop_at(response, carriers, feedback, orbit) for orbit in orbits]
+    return [_map_at(response, carriers, feedback, orbit) for orbit in orbits]
 
 
 def _response_at(response: LoadResponse, feedback: Feedback, orbit: Orbit) -> Response:
@@ -203,15 +159,16 @@ def _response_at(response: LoadResponse, feedback: Feedback, orbit: Orbit) -> Re
     return found
 
 
-def _loop_at(
+def _map_at(
     response: LoadResponse, carriers: Carriers, feedback: Feedback, orbit: Orbit
-) -> SampledLoop:
+) -> NDArray:
+    from scipy.linalg import expm  # here: the import takes 0.2 s, which few runs need
+
     n, period, delay = response.n, feedback.period, feedback.delay
     size = 3 * n
     # The state: errors of the load, carriers, their integrals, those of the controller, samples of
     # the delay, the estimate; then what is held in a sample: reference, its acceleration that is
-    # missing, the feedforward that is, the jerk that is, the planned snap, desired forces, and
-    # wrench on the load.
+    # missing, the feedforward that is, and the jerk that is.
     sizes = {
         "load": _ERRORS,
         "position": size,
@@ -225,12 +182,9 @@ def _loop_at(
         "missing_acceleration": size,
         "missing_feedforward": size,
         "missing_jerk": size,
-        "snap": size if carriers.hold == 3 else 0,
-        "desired_force": size if carriers.mass else 0,
-        "disturbance": WRENCH_SIZE,
     }
     at = dict(zip(sizes, _slices(sizes.values()), strict=True))
-    kept, end = at["desired_position"].start, at["disturbance"].stop
+    kept, end = at["desired_position"].start, at["missing_jerk"].stop
     now = _response_at(response, feedback, orbit)
     middle = _response_at(response, feedback, orbit.later(period / 2))
     M = np.zeros((end, end))
@@ -257,70 +211,36 @@ def _loop_at(
         M[at["missing_acceleration"], at["missing_jerk"]] = unit
     if carriers.hold or not carriers.has_feedforward:
         M[at["missing_feedforward"], at["missing_jerk"]] = unit
-    if carriers.hold == 3:
-        M[at["missing_jerk"], at["snap"]] = unit
-    if carriers.mass:
-        M[velocity, at["desired_force"]] = unit / carriers.mass
-        M[velocity, motion] -= middle.forces[:, by_motion] / carriers.mass
-    load = response.load
-    M[6:9, at["disturbance"]] = np.hstack([load.inertia_inverse, np.zeros((3, 3))])
-    M[9:12, at["disturbance"]] = np.hstack([np.zeros((3, 3)), np.eye(3) / load.mass])
 
-    places = Inputs.of(n)
-    S, B = np.eye(end), np.zeros((end, places.disturbance.stop))
+    S = np.eye(end)
     S[kept:] = 0
-    # What the controller gets of the state and of the measurement's errors.
-    measured, errors = np.zeros((_ERRORS, end)), np.eye(_ERRORS)
+    measured = np.zeros((_ERRORS, end))  # what the controller gets of the state
     if feedback.estimator:
-        errors, estimate = feedback.estimator.gain, at["estimate"]
-        measured[:, estimate] = (np.eye(_ERRORS) - errors) @ feedback.estimator.transition
-        S[estimate], B[estimate, places.measurement] = measured, errors
+        estimate = at["estimate"]
+        prediction = (np.eye(_ERRORS) - feedback.estimator.gain) @ feedback.estimator.transition
+        measured[:, estimate] = prediction
+        S[estimate] = measured
     last = (at["samples"] if delay else at["load"]).stop
     measured[:, last - _ERRORS : last] = np.eye(_ERRORS)
-    parts = _slices([size] * 5)
+    parts = _slices([size] * 4)
     held = {"desired_position": parts[0], "desired_velocity": parts[1]}
-    if carriers.mass:
-        held["desired_force"] = parts[2]
-    if carriers.hold >= 2:
-        held["missing_acceleration"] = parts[3]
-    if carriers.has_feedforward:
-        held["missing_feedforward"] = parts[3]
     if carriers.hold == 3:
-        held["missing_jerk"] = parts[4]
+        held |= {"missing_acceleration": parts[2], "missing_jerk": parts[3]}
+    if carriers.has_feedforward:
+        held["missing_feedforward"] = parts[2]
     of_errors, of_integrals = np.split(now.commands, [_ERRORS], axis=1)
     for name, rows in held.items():
         sign = -1 if name.startswith("missing") else 1
         S[at[name]] = sign * of_errors[rows] @ measured
         S[at[name], at["integral"]] = sign * of_integrals[rows]
-        B[at[name], places.measurement] = sign * of_errors[rows] @ errors
     # What is not measured, or has no integral gain, is not integrated.
     has_gain = np.any(of_integrals, axis=0)
     is_integrated = has_gain * feedback.is_measured[:WRENCH_SIZE]
     S[at["integral"], at["integral"]] = np.diag(is_integrated)
-    added = period * np.diag(is_integrated) @ np.eye(WRENCH_SIZE, _ERRORS)
-    S[at["integral"]] += added @ measured
-    B[at["integral"], places.measurement] = added @ errors
+    S[at["integral"]] += period * np.diag(is_integrated) @ measured[:WRENCH_SIZE]
     if delay:
         samples = at["samples"]
         S[samples, samples] = np.eye(_ERRORS * delay, k=-_ERRORS)
         S[samples.start : samples.start + _ERRORS, at["load"]] = np.eye(_ERRORS)
-    if carriers.hold == 1:
-        B[at["missing_acceleration"], places.acceleration] = unit
-    if not carriers.has_feedforward:
-        B[at["missing_feedforward"], places.acceleration] = unit
-    if carriers.hold == 3:
-        B[at["snap"], places.snap] = unit
-    else:
-        B[at["missing_jerk"], places.jerk] = unit
-    B[velocity, places.velocity] = -unit
-    B[position, places.velocity] = -period * unit  # of the time that it is not noticed
-    B[at["disturbance"], places.disturbance] = np.eye(WRENCH_SIZE)
-    outputs = np.zeros((n, end))
-    for i, v in enumerate(orbit.velocities):
-        outputs[i, velocity.start + 3 * i : velocity.start + 3 * i + 3] = -v / np.linalg.norm(v)
-    whole = sampled_loop(M, S, B, outputs, period=period)
-    return whole._replace(  # what is held begins anew at each sample
-        transition=whole.transition[:kept, :kept],
-        input=whole.input[:kept],
-        outputs=whole.outputs[:, :, :kept],
-    )
+    whole: NDArray = expm(M * period) @ S
+    return whole[:kept, :kept]  # what is held begins anew at each sample

@@ -1,7 +1,6 @@
-"""Data of an update of the nonstop problem, in one flat vector with named parts."""
+"""Numbers of the controllers' model that a plan goes by, in one flat vector with named parts."""
 
 from collections.abc import Mapping
-from itertools import accumulate
 from typing import NamedTuple
 
 import numpy as np
@@ -9,49 +8,13 @@ from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.cable import compliance_of
 from drake_nonstop.mechanics.rigid_load import RigidLoad
-from drake_nonstop.mechanics.signals import (
-    LOAD_REFERENCE_SIZE,
-    LOAD_STATE_SIZE,
-    PARAMETERS_SIZE,
-    PHASE_SIZE,
-    WIND_SIZE,
-    WRENCH_SIZE,
-)
 from drake_nonstop.model.block import LOAD
 from drake_nonstop.model.system import OFFSET, Model
 from drake_nonstop.optimization.problem_config import LimitsConfig, range_for
 
 
-class UpdateData(NamedTuple):
-    """The parts of the data of one update, all in W.
-
-    `np.concatenate` of an instance is the flat vector that the traced functions take, and `view` of
-    that gives the parts. The parts are for reading: some are shared between updates. The numbers of
-    `beliefs` are those of its view as `ModelParameters`.
-    """
-
-    previous: NDArray  # (2,), [ξ⁻, A⁻], rad/s and N
-    phase: NDArray  # (2,), [θ, ∂θ/∂ξ], rad and s
-    load_state: NDArray  # (13,)
-    reference: NDArray  # (22,)
-    wrench: NDArray  # (6,), N m and N
-    wrench_rate: NDArray  # (6,)
-    wrench_second_rate: NDArray  # (6,)
-    speed_bound: NDArray  # (1,), m/s, tightened
-    speed_unit: NDArray  # (1,), m/s, scales the margins of the speed bound
-    orbit_turn: NDArray  # (1,), rad, added to the phases of the orbit ahead
-    anchor_weight: NDArray  # (1,)
-    wind: NDArray  # (3,), m/s, of aircraft; it does not count for other carriers
-    beliefs: NDArray  # of the controllers, a flat `ModelParameters`; (0,): the solver's
-
-    @classmethod
-    def view(cls, vector: NDArray) -> "UpdateData":
-        """The parts of a flat vector, of numbers or symbols: views, not copies."""
-        return cls._make([*(vector[part] for part in _PARTS), vector[_ENDS[-1] :]])
-
-
 class ModelParameters(NamedTuple):
-    """Numbers of the controllers' model and of the problem that may change between updates."""
+    """Numbers of the controllers' model and of the layer that may change between plans."""
 
     load_mass: NDArray  # (1,), kg
     load_inertia: NDArray  # (9,), kg m², in L, row by row
@@ -88,26 +51,8 @@ class ModelParameters(NamedTuple):
         return cls._make([*(vector[part] for part in _BELIEFS), vector[end:]])
 
 
-_SIZES = (  # of the parts, in their order
-    PARAMETERS_SIZE,
-    PHASE_SIZE,
-    LOAD_STATE_SIZE,
-    LOAD_REFERENCE_SIZE,
-    WRENCH_SIZE,
-    WRENCH_SIZE,
-    WRENCH_SIZE,
-    *(1 for _ in ("speed_bound", "speed_unit", "orbit_turn", "anchor_weight")),
-    WIND_SIZE,
-)
-_ENDS = list(accumulate(_SIZES))
-_PARTS = [slice(end - size, end) for size, end in zip(_SIZES, _ENDS, strict=True)]
 _BELIEF_ENDS = [1, 10, 11, 12, 13, 14, 15, 17, 19, 21]
 _BELIEFS = [slice(a, b) for a, b in zip([0, *_BELIEF_ENDS], _BELIEF_ENDS, strict=False)]
-
-
-def update_data_size(offset_size: int) -> int:
-    """The size of an `UpdateData` with an offset of that size."""
-    return _ENDS[-1] + _BELIEF_ENDS[-1] + offset_size
 
 
 OF_MODEL = (*LOAD, "cable_length", "cable_stiffness")

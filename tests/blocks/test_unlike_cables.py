@@ -1,0 +1,286 @@
+"""Cables that differ, each with a length, a stiffness and a thickness of its own."""
+
+import re
+
+import numpy as np
+import pytest
+from helpers import Motion, fix, model, nightly_beyond, output, outputs, regular
+from pydrake.common.yaml import yaml_dump_typed
+
+from drake_nonstop.blocks.cables import Cables
+from drake_nonstop.blocks.carrier_trajectory import (
+    BowedCarrierTrajectory,
+    BowedCarrierTrajectoryConfig,
+    CarrierTrajectory,
+    InextensibleCarrierTrajectory,
+    MeasuredCarrierTrajectory,
+)
+from drake_nonstop.blocks.lumped_cables import LumpedCables, LumpedCablesConfig
+from drake_nonstop.mechanics.rotation import rotation_matrix
+from drake_nonstop.mechanics.signals import LoadReference
+from drake_nonstop.model.system import OF_CABLES, Model
+from drake_nonstop.scenario.loading import dump_scenario, load_scenario, parse_scenario
+from drake_nonstop.simulation.metrics import compute_metrics
+from drake_nonstop.simulation.outcome import RunOutcome
+from drake_nonstop.simulation.run import StepCheck
+from drake_nonstop.simulation.simulate import simulate
+from drake_nonstop.validation import ScenarioError
+
+UP = np.array([0.0, 0.0, 1.0])
+UNLIKE = {
+    "cable_length": [0.8, 0.9, 1.1, 1.3],
+    "cable_stiffness": [300.0, 400.0, 500.0, 800.0],
+    "cable_damping": [0.1, 0.2, 0.0, 0.3],
+    "cable_diameter": [0.001, 0.002, 0.003, 0.0015],
+    "cable_drag": [1.1, 1.0, 0.9, 0.8],
+    "cable_friction": [0.02, 0.03, 0.01, 0.0],
+    "cable_density": [970.0, 500.0, 1400.0, 800.0],
+}
+BLOCKS = [
+    (Cables, None),
+    (LumpedCables, LumpedCablesConfig(nodes=3)),
+    (CarrierTrajectory, None),
+    (InextensibleCarrierTrajectory, None),
+    (MeasuredCarrierTrajectory, None),
+    (BowedCarrierTrajectory, BowedCarrierTrajectoryConfig(nodes=3)),
+]
+ERRORS = (("position", "m"), ("orientation", "rad"))
+# Five cables on the corners of an L, whose carriers circle outside of it.
+L_SHAPED = [
+    "system.load_mass=3.0",
+    "system.load_inertia=[[0.9, -0.2, 0.0], [-0.2, 0.9, 0.0], [0.0, 0.0, 1.7]]",
+    "system.attachments=[[1.2, -0.4, 0.05], [0.4, -0.5, 0.05], [-0.5, -0.5, 0.0], "
+    "[-0.5, 0.4, 0.05], [-0.4, 1.2, 0.1]]",
+    "pattern=!SpreadCarousel {spread: 3.0}",
+    "optimization_layer=!ConstantParameters {frequency: 3.0, amplitude: 2.5, speed_bound: 0.3}",
+    "load_trajectory.move_time=6",
+    "simulation_duration=7",
+]
+FIVE = "system.cable_length=[0.8, 0.95, 1.1, 1.25, 1.4]"
+LUMPED = [
+    "cables=!LumpedCables {nodes: 3}",
+    "carrier_trajectory=!BowedCarrierTrajectory {nodes: 3}",
+]
+
+
+HORIZON = [
+    "optimization_layer=!RecedingHorizonOptimizer {speed_bound: 0.3}",
+    *("load_trajectory.move_time=10", "simulation_duration=11"),
+]
+SHORT = ["control_period=0", "simulation_duration=1"]
+
+
+def fly(*changes, name="quintic", **arguments):
+    return simulate(load_scenario(name, changes), check_step=StepCheck.NOTHING, **arguments)
+
+
+@pytest.mark.parametrize(("block", "config"), BLOCKS)
+def test_each_cable_is_as_one_of_many_that_are_all_like_it(rng, block, config):
+    n, motion = 4, Motion(60)
+    inputs = {
+        "load_state": motion.state(0.3),
+        "measured_load_state": motion.state(0.3),
+        "reference": motion.reference(0.3),
+        "carrier_state": np.concatenate([(regular(n) + 1.2 * UP).ravel(), rng.normal(size=12)]),
+        "desired_cable_forces": (rng.uniform(-0.5, 0.5, (n, 3)) + 2.5 * UP).ravel(),
+        "planned": np.array([0.3, 2.0, 0.1, 0.0, 1.2, 0.1, 0.0, 0.0]),
+    }
+
+    def moved(system):
+        made = block(model(n, **system), config)
+        context = made.CreateDefaultContext()
+        size = context.num_continuous_states()
+        given = {k: inputs.get(k, rest[k][:sizes]) for k, sizes in _sizes(made).items()}
+        state = start[:size] if size else None
+        found = [*outputs(made, state, **given).values()]
+        if size:
+            context.SetContinuousState(state)
+            fix(made, context, **given)
+            found.append(made.EvalTimeDerivatives(context).CopyToVector())
+        return [part.reshape(-1, n, 3 if part.size % (3 * n) == 0 else 1) for part in found]
+
+    start = (rng.uniform(-0.1, 0.1, (6, n, 3)) + regular(n)).ravel()
+    start[: 9 * n] += np.tile(UP, 3 * n) * np.repeat([0.2, 0.5, 0.9], 3 * n)
+    rest = {name: rng.uniform(-0.2, 0.2, 30) for name in _sizes(block(model(n), config))}
+    together = moved(UNLIKE)
+    for i in range(n):
+        alone = moved({name: values[i] for name, values in UNLIKE.items()})
+        for one, other in zip(together, alone, strict=True):
+            np.testing.assert_allclose(one[:, i], other[:, i], rtol=1e-9, atol=1e-9)
+    assert any(np.ptp(a - b) > 1e-3 for a, b in zip(together, alone, strict=True))
+
+
+def _sizes(block):
+    ports = (block.get_input_port(i) for i in range(block.num_input_ports()))
+    return {port.get_name(): port.size() for port in ports}
+
+
+def test_energies_are_those_of_each_spring_and_each_node():
+    springs = Cables(model(**UNLIKE))
+    context = springs.CreateDefaultContext()
+    above = regular(4) + 1.2 * UP
+    carriers = np.concatenate([above.ravel(), np.zeros(12)])
+    fix(springs, context, load_state=np.eye(13)[0], carrier_state=carriers)
+    stretch = np.maximum(1.2 - np.array(UNLIKE["cable_length"]), 0)
+    tensions = np.array(UNLIKE["cable_stiffness"]) * stretch
+    np.testing.assert_allclose(output(springs, context, "tensions"), tensions, rtol=1e-12)
+    assert springs.CalcPotentialEnergy(context) == pytest.approx(tensions @ stretch / 2)
+    made = model(**UNLIKE)
+    length, diameter, density = (
+        np.array(UNLIKE[f"cable_{name}"]) for name in ("length", "diameter", "density")
+    )
+    mass = density * np.pi / 4 * diameter**2 * length
+    np.testing.assert_allclose(made.cable_mass, mass)
+    nodes = LumpedCables(made, LumpedCablesConfig(nodes=3))
+    context = nodes.CreateDefaultContext()
+    speeds = np.array([1.0, 2.0, 3.0, 4.0])
+    velocities = np.tile(speeds[:, None] * [0.6, 0.0, 0.8], (3, 1, 1))
+    state = context.get_continuous_state_vector().CopyToVector()
+    context.SetContinuousState(np.concatenate([state[:36], velocities.ravel()]))
+    fix(nodes, context, load_state=np.eye(13)[0], carrier_state=carriers)
+    assert nodes.CalcKineticEnergy(context) == pytest.approx(mass @ speeds**2 / 2)
+
+
+@pytest.mark.parametrize(
+    ("name", "changes"),
+    [
+        ("quintic", L_SHAPED[4:5]),
+        ("quintic", [L_SHAPED[4], *LUMPED]),
+        ("aircraft_rest", []),
+    ],
+)
+def test_a_list_of_equal_numbers_is_the_number(name, changes):
+    duration = "simulation_duration=0.5"
+    alone = load_scenario(name, [*changes, duration])
+    lists = [f"system.{field}={[getattr(alone.system, field)] * 4}" for field in OF_CABLES[:-1]]
+    runs = [fly(*changes, duration, *more, name=name) for more in ([], lists)]
+    for signal in ("load_state", "carrier_state", "tensions"):
+        np.testing.assert_array_equal(*(run.signal(signal) for run in runs))
+
+
+@pytest.mark.parametrize(
+    "changes",
+    nightly_beyond(2, "flights", [([],), (HORIZON,), ([*LUMPED, "system.cable_diameter=0.003"],)]),
+)
+def test_cables_of_five_lengths_carry_an_l_shaped_load_as_well_as_equal_ones(changes):
+    found = []
+    for lengths in ("system.cable_length=1.1", FIVE):
+        run = fly(*L_SHAPED, *changes, lengths)
+        metrics = compute_metrics(run)
+        assert metrics["outcome"] == RunOutcome.OK, metrics["reasons"]
+        found.append([metrics["load"][f"{part}_error_max_{unit}"] for part, unit in ERRORS])
+    alike, unlike = np.array(found)
+    assert np.all(unlike < 1.5 * alike + 1e-6)
+
+
+def test_references_are_at_the_ends_of_cables_of_their_own_length():
+    """p = p_L + R b + (L + T/K) f/T (eq. 1)."""
+    stiffness = [400.0, 500.0, 600.0, 700.0, 800.0]
+    run = fly(*L_SHAPED, FIVE, f"system.cable_stiffness={stiffness}", *SHORT)
+    system = run.scenario.system
+    load = LoadReference.view(run.signal("reference"))
+    forces = run.signal("desired_cable_forces").reshape(-1, 5, 3)
+    tensions = np.linalg.norm(forces, axis=2)
+    lengths = system.cable_length + tensions / stiffness
+    levers = system.attachments @ rotation_matrix(load.quaternion).swapaxes(1, 2)
+    ends = load.position[:, None] + levers + (lengths / tensions)[..., None] * forces
+    references = run.signal("carrier_reference")[:, :15].reshape(-1, 5, 3)
+    np.testing.assert_allclose(references, ends, atol=1e-12)
+    np.testing.assert_allclose(run.signal("tensions"), tensions, rtol=1e-3)
+
+
+def test_both_engines_fly_unlike_cables_alike():
+    runs = [
+        fly(*L_SHAPED, FIVE, "simulation_duration=1", f"engine={engine}")
+        for engine in ("compiled", "diagram")
+    ]
+    for signal in ("load_state", "carrier_state", "tensions"):
+        np.testing.assert_allclose(*(run.signal(signal) for run in runs), rtol=0, atol=1e-9)
+
+
+def test_a_plant_of_five_lengths_under_controllers_that_know_of_one_hangs_within_the_cables():
+    """The load tilts by what the cables differ; it is not thrown."""
+    plant = "simulated.cable_length=[1.1, 1.11, 1.09, 1.1, 1.1]"
+    run = fly(*L_SHAPED, "system.cable_length=1.1", plant, "simulation_duration=2")
+    error = np.linalg.norm(run.signal("tracking_error")[:, 3:6], axis=1)
+    assert np.max(error) < 0.02
+
+
+def test_the_cable_that_bears_too_little_is_the_one_that_breaks():
+    run = fly(
+        *(L_SHAPED[4], "simulation_duration=0.3"),
+        "system.cable_breaking_load=[100, 100, 2.4, 100]",
+    )
+    metrics = compute_metrics(run)
+    assert metrics["outcome"] == RunOutcome.CABLE_BROKEN
+    assert re.search(r"cable 3 broke .* it bears 2.4 N", metrics["reasons"][0])
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (
+            "system.cable_length=[0.8, 0.9]",
+            "[0.8, 0.9]: give one number for all cables, or a list of 4",
+        ),
+        ("system.cable_length=[]", "[]: give one number for all cables, or a list of 4"),
+        (
+            "system.cable_length=[0.8, 0.9, 0.0, 1]",
+            "cable_length[2] = 0.0: give a finite number gr",
+        ),
+        ("system.cable_length=[0.8, 0.9, two, 1]", "cable_length[2] = two: give a number"),
+        (
+            "system.cable_length=[[0.8, 0.9, 1, 1]]",
+            "cable_length[0] = [0.8, 0.9, 1, 1]: give a number",
+        ),
+        ("system.cable_length=long", "cable_length = long: give a number"),
+        (
+            "system.cable_stiffness=[1, 2, -3, 4]",
+            "cable_stiffness[2] = -3.0: give a number greater",
+        ),
+        (
+            "simulated.cable_stiffness=[9, .inf, 9, 9]",
+            "simulated.cable_stiffness = [9.0, inf, 9.0, 9.0]",
+        ),
+        (
+            "simulated.cable_damping=[1, 2, 3]",
+            "simulated.cable_damping = [1.0, 2.0, 3.0]: give one",
+        ),
+    ],
+)
+def test_numbers_that_cables_cannot_have_are_refused_in_a_sentence(change, words):
+    with pytest.raises(ScenarioError) as caught:
+        fly(L_SHAPED[4], change, "simulation_duration=0.1")
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_lumped_cable_that_weighs_too_much_is_named():
+    change = "system.cable_diameter=[0.001, 0.05, 0.001, 0.001]"
+    with pytest.raises(ScenarioError, match=r"cable_diameter\[1\] = 0.05: cable 2 weighs 14.9 N"):
+        fly("cables=LumpedCables", change, "simulation_duration=0.1")
+
+
+def test_lists_stand_in_files_and_may_be_drawn():
+    text = dump_scenario(load_scenario("quintic", ["system.cable_length=[0.8, 0.9, 1, 1.4]"]))
+    assert "cable_length: [0.8, 0.9, 1.0, 1.4]" in text
+    assert parse_scenario(text).system.cable_length == [0.8, 0.9, 1.0, 1.4]
+    with pytest.raises(ScenarioError, match=r"system.cable_length = .*: write it with dump_scen"):
+        yaml_dump_typed(parse_scenario(text))
+    scenario = load_scenario(
+        "quintic", ["system.cable_length=[!Uniform {min: 1, max: 2}, 1, 1, 1]"]
+    )
+    drawn = scenario.sampled().system.cable_length
+    assert 1 < drawn[0] < 2
+    assert drawn[1:] == [1, 1, 1]
+    change = "simulated.cable_length=!UniformVector {min: [1, 1, 1, 1], max: [2, 2, 2, 2]}"
+    assert len(load_scenario("quintic", [change]).sampled().simulated.cable_length) == 4
+    number = load_scenario("quintic", ["system.cable_length=!Uniform {min: 1, max: 2}"])
+    assert 1 < number.sampled().system.cable_length < 2
+
+
+def test_arrays_are_numbers_of_the_cables_in_python():
+    scenario = load_scenario("quintic")
+    scenario.system.cable_length = np.array([0.8, 0.9, 1.0, 1.1])
+    made = Model(scenario.system, scenario.pattern)
+    np.testing.assert_array_equal(made.cable_length, [0.8, 0.9, 1.0, 1.1])
