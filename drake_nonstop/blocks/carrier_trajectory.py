@@ -89,9 +89,6 @@ class _CarrierReferences(Block):
     of_model: ClassVar[tuple[str, ...]] = ("attachments",)
     is_sampled = True
 
-    def inputs(self, model: Model) -> tuple[str, ...]:
-        return tuple(n for n in self.reads if n != SAMPLE_TIME or model.control_period > 0)
-
     def outputs(self, model: Model) -> tuple[str, ...]:
         # In the order of `equations`, which do not make those that move.
         moved = tuple(name for name in self.makes if SAMPLED + name in self.makes)

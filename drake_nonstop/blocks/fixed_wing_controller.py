@@ -109,9 +109,8 @@ class FixedWingController(Block):
     is_sampled = True
 
     def inputs(self, model: Model) -> tuple[str, ...]:
-        if model.control_period == 0:
-            return self.reads[:-1]
-        return tuple(_AT_SAMPLES.get(name, name) for name in self.reads)
+        shown = _AT_SAMPLES if model.control_period > 0 else {}
+        return tuple(shown.get(name, name) for name in super().inputs(model))
 
     @staticmethod
     def equations(

@@ -75,9 +75,6 @@ class PaperPhase(Block):
         self.reads_time = model.control_period == 0
         super().__init__(model, config)
 
-    def inputs(self, model: Model) -> tuple[str, ...]:
-        return self.reads if model.control_period > 0 else self.reads[:1]
-
     @staticmethod
     def equations(parameters: NDArray, time: NDArray) -> tuple[NDArray, NDArray]:
         angle = parameters[:1] * time

@@ -142,6 +142,7 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
     where: ClassVar = SpeedBoundLayer.where | {SAMPLE_TIME: "the model has a control period"}
     optional_inputs = (_PREVIEW, WIND, COMMAND, _FLOWN)
     unconnected: ClassVar = SpeedBoundLayer.unconnected | {_FLOWN: _NOWHERE}
+    counts_bow = True  # of the references' cables
 
     def __init__(self, model: Model, config: RecedingHorizonOptimizerConfig | None = None):
         self.reads_time = model.control_period == 0
@@ -157,8 +158,6 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
         if self.scalar is float:
             self._planner = _Planner(model, self._times, self.get_name)
 
-    counts_bow = True  # of the references' cables
-
     def requires(self, loop: LoopBlocks) -> Iterator[str]:
         """Tells of a phase that does not follow the plan."""
         yield from super().requires(loop)
@@ -171,9 +170,9 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
             )
 
     def inputs(self, model: Model) -> tuple[str, ...]:
-        """The signals that are vectors; the sample's time and what is measured in samples alone."""
-        left_out = {_FLOWN: not self.makes_next_state, SAMPLE_TIME: model.control_period == 0}
-        return tuple(name for name in super().inputs(model) if not left_out.get(name))
+        """The signals that are vectors; what is measured where the margin follows it."""
+        read = super().inputs(model)
+        return tuple(name for name in read if name != _FLOWN or self.makes_next_state)
 
     def step_period(self, model: Model, config: RecedingHorizonOptimizerConfig) -> float:
         """Spacing of the knots, s."""
@@ -378,9 +377,9 @@ class _Planner(threading.local):
     ) -> _Planned:
         """The next plan, from a time in s on, in a wind (3,), which goes on from the last one.
 
-        It is a plan for a speed, m/s, in place of ε, of which a share holds at the start: `aim`.
-
-        Where it takes too much time the last one stays, judged by what is known now.
+        In place of ε it is for the speed, m/s, that `aim` begins with; of that a share, the other
+        number, holds at the start. Where it takes too much time the last plan stays, judged by what
+        is known now.
         """
         began = clock.perf_counter()
         solver = self._solver_for(numbers, self._config.fixed_coefficients)

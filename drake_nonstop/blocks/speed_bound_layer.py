@@ -35,7 +35,7 @@ from drake_nonstop.optimization.problem_config import (
     with_stated_bound,
 )
 from drake_nonstop.systems.documentation import own_config_class
-from drake_nonstop.systems.parameters import NumericParameters
+from drake_nonstop.systems.parameters import NumericParameters, parameters_in
 from drake_nonstop.systems.requirements import LoopBlocks
 from drake_nonstop.systems.tracing import where
 from drake_nonstop.validation import require
@@ -138,7 +138,8 @@ class PeriodicLayer(Block):
     def inputs(self, model: Model) -> tuple[str, ...]:
         """The signals that are vectors, a wind of aircraft alone."""
         is_of_aircraft = model.aircraft is not None
-        read = [name for name in self.reads if SIGNALS.get(name, LAYER_LAYOUTS) is not None]
+        names = super().inputs(model)
+        read = [name for name in names if SIGNALS.get(name, LAYER_LAYOUTS) is not None]
         return tuple(name for name in read if name != WIND or is_of_aircraft)
 
     def layouts(self, model: Model, config: Any) -> dict[str, Layout]:
@@ -188,8 +189,7 @@ class PeriodicLayer(Block):
 
     def bound_in(self, context: Context) -> NDArray:
         """ε (1,), m/s."""
-        values = context.get_numeric_parameter(0).CopyToVector()
-        return values[self.parameters.place("speed_bound")]
+        return parameters_in(self, context)["speed_bound"]
 
     def asked(self, context: Context) -> NDArray:
         """The answer to an event, of floats."""
@@ -238,8 +238,7 @@ class CommandedBound(Block):
         """ε (1,), m/s: what is commanded, or else as it was set."""
         command = self.GetInputPort(COMMAND)
         if not command.HasValue(context):
-            values = context.get_numeric_parameter(0).CopyToVector()
-            return values[self.parameters.place("speed_bound")]
+            return parameters_in(self, context)["speed_bound"]
         bound = command.Eval(context)
         if self.scalar is float:
             self.check_bound(float(bound[0]), COMMAND)
@@ -309,5 +308,4 @@ class SpeedBoundLayer(CommandedBound, PeriodicLayer):
 
     def _numbers_in(self, context: Context) -> ModelParameters:
         """What is believed of load, cables and pattern, and the layer's own numbers."""
-        values = self.parameters.view(context.get_numeric_parameter(0).CopyToVector())
-        return beliefs_from(values, self.model.n)
+        return beliefs_from(parameters_in(self, context), self.model.n)

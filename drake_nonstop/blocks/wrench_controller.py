@@ -90,9 +90,6 @@ class _WrenchPid(Block):
     def constants(self, model: Model, config: Any) -> dict[str, Any]:
         return super().constants(model, config) | {"law": self.law}
 
-    def inputs(self, model: Model) -> tuple[str, ...]:
-        return self.reads if model.control_period > 0 else self.reads[:-1]
-
     def state(self, model: Model) -> NDArray:
         return np.zeros(6)
 

@@ -19,7 +19,7 @@ from pydrake.systems.framework import ValueProducer
 from drake_nonstop.mechanics.aircraft import Aircraft
 from drake_nonstop.mechanics.rigid_load import RigidLoad
 from drake_nonstop.mechanics.signal_layouts import Layout
-from drake_nonstop.mechanics.signals import HELD, SIGNALS
+from drake_nonstop.mechanics.signals import HELD, SAMPLE_TIME, SIGNALS
 from drake_nonstop.model.aircraft import FLIGHT_FIELDS
 from drake_nonstop.model.system import AIRCRAFT, OFFSET, Model
 from drake_nonstop.systems.block import is_of_package
@@ -354,8 +354,9 @@ class Block(EquationBlock):
             raise ScenarioError(f"{field} = {one_line(error)}: {remedy}") from error
 
     def inputs(self, model: Model) -> tuple[str, ...]:
-        """The signals that it reads."""
-        return self.reads
+        """The signals that it reads; a `sample_time` of `where` only if there are samples."""
+        left_out = SAMPLE_TIME if SAMPLE_TIME in self.where and model.control_period == 0 else None
+        return tuple(name for name in self.reads if name != left_out)
 
     def outputs(self, model: Model) -> tuple[str, ...]:
         """The signals that it makes."""

@@ -19,6 +19,7 @@ from drake_nonstop.mechanics.planned_orbit import (
     flight_terms,
     needs_of_motion,
     orbit_motion,
+    squared_gaps,
 )
 from drake_nonstop.mechanics.rigid_load import STILL_AIR, RigidLoad
 from drake_nonstop.mechanics.rotation import norm
@@ -95,8 +96,7 @@ def cable_tensions(*arguments: Any, **named: Any) -> NDArray:
 def carrier_distances(model: Model, *arguments: Any, **named: Any) -> NDArray:
     """The distances of carriers, m, in the order of pairs (1, 2), (1, 3) … (n − 1, n)."""
     places = carrier_motion(model, *arguments, **named).positions
-    first, second = np.triu_indices(model.n, 1)
-    return norm(places[..., first, :] - places[..., second, :])[..., 0]
+    return np.sqrt(squared_gaps(places, np.array(np.triu_indices(model.n, 1))))
 
 
 def flight_margins(

@@ -69,8 +69,3 @@ def missed_limits_of(config: Any, model: Model) -> tuple[str, ...]:
 def missed_layout(names: Sequence[str]) -> Layout:
     """That of a `missed_limits` with these entries."""
     return Layout(*(Part(name, "1") for name in names))
-
-
-def update_count(diagnostics: NDArray) -> int:
-    """How many updates the vector `diagnostics` (7) counts."""
-    return int(diagnostics[_PLACES["updates"]])

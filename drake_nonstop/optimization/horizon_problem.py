@@ -37,15 +37,13 @@ from drake_nonstop.optimization.constraints import Constraints
 from drake_nonstop.optimization.diagnostics import BOUND
 from drake_nonstop.optimization.horizon_config import HorizonConfig, timed
 from drake_nonstop.optimization.limits import Of
+from drake_nonstop.optimization.measured_margin import PLANS_OF_RISE
 from drake_nonstop.optimization.model_parameters import ModelParameters, model_parameters_of
 from drake_nonstop.optimization.plan import DEGREE, Plan, spline_rows
 from drake_nonstop.optimization.problem_config import LimitsConfig, tightened_bound
 
 _OTHERS_SHARE = 0.3  # of the weight of the speed bound's slack: that of the other limits
-_AIRCRAFT, _MATERIAL = "aircraft.", "material."  # begin the names of numbers
-_LEAST = 1e-12  # m², beside a square that may vanish
 _STEP = 1e-4  # of θ in rad, and of the nominal ξ and A and their rates, for differences
-_RISE = 3  # knots, in which speeds reach a bound that has risen
 _MOST_NODES = 4  # of the cables of plans: chords are 0.1 % too long
 _BOWED_EVERY = 4  # of the instants, at which margins of bowed cables are found
 _OF_XI, _OF_AMPLITUDE = [0, 1, 3, 5], [2, 4, 6, 7]  # the entries of `planned`
@@ -341,8 +339,8 @@ class HorizonProblem:
     ) -> HorizonData:
         """The data of a plan from a time in s and phase in rad on, for ε in m/s.
 
-        Of a bound that has risen speeds have to reach a `share` at the start, and all of it three
-        knots later.
+        Of a bound that has risen speeds have to reach a `share` at the start, and all of it
+        `PLANS_OF_RISE` knots later.
 
         Where `last` is of the same reference, what it has of it is taken. The wind (3,) in m/s, in
         W, is that of the whole horizon, or those (k, 3) at its instants; it counts for aircraft.
@@ -364,7 +362,7 @@ class HorizonProblem:
         own = STILL_AIR if self.model.aircraft is None else wind
         winds = np.broadcast_to(own, (len(rows), WIND_SIZE))
         motion = np.hstack([rows, winds]).T[:, self._instant_of]
-        risen = self.instants[self._instant_of] / (_RISE * self.config.knot_spacing)
+        risen = self.instants[self._instant_of] / (PLANS_OF_RISE * self.config.knot_spacing)
         ease = 1 - np.minimum(share + (1 - share) * risen, 1.0) ** 2
         motion = np.vstack([motion, self._kinds])
         return HorizonData(start_time, start_angle, bounds, rows, motion, ease)

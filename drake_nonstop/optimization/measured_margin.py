@@ -22,7 +22,7 @@ _STEP = 0.02  # of ε
 _DOWN = 1.5  # steps, by which less has to be needed before a margin falls by one
 _DECAY = 20.0  # s, of what was measured
 _RESERVE = 1.25  # times what was measured: the next deviation may be larger
-_RISE = 3  # plans, in which a share that has risen is reached
+PLANS_OF_RISE = 3  # one from each knot on, in which a share that has risen is reached
 _LEAST = 1e-12  # m²/s⁴, beside a square that may vanish
 
 # The deviation that was measured, m/s; the share of ε that follows; and the one that plans reach.
@@ -57,7 +57,7 @@ def margin_after(
 def margin_at_next_plan(margin: NDArray) -> NDArray:
     """The margin (3,), whose last entry has come nearer to the share that plans rise to."""
     measured, share, reached = margin
-    return np.array([measured, share, min(share, reached + (share - reached) / _RISE)])
+    return np.array([measured, share, min(share, reached + (share - reached) / PLANS_OF_RISE)])
 
 
 def deviations_of(motion: OrbitMotion, velocities: NDArray) -> NDArray:

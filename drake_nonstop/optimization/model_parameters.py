@@ -1,4 +1,4 @@
-"""Numbers of the controllers' model that a plan goes by, in one flat vector with named parts."""
+"""Numbers of the controllers' model that a plan goes by."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.cable import compliance_of
-from drake_nonstop.mechanics.rigid_load import RigidLoad
 from drake_nonstop.model.block import LOAD
 from drake_nonstop.model.system import OFFSET, Model
 from drake_nonstop.optimization.problem_config import LimitsConfig, range_for
@@ -27,32 +26,6 @@ class ModelParameters(NamedTuple):
     lower: NDArray  # (2,), bounds of [ξ, A]
     upper: NDArray  # (2,)
     offset: NDArray  # (3n,), N, in L, of the pattern; (0,) where it has none
-
-    @property
-    def load(self) -> RigidLoad:
-        """The load, of numbers or symbols."""
-        return RigidLoad(
-            mass=self.load_mass,
-            inertia=self.load_inertia.reshape(3, 3),
-            drag=self.load_drag,
-            angular_drag=self.load_angular_drag,
-            gravity=self.gravity,
-        )
-
-    @property
-    def cables(self) -> dict[str, NDArray]:
-        """The numbers of the cables, as equations take them."""
-        return {"rest_length": self.rest_length, "compliance": self.compliance}
-
-    @classmethod
-    def view(cls, vector: NDArray) -> "ModelParameters":
-        """The parts of a flat vector, of numbers or symbols: views, not copies."""
-        end = _BELIEFS[-1].stop
-        return cls._make([*(vector[part] for part in _BELIEFS), vector[end:]])
-
-
-_BELIEF_ENDS = [1, 10, 11, 12, 13, 14, 15, 17, 19, 21]
-_BELIEFS = [slice(a, b) for a, b in zip([0, *_BELIEF_ENDS], _BELIEF_ENDS, strict=False)]
 
 
 OF_MODEL = (*LOAD, "cable_length", "cable_stiffness")
