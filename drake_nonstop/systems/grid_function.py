@@ -81,14 +81,15 @@ class GridFunction:
         given = np.zeros((0, 1)) if constants is None else constants
         count, sets = points.shape[1], given.shape[1]
         most = max(count, LANES)
-        points = np.pad(points, ((0, 0), (0, most - count)))
+        if count < most:
+            points = np.pad(points, ((0, 0), (0, most - count)))
         arrays = [np.ascontiguousarray(array, float) for array in (points, given)]
         size = self._function.size1_out(0)
         found = np.empty((size, sets, most))
         if self._library is not None:
             self._library(*(array.ctypes.data for array in (*arrays, found)), most, sets)
         else:
-            of_all = self._function.map(most)
+            of_all = recent(lambda: self._function.map(most), "map", self._function, most)
             for k, own in enumerate(arrays[1].T):
                 found[:, k] = of_all(arrays[0], np.tile(own[:, None], most)).full()
         found = found.reshape(size // (1 + len(self.by)), -1, *found.shape[1:])[..., :count]
