@@ -25,7 +25,7 @@ demo: $(VENV)/.installed
 
 # Two workers, each of one thread: NumPy's own would stand in each other's way.
 PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist worksteal
-UNITS := $(addprefix tests/,mechanics model optimization systems blocks scenario)
+UNITS := $(addprefix tests/,mechanics model planning systems blocks scenario)
 
 test: $(VENV)/.installed-dev
 	$(PYTEST)

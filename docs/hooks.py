@@ -24,7 +24,7 @@ from drake_nonstop.scenario.describe import Parameter, box_names, describe, para
 from drake_nonstop.scenario.run_limits import RunLimits
 from drake_nonstop.scenario.scene_config import SceneConfig
 from drake_nonstop.scenario.schema import CHOICES, Scenario
-from drake_nonstop.visualization.drawing import draw_diagram
+from drake_nonstop.view.drawing import draw_diagram
 
 
 def on_startup(command: str, dirty: bool) -> None:

@@ -41,8 +41,8 @@ from drake_nonstop.mechanics.reference_preview import (
     ReferencePreview as ReferencePreview,
     continued_reference as continued_reference,
 )
-from drake_nonstop.optimization.diagnostics import Outcome as Outcome
-from drake_nonstop.optimization.carriers import (
+from drake_nonstop.planning.diagnostics import Outcome as Outcome
+from drake_nonstop.planning.carriers import (
     carrier_motion as carrier_motion,
     carrier_speeds as carrier_speeds,
     cable_tensions as cable_tensions,
@@ -79,28 +79,28 @@ from drake_nonstop.loop.parameters import (
     set_parameter as set_parameter,
     get_parameter as get_parameter,
 )
-from drake_nonstop.simulation.simulate import simulate as simulate
-from drake_nonstop.simulation.many import simulate_many as simulate_many
+from drake_nonstop.run.simulate import simulate as simulate
+from drake_nonstop.run.many import simulate_many as simulate_many
 from drake_nonstop.analysis.aircraft_margins import (
     aircraft_margins as aircraft_margins,
     AircraftMargins as AircraftMargins,
 )
 from drake_nonstop.analysis.flight_envelope import FlightMargin as FlightMargin
-from drake_nonstop.simulation.make_simulator import make_simulator as make_simulator
-from drake_nonstop.simulation.make_gym_env import (
+from drake_nonstop.run.make_simulator import make_simulator as make_simulator
+from drake_nonstop.run.make_gym_env import (
     make_gym_env as make_gym_env,
     make_gym_vec_env as make_gym_vec_env,
 )
-from drake_nonstop.simulation.simulate import verify_step as verify_step
-from drake_nonstop.simulation.run import StepAction as StepAction, StepCheck as StepCheck
-from drake_nonstop.simulation.recording import LogSignals as LogSignals
-from drake_nonstop.simulation.run import (
+from drake_nonstop.run.simulate import verify_step as verify_step
+from drake_nonstop.run.run import StepAction as StepAction, StepCheck as StepCheck
+from drake_nonstop.run.recording import LogSignals as LogSignals
+from drake_nonstop.run.run import (
     Run as Run,
     RunStopped as RunStopped,
     RunInterrupted as RunInterrupted,
     RunsInterrupted as RunsInterrupted,
 )
-from drake_nonstop.simulation.metrics import compute_metrics as compute_metrics
+from drake_nonstop.run.metrics import compute_metrics as compute_metrics
 from drake_nonstop.systems.energy import (
     kinetic_energy as kinetic_energy,
     potential_energy as potential_energy,
@@ -120,23 +120,23 @@ from drake_nonstop.studies.run_all import SerialExecutor as SerialExecutor
 from drake_nonstop.studies.sweep_spec import PlannedRun as PlannedRun
 from drake_nonstop.studies.sweep import Sweep as Sweep, SweepInterrupted as SweepInterrupted
 from drake_nonstop.studies.journal import StudyInterrupted as StudyInterrupted
-from drake_nonstop.visualization.drawing import draw_diagram as draw_diagram
+from drake_nonstop.view.drawing import draw_diagram as draw_diagram
 
 # Watched, and what is raised.
-from drake_nonstop.visualization.geometry import (
+from drake_nonstop.view.geometry import (
     AddGeometry as AddGeometry,
     NonstopGeometry as NonstopGeometry,
 )
-from drake_nonstop.visualization.nonstop_visualizer import (
+from drake_nonstop.view.nonstop_visualizer import (
     NonstopVisualizer as NonstopVisualizer,
     show_in as show_in,
 )
 from drake_nonstop.scenario.scene_config import SceneConfig as SceneConfig
-from drake_nonstop.visualization.meshcat_server import start_meshcat as start_meshcat
-from drake_nonstop.visualization.live import run_live as run_live
-from drake_nonstop.visualization.replay import record_replay as record_replay
-from drake_nonstop.visualization.video import record_video as record_video
-from drake_nonstop.visualization.progress import (
+from drake_nonstop.view.meshcat_server import start_meshcat as start_meshcat
+from drake_nonstop.view.live import run_live as run_live
+from drake_nonstop.view.replay import record_replay as record_replay
+from drake_nonstop.view.video import record_video as record_video
+from drake_nonstop.view.progress import (
     RunProgress as RunProgress,
     TaskProgress as TaskProgress,
 )
@@ -165,7 +165,7 @@ from drake_nonstop.blocks.load_plant import *
 
 # How notebooks show them: figures are drawn in a room above that of runs.
 from drake_nonstop.systems.energy import LoopDiagram as _LoopDiagram
-from drake_nonstop.visualization import rich_display as _rich_display
+from drake_nonstop.view import rich_display as _rich_display
 
 for _shown, _html in (
     (Scenario, _rich_display.scenario_html),

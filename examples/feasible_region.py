@@ -10,8 +10,8 @@ from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 
 from drake_nonstop import compute_metrics, simulate
+from drake_nonstop.run.run import RunStopped
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.simulation.run import RunStopped
 from drake_nonstop.studies.design_figures import (
     AT_LIMITS,
     KEPT,

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from drake_nonstop import compute_metrics, load_scenario, simulate
-from drake_nonstop.simulation.run_quantities import RunQuantities
+from drake_nonstop.run.run_quantities import RunQuantities
 from drake_nonstop.studies.ablation import read_grid
 from drake_nonstop.studies.figures import make_overlay_figure
 

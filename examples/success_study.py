@@ -9,7 +9,7 @@ import pyarrow.parquet as parquet
 from matplotlib.figure import Figure
 
 from drake_nonstop import load_scenario, read_sweep, sweep
-from drake_nonstop.visualization.figure_style import new_figure
+from drake_nonstop.view.figure_style import new_figure
 
 SPEC = Path(__file__).with_suffix(".yaml")
 MASS, GUST, BOUND = (

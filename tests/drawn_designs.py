@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 
 from drake_nonstop import compute_metrics, simulate
-from drake_nonstop.optimization.formation_program import (
+from drake_nonstop.planning.formation_program import (
     KINDS,
     FormationProgram,
     FormationVariables,
 )
+from drake_nonstop.run.run import StepCheck
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.simulation.run import StepCheck
 from drake_nonstop.studies.design_request import DesignRequest, read_request
 from drake_nonstop.studies.designed_formation import (
     DesignedFormation,

@@ -14,7 +14,7 @@ import numpy as np
 from pydrake.systems.framework import LeafSystem
 
 from drake_nonstop import Block, ScenarioWarning, StepCheck, load_scenario, simulate
-from drake_nonstop.simulation.compiled_run import NOT_COMPILED
+from drake_nonstop.run.compiled_run import NOT_COMPILED
 
 PERIOD = 0.01  # s, of the controllers
 READS = "reference", "measured_load_state", "load_state", "carrier_state", "parameters"

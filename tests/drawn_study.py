@@ -30,17 +30,17 @@ from drake_nonstop.analysis.limit import RunOutcome
 from drake_nonstop.analysis.speed_check import check_speeds
 from drake_nonstop.analysis.task import task_of
 from drake_nonstop.mechanics.signals import SIGNAL_PERIOD, Parameters, PlannedParameters
+from drake_nonstop.run.outcome import LIMITS
+from drake_nonstop.run.run import Run, StepCheck
+from drake_nonstop.run.run_quantities import RunQuantities
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.simulation.outcome import LIMITS
-from drake_nonstop.simulation.run import Run, StepCheck
-from drake_nonstop.simulation.run_quantities import RunQuantities
 from drake_nonstop.studies.ablation import read_grid
 from drake_nonstop.studies.journal import Journal, StudyInterrupted, open_journal, settings_of
 from drake_nonstop.studies.run_all import COMPLETED, FAILED, SerialExecutor, attempts, run_all
 from drake_nonstop.systems.block import release
 from drake_nonstop.validation import ScenarioError, ScenarioWarning
-from drake_nonstop.visualization.progress import TaskProgress
+from drake_nonstop.view.progress import TaskProgress
 
 TASKS: dict[str, Callable[[int], Scenario]] = {
     "carriers": carriers_task,

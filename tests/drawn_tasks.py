@@ -18,9 +18,9 @@ from drake_nonstop.mechanics.grasp import grasp_matrix
 from drake_nonstop.mechanics.rigid_load import STILL_AIR
 from drake_nonstop.model.pattern import HamiltonianCycleConfig
 from drake_nonstop.model.system import Model, SystemParameters
-from drake_nonstop.optimization.horizon_config import HorizonConfig, timed
-from drake_nonstop.optimization.horizon_problem import HorizonProblem
-from drake_nonstop.optimization.problem_config import LimitsConfig
+from drake_nonstop.planning.horizon_config import HorizonConfig, timed
+from drake_nonstop.planning.horizon_problem import HorizonProblem
+from drake_nonstop.planning.problem_config import LimitsConfig
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.scenario.schema import Scenario

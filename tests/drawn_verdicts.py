@@ -18,16 +18,16 @@ from drawn_tasks import GRAVITY, aircraft_task, attachments_of, loaded
 
 from drake_nonstop.analysis.limit import RunOutcome
 from drake_nonstop.analysis.task_check import check_task
+from drake_nonstop.run.outcome import Judgement, judge
+from drake_nonstop.run.run import StepCheck
+from drake_nonstop.run.run_quantities import RunQuantities
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.simulation.outcome import Judgement, judge
-from drake_nonstop.simulation.run import StepCheck
-from drake_nonstop.simulation.run_quantities import RunQuantities
 from drake_nonstop.studies.journal import StudyInterrupted, open_journal, settings_of
 from drake_nonstop.studies.run_all import FAILED, SerialExecutor, attempts, run_all
 from drake_nonstop.systems.block import release
 from drake_nonstop.validation import ScenarioError, ScenarioWarning
-from drake_nonstop.visualization.progress import TaskProgress
+from drake_nonstop.view.progress import TaskProgress
 
 SOUND, CANNOT, UNKNOWN = "sound", "cannot", "unknown"
 _AIRCRAFT = 5  # one task in so many is flown by aircraft

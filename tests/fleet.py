@@ -31,8 +31,8 @@ from drake_nonstop import (
     StepCheck,
     compute_metrics,
 )
+from drake_nonstop.run.simulate import simulate
 from drake_nonstop.scenario.loading import dump_scenario, load_scenario, scenario_names
-from drake_nonstop.simulation.simulate import simulate
 
 
 def _carriers(n: int, shape=irregular, **settings: object) -> list[str]:

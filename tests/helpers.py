@@ -21,8 +21,8 @@ from drake_nonstop.mechanics.signals import LoadState, constant_plan
 from drake_nonstop.model.block import Block
 from drake_nonstop.model.pattern import HamiltonianCycleConfig
 from drake_nonstop.model.system import Model, SystemParameters
+from drake_nonstop.run.run import Run
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.simulation.run import Run
 from drake_nonstop.systems.wiring import output_sizes
 
 INERTIA = np.array([[0.014, 0.001, -0.0005], [0.001, 0.011, 0.002], [-0.0005, 0.002, 0.017]])

@@ -6,7 +6,7 @@ import os
 import pytest
 
 from drake_nonstop.validation import ScenarioError
-from drake_nonstop.visualization.browser import open_browser
+from drake_nonstop.view.browser import open_browser
 
 
 class WatchedPage:

@@ -29,10 +29,10 @@ from drake_nonstop.model.pattern import (
     SpreadCarouselConfig,
 )
 from drake_nonstop.model.system import Model, SystemParameters
-from drake_nonstop.optimization.diagnostics import BOUND
-from drake_nonstop.optimization.horizon_config import HorizonConfig
-from drake_nonstop.optimization.horizon_problem import HorizonProblem
-from drake_nonstop.optimization.problem_config import LimitsConfig
+from drake_nonstop.planning.diagnostics import BOUND
+from drake_nonstop.planning.horizon_config import HorizonConfig
+from drake_nonstop.planning.horizon_problem import HorizonProblem
+from drake_nonstop.planning.problem_config import LimitsConfig
 
 TIGHTENING = 0.02
 WINDOW = TimeWindow.of(0.75, 9)

@@ -14,12 +14,12 @@ from functools import cache, partial
 
 import numpy as np
 
+from drake_nonstop.run.metrics import compute_metrics
+from drake_nonstop.run.moved_metrics import moved_metrics
+from drake_nonstop.run.run import RunStopped, StepCheck
+from drake_nonstop.run.simulate import simulate
 from drake_nonstop.scenario.loading import load_scenario, scenario_names
 from drake_nonstop.scenario.overrides import changed
-from drake_nonstop.simulation.metrics import compute_metrics
-from drake_nonstop.simulation.moved_metrics import moved_metrics
-from drake_nonstop.simulation.run import RunStopped, StepCheck
-from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.validation import ScenarioError, ScenarioWarning
 
 loaded = cache(load_scenario)

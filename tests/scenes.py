@@ -6,9 +6,9 @@ import numpy as np
 from pydrake.math import RigidTransform
 
 from drake_nonstop.model.system import SystemParameters
-from drake_nonstop.visualization.bodies import Snapshot
-from drake_nonstop.visualization.canvas import ROOT
-from drake_nonstop.visualization.scene import Scene
+from drake_nonstop.view.bodies import Snapshot
+from drake_nonstop.view.canvas import ROOT
+from drake_nonstop.view.scene import Scene
 
 
 class ListCanvas:

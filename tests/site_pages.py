@@ -123,7 +123,7 @@ _CUT_OFF = """() => {
 
 def faults_in_browser(site: Path, pictures: Path | None) -> list[str]:
     """What is cut off, what a page asks the network for, and errors of scripts; takes pictures."""
-    from drake_nonstop.visualization.browser import open_browser
+    from drake_nonstop.view.browser import open_browser
 
     found: list[str] = []
     pages = [p for p in sorted(site.rglob("*.html")) if p.parent.name != "replays"]
@@ -149,7 +149,7 @@ def faults_in_browser(site: Path, pictures: Path | None) -> list[str]:
 
 def picture_replays(site: Path, folder: Path, share: float = 0.55) -> None:
     """A picture of each replay, at a share of its time."""
-    from drake_nonstop.visualization.browser import open_browser
+    from drake_nonstop.view.browser import open_browser
 
     with open_browser(600, 512) as page:
         for path in sorted((site / "replays").glob("*.html")):

@@ -157,7 +157,7 @@ SHORTER = {
     "design": ("--set carriers=[3] kinds=[co_rotating] starts=1 speed=0", {0}),
     "bench": ("--repeats 1 --set simulation_duration=0.5", {0}),
 }
-SERVED = ("--live", "view")  # until they are ended: tests/visualization/test_live_page.py
+SERVED = ("--live", "view")  # until they are ended: tests/view/test_live_page.py
 
 
 @pytest.mark.nightly("examples")

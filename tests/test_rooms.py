@@ -34,7 +34,7 @@ def classes_asked_for(tree: ast.Module) -> Iterator[tuple[int, str]]:
         yield from ((node.lineno, name) for name in asked & imported)
 
 
-@pytest.mark.parametrize("room", ["analysis", "loop", "optimization"])
+@pytest.mark.parametrize("room", ["analysis", "loop", "planning"])
 def test_no_class_of_the_package_is_asked_for_outside_its_module(room):
     """What is asked of blocks, configs and limits is declared by their classes."""
     modules = sorted((PACKAGE / room).glob("*.py"))

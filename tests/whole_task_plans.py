@@ -2,9 +2,9 @@
 
 from dataclasses import replace
 
-from drake_nonstop.optimization.horizon_config import HorizonConfig, timed
-from drake_nonstop.optimization.horizon_problem import HorizonProblem
-from drake_nonstop.optimization.horizon_solver import HorizonSolver, receding_coefficients
+from drake_nonstop.planning.horizon_config import HorizonConfig, timed
+from drake_nonstop.planning.horizon_problem import HorizonProblem
+from drake_nonstop.planning.horizon_solver import HorizonSolver, receding_coefficients
 
 MAX_ITERATIONS = 20
 TOLERANCE = 3e-4

@@ -26,7 +26,7 @@ from drake_nonstop.mechanics.signals import (
 )
 from drake_nonstop.mechanics.wrench import feedforward_wrench
 from drake_nonstop.model.system import Model
-from drake_nonstop.optimization.carriers import motion_above, orbit_terms
+from drake_nonstop.planning.carriers import motion_above, orbit_terms
 
 
 class CarriersAlong(NamedTuple):

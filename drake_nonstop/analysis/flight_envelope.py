@@ -22,7 +22,7 @@ from drake_nonstop.mechanics.aircraft import (
 )
 from drake_nonstop.mechanics.bowed_orbit import BowedMotion
 from drake_nonstop.model.system import Model
-from drake_nonstop.optimization.limits import LIMITS, Limit, Of
+from drake_nonstop.planning.limits import LIMITS, Limit, Of
 from drake_nonstop.scenario.run_limits import RunLimits
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.validation import finite

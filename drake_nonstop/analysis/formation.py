@@ -24,8 +24,8 @@ from drake_nonstop.mechanics.signals import PlannedParameters, constant_plan
 from drake_nonstop.mechanics.wrench import FEEDBACK_GAINS, NO_FEEDBACK
 from drake_nonstop.model.pattern import LinearPatternConfig
 from drake_nonstop.model.system import Model
-from drake_nonstop.optimization.carriers import motion_above, orbit_terms
-from drake_nonstop.optimization.plan import Plan
+from drake_nonstop.planning.carriers import motion_above, orbit_terms
+from drake_nonstop.planning.plan import Plan
 from drake_nonstop.validation import ScenarioError
 
 _MOST_GROWN = 1.0  # logarithm of what becomes of a deviation of 1, of a sound task

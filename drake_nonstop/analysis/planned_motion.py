@@ -16,8 +16,8 @@ from drake_nonstop.analysis.task import Task
 from drake_nonstop.mechanics.signals import LoadReference
 from drake_nonstop.model.pattern import SpreadCarouselConfig
 from drake_nonstop.model.system import SystemParameters
-from drake_nonstop.optimization.carriers import motion_above, orbit_terms
-from drake_nonstop.optimization.plan import Plan
+from drake_nonstop.planning.carriers import motion_above, orbit_terms
+from drake_nonstop.planning.plan import Plan
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.validation import ScenarioError
 

@@ -20,7 +20,7 @@ from drake_nonstop.analysis.tethered_loop import Carriers, Feedback, Orbit, grow
 from drake_nonstop.mechanics.rotation import cross
 from drake_nonstop.mechanics.signals import PlannedParameters, constant_plan
 from drake_nonstop.model.system import Model
-from drake_nonstop.optimization.carriers import orbit_terms
+from drake_nonstop.planning.carriers import orbit_terms
 
 _STARTS = 60  # at most, from which on deviations are followed
 _PER_TURN = 4  # likewise

@@ -17,13 +17,13 @@ from drake_nonstop.analysis.task import Task
 from drake_nonstop.mechanics.bowed_orbit import BowedMotion
 from drake_nonstop.mechanics.planned_orbit import OrbitMotion, squared_gaps
 from drake_nonstop.mechanics.signals import constant_plan
-from drake_nonstop.optimization.carriers import motion_above, orbit_terms
-from drake_nonstop.optimization.horizon_config import HorizonConfig
-from drake_nonstop.optimization.horizon_problem import HorizonData, HorizonProblem
-from drake_nonstop.optimization.horizon_solver import HorizonSolver, receding_coefficients
-from drake_nonstop.optimization.limits import Of, asked
-from drake_nonstop.optimization.plan import Plan
-from drake_nonstop.optimization.problem_config import (
+from drake_nonstop.planning.carriers import motion_above, orbit_terms
+from drake_nonstop.planning.horizon_config import HorizonConfig
+from drake_nonstop.planning.horizon_problem import HorizonData, HorizonProblem
+from drake_nonstop.planning.horizon_solver import HorizonSolver, receding_coefficients
+from drake_nonstop.planning.limits import Of, asked
+from drake_nonstop.planning.plan import Plan
+from drake_nonstop.planning.problem_config import (
     amplitude_range,
     limit_tightening,
     tightened_bound,

@@ -21,9 +21,9 @@ from drake_nonstop.mechanics.signals import PLANNED_SIZE, LoadReference, Planned
 from drake_nonstop.mechanics.wrench import feedforward_wrench
 from drake_nonstop.model.descriptions import RESPONSE, TurnRate, Wind, described, described_air
 from drake_nonstop.model.system import Model, given_fields
-from drake_nonstop.optimization.horizon_config import HorizonConfig, timed
-from drake_nonstop.optimization.plan import Plan
-from drake_nonstop.optimization.problem_config import LimitsConfig, with_fields_of
+from drake_nonstop.planning.horizon_config import HorizonConfig, timed
+from drake_nonstop.planning.plan import Plan
+from drake_nonstop.planning.problem_config import LimitsConfig, with_fields_of
 from drake_nonstop.scenario.schema import Scenario, check
 from drake_nonstop.systems import wiring
 from drake_nonstop.systems.block import is_of_package

@@ -17,7 +17,7 @@ from typing import Any
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Diagram, LeafSystem, System
 
-from drake_nonstop.simulation.run import StepAction
+from drake_nonstop.run.run import StepAction
 from drake_nonstop.systems.tracing import Evaluator
 
 OUTSIDE = "outside"  # of the blocks' Python: Drake with its own systems, and the logs

@@ -10,14 +10,14 @@ from pydrake.systems.framework import DiagramBuilder
 
 from drake_nonstop.benchmarks.running import PACKAGES
 from drake_nonstop.diagrams.nonstop import make_nonstop
+from drake_nonstop.run.compiled_run import recorded_loop
+from drake_nonstop.run.flight import without_warnings
+from drake_nonstop.run.preparation import stable_config
+from drake_nonstop.run.recording import LogSignals
+from drake_nonstop.run.run import Run, StepCheck
+from drake_nonstop.run.simulate import simulate
+from drake_nonstop.run.versions import versions
 from drake_nonstop.scenario.schema import COMPILED, DIAGRAM, Scenario
-from drake_nonstop.simulation.compiled_run import recorded_loop
-from drake_nonstop.simulation.flight import without_warnings
-from drake_nonstop.simulation.preparation import stable_config
-from drake_nonstop.simulation.recording import LogSignals
-from drake_nonstop.simulation.run import Run, StepCheck
-from drake_nonstop.simulation.simulate import simulate
-from drake_nonstop.simulation.versions import versions
 from drake_nonstop.systems.native import compiler
 
 _WAYS = {

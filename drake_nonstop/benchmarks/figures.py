@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from drake_nonstop.visualization.figure_style import COLOURS, new_figure
+from drake_nonstop.view.figure_style import COLOURS, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

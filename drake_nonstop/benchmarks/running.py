@@ -8,10 +8,10 @@ from typing import Any
 
 from drake_nonstop.benchmarks.block_timers import OUTSIDE, BlockTimers, Frame
 from drake_nonstop.benchmarks.comparing import FreshRuns, Source, spread
+from drake_nonstop.run.run import StepCheck
+from drake_nonstop.run.simulate import simulate
+from drake_nonstop.run.versions import versions
 from drake_nonstop.scenario.schema import COMPILED, DIAGRAM
-from drake_nonstop.simulation.run import StepCheck
-from drake_nonstop.simulation.simulate import simulate
-from drake_nonstop.simulation.versions import versions
 from drake_nonstop.validation import require
 
 PACKAGES = "drake", "numpy", "casadi", "scipy"  # whose versions results have

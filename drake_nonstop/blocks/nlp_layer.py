@@ -27,11 +27,11 @@ from drake_nonstop.mechanics.nonstop import advanced_reference, change_cost, pha
 from drake_nonstop.mechanics.rigid_load import STILL_AIR
 from drake_nonstop.model.block import BlockParameters
 from drake_nonstop.model.system import Model
-from drake_nonstop.optimization.carriers import as_vector, carrier_speeds
-from drake_nonstop.optimization.constraints import FEASIBILITY_TOLERANCE
-from drake_nonstop.optimization.diagnostics import Outcome
-from drake_nonstop.optimization.nonlinear_program import check_solver, solved_program
-from drake_nonstop.optimization.problem_config import (
+from drake_nonstop.planning.carriers import as_vector, carrier_speeds
+from drake_nonstop.planning.constraints import FEASIBILITY_TOLERANCE
+from drake_nonstop.planning.diagnostics import Outcome
+from drake_nonstop.planning.nonlinear_program import check_solver, solved_program
+from drake_nonstop.planning.problem_config import (
     LEAST_BOUND,
     SpeedBound,
     amplitude_range,

@@ -19,7 +19,7 @@ from drake_nonstop.blocks.speed_bound_layer import (
 )
 from drake_nonstop.blocks.turn_rate_optimizer import TurnRateOptimizer, TurnRateOptimizerConfig
 from drake_nonstop.model.system import Model
-from drake_nonstop.optimization.problem_config import SpeedBound, with_stated_bound
+from drake_nonstop.planning.problem_config import SpeedBound, with_stated_bound
 from drake_nonstop.validation import (
     StrictFields,
     checked,

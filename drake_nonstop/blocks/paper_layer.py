@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from drake_nonstop.blocks.nlp_layer import NlpLayer, ProgramConfig
 from drake_nonstop.mechanics.nonstop import phase_of
 from drake_nonstop.mechanics.rigid_load import load_acceleration
-from drake_nonstop.optimization.problem_config import below_one
+from drake_nonstop.planning.problem_config import below_one
 from drake_nonstop.validation import non_negative
 
 

@@ -25,16 +25,16 @@ from drake_nonstop.mechanics.rigid_load import STILL_AIR
 from drake_nonstop.mechanics.signals import HELD, PLANNED_SIZE, SAMPLE_TIME, CarrierStates
 from drake_nonstop.model.block import LOAD, rigid_load
 from drake_nonstop.model.system import OFFSET, Model
-from drake_nonstop.optimization.diagnostics import Outcome
-from drake_nonstop.optimization.horizon_config import HorizonConfig, check_horizon, timed
-from drake_nonstop.optimization.horizon_problem import HorizonData, HorizonProblem, planned_shape
-from drake_nonstop.optimization.horizon_solver import (
+from drake_nonstop.planning.diagnostics import Outcome
+from drake_nonstop.planning.horizon_config import HorizonConfig, check_horizon, timed
+from drake_nonstop.planning.horizon_problem import HorizonData, HorizonProblem, planned_shape
+from drake_nonstop.planning.horizon_solver import (
     LEAST_START_SCALE,
     PLAN_TOLERANCE,
     HorizonSolver,
     PlanAnswer,
 )
-from drake_nonstop.optimization.measured_margin import (
+from drake_nonstop.planning.measured_margin import (
     FIRST_SHARE,
     MEASURED,
     NOTHING_MEASURED,
@@ -43,9 +43,9 @@ from drake_nonstop.optimization.measured_margin import (
     margin_at_next_plan,
     planned_motion,
 )
-from drake_nonstop.optimization.model_parameters import ModelParameters
-from drake_nonstop.optimization.plan import DEGREE, Plan
-from drake_nonstop.optimization.problem_config import (
+from drake_nonstop.planning.model_parameters import ModelParameters
+from drake_nonstop.planning.plan import DEGREE, Plan
+from drake_nonstop.planning.problem_config import (
     LEAST_BOUND,
     LimitsConfig,
     check_limits,
@@ -90,7 +90,7 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
 
     Every `knot_spacing` a plan of smooth ξ and A over the `horizon` is made: splines of fourth
     degree that go on from the last plan with three continuous rates, see
-    `optimization.horizon_problem`. The carriers' speeds along it follow from the load's reference,
+    `planning.horizon_problem`. The carriers' speeds along it follow from the load's reference,
     which `reference_preview` tells ahead, and the wrench that moves the load along it in still air.
     Where no preview is connected, or `preview` is false, the motion goes on as it does. The plan is
     written to the signal `plan`, which the box `phase` reads: use `ShapedPhase`. The first plan
@@ -98,11 +98,11 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
     else with others; until it is made, `parameters` and `plan` show the initial ones.
 
     Where the references' cables bow, speeds, limits of aircraft and distances are those of carriers
-    at the ends of bowed cables, see `optimization.carrier_margins`.
+    at the ends of bowed cables, see `planning.carrier_margins`.
 
     With `tightening: measured` the margin above ε follows the carriers' deviations from their
     planned velocities, as `carrier_state` shows them at each sample, see
-    `optimization.measured_margin`; a margin that has risen is reached within three plans. Without
+    `planning.measured_margin`; a margin that has risen is reached within three plans. Without
     that signal, or without a control period, it stays 2 %. `measured_margin` tells it, in m/s.
 
     The speeds of aircraft are those through the air, in the wind that `wind_estimate` tells at the

@@ -28,10 +28,10 @@ from drake_nonstop.mechanics.reference_preview import (
 from drake_nonstop.mechanics.signals import constant_plan
 from drake_nonstop.model.block import Block, signal_sizes
 from drake_nonstop.model.system import Model
-from drake_nonstop.optimization.carriers import motion_above, orbit_terms
-from drake_nonstop.optimization.constraints import Constraints
-from drake_nonstop.optimization.limits import Of
-from drake_nonstop.optimization.problem_config import (
+from drake_nonstop.planning.carriers import motion_above, orbit_terms
+from drake_nonstop.planning.constraints import Constraints
+from drake_nonstop.planning.limits import Of
+from drake_nonstop.planning.problem_config import (
     LimitsConfig,
     amplitude_range,
     tightened_bound,

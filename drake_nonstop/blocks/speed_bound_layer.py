@@ -15,7 +15,7 @@ from drake_nonstop.mechanics.signal_layouts import Layout
 from drake_nonstop.mechanics.signals import SIGNALS
 from drake_nonstop.model.block import Block, BlockParameters
 from drake_nonstop.model.system import Model
-from drake_nonstop.optimization.diagnostics import (
+from drake_nonstop.planning.diagnostics import (
     DIAGNOSTICS_SIZE,
     LAYER_LAYOUTS,
     Outcome,
@@ -23,13 +23,13 @@ from drake_nonstop.optimization.diagnostics import (
     missed_layout,
     missed_limits_of,
 )
-from drake_nonstop.optimization.model_parameters import (
+from drake_nonstop.planning.model_parameters import (
     OF_CONFIG,
     OF_MODEL,
     ModelParameters,
     beliefs_from,
 )
-from drake_nonstop.optimization.problem_config import (
+from drake_nonstop.planning.problem_config import (
     check_speed_bound,
     highest_speed_bound,
     with_stated_bound,

@@ -20,10 +20,10 @@ from drake_nonstop.mechanics.planned_orbit import needs_of_motion, orbit_motion,
 from drake_nonstop.model.block import BlockParameters, required_aircraft
 from drake_nonstop.model.descriptions import TurnRate
 from drake_nonstop.model.system import Model
-from drake_nonstop.optimization.constraints import FEASIBILITY_TOLERANCE, Constraints
-from drake_nonstop.optimization.diagnostics import BOUND, Outcome
-from drake_nonstop.optimization.limits import Of
-from drake_nonstop.optimization.problem_config import (
+from drake_nonstop.planning.constraints import FEASIBILITY_TOLERANCE, Constraints
+from drake_nonstop.planning.diagnostics import BOUND, Outcome
+from drake_nonstop.planning.limits import Of
+from drake_nonstop.planning.problem_config import (
     AircraftLimits,
     SpeedBound,
     above_zero,

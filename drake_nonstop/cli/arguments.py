@@ -9,7 +9,7 @@ from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.studies.files import replacing_file
 from drake_nonstop.studies.results_folder import default_folder
 from drake_nonstop.validation import ScenarioError, require
-from drake_nonstop.visualization.figure_style import WIDTHS
+from drake_nonstop.view.figure_style import WIDTHS
 
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 

@@ -17,10 +17,10 @@ from drake_nonstop.cli.arguments import (
     write_figure,
 )
 from drake_nonstop.cli.ending import FAILED, complain
-from drake_nonstop.simulation.run import RunStopped
+from drake_nonstop.run.run import RunStopped
 from drake_nonstop.studies.files import require_writable, write_json
-from drake_nonstop.visualization.figure_style import require_drawing
-from drake_nonstop.visualization.progress import TaskProgress
+from drake_nonstop.view.figure_style import require_drawing
+from drake_nonstop.view.progress import TaskProgress
 
 
 def add_to(commands: Commands) -> None:

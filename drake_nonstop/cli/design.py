@@ -17,8 +17,8 @@ from drake_nonstop.studies.files import (
 )
 from drake_nonstop.studies.journal import StudyInterrupted
 from drake_nonstop.studies.results_folder import first_free
-from drake_nonstop.visualization.figure_style import require_drawing
-from drake_nonstop.visualization.progress import TaskProgress
+from drake_nonstop.view.figure_style import require_drawing
+from drake_nonstop.view.progress import TaskProgress
 
 _REQUEST, _DATA, _FIGURE = "request.yaml", "design.json", "pareto.png"
 # Of the search for one kind and number, on one core, by cables.

@@ -10,7 +10,7 @@ import time
 from collections.abc import Iterator
 from typing import NoReturn
 
-from drake_nonstop.simulation.interruption import Interruption, before_end, handled_by
+from drake_nonstop.run.interruption import Interruption, before_end, handled_by
 
 FAILED = 1
 BAD_INPUT = 2

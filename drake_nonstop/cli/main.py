@@ -71,8 +71,8 @@ def _main(arguments: list[str] | None, interruption: CommandInterruption) -> int
         complain(f"pydrake cannot be imported in an ASCII locale: {remedy}")
         return FAILED
     from drake_nonstop.cli.parser import STUDIES, make_parser
-    from drake_nonstop.simulation.interruption import ALL
-    from drake_nonstop.simulation.run import RunStopped
+    from drake_nonstop.run.interruption import ALL
+    from drake_nonstop.run.run import RunStopped
     from drake_nonstop.validation import (
         ScenarioError,
         ScenarioWarning,

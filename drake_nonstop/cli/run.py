@@ -21,15 +21,15 @@ from drake_nonstop.cli.ending import (
     exit_code,
     say_end,
 )
+from drake_nonstop.run.interruption import ALL, current_interruption
+from drake_nonstop.run.metrics import in_brief, metrics_table
+from drake_nonstop.run.moved_metrics import TOLERANCES
+from drake_nonstop.run.recording import least_size
+from drake_nonstop.run.run import Run, RunInterrupted, RunStopped
+from drake_nonstop.run.run_quantities import automatic_gains
+from drake_nonstop.run.simulate import simulate, verify_step
 from drake_nonstop.scenario.loading import dump_scenario
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.simulation.interruption import ALL, current_interruption
-from drake_nonstop.simulation.metrics import in_brief, metrics_table
-from drake_nonstop.simulation.moved_metrics import TOLERANCES
-from drake_nonstop.simulation.recording import least_size
-from drake_nonstop.simulation.run import Run, RunInterrupted, RunStopped
-from drake_nonstop.simulation.run_quantities import automatic_gains
-from drake_nonstop.simulation.simulate import simulate, verify_step
 from drake_nonstop.studies.files import require_writable
 from drake_nonstop.studies.journal import own_code_of
 from drake_nonstop.studies.results_folder import (
@@ -41,10 +41,10 @@ from drake_nonstop.studies.results_folder import (
 )
 from drake_nonstop.studies.run_all import no_progress
 from drake_nonstop.validation import ScenarioError, one_line, require, show_warning
-from drake_nonstop.visualization.figure_style import FORMATS, FigureLook
-from drake_nonstop.visualization.live import run_live
-from drake_nonstop.visualization.meshcat_server import start_meshcat
-from drake_nonstop.visualization.progress import RunProgress, TaskProgress
+from drake_nonstop.view.figure_style import FORMATS, FigureLook
+from drake_nonstop.view.live import run_live
+from drake_nonstop.view.meshcat_server import start_meshcat
+from drake_nonstop.view.progress import RunProgress, TaskProgress
 
 _EXIT_CODES = {RunOutcome.OK: 0, RunOutcome.STOPPED: FAILED}  # NOT_OK for all others
 

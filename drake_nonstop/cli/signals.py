@@ -4,12 +4,12 @@ import argparse
 from pathlib import Path
 
 from drake_nonstop.cli.arguments import Commands, add_look, add_trust, write_figure
-from drake_nonstop.simulation.run import Run
-from drake_nonstop.simulation.stored_run import load_signals
+from drake_nonstop.run.run import Run
+from drake_nonstop.run.stored_run import load_signals
 from drake_nonstop.studies.files import require_writable_file
 from drake_nonstop.validation import require
-from drake_nonstop.visualization.figure_style import FORMATS, FigureLook
-from drake_nonstop.visualization.run_figures import FIGURE_NAMES, make_signal_figure, plotted
+from drake_nonstop.view.figure_style import FORMATS, FigureLook
+from drake_nonstop.view.run_figures import FIGURE_NAMES, make_signal_figure, plotted
 
 _FORMATS = [f".{kind}" for kind in FORMATS]
 _FILES = {

@@ -34,8 +34,8 @@ from drake_nonstop.studies.sweep_spec import read_sweep
 from drake_nonstop.studies.variants import labels, varied
 from drake_nonstop.systems.tracing import NotFiniteError
 from drake_nonstop.validation import ScenarioError, message_of, require, require_seed
-from drake_nonstop.visualization.figure_style import require_drawing
-from drake_nonstop.visualization.progress import TaskProgress
+from drake_nonstop.view.figure_style import require_drawing
+from drake_nonstop.view.progress import TaskProgress
 
 _FINE_STEP = 0.001  # s, at which integrators damp nothing that matters here
 

@@ -5,11 +5,11 @@ import re
 from pathlib import Path
 
 from drake_nonstop.cli.arguments import Commands, add_trust
-from drake_nonstop.simulation.run import Run
+from drake_nonstop.run.run import Run
 from drake_nonstop.studies.files import replacing_file, require_writable_file
 from drake_nonstop.validation import require
-from drake_nonstop.visualization.progress import TaskProgress
-from drake_nonstop.visualization.video import FRAME_RATE, SIZE, record_video
+from drake_nonstop.view.progress import TaskProgress
+from drake_nonstop.view.video import FRAME_RATE, SIZE, record_video
 
 
 def add_to(commands: Commands) -> None:

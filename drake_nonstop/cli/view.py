@@ -43,7 +43,7 @@ class _OwnHandler(SimpleHTTPRequestHandler):
 
     def send_head(self) -> Any:
         """The file that is asked for, as the base has it; None: the request is refused."""
-        from drake_nonstop.visualization.reverse_proxy import are_own  # with asyncio
+        from drake_nonstop.view.reverse_proxy import are_own  # with asyncio
 
         hosts, origins = (self.headers.get_all(name, []) for name in ("Host", "Origin"))
         if not are_own(hosts, origins):

@@ -29,7 +29,7 @@ from drake_nonstop.model.pattern import (
     SpreadCarouselConfig,
 )
 from drake_nonstop.model.system import OF_CABLES, SystemOverrides, SystemParameters, aircraft_in
-from drake_nonstop.optimization.problem_config import stated_speed_bound
+from drake_nonstop.planning.problem_config import stated_speed_bound
 from drake_nonstop.scenario import distributions
 from drake_nonstop.scenario.obstacles import Obstacle, require_obstacles
 from drake_nonstop.scenario.run_limits import RunLimits

@@ -12,6 +12,7 @@ from typing import Any
 
 from drake_nonstop import diagrams
 from drake_nonstop.diagrams.nonstop import make_nonstop
+from drake_nonstop.run.preparation import LoopMaker
 from drake_nonstop.scenario.loading import dump_scenario, parse_scenario
 from drake_nonstop.scenario.overrides import (
     as_override,
@@ -21,7 +22,6 @@ from drake_nonstop.scenario.overrides import (
     require_override,
 )
 from drake_nonstop.scenario.schema import Scenario, sample
-from drake_nonstop.simulation.preparation import LoopMaker
 from drake_nonstop.studies.ablation_report import (
     BASE,
     PAGE,
@@ -55,7 +55,7 @@ from drake_nonstop.studies.variants import (
     varied,
 )
 from drake_nonstop.validation import ScenarioError, listed, message_of, require, require_flags
-from drake_nonstop.visualization.figure_style import require_drawing
+from drake_nonstop.view.figure_style import require_drawing
 
 Changes = Sequence[Change] | Mapping[str, Any]
 Variants = Mapping[str, Changes] | Iterable[tuple[str, Changes]]

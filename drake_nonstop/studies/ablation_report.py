@@ -15,14 +15,14 @@ from urllib.parse import quote
 
 import numpy as np
 
+from drake_nonstop.run.metrics import METRICS, Metric, flattened, metric_at, value_at
+from drake_nonstop.run.run import Run
+from drake_nonstop.run.run_quantities import RunQuantities
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.simulation.metrics import METRICS, Metric, flattened, metric_at, value_at
-from drake_nonstop.simulation.run import Run
-from drake_nonstop.simulation.run_quantities import RunQuantities
 from drake_nonstop.studies.figures import make_overlay_figure
 from drake_nonstop.studies.run_all import COMPLETED
-from drake_nonstop.visualization.figure_style import extreme_samples
-from drake_nonstop.visualization.replay import legend
+from drake_nonstop.view.figure_style import extreme_samples
+from drake_nonstop.view.replay import legend
 
 BASE = "as it is"  # the name of the scenario without any change
 

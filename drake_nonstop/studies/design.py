@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from drake_nonstop.diagrams.nonstop import make_nonstop
-from drake_nonstop.optimization.formation_program import FormationVariables
+from drake_nonstop.planning.formation_program import FormationVariables
 from drake_nonstop.studies.design_request import MARGIN, POWER, DesignRequest
 from drake_nonstop.studies.designed_formation import (
     DesignedFormation,

@@ -9,7 +9,7 @@ import numpy as np
 
 from drake_nonstop.studies.design import Design
 from drake_nonstop.studies.formation_search import FeasibleRegion
-from drake_nonstop.visualization.figure_style import COLOURS, new_figure
+from drake_nonstop.view.figure_style import COLOURS, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -12,8 +12,8 @@ from drake_nonstop.analysis.flight_envelope import FlightEnvelope
 from drake_nonstop.mechanics.aircraft import Aircraft
 from drake_nonstop.model.aircraft import CABLE_DIAMETER, AircraftParameters, make_aircraft
 from drake_nonstop.model.system import checked_inertia
-from drake_nonstop.optimization.formation_program import KINDS
-from drake_nonstop.optimization.problem_config import AircraftLimits, check_flight_limits, points
+from drake_nonstop.planning.formation_program import KINDS
+from drake_nonstop.planning.problem_config import AircraftLimits, check_flight_limits, points
 from drake_nonstop.scenario.commented import commented_fields
 from drake_nonstop.scenario.overrides import parse_override
 from drake_nonstop.scenario.schema import check_name

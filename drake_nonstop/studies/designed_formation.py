@@ -23,7 +23,7 @@ from drake_nonstop.mechanics.aircraft import (
 )
 from drake_nonstop.mechanics.formation_orbit import CarriedLoad
 from drake_nonstop.model.aircraft import CABLE_DENSITY
-from drake_nonstop.optimization.formation_program import (
+from drake_nonstop.planning.formation_program import (
     AIRSPEED_IN_GUSTS,
     ASKED_MARGIN,
     LEANING,
@@ -35,7 +35,7 @@ from drake_nonstop.optimization.formation_program import (
     FormationVariables,
     LoadMotion,
 )
-from drake_nonstop.optimization.limits import Of, asked
+from drake_nonstop.planning.limits import Of, asked
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.scenario.overrides import as_override
 from drake_nonstop.scenario.schema import Scenario

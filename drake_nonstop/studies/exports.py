@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.rotation import roll_pitch_yaw_to_quaternion, rotation_matrix
 from drake_nonstop.mechanics.signals import CarrierStates, LoadState, Wrench
-from drake_nonstop.simulation.run import Run
-from drake_nonstop.simulation.run_quantities import attachment_positions
-from drake_nonstop.simulation.signal_table import SignalTable
+from drake_nonstop.run.run import Run
+from drake_nonstop.run.run_quantities import attachment_positions
+from drake_nonstop.run.signal_table import SignalTable
 from drake_nonstop.studies.files import replacing_file, replacing_files
 from drake_nonstop.validation import require_installed
 

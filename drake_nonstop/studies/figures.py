@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from drake_nonstop.studies.robustness import POSITION_ERROR_MEAN, Case
 from drake_nonstop.studies.stability_ranges import Margin
-from drake_nonstop.visualization.figure_style import COLOURS, LINE_STYLES, new_figure, titled
+from drake_nonstop.view.figure_style import COLOURS, LINE_STYLES, new_figure, titled
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -15,7 +15,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from drake_nonstop.simulation.interruption import before_end
+from drake_nonstop.run.interruption import before_end
 from drake_nonstop.validation import ScenarioError, finite, require
 
 _NEW = ".new-"  # how the names of files and folders begin that are being written

@@ -24,17 +24,17 @@ from drake_nonstop.analysis.task_check import flight_of_plan
 from drake_nonstop.mechanics.aircraft import stall_speed
 from drake_nonstop.mechanics.signals import POSE_SIZE
 from drake_nonstop.model.pattern import EllipticCarouselConfig
-from drake_nonstop.optimization.formation_program import (
+from drake_nonstop.planning.formation_program import (
     LEANING,
     FormationProgram,
     FormationVariables,
 )
+from drake_nonstop.run.outcome import judge
+from drake_nonstop.run.run import RunStopped, StepCheck
+from drake_nonstop.run.run_quantities import RunQuantities
+from drake_nonstop.run.simulate import simulate
 from drake_nonstop.scenario.overrides import as_override, changed
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.simulation.outcome import judge
-from drake_nonstop.simulation.run import RunStopped, StepCheck
-from drake_nonstop.simulation.run_quantities import RunQuantities
-from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.studies.design_request import LUMPED, DesignRequest
 from drake_nonstop.studies.designed_formation import (
     INSTANTS,

@@ -23,7 +23,7 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from drake_nonstop.simulation.interruption import before_end
+from drake_nonstop.run.interruption import before_end
 from drake_nonstop.studies.files import remove_unfinished
 from drake_nonstop.validation import ScenarioError, message_of, one_line, require, show_warning
 

@@ -11,17 +11,17 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from drake_nonstop.analysis.limit import RunOutcome
-from drake_nonstop.scenario.loading import dump_scenario
-from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.simulation.metrics import compute_metrics, value_at
-from drake_nonstop.simulation.run import Run
-from drake_nonstop.simulation.stored_run import (
+from drake_nonstop.run.metrics import compute_metrics, value_at
+from drake_nonstop.run.run import Run
+from drake_nonstop.run.stored_run import (
     SCENARIO,
     SIGNALS,
     STEPS,
     write_signals,
     write_steps,
 )
+from drake_nonstop.scenario.loading import dump_scenario
+from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.studies.files import (
     as_path,
     open_regular,
@@ -35,10 +35,10 @@ from drake_nonstop.studies.journal import journalled_settings, own_code_of
 from drake_nonstop.studies.processes import forked
 from drake_nonstop.studies.run_all import Progress, no_progress
 from drake_nonstop.validation import require, require_flags
-from drake_nonstop.visualization.drawing import draw_diagram
-from drake_nonstop.visualization.figure_style import FORMATS, FigureLook
-from drake_nonstop.visualization.replay import record_replay
-from drake_nonstop.visualization.run_figures import FIGURE_NAMES, figure_names, make_figure
+from drake_nonstop.view.drawing import draw_diagram
+from drake_nonstop.view.figure_style import FORMATS, FigureLook
+from drake_nonstop.view.replay import record_replay
+from drake_nonstop.view.run_figures import FIGURE_NAMES, figure_names, make_figure
 
 _METRICS = "metrics.json"
 _DATA = (SCENARIO, _METRICS, SIGNALS, STEPS)

@@ -13,10 +13,10 @@ import numpy as np
 from drake_nonstop.analysis.limit import RunOutcome
 from drake_nonstop.blocks.load_feedback import EstimatedFeedbackConfig, NoisyFeedbackConfig
 from drake_nonstop.model.system import overridden
+from drake_nonstop.run.metrics import METRICS, Metric, compute_metrics, metric_at
 from drake_nonstop.scenario.loading import dump_scenario, parse_scenario
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.scenario.schema import Scenario, sample
-from drake_nonstop.simulation.metrics import METRICS, Metric, compute_metrics, metric_at
 from drake_nonstop.studies.journal import open_journal, settings_of
 from drake_nonstop.studies.processes import require_main
 from drake_nonstop.studies.run_all import (

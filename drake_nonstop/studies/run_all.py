@@ -10,8 +10,8 @@ from typing import Any, TypeVar
 
 from pydrake.systems.framework import Diagram
 
-from drake_nonstop.simulation.many import fly_many
-from drake_nonstop.simulation.run import Run, RunStopped
+from drake_nonstop.run.many import fly_many
+from drake_nonstop.run.run import Run, RunStopped
 from drake_nonstop.studies.processes import (
     Answer,
     call_in_processes,

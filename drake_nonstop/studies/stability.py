@@ -27,7 +27,7 @@ from drake_nonstop.loop.start import port_slopes, set_equilibrium
 from drake_nonstop.loop.step import with_largest_step
 from drake_nonstop.mechanics.rotation import quaternion_rate
 from drake_nonstop.mechanics.signals import LOAD_STATE_SIZE, LoadState
-from drake_nonstop.optimization.problem_config import with_fields_of
+from drake_nonstop.planning.problem_config import with_fields_of
 from drake_nonstop.scenario.schema import Scenario, check
 from drake_nonstop.studies.run_all import Progress, no_progress
 from drake_nonstop.systems.block import set_state_values, state_values

@@ -10,9 +10,9 @@ from typing import Any
 
 from drake_nonstop.diagrams.nonstop import BOXES, make_nonstop, replaced
 from drake_nonstop.loop.assembly import EXTRA
+from drake_nonstop.run.preparation import LoopMaker
 from drake_nonstop.scenario.overrides import changed, require_override
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.simulation.preparation import LoopMaker
 from drake_nonstop.validation import require
 
 # An override "path=value", or what to put in the places of boxes, as `make_nonstop` takes it.

@@ -14,7 +14,7 @@ from drake_nonstop import Run, load_scenario, simulate
 from drake_nonstop.mechanics.aircraft import drawn_power
 from drake_nonstop.mechanics.signals import AircraftState
 from drake_nonstop.model.system import aircraft_in
-from drake_nonstop.simulation.run_quantities import load_errors
+from drake_nonstop.run.run_quantities import load_errors
 
 # Still air; the way of the third is 50 m long.
 FLIGHTS = {

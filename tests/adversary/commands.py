@@ -230,7 +230,7 @@ def _main() -> int:
 
 def _note_progress(path: Path) -> None:
     """Has the package's bars write what they are told to a file."""
-    from drake_nonstop.visualization.progress import RunProgress, TaskProgress
+    from drake_nonstop.view.progress import RunProgress, TaskProgress
 
     file = os.open(path, os.O_WRONLY | os.O_CREAT, 0o644)
     for bar in (RunProgress, TaskProgress):

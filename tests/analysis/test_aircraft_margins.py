@@ -20,9 +20,9 @@ from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE, AircraftState, 
 from drake_nonstop.model.aircraft import AircraftParameters
 from drake_nonstop.model.pattern import ConstantSpreadConfig, EllipticCarouselConfig
 from drake_nonstop.model.system import Model, SystemParameters
+from drake_nonstop.run.run import StepCheck
+from drake_nonstop.run.simulate import simulate
 from drake_nonstop.scenario.loading import load_scenario
-from drake_nonstop.simulation.run import StepCheck
-from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.validation import ScenarioError, ScenarioWarning
 
 GRAVITY, AIR_DENSITY = 9.81, 1.225

@@ -18,9 +18,9 @@ from drake_nonstop.analysis.task import task_of
 from drake_nonstop.analysis.task_check import check_task, flight_of_plan
 from drake_nonstop.mechanics.aircraft import stall_speed
 from drake_nonstop.mechanics.signals import AircraftState
+from drake_nonstop.run.run import StepCheck
+from drake_nonstop.run.simulate import simulate
 from drake_nonstop.scenario.overrides import changed
-from drake_nonstop.simulation.run import StepCheck
-from drake_nonstop.simulation.simulate import simulate
 
 # One whose aircraft need more lift than they have at the end of the way, of a layer that does not
 # know of it.

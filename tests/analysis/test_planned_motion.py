@@ -8,10 +8,10 @@ from helpers import regular
 from drake_nonstop.analysis.planned_motion import PlannedMotion, find_motion_remedies
 from drake_nonstop.analysis.task import task_of
 from drake_nonstop.analysis.task_check import check_task, task_dictionary, task_table
+from drake_nonstop.run.run import StepCheck
+from drake_nonstop.run.run_quantities import RunQuantities
+from drake_nonstop.run.simulate import simulate
 from drake_nonstop.scenario.loading import load_scenario
-from drake_nonstop.simulation.run import StepCheck
-from drake_nonstop.simulation.run_quantities import RunQuantities
-from drake_nonstop.simulation.simulate import simulate
 
 REST = "load_trajectory=!RestToRest {move_time: 1}"
 CONSTANT = "optimization_layer=!ConstantParameters {frequency: 2, amplitude: 1.2}"

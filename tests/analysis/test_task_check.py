@@ -14,9 +14,9 @@ from drake_nonstop.analysis.speed_check import check_speeds
 from drake_nonstop.analysis.task import task_of
 from drake_nonstop.analysis.task_check import check_task, task_dictionary, task_table
 from drake_nonstop.mechanics.signals import Parameters
-from drake_nonstop.optimization.limits import LIMITS
-from drake_nonstop.simulation.run import StepCheck
-from drake_nonstop.simulation.run_quantities import RunQuantities
+from drake_nonstop.planning.limits import LIMITS
+from drake_nonstop.run.run import StepCheck
+from drake_nonstop.run.run_quantities import RunQuantities
 
 # Beyond what any plan of so many seconds keeps, and what is within reach.
 MISSED = {

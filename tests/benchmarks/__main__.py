@@ -38,9 +38,9 @@ from drake_nonstop.validation import (  # noqa: E402
     require_whole,
     show_warning,
 )
-from drake_nonstop.visualization.browser import open_browser  # noqa: E402
-from drake_nonstop.visualization.figure_style import require_drawing  # noqa: E402
-from drake_nonstop.visualization.progress import TaskProgress  # noqa: E402
+from drake_nonstop.view.browser import open_browser  # noqa: E402
+from drake_nonstop.view.figure_style import require_drawing  # noqa: E402
+from drake_nonstop.view.progress import TaskProgress  # noqa: E402
 
 
 def _add_accuracy(commands: Commands) -> None:

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 
 from drake_nonstop.mechanics.signals import LoadState
+from drake_nonstop.run.run import Run, RunStopped, StepCheck
+from drake_nonstop.run.run_quantities import carrier_speeds
+from drake_nonstop.run.simulate import simulate
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.scenario.schema import AUTO, Scenario
-from drake_nonstop.simulation.run import Run, RunStopped, StepCheck
-from drake_nonstop.simulation.run_quantities import carrier_speeds
-from drake_nonstop.simulation.simulate import simulate
 
 _STEP = "simulator_config.max_step_size={}"
 _REFERENCE_STEP = 0.0005  # s; a run with half of it shows the error of the reference

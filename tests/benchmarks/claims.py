@@ -32,11 +32,11 @@ from benchmarks.speed_claims import (
     quantities_of,
 )
 from drake_nonstop.mechanics.signals import LoadReference
+from drake_nonstop.run.metrics import METRICS, Metric, compute_metrics
+from drake_nonstop.run.run import Run
+from drake_nonstop.run.run_quantities import carrier_speeds, load_errors
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.simulation.metrics import METRICS, Metric, compute_metrics
-from drake_nonstop.simulation.run import Run
-from drake_nonstop.simulation.run_quantities import carrier_speeds, load_errors
 from drake_nonstop.studies.run_all import COMPLETED, Progress, attempts, no_progress, run_all
 from drake_nonstop.studies.stability import Stability, linearize
 from drake_nonstop.validation import ScenarioError, read_text, require

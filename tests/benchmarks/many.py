@@ -14,17 +14,17 @@ from pydrake.systems.framework import DiagramBuilder
 from drake_nonstop import load_scenario
 from drake_nonstop.benchmarks.running import PACKAGES
 from drake_nonstop.diagrams.nonstop import make_nonstop
+from drake_nonstop.run.compiled_run import recorded_loop
+from drake_nonstop.run.flight import without_warnings
+from drake_nonstop.run.make_gym_env import make_gym_env, make_gym_vec_env
+from drake_nonstop.run.many import simulate_many
+from drake_nonstop.run.metrics import compute_metrics, versions
+from drake_nonstop.run.preparation import stable_config
+from drake_nonstop.run.recording import LogSignals
+from drake_nonstop.run.run import StepCheck
+from drake_nonstop.run.simulate import simulate
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.scenario.schema import COMPILED, DIAGRAM, Scenario
-from drake_nonstop.simulation.compiled_run import recorded_loop
-from drake_nonstop.simulation.flight import without_warnings
-from drake_nonstop.simulation.make_gym_env import make_gym_env, make_gym_vec_env
-from drake_nonstop.simulation.many import simulate_many
-from drake_nonstop.simulation.metrics import compute_metrics, versions
-from drake_nonstop.simulation.preparation import stable_config
-from drake_nonstop.simulation.recording import LogSignals
-from drake_nonstop.simulation.run import StepCheck
-from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.studies.sweep import sweep
 from drake_nonstop.studies.sweep_spec import SweepSpec
 from drake_nonstop.systems.compiled_flight import advance_together

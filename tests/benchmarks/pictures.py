@@ -14,19 +14,19 @@ from numpy.typing import NDArray
 from drake_nonstop.analysis.aircraft_margins import aircraft_margins
 from drake_nonstop.analysis.separations import closest_cables, closest_carriers
 from drake_nonstop.mechanics.signals import CarrierStates
-from drake_nonstop.scenario.loading import load_scenario
-from drake_nonstop.simulation.run import Run
-from drake_nonstop.simulation.run_quantities import (
+from drake_nonstop.run.run import Run
+from drake_nonstop.run.run_quantities import (
     RunQuantities,
     attachment_positions,
     carrier_speeds,
 )
-from drake_nonstop.simulation.simulate import simulate
+from drake_nonstop.run.simulate import simulate
+from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.studies.files import replacing_file
-from drake_nonstop.visualization.browser import open_browser
-from drake_nonstop.visualization.figure_style import new_figure
-from drake_nonstop.visualization.task_figures import make_aircraft_margins_figure
-from drake_nonstop.visualization.video import encode_gif, replay_pictures
+from drake_nonstop.view.browser import open_browser
+from drake_nonstop.view.figure_style import new_figure
+from drake_nonstop.view.task_figures import make_aircraft_margins_figure
+from drake_nonstop.view.video import encode_gif, replay_pictures
 
 STILL, ANIMATION, PATTERNS = "line.png", "line.gif", "real_scale.png"
 AIRCRAFT, ORBIT = "aircraft.png", "aircraft_check.png"

@@ -11,10 +11,10 @@ from matplotlib.ticker import LogLocator
 from numpy.typing import NDArray
 
 from drake_nonstop.model.pattern import HamiltonianCycleConfig, LinearPatternConfig
+from drake_nonstop.run.simulate import simulate
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.validation import require
-from drake_nonstop.visualization.figure_style import new_figure, titled
+from drake_nonstop.view.figure_style import new_figure, titled
 
 COUNTS = (3, 4, 6, 8, 12, 16, 24, 32, 48, 64)  # carriers
 

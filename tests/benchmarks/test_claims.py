@@ -19,7 +19,7 @@ from benchmarks.claims import (
     wrong_claims,
 )
 from benchmarks.speed_claims import BENCHMARKS, _of_scenario
-from drake_nonstop.simulation.metrics import METRICS
+from drake_nonstop.run.metrics import METRICS
 from drake_nonstop.studies.run_all import SerialExecutor, run_all
 from drake_nonstop.validation import ScenarioError
 

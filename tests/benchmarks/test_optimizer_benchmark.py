@@ -5,7 +5,7 @@ import pytest
 from benchmarks.__main__ import main
 from benchmarks.whole_tasks import benchmark_tasks, tasks_table
 from drake_nonstop.cli.ending import BAD_INPUT
-from drake_nonstop.optimization.horizon_solver import PLAN_TOLERANCE
+from drake_nonstop.planning.horizon_solver import PLAN_TOLERANCE
 
 pytestmark = pytest.mark.nightly("benchmarks")
 

@@ -5,11 +5,11 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+from drake_nonstop.run.run import StepAction, StepCheck
+from drake_nonstop.run.simulate import simulate
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.simulation.run import StepAction, StepCheck
-from drake_nonstop.simulation.simulate import simulate
-from drake_nonstop.visualization.meshcat_server import start_meshcat
-from drake_nonstop.visualization.nonstop_visualizer import show_in
+from drake_nonstop.view.meshcat_server import start_meshcat
+from drake_nonstop.view.nonstop_visualizer import show_in
 
 REPEATS = 3
 

@@ -16,14 +16,14 @@ from drake_nonstop.analysis.task import Task, task_of
 from drake_nonstop.blocks.phase import ShapedPhaseConfig
 from drake_nonstop.mechanics.rigid_load import STILL_AIR
 from drake_nonstop.mechanics.signals import SIGNAL_PERIOD, PlannedParameters
-from drake_nonstop.optimization.horizon_config import HorizonConfig, timed
-from drake_nonstop.optimization.horizon_problem import HorizonProblem
+from drake_nonstop.planning.horizon_config import HorizonConfig, timed
+from drake_nonstop.planning.horizon_problem import HorizonProblem
+from drake_nonstop.run.run import Run, StepCheck
+from drake_nonstop.run.run_quantities import RunQuantities
+from drake_nonstop.run.simulate import simulate
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.simulation.run import Run, StepCheck
-from drake_nonstop.simulation.run_quantities import RunQuantities
-from drake_nonstop.simulation.simulate import simulate
 
 TASKS = ("line", "quintic", "three_carriers", "real_scale_spread")
 OFFLINE = "offline optimum"
@@ -164,7 +164,7 @@ def _speeds(speeds: NDArray, times: NDArray, bound: float) -> Row:
 def _costs(
     relative: NDArray, planned: NDArray | None, nominal: NDArray, config: HorizonConfig
 ) -> Row:
-    """The cost of ξ/ξ₀ and A/A₀ (k, 2) at samples, as in `optimization.horizon_problem`."""
+    """The cost of ξ/ξ₀ and A/A₀ (k, 2) at samples, as in `planning.horizon_problem`."""
     weights = np.array([1.0, config.amplitude_weight])
     deviation = SIGNAL_PERIOD * float(np.sum((relative - 1) ** 2 @ weights))
     if planned is None:

@@ -8,9 +8,9 @@ from helpers import Motion, fix, model, output, regular
 
 from drake_nonstop.blocks.cables import Cables
 from drake_nonstop.mechanics.cable import cable_forces_and_tensions
+from drake_nonstop.run.run import StepCheck
+from drake_nonstop.run.simulate import simulate
 from drake_nonstop.scenario.loading import load_scenario
-from drake_nonstop.simulation.run import StepCheck
-from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.systems.tracing import NotFiniteError
 from drake_nonstop.validation import ScenarioError
 

@@ -12,9 +12,9 @@ from drake_nonstop.blocks.carrier_dynamics import (
     LimitedCarriersConfig,
 )
 from drake_nonstop.diagrams.nonstop import make_nonstop
+from drake_nonstop.run.metrics import compute_metrics
+from drake_nonstop.run.simulate import simulate
 from drake_nonstop.scenario.loading import load_scenario
-from drake_nonstop.simulation.metrics import compute_metrics
-from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.systems.tracing import NotFiniteError
 from drake_nonstop.validation import ScenarioError
 

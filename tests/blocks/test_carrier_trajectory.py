@@ -42,10 +42,10 @@ from drake_nonstop.model.pattern import (
     HamiltonianCycleConfig,
 )
 from drake_nonstop.model.system import SystemParameters
+from drake_nonstop.run.run import StepCheck
+from drake_nonstop.run.simulate import simulate
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.simulation.run import StepCheck
-from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.systems.compiled_loop import CompiledLoop
 from drake_nonstop.systems.wiring import connections, input_names
 from drake_nonstop.validation import ScenarioError, ScenarioWarning

@@ -16,8 +16,8 @@ from drake_nonstop.blocks.load_feedback import (
     steady_state_gain,
 )
 from drake_nonstop.mechanics.signals import LoadState
+from drake_nonstop.run.simulate import simulate
 from drake_nonstop.scenario.loading import load_scenario
-from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.systems.documentation import own_config_class
 from drake_nonstop.validation import ScenarioError
 

@@ -6,8 +6,8 @@ from helpers import fix, model, output
 
 from drake_nonstop.blocks.cables import Cables, LumpedCables
 from drake_nonstop.diagrams.nonstop import make_nonstop
+from drake_nonstop.run.simulate import simulate
 from drake_nonstop.scenario.loading import load_scenario
-from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.systems.compiled_loop import CompiledLoop
 from drake_nonstop.validation import ScenarioError
 

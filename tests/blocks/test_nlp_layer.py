@@ -34,8 +34,8 @@ from drake_nonstop.mechanics.aircraft import (
 from drake_nonstop.mechanics.rigid_load import load_acceleration
 from drake_nonstop.model.aircraft import AircraftParameters
 from drake_nonstop.model.system import Model
-from drake_nonstop.optimization.diagnostics import Diagnostics, Outcome
-from drake_nonstop.optimization.problem_config import AircraftLimits
+from drake_nonstop.planning.diagnostics import Diagnostics, Outcome
+from drake_nonstop.planning.problem_config import AircraftLimits
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.validation import ScenarioError
 

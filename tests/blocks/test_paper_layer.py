@@ -14,7 +14,7 @@ from pydrake.solvers import SnoptSolver
 from pydrake.systems.analysis import Simulator
 
 from drake_nonstop.blocks.paper_layer import PaperLayer, PaperLayerConfig
-from drake_nonstop.optimization.diagnostics import Diagnostics, Outcome
+from drake_nonstop.planning.diagnostics import Diagnostics, Outcome
 from drake_nonstop.validation import ScenarioError
 
 PERIOD = 0.01

@@ -15,7 +15,7 @@ from drake_nonstop.blocks.receding_horizon import (
 from drake_nonstop.mechanics.carrier import carrier_motion
 from drake_nonstop.mechanics.reference_preview import ReferencePreview
 from drake_nonstop.mechanics.signals import PlannedParameters
-from drake_nonstop.optimization.diagnostics import Diagnostics
+from drake_nonstop.planning.diagnostics import Diagnostics
 from drake_nonstop.validation import ScenarioError
 
 MOVE = RestToRestConfig(displacement=[1.5, 0.5, 0.2], start_time=1.0, move_time=6.0)

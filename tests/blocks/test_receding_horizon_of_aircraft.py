@@ -14,10 +14,10 @@ from drake_nonstop.blocks.receding_horizon import (
 )
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.model.system import Model
-from drake_nonstop.optimization.diagnostics import Diagnostics, Outcome
+from drake_nonstop.planning.diagnostics import Diagnostics, Outcome
+from drake_nonstop.run.metrics import compute_metrics
+from drake_nonstop.run.simulate import simulate
 from drake_nonstop.scenario.loading import load_scenario
-from drake_nonstop.simulation.metrics import compute_metrics
-from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.validation import ScenarioError
 
 AT_REST = np.concatenate([[1.0], np.zeros(21)])

@@ -33,7 +33,7 @@ from drake_nonstop.blocks.reference_governor import (
     orbits_hold,
 )
 from drake_nonstop.mechanics.signals import CarrierStates
-from drake_nonstop.optimization.problem_config import LimitsConfig
+from drake_nonstop.planning.problem_config import LimitsConfig
 from drake_nonstop.systems.wiring import output_sizes
 from drake_nonstop.validation import ScenarioError
 

@@ -10,7 +10,7 @@ from drake_nonstop.blocks.turn_rate_optimizer import TurnRateOptimizerConfig, Tu
 from drake_nonstop.model.aircraft import AircraftParameters
 from drake_nonstop.model.pattern import ConstantSpreadConfig
 from drake_nonstop.model.system import Model, SystemParameters
-from drake_nonstop.optimization.diagnostics import Outcome
+from drake_nonstop.planning.diagnostics import Outcome
 
 CORNERS = [[1.5, 0.0, 0.0], [0.0, 1.5, 0.0], [-1.5, 0.0, 0.0], [0.0, -1.5, 0.0]]
 SPREAD, LENGTH, SHARE = 30.0, 60.0, 10.0 * 9.81 / 4

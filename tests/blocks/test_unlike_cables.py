@@ -19,11 +19,11 @@ from drake_nonstop.blocks.lumped_cables import LumpedCables, LumpedCablesConfig
 from drake_nonstop.mechanics.rotation import rotation_matrix
 from drake_nonstop.mechanics.signals import LoadReference
 from drake_nonstop.model.system import OF_CABLES, Model
+from drake_nonstop.run.metrics import compute_metrics
+from drake_nonstop.run.outcome import RunOutcome
+from drake_nonstop.run.run import StepCheck
+from drake_nonstop.run.simulate import simulate
 from drake_nonstop.scenario.loading import dump_scenario, load_scenario, parse_scenario
-from drake_nonstop.simulation.metrics import compute_metrics
-from drake_nonstop.simulation.outcome import RunOutcome
-from drake_nonstop.simulation.run import StepCheck
-from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.validation import ScenarioError
 
 UP = np.array([0.0, 0.0, 1.0])

@@ -14,7 +14,7 @@ from PIL import Image
 
 from drake_nonstop.cli.ending import BAD_INPUT, FAILED, INTERRUPTED
 from drake_nonstop.cli.main import main
-from drake_nonstop.optimization.formation_program import FormationVariables
+from drake_nonstop.planning.formation_program import FormationVariables
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.studies import design
 from drake_nonstop.studies.design import Design

@@ -7,7 +7,7 @@ from pydrake.systems.framework import LeafSystem
 from drake_nonstop import ScenarioError, load_scenario, simulate
 from drake_nonstop.cli.main import main
 from drake_nonstop.studies.results_folder import write_data
-from drake_nonstop.visualization.run_figures import make_signal_figure
+from drake_nonstop.view.run_figures import make_signal_figure
 
 
 class Clock(LeafSystem):

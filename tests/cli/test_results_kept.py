@@ -9,9 +9,9 @@ from helpers import nightly_beyond
 
 from drake_nonstop.cli import run as run_command
 from drake_nonstop.cli.main import main
+from drake_nonstop.run.run import RunInterrupted, RunStopped
+from drake_nonstop.run.simulate import simulate
 from drake_nonstop.scenario.loading import load_scenario
-from drake_nonstop.simulation.run import RunInterrupted, RunStopped
-from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.studies import results_folder
 
 STEADY = """

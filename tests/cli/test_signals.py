@@ -21,7 +21,7 @@ from drake_nonstop.cli import run as run_command
 from drake_nonstop.cli import scenarios
 from drake_nonstop.cli.ending import handling_signals
 from drake_nonstop.cli.main import main
-from drake_nonstop.simulation import flight
+from drake_nonstop.run import flight
 
 TRIES = int(os.environ.get("SIGNAL_TRIES", "6"))
 _DATA = {"scenario.yaml", "metrics.json", "signals.npz", "steps.npz"}

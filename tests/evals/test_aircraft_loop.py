@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from drake_nonstop.run.run_quantities import RunQuantities
+from drake_nonstop.run.simulate import simulate
 from drake_nonstop.scenario.loading import load_scenario
-from drake_nonstop.simulation.run_quantities import RunQuantities
-from drake_nonstop.simulation.simulate import simulate
 
 UNLIMITED = [
     "system.aircraft.max_lift=100",

@@ -7,9 +7,9 @@ from drake_nonstop import load_scenario
 from drake_nonstop.mechanics.aircraft import stall_speed
 from drake_nonstop.mechanics.signals import Parameters
 from drake_nonstop.model.system import aircraft_in
-from drake_nonstop.simulation.run import StepCheck
-from drake_nonstop.simulation.run_quantities import RunQuantities, load_errors
-from drake_nonstop.simulation.simulate import simulate
+from drake_nonstop.run.run import StepCheck
+from drake_nonstop.run.run_quantities import RunQuantities, load_errors
+from drake_nonstop.run.simulate import simulate
 
 NAME = "aircraft_transfer_rising_wind"
 TURNING = "aircraft_co_rotating_rising_wind"

@@ -6,8 +6,8 @@ from helpers import nightly_beyond
 
 from drake_nonstop import Scenario, compute_metrics, load_scenario
 from drake_nonstop.blocks.optimization_layer import NlpLayerConfig, PaperLayerConfig
-from drake_nonstop.simulation.run import StepCheck
-from drake_nonstop.simulation.simulate import simulate
+from drake_nonstop.run.run import StepCheck
+from drake_nonstop.run.simulate import simulate
 
 
 def assert_no_carrier_is_ever_below_its_bound(scenario: Scenario) -> None:

@@ -9,11 +9,11 @@ import pytest
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
+from drake_nonstop.run.metrics import compute_metrics
+from drake_nonstop.run.run import RunStopped
+from drake_nonstop.run.simulate import simulate
 from drake_nonstop.scenario.loading import load_scenario, scenario_names
 from drake_nonstop.scenario.overrides import changed
-from drake_nonstop.simulation.metrics import compute_metrics
-from drake_nonstop.simulation.run import RunStopped
-from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.validation import ScenarioError
 
 loaded = cache(load_scenario)

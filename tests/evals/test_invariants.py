@@ -11,9 +11,9 @@ from helpers import nightly_beyond
 from scipy.spatial.transform import Rotation
 
 from drake_nonstop.blocks.optimization_layer import ConstantParametersConfig
+from drake_nonstop.run.run import StepCheck
+from drake_nonstop.run.simulate import simulate
 from drake_nonstop.scenario.loading import load_scenario
-from drake_nonstop.simulation.run import StepCheck
-from drake_nonstop.simulation.simulate import simulate
 
 CONSTANT = ["optimization_layer=!ConstantParameters {}"]
 

@@ -6,10 +6,10 @@ from helpers import fix, model
 from scipy.spatial.transform import Rotation
 
 from drake_nonstop.blocks.load_plant import LoadPlant, MultibodyLoadPlant
+from drake_nonstop.run.run import StepCheck
+from drake_nonstop.run.simulate import simulate
 from drake_nonstop.scenario.loading import load_scenario, scenario_names
 from drake_nonstop.scenario.overrides import changed
-from drake_nonstop.simulation.run import StepCheck
-from drake_nonstop.simulation.simulate import simulate
 
 
 @pytest.mark.nightly("engines")

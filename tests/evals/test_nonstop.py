@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from drake_nonstop import compute_metrics, load_scenario
-from drake_nonstop.simulation.simulate import simulate
+from drake_nonstop.run.simulate import simulate
 
 
 @pytest.mark.parametrize("name", ["line", "quintic", "three_carriers"])

@@ -16,8 +16,8 @@ from drake_nonstop import (
     compute_metrics,
     load_scenario,
 )
-from drake_nonstop.simulation.run import StepCheck
-from drake_nonstop.simulation.simulate import simulate
+from drake_nonstop.run.run import StepCheck
+from drake_nonstop.run.simulate import simulate
 
 
 @dataclass(kw_only=True)

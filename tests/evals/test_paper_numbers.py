@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from drake_nonstop.simulation.run_quantities import carrier_speeds
+from drake_nonstop.run.run_quantities import carrier_speeds
 
 
 def speeds_and_times(run):

@@ -16,8 +16,8 @@ from benchmarks.claims import (
 )
 
 from drake_nonstop import compute_metrics, load_scenario, scenario_names
-from drake_nonstop.simulation.run import StepCheck
-from drake_nonstop.simulation.simulate import simulate
+from drake_nonstop.run.run import StepCheck
+from drake_nonstop.run.simulate import simulate
 
 README = Path(__file__).parents[2] / "README.md"
 TEXT = documentation(README)

@@ -5,8 +5,8 @@ import pytest
 from helpers import nightly_beyond, regular
 
 from drake_nonstop import compute_metrics, load_scenario
-from drake_nonstop.simulation.run_quantities import load_errors
-from drake_nonstop.simulation.simulate import simulate
+from drake_nonstop.run.run_quantities import load_errors
+from drake_nonstop.run.simulate import simulate
 
 RADIUS = 1.5  # m, of the circle of the attachments
 

@@ -17,7 +17,7 @@ import yaml
 from fleet import FLEET, Fleet, flown, scenario_of
 
 from drake_nonstop import Run, Scenario, StepCheck, compute_metrics, load_scenario
-from drake_nonstop.simulation.metrics import METRICS, flattened
+from drake_nonstop.run.metrics import METRICS, flattened
 
 HERE = Path(__file__).parent
 TABLE = HERE / "numbers.csv"

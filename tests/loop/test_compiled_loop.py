@@ -66,7 +66,7 @@ def assert_equal(scenario, loop, context):
     assert compared >= 20
 
 
-# A receding horizon, and aircraft in a wind; `tests/simulation` compares whole flights.
+# A receding horizon, and aircraft in a wind; `tests/run` compares whole flights.
 SHIPPED = dict.fromkeys(["quintic", "aircraft_transfer_gusty", *scenario_names()])
 
 

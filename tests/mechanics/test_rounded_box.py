@@ -17,7 +17,7 @@ from pydrake.math import RigidTransform, RotationMatrix
 
 from drake_nonstop.mechanics.rounded_box import nearest_to, outline_in
 from drake_nonstop.scenario.obstacles import BoxConfig, GroundConfig, SphereConfig
-from drake_nonstop.visualization.bodies import cylinder_poses
+from drake_nonstop.view.bodies import cylinder_poses
 
 THIN = 1e-3  # m, radius of a capsule that stands for a segment
 

@@ -6,7 +6,7 @@ import pytest
 from drake_nonstop.diagrams.nonstop import SIGNALS
 from drake_nonstop.mechanics import signals
 from drake_nonstop.mechanics.signal_layouts import Layout, Part, numbered_entries
-from drake_nonstop.optimization import diagnostics
+from drake_nonstop.planning import diagnostics
 from drake_nonstop.validation import ScenarioError
 
 N, M = 5, 3

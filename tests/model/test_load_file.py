@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from drake_nonstop.model.load_file import read_load
+from drake_nonstop.run.simulate import simulate
 from drake_nonstop.scenario.loading import dump_scenario, load_scenario, parse_scenario
-from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.validation import ScenarioError
 
 FRAMES = ["north", "west", "south", "east"]

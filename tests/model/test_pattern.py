@@ -26,9 +26,9 @@ from drake_nonstop.model.pattern import (
     check_pattern,
 )
 from drake_nonstop.model.system import Model, SystemParameters
+from drake_nonstop.run.simulate import simulate
 from drake_nonstop.scenario.loading import parse_scenario
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.validation import ScenarioError
 
 

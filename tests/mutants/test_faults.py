@@ -84,7 +84,7 @@ def test_the_tests_of_the_file_come_first_and_the_golden_ones_last():
 
 
 def test_stages_without_tests_are_left_out():
-    stages = stages_of("drake_nonstop/optimization/search.c", TESTS[:5])
+    stages = stages_of("drake_nonstop/planning/search.c", TESTS[:5])
     assert [(stage.number, len(stage.tests)) for stage in stages] == [(2, 5)]
 
 

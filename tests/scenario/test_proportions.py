@@ -8,8 +8,8 @@ from drake_nonstop import ScenarioError, ScenarioWarning, load_scenario, scenari
 from drake_nonstop.cli import check as command
 from drake_nonstop.cli.ending import BAD_INPUT
 from drake_nonstop.cli.main import main
+from drake_nonstop.run.run import RunStopped, StepCheck
 from drake_nonstop.scenario.proportions import PROPORTIONS, out_of_proportion, warn_of_angles
-from drake_nonstop.simulation.run import RunStopped, StepCheck
 
 CONSTANT = "optimization_layer=ConstantParameters"
 NOISY = "load_feedback=!NoisyFeedback"

@@ -18,10 +18,10 @@ from PIL import Image
 from drake_nonstop.cli import ending
 from drake_nonstop.cli.main import main
 from drake_nonstop.diagrams.nonstop import make_nonstop
+from drake_nonstop.run.metrics import flattened
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.scenario.schema import check
-from drake_nonstop.simulation.metrics import flattened
 from drake_nonstop.studies import ablation
 from drake_nonstop.studies.ablation import ablate, grid_names, name_overrides, read_grid
 from drake_nonstop.studies.ablation_report import (

@@ -14,13 +14,13 @@ from drake_nonstop.analysis.limit import RunOutcome
 from drake_nonstop.cli.ending import FAILED
 from drake_nonstop.cli.main import main
 from drake_nonstop.mechanics.aircraft import stall_speed
-from drake_nonstop.optimization.formation_program import FormationProgram, FormationVariables
-from drake_nonstop.optimization.limits import Of, limits_of
+from drake_nonstop.planning.formation_program import FormationProgram, FormationVariables
+from drake_nonstop.planning.limits import Of, limits_of
+from drake_nonstop.run.many import simulate_many
+from drake_nonstop.run.outcome import judge
+from drake_nonstop.run.run_quantities import RunQuantities
 from drake_nonstop.scenario.loading import dump_scenario, load_scenario, parse_scenario
 from drake_nonstop.scenario.overrides import as_override, changed
-from drake_nonstop.simulation.many import simulate_many
-from drake_nonstop.simulation.outcome import judge
-from drake_nonstop.simulation.run_quantities import RunQuantities
 from drake_nonstop.studies import design as module
 from drake_nonstop.studies import formation_search
 from drake_nonstop.studies.design import Design, design_dictionary, design_one, design_table

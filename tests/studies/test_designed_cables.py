@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from drake_nonstop.mechanics.aircraft import needed_force
-from drake_nonstop.optimization.formation_program import FormationVariables
-from drake_nonstop.simulation.metrics import compute_metrics
-from drake_nonstop.simulation.simulate import simulate
+from drake_nonstop.planning.formation_program import FormationVariables
+from drake_nonstop.run.metrics import compute_metrics
+from drake_nonstop.run.simulate import simulate
 from drake_nonstop.studies.design import design_one
 from drake_nonstop.studies.design_request import read_request
 from drake_nonstop.studies.designed_formation import (

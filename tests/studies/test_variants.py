@@ -22,7 +22,7 @@ from drake_nonstop import (
     simulate,
     sweep,
 )
-from drake_nonstop.simulation.metrics import compute_metrics
+from drake_nonstop.run.metrics import compute_metrics
 from drake_nonstop.studies.run_all import SerialExecutor
 from drake_nonstop.studies.variants import identity, label, varied
 

@@ -13,8 +13,8 @@ from pydrake.symbolic import Expression, Variable
 from pydrake.systems.framework import BasicVector, Diagram, DiagramBuilder, LeafSystem, LeafSystem_
 
 from drake_nonstop.diagrams.nonstop import BOXES, make_nonstop
+from drake_nonstop.run.simulate import simulate
 from drake_nonstop.scenario.loading import load_scenario
-from drake_nonstop.simulation.simulate import simulate
 from drake_nonstop.systems.block import (
     BlockType,
     LeafBlock,

@@ -1,0 +1,1 @@
+"""Limits, plans over a horizon, and layers as nonlinear programs; no ports and no contexts."""

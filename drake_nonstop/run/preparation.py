@@ -1,0 +1,139 @@
+"""Preparation of a flight: its loop, its step, and its warnings."""
+
+import contextlib
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from pydrake.systems.analysis import GetIntegrationSchemes, SimulatorConfig
+from pydrake.systems.framework import Context, Diagram
+
+from drake_nonstop.analysis.aircraft_margins import aircraft_margins_for
+from drake_nonstop.analysis.formation import growth_complaint
+from drake_nonstop.analysis.task import is_known, task_at
+from drake_nonstop.diagrams.nonstop import make_nonstop
+from drake_nonstop.loop.step import with_largest_step
+from drake_nonstop.run.recording import RUN_SIGNALS
+from drake_nonstop.scenario.proportions import out_of_proportion
+from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.systems.block import LOOP
+from drake_nonstop.systems.wiring import context_in, input_names, loop_in, require_signals
+from drake_nonstop.validation import ScenarioError, called, require, require_ranges, warn_user
+
+# Makes the loop's diagram of a scenario, and of replacements as `make_nonstop` takes them.
+LoopMaker = Callable[..., Diagram]
+
+
+def loop_of(make_loop: LoopMaker, scenario: Scenario, replacements: dict[str, Any]) -> Diagram:
+    """The loop's diagram, whose contexts need not start at the equilibrium.
+
+    Raises:
+        ScenarioError: it is none, does not export its signals, or has inputs that nothing makes.
+    """
+    if make_loop is make_nonstop:
+        replacements = {"at_equilibrium": False, **replacements}
+    remedy = "give a function that takes a scenario and replacements, as make_nonstop does"
+    nonstop = called("make_loop", remedy, make_loop, scenario, **replacements)
+    require(
+        isinstance(nonstop, Diagram), "make_loop", nonstop, "return a Diagram from the function"
+    )
+    require_signals(nonstop, RUN_SIGNALS, "make_loop")
+    missing = ", ".join(input_names(nonstop))
+    remedy = "no block makes these signals; give one that does, in a box or as an extra one"
+    require(not missing, "inputs", missing, remedy)
+    if not nonstop.get_name():
+        nonstop.set_name(LOOP)
+    return nonstop
+
+
+def check_simulation(scenario: Scenario) -> None:
+    """Raises ScenarioError for what a loop is built without and no run is flown with."""
+    schemes = GetIntegrationSchemes()
+    require(
+        scenario.simulator_config.integration_scheme in schemes,
+        "simulator_config.integration_scheme",
+        scenario.simulator_config.integration_scheme,
+        f"give one of {', '.join(schemes)}",
+    )
+    require_ranges("scene", scenario.scene)
+
+
+def stable_config(scenario: Scenario, nonstop: Diagram, context: Context) -> SimulatorConfig:
+    """The scenario's `simulator_config` as of `with_largest_step`.
+
+    Raises:
+        ScenarioError: steps would have to be too short; it names what is out of proportion.
+    """
+    try:
+        return with_largest_step(scenario.simulator_config, nonstop, context)
+    except ScenarioError as error:
+        raise ScenarioError("; ".join([str(error), *out_of_proportion(scenario)])) from None
+
+
+def warn_of_margins(scenario: Scenario, nonstop: Diagram, context: Context) -> None:
+    """Warns where aircraft cannot fly the orbit above the resting load within their limits."""
+    if not nonstop.HasOutputPort("aircraft_state"):
+        return
+    with contextlib.suppress(ScenarioError):  # there is no such orbit
+        loop = loop_in(nonstop, RUN_SIGNALS)
+        context = context_in(nonstop, loop, context)
+        found = aircraft_margins_for(scenario, loop, context)
+        if not found.is_flyable:
+            message = f"{found.verdict}; drake-nonstop check shows all margins"
+            warn_user(message)
+
+
+def _growth_complaint(
+    scenario: Scenario,
+    nonstop: Diagram,
+    context: Context,
+    time: float,
+    *,
+    in_samples: bool = False,
+) -> str:
+    """A sentence on a formation that is unstable at the start, in a flight of a time in s."""
+    with contextlib.suppress(ScenarioError):  # what is no formation
+        loop = loop_in(nonstop, RUN_SIGNALS)
+        context = context_in(nonstop, loop, context)
+        if is_known(loop):
+            task = task_at(scenario, loop, context)
+            return growth_complaint(task, time, in_samples=in_samples)
+    return ""
+
+
+def warn_of_growth(scenario: Scenario, nonstop: Diagram, context: Context) -> None:
+    """Warns where a small deviation of the load grows from the start on."""
+    duration = scenario.simulation_duration
+    complaint = _growth_complaint(scenario, nonstop, context, duration)
+    if complaint:
+        warn_user(complaint)
+
+
+_FOUR_DIGITS: Any = {"float_kind": "{:.4g}".format}
+
+
+def cause_of_divergence(scenario: Scenario, nonstop: Diagram, time: float) -> str:
+    """Why a run may have diverged at a time in s, and the gains with which it did."""
+    cause = "; ".join(out_of_proportion(scenario))
+    if not cause:
+        context = nonstop.CreateDefaultContext()
+        cause = _growth_complaint(scenario, nonstop, context, time, in_samples=True)
+    cause = cause or "the loop may be unstable, or simulator_config.max_step_size too large"
+    gains = [
+        f"{block.get_name()}.{name} = {np.array2string(np.asarray(value), formatter=_FOUR_DIGITS)}"
+        for block in loop_in(nonstop, RUN_SIGNALS).GetSystems()
+        for name, value in getattr(block, "gains", {}).items()
+    ]
+    return f"{cause}; gains in use: {', '.join(gains)}" if gains else cause
+
+
+def warn_of_other_bound(nonstop: Diagram, context: Context, stated: float) -> None:
+    """Warns where a replacement brings a speed bound of its own, by which a run is judged."""
+    if nonstop.HasOutputPort("speed_bound") and not nonstop.HasOutputPort("speed_bound_command"):
+        (own,) = nonstop.GetOutputPort("speed_bound").Eval(context)
+        if own != stated:
+            message = (
+                f"optimization_layer: the run is judged by the {own:g} m/s of the replacement, "
+                f"not by the scenario's speed bound of {stated:g} m/s"
+            )
+            warn_user(message)

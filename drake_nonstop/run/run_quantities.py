@@ -1,0 +1,540 @@
+"""The quantities of a run that metrics and figures are made from."""
+
+import math
+from collections.abc import Callable, Iterator
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drake_nonstop.analysis.flight_envelope import FlightRanges, LimitAlong
+from drake_nonstop.analysis.separations import Spacing, laid_apart, least_length
+from drake_nonstop.mechanics.aircraft import (
+    Aircraft,
+    FlightNeeds,
+    is_stalled,
+    thrust_power,
+)
+from drake_nonstop.mechanics.rotation import (
+    quaternion_conjugate,
+    quaternion_product,
+    rotation_matrix,
+    rotation_vector,
+)
+from drake_nonstop.mechanics.signals import AircraftState, CarrierStates, LoadReference, Pose
+from drake_nonstop.model.block import AUTO
+from drake_nonstop.model.system import SystemParameters, aircraft_in, breaking_load, overridden
+from drake_nonstop.planning.diagnostics import Diagnostics
+from drake_nonstop.planning.limits import Limit, Of, asked
+from drake_nonstop.run.run import Run
+from drake_nonstop.run.signal_table import UnknownSignalError
+from drake_nonstop.systems.documentation import meanings
+
+# The entries of the signal `diagnostics` that count updates.
+_UPDATE_COUNTS = ("updates", "kept", "solved", "relaxed", "held")
+_CHUNK = 10_000  # rows that are computed at a time: their temporary arrays are small
+_SMALL_TURN = math.cos(0.2)  # cosine of the angle, 0.2 rad, that a velocity turns by in a step
+_TURN = 0.1  # s, over which turn radii and accelerations are measured
+_MOVING = 1e-6  # m/s; slower, the load's reference rests; the least airspeed to divide by
+_J_PER_KG_M = 1 / 3.6  # 1 J/(kg m) in Wh/(kg km)
+
+
+class Stall(NamedTuple):
+    """An aircraft's stall."""
+
+    time: float  # s
+    carrier: int  # from 1 on
+    lift: float  # C_L with the part of gusts
+    airspeed: float  # m/s
+
+
+class Break(NamedTuple):
+    """A cable's first tension beyond its breaking load."""
+
+    time: float  # s
+    cable: int  # from 1 on
+    tension: float  # N
+
+
+class RunQuantities(Spacing):
+    """The quantities of a run that metrics and figures are made from, each computed once.
+
+    k is the number of steps of the integrator, n that of the carriers; samples are at 100 Hz. Where
+    the carriers are aircraft, their quantities are those of the simulated ones, which need not be
+    those that the controllers believe. The power of an aircraft is that of its thrust, T V, zero
+    for a thrust below zero; over the aircraft's efficiency it is taken from the battery.
+    """
+
+    def __init__(self, run: Run):
+        self.run = run
+        self.scenario = run.scenario
+
+    @cached_property
+    def time(self) -> NDArray:  # type: ignore[override] # is settable
+        """The times (k,) of the steps, s."""
+        return self.run.steps["time"]
+
+    @cached_property
+    def load_positions(self) -> NDArray:  # type: ignore[override] # is settable
+        """The load's positions (k, 3) at the steps, m."""
+        return Pose.view(self.run.steps["load_state"]).position
+
+    @cached_property
+    def position_error(self) -> NDArray:
+        """The load's distance (samples,) from its reference at 100 Hz, m."""
+        return _norms(self._load_errors[0])
+
+    @cached_property
+    def orientation_error(self) -> NDArray:
+        """The load's angle (samples,) to its reference at 100 Hz, rad."""
+        return _norms(self._load_errors[1])
+
+    @cached_property
+    def reference_delays(self) -> tuple[float, float] | None:
+        """The governor's delay of the reference, the largest and the last, s; None: no governor."""
+        if self.scenario.reference_governor is None:
+            return None
+        if not any(name.endswith(".reference_delay") for name in self.run.signals):
+            return 0.0, 0.0  # the trajectory is left as it is
+        delays = self.run.signal("reference_delay")
+        return float(np.max(delays)), float(delays[-1, 0])
+
+    @cached_property
+    def _load_errors(self) -> tuple[NDArray, NDArray]:
+        return load_errors(self.run)
+
+    @cached_property
+    def carrier_positions(self) -> NDArray:
+        """The carriers' positions (k, n, 3), in W, m."""
+        return laid_apart(CarrierStates.view(self.run.steps["carrier_state"]).positions)
+
+    @cached_property
+    def carrier_velocities(self) -> NDArray:
+        """The carriers' velocities (k, n, 3), in W, m/s."""
+        return laid_apart(CarrierStates.view(self.run.steps["carrier_state"]).velocities)
+
+    @cached_property
+    def speeds(self) -> NDArray:
+        """The carriers' speeds (k, n), m/s."""
+        return _in_chunks(_norms, self.carrier_velocities)
+
+    @cached_property
+    def speed_bounds(self) -> NDArray:
+        """The speed bound ε (k,), m/s, that was asked for; it may change during a live run."""
+        if "speed_bound" in self.run.steps:
+            return self.run.steps["speed_bound"][:, 0]
+        return np.full(len(self.time), self.scenario.speed_bound)
+
+    @property
+    def largest_margin_share(self) -> float:
+        """The largest measured margin of plans above the speed bound, over it; 0: there is none."""
+        try:
+            margin, bound = map(self.run.signal, ("measured_margin", "speed_bound"))
+        except UnknownSignalError:
+            return 0.0
+        is_bound = bound > 0
+        return float(np.max(margin[is_bound] / bound[is_bound], initial=0.0))
+
+    @cached_property
+    def saturated_share(self) -> float | None:
+        """The share of the time with a command of any aircraft at its limit; None: unknown."""
+        flags = self.run.steps.get("command_saturation")
+        if flags is None or self.time[-1] == 0:
+            return None
+        return self.duration_of(np.any(flags > 0.5, axis=1)) / float(self.time[-1])
+
+    @cached_property
+    def system(self) -> SystemParameters:
+        """The simulated load, cables and carriers."""
+        return simulated_system(self.run)
+
+    @cached_property
+    def slowest_speed(self) -> float:
+        """The least speed of any carrier, m/s, also between two steps.
+
+        A velocity that turns by more than 0.2 rad in a step is taken to change linearly in it.
+        Elsewhere the least speed at steps counts: it is within 0.5 % of that between them, which a
+        linear change would make too small.
+        """
+        least = float(np.min(self.speeds))
+        chunks = zip(*map(_overlapping_chunks, (self.carrier_velocities, self.speeds)), strict=True)
+        for velocities, speeds in chunks:
+            before, after = velocities[:-1], velocities[1:]
+            products = (before * after).sum(axis=-1)
+            turns_far = products < _SMALL_TURN * (speeds[:-1] * speeds[1:])
+            if np.any(turns_far):
+                least = min(least, least_length(np.stack([before[turns_far], after[turns_far]])))
+        return least
+
+    @cached_property
+    def steepest_angle(self) -> float:
+        """The largest angle of a carrier's velocity to the horizontal, rad, up or down.
+
+        It is found at the steps and between them, where velocities are taken to change linearly.
+        """
+        return max(map(_steepest_angle, _overlapping_chunks(self.carrier_velocities)))
+
+    @cached_property
+    def turns(self) -> tuple[float | None, float | None, float | None]:
+        """Carriers' largest acceleration and normal acceleration, m/s², and least turn radius, m.
+
+        Each is measured over 0.1 s of a carrier's path; None: unknown.
+        """
+        time, states = self.run.time, self.run.signal("carrier_state")
+        if len(time) < 3:
+            return None, None, None
+        apart = max(1, min(round(_TURN / 2 / (time[1] - time[0])), (len(time) - 1) // 2))
+        acceleration = normal_acceleration = curvature = 0.0
+        is_moving = False
+        for start in range(apart, len(time) - apart, _CHUNK):
+            rows = slice(start - apart, min(start + _CHUNK, len(time) - apart) + apart)
+            velocities = laid_apart(CarrierStates.view(states[rows]).velocities)
+            times = time[rows]
+            intervals = (times[2 * apart :] - times[: -2 * apart])[:, None, None]
+            accelerations = (velocities[2 * apart :] - velocities[: -2 * apart]) / intervals
+            velocities = velocities[apart:-apart]
+            # v × a is speed × normal acceleration, and stays defined where a carrier stops.
+            crossed, speeds = _norms(np.cross(velocities, accelerations)), _norms(velocities)
+            moving = speeds > 0
+            is_moving |= bool(np.any(moving))
+            crossed, speeds = crossed[moving], speeds[moving]
+            acceleration = max(acceleration, float(np.max(_norms(accelerations))))
+            normal_acceleration = max(
+                normal_acceleration, float(np.max(crossed / speeds, initial=0.0))
+            )
+            curvature = max(curvature, float(np.max(crossed / speeds**3, initial=0.0)))
+        if not is_moving:
+            return acceleration, None, None
+        return acceleration, normal_acceleration, 1 / curvature if curvature > 0 else None
+
+    @cached_property
+    def largest_commanded_acceleration(self) -> float | None:
+        """Largest force over mass commanded to a carrier at 100 Hz, m/s²; None: unknown."""
+        try:
+            forces = self.run.signal("carrier_forces")
+        except KeyError:  # nothing in the loop makes it
+            return None
+        largest = np.max(_norms(forces.reshape(len(forces), -1, 3)))
+        return float(largest / self.system.carrier_mass)
+
+    @cached_property
+    def has_aircraft(self) -> bool:
+        """Whether the carriers are aircraft and the run has their state."""
+        ports = {name.partition(".")[2] for name in self.run.signals}
+        return self.system.aircraft is not None and "aircraft_state" in ports
+
+    @cached_property
+    def aircraft(self) -> Aircraft:
+        """Parameters of the simulated aircraft; only where `has_aircraft`."""
+        aircraft = aircraft_in(self.system)
+        assert aircraft is not None
+        return aircraft
+
+    @cached_property
+    def aircraft_state(self) -> AircraftState:
+        """Lift coefficient, bank (rad), thrust (N) and airspeed (m/s), (k, n) each."""
+        return AircraftState.view(self.run.steps["aircraft_state"])
+
+    @cached_property
+    def aircraft_needs(self) -> FlightNeeds:
+        """`FlightNeeds`, (k, n) each, as flown, for the limits of aircraft; the force is NaN.
+
+        The climb angle is that through the air; winds change linearly between samples.
+        """
+        rise, state = self.carrier_velocities[..., 2], self.aircraft_state
+        try:
+            winds = self.run.signal("wind")[:, 2::3].T
+        except UnknownSignalError:
+            winds = np.zeros((0, 0))
+        if np.any(winds):
+            winds = np.array([np.interp(self.time, self.run.time, wind) for wind in winds])
+            rise = rise - winds.T
+        return FlightNeeds(
+            airspeed=state.airspeed,
+            force=np.full(rise.shape, np.nan),
+            lift=state.lift,
+            bank=state.bank,
+            climb=np.arcsin((rise / np.maximum(state.airspeed, _MOVING)).clip(-1, 1)),
+            thrust=state.thrust,
+        )
+
+    @cached_property
+    def ranges(self) -> FlightRanges:
+        """The least and the largest values of `aircraft_needs`."""
+        return FlightRanges.of(self.aircraft, self.aircraft_needs)
+
+    @cached_property
+    def thrust_powers(self) -> NDArray:
+        """The power of each aircraft's thrust (samples, n), at 100 Hz, W."""
+        state = AircraftState.view(self.run.signal("aircraft_state"))
+        return thrust_power(state.thrust, state.airspeed)
+
+    @property
+    def energy_per_mass_and_distance(self) -> float | None:
+        """Energy from all batteries per mass of the load and length of its way, Wh/(kg km).
+
+        It counts while the load's reference moves, along its path; None where it always rests.
+        """
+        speeds = _norms(LoadReference.view(self.run.signal("reference")).velocity)
+        moves = speeds > _MOVING
+        if not np.any(moves):
+            return None
+        power = self.thrust_powers[moves].sum(axis=1).mean() / self.aircraft.efficiency
+        return float(_J_PER_KG_M * power / (self.system.load_mass * speeds[moves].mean()))
+
+    @cached_property
+    def first_stall(self) -> Stall | None:
+        """The first stall of an aircraft; None: there was none, or there are no aircraft."""
+        if not self.has_aircraft:
+            return None
+        stalled = is_stalled(self.aircraft, self.run.steps["aircraft_state"])
+        if not np.any(stalled):
+            return None
+        k = int(np.argmax(np.any(stalled, axis=1)))
+        i = int(np.argmax(stalled[k]))
+        return Stall(
+            time=float(self.time[k]),
+            carrier=i + 1,
+            lift=float(self.aircraft_state.lift[k, i]),
+            airspeed=float(self.aircraft_state.airspeed[k, i]),
+        )
+
+    @cached_property
+    def bounded_speeds(self) -> NDArray:
+        """The speeds (k, n), m/s, that ε bounds: airspeeds of aircraft, else speeds in W."""
+        return self.aircraft_state.airspeed if self.has_aircraft else self.speeds
+
+    @cached_property
+    def time_below_bound(self) -> float:
+        """The time for which any carrier was below ε, s."""
+        return self.duration_of(np.any(self.bounded_speeds < self.speed_bounds[:, None], axis=1))
+
+    def limited_by(self, limit: Limit) -> NDArray | None:
+        """Quantity of a limit (k, c), in its unit, of carriers, cables or pairs; None: unknown."""
+        if limit.of is Of.SEPARATION:
+            one, other = np.triu_indices(self.carrier_positions.shape[1], 1)
+            return _in_chunks(lambda at: _norms(at[:, one] - at[:, other]), self.carrier_positions)
+        if limit.is_of_aircraft:
+            if not self.has_aircraft:
+                return None
+            return limit.values(self.aircraft, self.aircraft_needs)
+        return self.bounded_speeds if limit.of is Of.SPEED else self.tensions
+
+    @property
+    def limits(self) -> list[LimitAlong]:
+        """The limits asked of the optimization layer, with their values in the run, where known."""
+        rows = [
+            (limit, stated, self.limited_by(limit))
+            for limit, stated in asked(self.scenario.optimization_layer)
+        ]
+        return [LimitAlong(row, at, self.time, v) for row, at, v in rows if v is not None]
+
+    def extreme_of(self, limit: Limit) -> float | None:
+        """The run's value closest to a limit, or farthest beyond, in its unit; None: unknown."""
+        if limit.of is Of.SEPARATION:
+            return self.carrier_separation
+        values = self.limited_by(limit)
+        return None if values is None else float(values[limit.worst(values)])
+
+    @cached_property
+    def missed_limits(self) -> dict[str, float]:
+        """The number of updates that did not keep a limit, by the name of each counted limit."""
+        try:
+            columns = self.run.columns(["missed_limits"])
+        except UnknownSignalError:
+            return {}
+        return {
+            name.removeprefix("missed_limits."): _count(counts[-1])
+            for name, counts in columns.items()
+            if name.startswith("missed_limits.")
+        }
+
+    @cached_property
+    def tensions(self) -> NDArray:
+        """The tensions of the cables (k, n), N."""
+        return self.run.steps["tensions"]
+
+    @cached_property
+    def carrier_tensions(self) -> NDArray:
+        """The tensions (samples, n), N, at the carriers' ends of the cables, at 100 Hz."""
+        try:
+            forces = self.run.signal("carrier_cable_forces")
+        except UnknownSignalError:  # nothing reads it: that at the load's
+            return self.run.signal("tensions")
+        return _in_chunks(lambda rows: _norms(rows.reshape(len(rows), -1, 3)), forces)
+
+    @cached_property
+    def first_break(self) -> Break | None:
+        """The first tension beyond a cable's breaking load, at either end; None: there was none."""
+        ends = [(self.time, self.tensions)]
+        if self.has_nodes:  # other cables pull alike at both ends
+            ends.append((self.run.time, self.carrier_tensions))
+        breaks = []
+        for times, tensions in ends:
+            shares = tensions / breaking_load(self.system)
+            if np.any(shares > 1):
+                k = int(np.argmax(np.any(shares > 1, axis=1)))
+                i = int(np.argmax(shares[k]))
+                breaks.append(Break(float(times[k]), i + 1, float(tensions[k, i])))
+        return min(breaks, default=None)
+
+    @cached_property
+    def has_nodes(self) -> bool:
+        """Whether the cables have nodes, which the run has the state of."""
+        return any(name.endswith(".cable_state") for name in self.run.signals)
+
+    @cached_property
+    def bows_and_chords(self) -> tuple[NDArray, NDArray]:
+        """Of each cable, (samples, n), at 100 Hz; only where `has_nodes`.
+
+        The largest distance, m, of a node from the line between the cable's ends, and the distance,
+        m, between these.
+        """
+
+        def of_rows(nodes: NDArray, load: NDArray, carriers: NDArray) -> NDArray:
+            low, high = attachment_positions(self.run, load), CarrierStates.view(carriers).positions
+            positions = nodes[:, : nodes.shape[1] // 2].reshape(len(nodes), -1, *low.shape[1:])
+            chords = high - low
+            lengths = _norms(chords)
+            apart = _norms(np.cross(positions - low[:, None], chords[:, None]))
+            return np.stack([apart.max(axis=1) / lengths, lengths], axis=1)
+
+        signals = map(self.run.signal, ("cable_state", "load_state", "carrier_state"))
+        found = _in_chunks(of_rows, *signals)
+        return found[:, 0], found[:, 1]
+
+    @cached_property
+    def slack_time(self) -> float:
+        """The time for which any cable was slack, s."""
+        return self.duration_of(np.any(self.tensions <= 0, axis=1))
+
+    @cached_property
+    def attachment_positions(self) -> NDArray:
+        """The points of the load that the cables are attached to, (k, n, 3), in W, m."""
+        load_states = self.run.steps["load_state"]
+        return _in_chunks(lambda states: attachment_positions(self.run, states), load_states)
+
+    @property
+    def cable_points(self) -> NDArray:
+        """Those of straight cables; nodes between are known at 100 Hz, and linear in between."""
+        ends = super().cable_points
+        try:
+            nodes = np.split(self.run.signal("cable_state"), 2, axis=1)[0]
+        except UnknownSignalError:
+            return ends
+        columns = [np.interp(self.time, self.run.time, column) for column in nodes.T]
+        positions = np.stack(columns, axis=1).reshape(len(self.time), -1, *ends.shape[2:])
+        return np.concatenate([ends[:1], positions.swapaxes(0, 1), ends[1:]])
+
+    @cached_property
+    def update_counts(self) -> dict[str, float]:
+        """The number of updates of the optimization layer, and of those that ended in each way."""
+        if "diagnostics" not in self.run.steps:
+            return dict.fromkeys(_UPDATE_COUNTS, 0)
+        diagnostics = Diagnostics.view(self.run.steps["diagnostics"][-1])
+        return {name: _count(getattr(diagnostics, name)) for name in _UPDATE_COUNTS}
+
+    def solve_time(self, share: float) -> float | None:
+        """The quantile `share`, 0 to 1, of updates' wall times, ms; None: nothing was solved."""
+        times = self.run.solve_times
+        return 1e3 * float(np.quantile(times, share)) if len(times) else None
+
+    def duration_of(self, condition: NDArray) -> float:
+        """The time, s, for which a condition (k,) holds: at a step for half of both intervals."""
+        if len(self.time) < 2:
+            return 0.0
+        intervals = np.diff(self.time)
+        weights = np.concatenate([intervals, [0.0]]) + np.concatenate([[0.0], intervals])
+        return float(np.sum(weights[condition]) / 2)
+
+
+def _count(value: float) -> float:
+    """A count from a signal as a whole number, or as it is where it is not finite."""
+    return int(value) if math.isfinite(value) else float(value)
+
+
+def load_errors(run: Run) -> tuple[NDArray, NDArray]:
+    """Position (m, in W) and orientation (rad) errors of the load, (samples, 3) each.
+
+    The orientation error is the rotation vector from the reference to the load, in L; its
+    norm is the angle between the two.
+    """
+    errors = _in_chunks(_load_errors, run.signal("load_state"), run.signal("reference"))
+    return errors[:, :3], errors[:, 3:]
+
+
+def _load_errors(load_states: NDArray, references: NDArray) -> NDArray:
+    """[position error, orientation error] (k, 6), as of `load_errors`."""
+    state, reference = Pose.view(load_states), Pose.view(references)
+    inverse = quaternion_conjugate(reference.quaternion)
+    rotation = rotation_vector(quaternion_product(inverse, state.quaternion))
+    return np.hstack([state.position - reference.position, rotation])
+
+
+def carrier_speeds(carrier_state: NDArray) -> NDArray:
+    """Speeds (k, n) in m/s of carrier states (k, 6n)."""
+    return _in_chunks(_norms, CarrierStates.view(carrier_state).velocities)
+
+
+def _norms(vectors: NDArray) -> NDArray:
+    return np.linalg.norm(vectors, axis=-1)
+
+
+def _steepest_angle(velocities: NDArray) -> float:
+    """The largest angle of velocities (k, n, 3) to the horizontal, rad, also between two rows."""
+    rise, level = np.abs(velocities[..., 2]), _norms(velocities[..., :2])
+    steepest = float(np.max(np.arctan2(rise, level)))
+    changes = np.diff(velocities, axis=0)
+    # Between two rows a velocity rises by no more than at them, and its level part is no less than:
+    least_level = (level[:-1] + level[1:] - _norms(changes[..., :2])) / 2
+    most_rise = np.maximum(rise[:-1], rise[1:])
+    may_be_steeper = ~(most_rise * math.cos(steepest) < least_level * math.sin(steepest))
+    starts, changes = velocities[:-1][may_be_steeper], changes[may_be_steeper]
+    level, level_change = starts[..., :2], changes[..., :2]
+    rise, rise_change = starts[..., 2], changes[..., 2]
+    mixed = (level * level_change).sum(axis=-1)
+    numerator = rise * mixed - rise_change * (level * level).sum(axis=-1)
+    denominator = rise_change * mixed - rise * (level_change * level_change).sum(axis=-1)
+    shares = (numerator / np.where(denominator == 0, np.inf, denominator)).clip(0, 1)
+    between = starts + shares[..., None] * changes
+    angles = np.arctan2(np.abs(between[..., 2]), _norms(between[..., :2]))
+    return float(np.max(angles, initial=steepest))
+
+
+def _overlapping_chunks(values: NDArray) -> Iterator[NDArray]:
+    """Yields the rows in chunks; the last row of one is the first of the next."""
+    for start in range(0, max(1, len(values) - 1), _CHUNK):
+        yield values[start : start + _CHUNK + 1]
+
+
+def automatic_gains(run: Run) -> str:
+    """The wrench controller's gains where its config has "auto", with symbols and units, or ""."""
+    config, name = run.scenario.wrench_controller, "wrench_controller"
+    automatic = [field for field, value in vars(config).items() if str(value) == AUTO]
+    if not automatic or not run.diagram.HasSubsystemNamed(name):
+        return ""
+    gains, told = getattr(run.diagram.GetSubsystemByName(name), "gains", {}), []
+    for field in (each for each in automatic if each in gains):
+        unit, _, symbol = meanings(type(config))[field].partition(";")[0].partition(", ")
+        told.append(f"{symbol} {gains[field]:.3g} {unit}")
+    return f"gains by auto: {', '.join(told)}" if told else ""
+
+
+def _in_chunks(function: Callable[..., NDArray], *arrays: NDArray) -> NDArray:
+    """Returns `function(*arrays)`, which has to work row by row, computed in chunks of rows."""
+    starts = range(0, max(len(arrays[0]), 1), _CHUNK)
+    parts = [function(*(array[i : i + _CHUNK] for array in arrays)) for i in starts]
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
+
+
+def attachment_positions(run: Run, load_states: NDArray) -> NDArray:
+    """The simulated attachment points (k, n, 3), in W, m, for load states (k, 13)."""
+    quaternions, positions = Pose.view(load_states)
+    R_WL = rotation_matrix(quaternions)
+    return positions[:, None] + np.array(simulated_system(run).attachments) @ R_WL.swapaxes(1, 2)
+
+
+def simulated_system(run: Run) -> SystemParameters:
+    """The load, cables and carriers that were simulated."""
+    return overridden(run.scenario.system, run.scenario.simulated)

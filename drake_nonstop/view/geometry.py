@@ -1,0 +1,298 @@
+"""The loop's bodies as geometry of a SceneGraph: for cameras, proximity queries and viewers."""
+
+import itertools
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.common.value import AbstractValue
+from pydrake.geometry import (
+    CollisionFilterDeclaration,
+    Cylinder,
+    FrameId,
+    FramePoseVector_,
+    GeometryFrame,
+    GeometryInstance,
+    GeometrySet,
+    MakePhongIllustrationProperties,
+    PerceptionProperties,
+    ProximityProperties,
+    RenderLabel,
+    Rgba,
+    Role,
+    SceneGraph,
+    Sphere,
+)
+from pydrake.math import RigidTransform
+from pydrake.systems.framework import Context, DiagramBuilder, System
+
+from drake_nonstop.mechanics.aircraft import Aircraft
+from drake_nonstop.mechanics.rotation import rotation_matrix
+from drake_nonstop.mechanics.signals import CarrierStates, Pose
+from drake_nonstop.model.load_file import read_load_shapes
+from drake_nonstop.model.system import aircraft_in, overridden
+from drake_nonstop.scenario.schema import Scenario, check
+from drake_nonstop.systems.block import LOOP, DiagramBlock, InnerBlock
+from drake_nonstop.systems.tracing import NotFiniteError
+from drake_nonstop.systems.wiring import output_sizes, require_open
+from drake_nonstop.validation import require, require_array, require_flags, require_type
+from drake_nonstop.view.bodies import (
+    Colour,
+    Part,
+    carrier_parts,
+    carrier_rotations,
+    cylinder_poses,
+    load_parts,
+    signal_sizes,
+    stack_poses,
+)
+from drake_nonstop.view.scene import Scene
+
+_HALF_CABLE = 0.6  # of the unstretched length; the two halves of a cable overlap
+
+
+class NonstopGeometry(DiagramBlock):
+    """Load, cables and carriers in a SceneGraph, at the poses that the loop's states tell.
+
+    Each has the roles illustration, perception (with a render label of its own) and proximity.
+
+    - The load has the shapes of its file, or is a frame of bars around its attachments.
+    - A carrier is an aircraft along its velocity (along x of W where it has none), with its top
+      away from the cable. For proximity it is a sphere with the wing span as diameter. Where the
+      system has aircraft, they fly along the air that they meet, with bank and angle of attack.
+    - A cable is straight, slack or not. Geometry is rigid: two cylinders of 0.6 unstretched
+      lengths, one from the attachment and one from the carrier, slide over each other. Where the
+      ends are more than 1.2 lengths apart there is a gap between the two; where they are less
+      than 0.6 apart, each goes beyond the other end.
+
+    Converted to AutoDiffXd or Expression it makes no poses: to ask for them raises ScenarioError.
+
+    Cables do not collide with themselves, with the load, or with the carriers at their ends.
+    `geometry_pose` is a FramePoseVector, for the SceneGraph's pose port of `source`.
+
+    Args:
+        scene_graph: where the geometry is registered.
+        scenario: has the system, with what is simulated otherwise, and colours and sizes.
+        name: of the geometry's source in the SceneGraph.
+        load_file: an SDF or URDF file with the load's shapes; without one it is drawn as bars.
+        proximity: whether the bodies have that role. A MultibodyPlant in the same SceneGraph ends
+            the run at a contact with a body that is not its own, or of two such bodies.
+
+    Attributes:
+        source: the SourceId of the geometry.
+        load_frame: the FrameId of the load's frame L.
+        carrier_frames: those of the n carriers, nose along x.
+        cable_frames: those of the n cables' halves, in pairs: at the attachment and at the
+            carrier, with z towards the other end.
+
+    Raises:
+        ScenarioError: a field of the scene is out of range, the SceneGraph has a source of that
+            name, or the file cannot be read, has no shapes or is of another load.
+    """
+
+    reads = "load_state", "carrier_state", "aircraft_state", "wind"
+    optional_inputs = reads[2:]
+    makes = ("geometry_pose",)
+
+    def __init__(
+        self,
+        scene_graph: SceneGraph,
+        scenario: Scenario,
+        *,
+        name: str = LOOP,
+        load_file: str | Path = "",
+        proximity: bool = True,
+    ):
+        super().__init__()
+        require_flags(proximity=proximity)
+        require_type("name", name, str)
+        remedy = "give the path of an SDF or URDF file"
+        require(isinstance(load_file, (str, Path)), "load_file", load_file, remedy)
+        system = overridden(scenario.system, scenario.simulated)
+        attachments = require_array(
+            "system.attachments", system.attachments, [None, 3], "one position per cable"
+        )
+        scene = Scene(system, scenario.scene)
+        load_shapes = read_load_shapes(load_file, attachments) if load_file else []
+        inspector = scene_graph.model_inspector()
+        sources = [inspector.GetName(source) for source in inspector.GetAllSourceIds()]
+        remedy = "add the geometry of a loop once, and give each loop a name of its own"
+        require(name not in sources, "loop", name, remedy)
+        self.source = scene_graph.RegisterSource(name)
+        labels = itertools.count(_first_free_label(scene_graph))
+
+        def add(body: str, shapes: list[GeometryInstance], label: int) -> FrameId:
+            # Drake's MeshcatVisualizer does not tell frames of one name but two sources apart.
+            frame = scene_graph.RegisterFrame(self.source, GeometryFrame(f"{name}::{body}"))
+            for shape in shapes:
+                if shape.perception_properties() is not None:
+                    properties = shape.mutable_perception_properties()
+                    properties.UpdateProperty("label", "id", RenderLabel(label))
+                geometry = scene_graph.RegisterGeometry(self.source, frame, shape)
+                if not proximity:
+                    scene_graph.RemoveRole(self.source, geometry, Role.kProximity)
+            return frame
+
+        bars = load_parts(attachments, scene.bar_radius)
+        load = load_shapes or [_instance(bar, scene.load_colour, is_solid=True) for bar in bars]
+        self.load_frame = add("load", load, next(labels))
+        self.carrier_frames: list[FrameId] = []
+        self.cable_frames: list[tuple[FrameId, FrameId]] = []
+        length = _HALF_CABLE * float(np.max(system.cable_length))
+        cylinder = Cylinder(scene.cable_radius, length)
+        centre, ball = RigidTransform([0, 0, length / 2]), Sphere(scene.wing_span / 2)
+        cable_colour = scene.cable_colour(scene.weight_share)
+        filters = CollisionFilterDeclaration()
+        for i, colour in enumerate(scene.carrier_colours):
+            aircraft = [_instance(part, colour) for part in carrier_parts(scene.wing_span)]
+            sphere = Part(name=f"carrier {i + 1}", shape=ball)
+            half = Part(name=f"cable {i + 1}", shape=cylinder, pose=centre)
+            aircraft.append(_instance(sphere, is_solid=True))
+            carrier = add(f"carriers::{i}", aircraft, next(labels))
+            label = next(labels)
+            lower, upper = (
+                add(f"cables::{i}::{end}", [_instance(half, cable_colour, is_solid=True)], label)
+                for end in ("lower", "upper")
+            )
+            self.carrier_frames.append(carrier)
+            self.cable_frames.append((lower, upper))
+            cable = GeometrySet([lower, upper])
+            filters.ExcludeWithin(cable)
+            filters.ExcludeBetween(cable, GeometrySet([self.load_frame, carrier]))
+        scene_graph.collision_filter_manager().Apply(filters)
+        lower_halves, upper_halves = zip(*self.cable_frames, strict=True)
+        frames = [self.load_frame, *self.carrier_frames, *lower_halves, *upper_halves]
+        inner = DiagramBuilder()
+        poses = inner.AddNamedSystem("poses", _Poses(attachments, frames, aircraft_in(system)))
+        for port in self.reads:
+            inner.ExportInput(poses.GetInputPort(port), port)
+        inner.ExportOutput(poses.get_output_port(), "geometry_pose")
+        inner.BuildInto(self)
+
+
+class _Poses(InnerBlock):
+    """The poses of the frames, which a conversion does not register anew.
+
+    They are those of the load, the n carriers, and the cables' n lower and n upper halves.
+    """
+
+    def __init__(self, attachments: NDArray, frames: list[FrameId], aircraft: Aircraft | None):
+        super().__init__()
+        self._attachments, self._frames, self._aircraft = attachments, frames, aircraft
+        sizes = signal_sizes(NonstopGeometry.reads, len(attachments))
+        self._inputs = [self.DeclareVectorInputPort(name, size) for name, size in sizes.items()]
+        make = FramePoseVector_[self.scalar]
+        self.DeclareAbstractOutputPort(
+            "geometry_pose",
+            lambda: AbstractValue.Make(make()),
+            self._calc_poses,
+            {self.all_input_ports_ticket()},
+        )
+
+    def _calc_poses(self, context: Context, output: AbstractValue) -> None:
+        self.require_floats("look at the scene in a context of the diagram that was converted")
+        optional = self._inputs[2:] if self._aircraft is not None else []
+        ports = [*self._inputs[:2], *(port for port in optional if port.HasValue(context))]
+        given = {port.get_name(): port.Eval(context) for port in ports}
+        load = Pose.view(given.pop("load_state"))
+        carriers = CarrierStates.view(given.pop("carrier_state"))
+        is_finite = all(np.isfinite(part).all() for part in (*load, *carriers, *given.values()))
+        if not (is_finite and load.quaternion.any()):
+            raise NotFiniteError(self.box(), was_given=True)
+        X_WL = stack_poses(rotation_matrix(load.quaternion), load.position[None])
+        p_WA = self._attachments @ X_WL[0, :3, :3].T + load.position
+        p_WC = carriers.positions
+        rotations = carrier_rotations(
+            carriers.velocities, p_WC - p_WA, aircraft=self._aircraft, **given
+        )
+        starts, ends = np.vstack([p_WA, p_WC]), np.vstack([p_WC, p_WA])
+        halves, _ = cylinder_poses(starts, ends)
+        halves[:, :3, 3] = starts
+        poses = [*X_WL, *stack_poses(rotations, p_WC), *halves]
+        vector = output.get_mutable_value()
+        for frame, pose in zip(self._frames, poses, strict=True):
+            vector.set_value(frame, RigidTransform(pose))
+
+
+def AddGeometry(  # noqa: N802
+    builder: DiagramBuilder,
+    loop: System,
+    scene_graph: SceneGraph,
+    scenario: Scenario,
+    *,
+    load_file: str | Path = "",
+    proximity: bool = True,
+) -> NonstopGeometry:
+    """Adds the bodies of a loop to a SceneGraph, where cameras, queries and viewers see them.
+
+    Any number of loops may be in one SceneGraph, beside the user's own plants.
+
+    Args:
+        builder: has the loop and the SceneGraph already, and is not built yet.
+        loop: a diagram, as `make_nonstop` builds it, or any system with the output ports
+            `load_state` (13) and `carrier_state` (6n); of aircraft also `aircraft_state` (4n) and
+            `wind` (3n). Its name is that of the geometry's source.
+        scene_graph: the SceneGraph.
+        scenario: see `NonstopGeometry`; nothing else of it is used.
+        load_file: likewise, such as the one that `system.load_file` named as the scenario was
+            loaded.
+        proximity: likewise.
+
+    Returns:
+        The system that makes the poses; see `NonstopGeometry` for its frames and what is drawn.
+
+    Raises:
+        ScenarioError: the loop or the SceneGraph is not in the builder, the builder is built, the
+            loop has no such ports, the scenario cannot be used, or as `NonstopGeometry`.
+    """
+    check(scenario)
+    require_open(builder, "AddGeometry")
+    for field, system, kind in (("loop", loop, System), ("scene_graph", scene_graph, SceneGraph)):
+        is_there = any(system is present for present in builder.GetSystems())
+        remedy = f"give a {kind.__name__} that builder.AddSystem was given before"
+        require(isinstance(system, kind) and is_there, field, system, remedy)
+    n, sizes = len(overridden(scenario.system, scenario.simulated).attachments), output_sizes(loop)
+    optional = NonstopGeometry.optional_inputs
+    ports = [port for port in NonstopGeometry.reads if port not in optional or port in sizes]
+    for port, size in signal_sizes(ports, n).items():
+        has = f"{sizes[port]} values" if port in sizes else "no such output port"
+        remedy = f"give a loop with {size} values there, for the scenario's {n} attachments"
+        require(sizes.get(port) == size, f"loop.{port}", has, remedy)
+    name = loop.get_name()
+    geometry = NonstopGeometry(
+        scene_graph, scenario, name=name, load_file=load_file, proximity=proximity
+    )
+    builder.AddNamedSystem(f"{name}_geometry", geometry)
+    for port in ports:
+        builder.Connect(loop.GetOutputPort(port), geometry.GetInputPort(port))
+    builder.Connect(
+        geometry.GetOutputPort("geometry_pose"), scene_graph.get_source_pose_port(geometry.source)
+    )
+    return geometry
+
+
+def _instance(
+    part: Part, colour: Colour | None = None, *, is_solid: bool = False
+) -> GeometryInstance:
+    """A part that is seen where it has a colour, and that collides where it is solid."""
+    instance = GeometryInstance(part.pose, part.shape, part.name)
+    if colour is not None:
+        perception = PerceptionProperties()
+        perception.AddProperty("phong", "diffuse", Rgba(*colour))
+        instance.set_perception_properties(perception)
+        instance.set_illustration_properties(MakePhongIllustrationProperties([*colour, 1.0]))
+    if is_solid:
+        instance.set_proximity_properties(ProximityProperties())
+    return instance
+
+
+def _first_free_label(scene_graph: SceneGraph) -> int:
+    """The least number above all render labels in the SceneGraph."""
+    inspector = scene_graph.model_inspector()
+    found = (inspector.GetPerceptionProperties(each) for each in inspector.GetAllGeometryIds())
+    labels = [
+        properties.GetProperty("label", "id")
+        for properties in found
+        if properties is not None and properties.HasProperty("label", "id")
+    ]
+    return max((int(label) for label in labels if not label.is_reserved()), default=0) + 1

@@ -1,0 +1,226 @@
+"""The replay of a run: an animated 3D scene in one HTML file that opens offline."""
+
+import base64
+import contextlib
+import gzip
+import html
+import math
+import re
+from importlib import resources
+from string import Template
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.geometry import MeshcatAnimation
+
+from drake_nonstop.mechanics.signals import POSE_SIZE, SIGNAL_PERIOD, AircraftState, Pose
+from drake_nonstop.run.run import Run
+from drake_nonstop.run.run_quantities import (
+    RunQuantities,
+    carrier_speeds,
+    simulated_system,
+)
+from drake_nonstop.run.signal_table import UnknownSignalError
+from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.view.bodies import Snapshot
+from drake_nonstop.view.canvas import RecordingCanvas
+from drake_nonstop.view.figure_style import MOST_POINTS, extreme_samples
+from drake_nonstop.view.meshcat_server import start_hidden_meshcat
+from drake_nonstop.view.nonstop_visualizer import NonstopVisualizer
+from drake_nonstop.view.scene import COLOURED_FROM, Scene, stall_shares
+
+_FRAME_RATE = 25.0  # 1/s
+_MOST_POSES = 45_000  # in all frames, half of those of carriers, cables and loads: below 20 MB
+_MOST_FRAMES = 3_000  # of a page that is written in a few seconds
+# How Meshcat writes what the page tells the viewer.
+_COMMAND = re.compile(
+    r'fetch\("data:application/octet-binary;base64,([\w+/=]+)"\)'
+    r"\s*\.then\(res => res\.arrayBuffer\(\)\)"
+)
+_LARGE = 20_000  # characters of a command
+
+
+class Replay(str):
+    """A page in HTML, which a notebook shows in a frame where it is the result of a cell."""
+
+    def _repr_html_(self) -> str:
+        return (
+            f'<iframe title="Replay" loading="lazy" srcdoc="{html.escape(self)}" '
+            'style="width: 100%; height: 28em; border: 0"></iframe>'
+        )
+
+
+def record_replay(run: Run, *, frame_rate: float | None = None) -> Replay:
+    """The run as a Meshcat recording (see `Scene`) in an HTML page that loads nothing else.
+
+    The recording ends before the first sample that is not finite.
+
+    Args:
+        run: returned by `simulate`, or carried by a RunStopped or RunInterrupted.
+        frame_rate: frames per second of simulated time, at most those of the signals; the page
+            interpolates between them. Without it 25, or fewer beyond two minutes and where the
+            page would be larger than 20 MB, which it then says.
+
+    Raises:
+        ScenarioError: a field of the scenario's scene is out of range.
+    """
+    system = simulated_system(run)
+    n = len(system.attachments)
+    nodes = run.signal("cable_state").shape[1] // (6 * n) if RunQuantities(run).has_nodes else 0
+    scene = Scene(system, run.scenario.scene, run.scenario.obstacles, nodes=nodes)
+    if frame_rate is None:  # a whole part of the signals'
+        poses = n * (1 + scene.pieces) // 2 + 1
+        most = max(min(_MOST_POSES // poses, _MOST_FRAMES), 1)
+        stride = max(round(1 / (SIGNAL_PERIOD * _FRAME_RATE)), math.ceil(len(run.time) / most))
+        frame_rate = 1 / (SIGNAL_PERIOD * stride)
+    frame_rate = min(frame_rate, 1 / SIGNAL_PERIOD)
+    snapshots = _snapshots(run, frame_rate)
+    page = _COMMAND.sub(_compressed, _recorded(scene, snapshots, frame_rate))
+    if not snapshots:
+        return Replay(page)
+    body, end = page.rsplit("</body>", 1)
+    overlay = _overlay(run, scene, snapshots, frame_rate)
+    return Replay(f"{body}{overlay}</body>{end}")
+
+
+def _recorded(scene: Scene, snapshots: list[Snapshot], frame_rate: float) -> str:
+    """Meshcat's page of the recording."""
+    meshcat, _ = start_hidden_meshcat()
+    if snapshots:
+        path = np.array([snapshot.reference_position for snapshot in snapshots])
+        scene.set_stage(meshcat, path, np.array([snapshot.carriers for snapshot in snapshots]))
+        scene.draw(meshcat)
+        flown = np.array([snapshot.load_position for snapshot in snapshots])
+        scene.draw_task(meshcat, flown, path, snapshots[-1])
+        canvas = RecordingCanvas(MeshcatAnimation(frame_rate))
+        for frame, snapshot in enumerate(snapshots):
+            canvas.frame = frame
+            scene.show(canvas, snapshot)
+        canvas.finish()
+        meshcat.SetAnimation(canvas.animation)
+    return meshcat.StaticHtml()
+
+
+def _compressed(command: re.Match[str]) -> str:
+    """A command of the page, compressed where it is large, as the animation is."""
+    if len(command[1]) < _LARGE:
+        return command[0]
+    data = base64.b64encode(gzip.compress(base64.b64decode(command[1]), 6, mtime=0)).decode()
+    return (
+        f'fetch("data:application/gzip;base64,{data}")\n    .then(res => new Response('
+        'res.body.pipeThrough(new DecompressionStream("gzip"))).arrayBuffer())'
+    )
+
+
+def _snapshots(run: Run, frame_rate: float) -> list[Snapshot]:
+    """The run at the instants of the frames, up to the first that cannot be shown."""
+    frames = np.unique(np.floor(run.time * frame_rate + 1e-6), return_index=True)[1]
+    signals = {"speed_bound": np.full((len(frames), 1), run.scenario.speed_bound)}
+    for name in NonstopVisualizer.reads:
+        with contextlib.suppress(UnknownSignalError):
+            signals[name] = run.signal(name)[frames]
+    usable = np.ones(len(frames), dtype=bool)
+    for name, values in signals.items():
+        if name in ("load_state", "reference"):  # of which the pose is shown
+            values = values[:, :POSE_SIZE]
+            usable &= Pose.view(values).quaternion.any(axis=1)
+        usable &= np.isfinite(values).all(axis=1)
+    count = len(frames) if usable.all() else int(usable.argmin())
+    return [
+        Snapshot.from_signals(
+            run.time[frame], **{name: values[k] for name, values in signals.items()}
+        )
+        for k, frame in enumerate(frames[:count])
+    ]
+
+
+def legend(scenario: Scenario, *, has_aircraft: bool = False) -> str:
+    """The legend of the scene's colours in HTML; a sample of a colour has the class `swatch`."""
+    config = scenario.scene
+    marks = f"carrier's speed, from {config.mark_range:g} ε down to ε"
+    also: list[tuple[list[str], str]] = []
+    if has_aircraft:
+        marks = f"wing, from {COLOURED_FROM:g} of the stall up to it"
+        also.append(([config.wind_colour] * 2, "wind at the load (arrow)"))
+    if scenario.obstacles:
+        also.append(([config.obstacle_colour] * 2, "obstacle"))
+    colours = (
+        (config.mark_colours[::-1], marks),
+        (config.cable_colours, f"tension, up to {config.tension_range:g} × weight / carriers"),
+        ([config.slack_colour] * 2, "slack cable"),
+        ([config.load_colour] * 2, "load and its path"),
+        ([config.reference_colour] * 2, "where the load should be, its path and goal"),
+        *also,
+    )
+    swatch = '<span><span class="swatch" style="background:linear-gradient(to right,{})"></span>{}'
+    return "".join(swatch.format(",".join(names), text) + "</span>" for names, text in colours)
+
+
+def _overlay(run: Run, scene: Scene, snapshots: list[Snapshot], frame_rate: float) -> str:
+    """The HTML below the scene: a time bar, a legend, and what a run is judged by with its bound.
+
+    That is the slowest carrier's speed with ε, or how near the nearest aircraft is to its stall.
+    """
+    start = snapshots[0].time
+    duration = snapshots[-1].time - start
+    times = np.array([snapshot.time - start for snapshot in snapshots])
+    bounds = np.array([float(snapshot.speed_bound) for snapshot in snapshots])
+    end = np.searchsorted(run.time, snapshots[-1].time, side="right")
+    quantities = RunQuantities(run)
+    if quantities.has_aircraft:
+        bounds = np.ones(len(times))
+        state = AircraftState.view(run.signal("aircraft_state")[:end])
+        values = stall_shares(quantities.aircraft, state).max(axis=1)
+        name, unit, sign = "stall", "", -1
+        judged = "black: the aircraft nearest to its stall (dashed), by lift or airspeed"
+    else:
+        values = carrier_speeds(run.signal("carrier_state")[:end]).min(axis=1)
+        name, unit, sign = "ε", " m/s", 1
+        judged = "black: speed of the slowest carrier (m/s); dashed: the bound ε"
+    is_reduced = frame_rate < _FRAME_RATE
+    if is_reduced:  # there may be lower or higher values between the frames
+        shown = extreme_samples(values, MOST_POINTS // 4)
+        shown = shown[np.isfinite(values[shown])]
+    else:
+        shown = np.searchsorted(run.time[:end], [snapshot.time for snapshot in snapshots])
+    margins = sign * (values - np.interp(run.time[:end] - start, times, bounds))
+    least = int(np.nanargmin(margins))
+    judged += f"; least margin {margins[least]:.3g}{unit} at {run.time[least]:.2f} s"
+    ticks, bottom, top = _scale(np.concatenate([values[shown], bounds]))
+    labels = [f'<span class="tick" style="top: {{}}%">{tick:g}</span>' for tick in ticks]
+    labels += [f'<span class="bound" style="top: {{}}%">{name} {bounds[-1]:.3g}</span>']
+    heights = 100 * (top - np.append(ticks, bounds[-1])) / (top - bottom)
+    lines = (f'<line stroke="#ddd" x2="{duration:g}" y1="{y:g}" y2="{y:g}"/>' for y in ticks)
+    page = resources.files("drake_nonstop.view").joinpath("replay_overlay.html")
+    return Template(page.read_text(encoding="utf-8")).substitute(
+        title=html.escape(run.scenario.name),
+        legend=legend(run.scenario, has_aircraft=quantities.has_aircraft),
+        duration=f"{duration:g}",
+        top=f"{top:g}",
+        bottom=f"{bottom:g}",
+        range=f"{top - bottom:g}",
+        labels="".join(map(str.format, labels, map("{:.1f}".format, heights))),
+        lines="".join(lines),
+        values=_polyline(run.time[shown] - start, values[shown]),
+        meaning=judged,
+        bound=_polyline(times, bounds),
+        rate=f"; a long run: {frame_rate:.3g} frames per second" if is_reduced else "",
+        aspect=f"{scene.aspect_ratio:.3g}",
+        sign=sign,
+        unit=unit,
+    )
+
+
+def _scale(values: NDArray) -> tuple[NDArray, float, float]:
+    """Round values of an axis with these values, and the axis's lower and upper end."""
+    low, high = float(values.min()), float(values.max())
+    room = max(high - low, 0.01 * abs(high), 1e-3)
+    decade = 10 ** math.floor(math.log10(room))
+    step = next(size * decade for size in (0.2, 0.5, 1, 2, 5) if size * decade >= room / 4)
+    bottom, top = low - 0.05 * room, low + 1.05 * room
+    return step * np.arange(math.ceil(bottom / step), math.floor(top / step) + 1), bottom, top
+
+
+def _polyline(times: NDArray, values: NDArray) -> str:
+    """The points of an SVG polyline."""
+    return " ".join(f"{time:g},{value:.4g}" for time, value in zip(times, values, strict=True))

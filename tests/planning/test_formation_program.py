@@ -1,0 +1,187 @@
+"""The program that designs formations, beside closed forms."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from drake_nonstop.mechanics.aircraft import stall_speed, thrust_limits
+from drake_nonstop.mechanics.formation_orbit import CarriedLoad
+from drake_nonstop.model.aircraft import AircraftParameters, make_aircraft
+from drake_nonstop.planning.formation_program import (
+    CO_ROTATING,
+    KINDS,
+    LEANING,
+    DesignLimits,
+    FlightMargins,
+    FormationProgram,
+    FormationTask,
+    FormationVariables,
+    LoadMotion,
+)
+from drake_nonstop.planning.limits import Of, limits_of
+from drake_nonstop.studies.designed_formation import formation_needs
+
+GRAVITY, MASS, N, RADIUS = 9.81, 10.0, 4, 1.5
+X = np.eye(3)[0]
+LIMITS = DesignLimits(
+    own=FlightMargins(0.9, 1.2, math.radians(50), math.radians(30), 0.0),
+    wanted=FlightMargins(0.8, 1.25, math.radians(50) - 0.1, math.radians(30) - 0.05, 0.1),
+    carrier_distance=0.05,
+    separation=8.0,
+)
+# All limits of aircraft that can be asked for, where the needs are on their way to them.
+EVERY = tuple((limit, 0.6 * min(limit.largest, 30.0)) for limit in limits_of(Of.FLIGHT))
+# Without lift at no angle, and with an angle of attack of none: T acts along the path.
+STRAIGHT = {"lift_at_zero_angle": 0.0, "lift_slope": 1e9}
+
+
+def task(*motions, **aircraft):
+    parameters = AircraftParameters(model="rascal_110", **aircraft)
+    return FormationTask(
+        aircraft=make_aircraft(parameters, cable_length=100.0, gravity=GRAVITY),
+        load=CarriedLoad(MASS, 0.6, GRAVITY, N, RADIUS, 0.0),
+        wind=X,
+        motions=(LoadMotion(0 * X, 0 * X), *motions),
+        limits=LIMITS,
+    )
+
+
+def needs_at(given, kind, values, phases):
+    (found,) = formation_needs(given, kind, FormationVariables(*values), phases)
+    return found
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("limits", [LIMITS, LIMITS._replace(asked=EVERY)], ids=["own", "asked"])
+def test_gradients_are_central_differences(kind, limits):
+    moved = LoadMotion(X, 0.2 * X, 0.1 * X, -0.05 * X)
+    given = dataclasses.replace(task(moved), limits=limits)
+    program = FormationProgram(given, kind, 2, phases=3)
+    point = np.array([0.3, 0.15, 0.2, 0.1, 0.6, 150.0, 10.0, 2.0, 1.2, 0.5])
+    rows, gradients, _, power_gradient = program.rows(point)
+    assert len(rows) == len(program.row_names)
+    for i in range(len(point) - 1):
+        step = 1e-5 * max(1.0, point[i])
+        ends = [program.rows(point + sign * step * np.eye(10)[i]) for sign in (1, -1)]
+        expected = (ends[0][0] - ends[1][0]) / (2 * step)
+        np.testing.assert_allclose(gradients[:, i], expected, rtol=1e-4, atol=1e-5)
+        expected = (ends[0][2] - ends[1][2]) / (2 * step)
+        assert power_gradient[i] == pytest.approx(expected, rel=1e-4, abs=1e-3)
+
+
+@pytest.mark.parametrize(("limit", "value"), EVERY, ids=lambda each: getattr(each, "field", ""))
+def test_a_limit_that_is_asked_for_is_a_row_of_one_at_the_limit(limit, value):
+    given = dataclasses.replace(task(), limits=LIMITS._replace(asked=((limit, value),)))
+    program, values = FormationProgram(given, CO_ROTATING, phases=4), [1.2, 0, 0, 0, 0.4, 60.0]
+    values += [MASS, 0.0, 0.0, 0.0]
+    needs = needs_at(given, CO_ROTATING, values, 4)
+    margins = limit.margins(given.aircraft._replace(cable_length=60.0), needs, value)
+    rows = program.rows(np.array(values))[0]
+    asked = rows[program.row_names == limit.words][-4 * limit.margin_count :]
+    np.testing.assert_allclose(asked, 1 + np.ravel(margins) / 0.2, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_rows_are_the_distances_to_the_limits_over_their_margins(kind):
+    moved = LoadMotion(X, 0.2 * X, 0.1 * X, -0.05 * X)
+    given = dataclasses.replace(task(), motions=(moved,))
+    values = [0.3, 0.15, 0.2, 0.1, 0.6, 150.0, 10.0, 2.0, 1.2, 0.5]
+    if kind == CO_ROTATING:
+        values[1:4] = [0.0, 0.0, 0.0]
+    needs = needs_at(given, kind, values, 3)
+    plane = given.aircraft._replace(cable_length=150.0)
+    least, most = thrust_limits(plane, needs.airspeed)
+    program = FormationProgram(given, kind, 2, phases=3)
+    rows = program.rows(np.array(values))[0]
+    for name, expected in (
+        ("lift", (0.9 - needs.lift / plane.max_lift) / 0.1),
+        ("airspeed", (needs.airspeed / stall_speed(plane) - 1.2) / 0.05),
+        ("thrust_above", (most - needs.thrust) / (most - least) / 0.1),
+        ("thrust_below", (needs.thrust - least) / (most - least) / 0.1),
+    ):
+        found = rows[program.row_names == name]
+        np.testing.assert_allclose(np.sort(found), np.sort(expected), rtol=1e-9, atol=1e-9)
+
+
+def closed_form(plane, outward, rate, length):
+    """Level circles that turn with the load: C_L, bank, thrust, airspeed, distance."""
+    share, ratio = MASS * GRAVITY / N, MASS / (N * plane.mass)
+    half_cone = np.arctan(outward)
+    radius = RADIUS + length * np.sin(half_cone)
+    speed = rate * radius
+    bank = np.arctan((speed**2 / (GRAVITY * radius) - ratio * np.tan(half_cone)) / (1 + ratio))
+    pressure = plane.air_density / 2 * speed**2 * plane.wing_area
+    held = plane.mass * GRAVITY + share
+    lift = held / (pressure * np.cos(bank))
+    parasitic = plane.zero_lift_drag + 1.1 * 0.001 * length / (4 * plane.wing_area)
+    thrust = pressure * parasitic + plane.induced_drag * pressure * lift**2
+    return lift, bank, thrust, speed, 2 * radius * math.sin(math.pi / N)
+
+
+def test_co_rotating_circles_are_those_of_the_closed_form():
+    given = task(**STRAIGHT)
+    values = [1.2, 0, 0, 0, 0.4, 60.0, MASS, 0.0, 0.0, 0.0]
+    program, found = (
+        FormationProgram(given, CO_ROTATING, phases=5),
+        needs_at(given, CO_ROTATING, values, 5),
+    )
+    lift, bank, thrust, speed, apart = closed_form(given.aircraft, 1.2, 0.4, 60.0)
+    np.testing.assert_allclose(found.lift, lift, rtol=1e-6)
+    np.testing.assert_allclose(np.abs(found.bank), abs(bank), rtol=1e-6)
+    np.testing.assert_allclose(found.thrust, thrust, rtol=1e-6)
+    np.testing.assert_allclose(found.airspeed, speed, rtol=1e-9)
+    distances = program.separations(np.array(values))
+    assert distances.min() == pytest.approx(apart, rel=1e-9)
+    opposite = math.sqrt(2) * apart  # of four carriers on a circle
+    assert distances.max() == pytest.approx(opposite, rel=1e-9)
+
+
+def test_leaning_circles_are_those_of_the_closed_form():
+    """A = f0 tan(theta)/cos(psi), C = f0 tan(psi): a constant speed, T = D +- W sin(psi)."""
+    given = task(**STRAIGHT)
+    lean, half_cone, rate, length = 0.3, 0.2, 0.9, 60.0
+    size = math.tan(half_cone) / math.cos(lean)
+    values = [math.tan(lean), size * math.cos(lean), size, size * math.sin(lean), rate, length]
+    found = needs_at(given, LEANING, [*values, MASS, 0.0, 0.0, 0.0], 64)
+    speed = rate * length * math.sin(half_cone)
+    np.testing.assert_allclose(found.airspeed, speed, rtol=1e-9)
+    assert np.max(np.abs(found.climb)) == pytest.approx(lean, rel=1e-9)
+    plane = given.aircraft._replace(cable_length=length)
+    pressure = plane.air_density / 2 * speed**2 * plane.wing_area
+    drag = pressure * (
+        plane.zero_lift_drag + plane.cable_drag_share + plane.induced_drag * found.lift**2
+    )
+    swing = plane.mass * GRAVITY * math.sin(lean)
+    assert np.max(found.thrust - drag) == pytest.approx(swing, rel=0.01)
+    assert np.min(found.thrust - drag) == pytest.approx(-swing, rel=0.01)
+
+
+def test_the_least_power_is_that_of_the_closed_form():
+    """Beside a dense grid of C/f0 and xi at cables of 60 m, with the same margins."""
+    given = task(**STRAIGHT)
+    program = FormationProgram(given, CO_ROTATING, phases=4)
+    lower = np.array([0.05, 0, 0, 0, 0.05, 60.0, MASS, 0, 0, 1.0])
+    upper = np.array([2.0, 0, 0, 0, 3.0, 60.0, MASS, 0, 0, 1.0])
+    best = np.inf
+    for start in ([0.5, 0.5], [1.5, 0.3], [1.0, 0.8]):
+        begin = np.array([start[0], 0, 0, 0, start[1], 60.0, MASS, 0, 0, 1.0])
+        found = program.solve(begin, lower, upper, np.zeros(10), power_weight=0.005)
+        rows, _, power, _ = program.rows(found)
+        if rows.min() > 1 - 1e-3:
+            best = min(best, power)
+
+    outward, rate = np.meshgrid(np.linspace(0.05, 2, 500), np.linspace(0.05, 3, 1500))
+    plane = given.aircraft
+    lift, bank, thrust, speed, apart = closed_form(plane, outward, rate, 60.0)
+    least, most = thrust_limits(plane, speed.ravel())
+    least, most = least.reshape(speed.shape), most.reshape(speed.shape)
+    kept = lift / plane.max_lift <= 0.8
+    kept &= speed / stall_speed(plane) >= 1.25
+    kept &= np.abs(bank) <= math.radians(50) - 0.1
+    kept &= (most - thrust) / (most - least) >= 0.1
+    kept &= (thrust - least) / (most - least) >= 0.1
+    kept &= apart >= 8.0
+    expected = np.min((thrust * speed / plane.efficiency)[kept])
+    assert best == pytest.approx(expected, rel=0.01)

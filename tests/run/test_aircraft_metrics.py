@@ -1,0 +1,198 @@
+"""The metrics and the figure of aircraft, on an orbit whose figures a prototype has published."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from aircraft_runs import FREQUENCY, aircraft_run
+
+from drake_nonstop import load_scenario
+from drake_nonstop.blocks.optimization_layer import ConstantParametersConfig
+from drake_nonstop.mechanics.signals import AircraftState
+from drake_nonstop.planning.diagnostics import missed_layout
+from drake_nonstop.planning.problem_config import LimitsConfig
+from drake_nonstop.run.metrics import METRICS, compute_metrics, flattened, metrics_table
+from drake_nonstop.run.run import StepCheck
+from drake_nonstop.run.run_quantities import RunQuantities
+from drake_nonstop.run.signal_table import UnknownSignalError
+from drake_nonstop.run.simulate import simulate
+from drake_nonstop.view.canvas import ROOT
+from drake_nonstop.view.meshcat_server import start_meshcat
+from drake_nonstop.view.nonstop_visualizer import show_in
+from drake_nonstop.view.replay import record_replay
+from drake_nonstop.view.run_figures import FIGURE_NAMES, figure_names, make_figure
+
+PATHS = {metric.path for metric in METRICS if metric.path.startswith("aircraft.")}
+TURN = 2 * np.pi / FREQUENCY
+
+
+@pytest.fixture
+def run():
+    return aircraft_run(TURN)
+
+
+def test_an_orbit_has_the_published_figures(run):
+    """150 m cables, 10 kg, four aircraft of 6 kg: as an independent prototype found them."""
+    metrics = compute_metrics(run)
+    aircraft = metrics["aircraft"]
+    assert aircraft["lift_share_max"] == pytest.approx(0.56, abs=0.005)
+    assert aircraft["airspeed_min_m_s"] == pytest.approx(13.6, abs=0.05)
+    assert aircraft["airspeed_over_stall_min"] == pytest.approx(13.6 / 8.4, abs=0.02)
+    assert np.degrees(aircraft["bank_max_rad"]) == pytest.approx(33, abs=0.5)
+    assert aircraft["thrust_min_N"] == pytest.approx(4.5, abs=0.25)  # its cables stretch
+    assert aircraft["thrust_max_N"] == pytest.approx(23, abs=0.5)
+    assert aircraft["power_mean_W"] == pytest.approx(225, abs=1)
+    assert aircraft["energy_Wh_per_kg_km"] is None  # nothing is moved
+    assert aircraft["saturated_share"] == 0
+    assert metrics["carriers"]["separation_min_m"] == pytest.approx(20.7, abs=0.15)
+
+
+def test_the_energy_is_that_of_all_batteries_per_mass_and_distance():
+    moving = compute_metrics(aircraft_run(TURN, velocity=(0.75, 1.0, 0.0)))["aircraft"]
+    per_kg_m = 4 * moving["power_mean_W"] / (0.65 * 10 * 1.25)  # J, of the battery
+    assert moving["energy_Wh_per_kg_km"] == pytest.approx(1e3 * per_kg_m / 3600, rel=1e-12)
+    assert moving["energy_Wh_per_kg_km"] == pytest.approx(30, abs=2)  # published
+    run = aircraft_run(TURN, velocity=(0.75, 1.0, 0.0))
+    rests = run.time > TURN / 2
+    run.signal("load_trajectory.reference")[rests, 10:13] = 0
+    AircraftState.view(run.signal("aircraft_state")).thrust[rests] = 1e3  # does not count
+    half = compute_metrics(run)["aircraft"]["energy_Wh_per_kg_km"]
+    assert half == pytest.approx(moving["energy_Wh_per_kg_km"], rel=0.02)
+
+
+def test_a_windmilling_propeller_gives_no_power_back(run):
+    AircraftState.view(run.signal("aircraft_state")).thrust[:] = -5.0
+    assert compute_metrics(run)["aircraft"]["power_mean_W"] == 0
+
+
+def test_extremes_are_those_of_the_steps(run):
+    run.steps["aircraft_state"] = run.steps["aircraft_state"].copy()  # between two samples
+    state = AircraftState.view(run.steps["aircraft_state"])
+    state.lift[100, 1], state.bank[200, 2], state.airspeed[300, 3] = 1.33, -0.8, 9.0
+    state.thrust[400, 0], state.thrust[500, 0] = -9.0, 44.0
+    aircraft = compute_metrics(run)["aircraft"]
+    assert aircraft["lift_share_max"] == pytest.approx(1.33 / 1.4)
+    assert aircraft["bank_max_rad"] == 0.8
+    assert aircraft["airspeed_min_m_s"] == 9.0
+    assert (aircraft["thrust_min_N"], aircraft["thrust_max_N"]) == (-9.0, 44.0)
+    shares = [force / (58 - 1.45 * state.airspeed[k, 0]) for k, force in ((400, -9), (500, 44))]
+    assert [aircraft["thrust_share_min"], aircraft["thrust_share_max"]] == pytest.approx(shares)
+    # What is carried at the instant of C_L = 1.33 is 1.33 / 1.4 of what stalls, and what T lifts.
+    lifted = state.thrust[100, 1] * np.sin((1.33 - 0.25) / 5) / (1.225 / 2 * 0.98)
+    carried = 1.33 + lifted / state.airspeed[100, 1] ** 2
+    ratio = aircraft["airspeed_over_loaded_stall_min"]
+    assert ratio == pytest.approx(np.sqrt(1.4 / carried))
+
+
+def test_the_bound_is_that_of_the_airspeed_and_missed_limits_are_counted():
+    run = aircraft_run(TURN, wind=(2.0, 0.0, 0.0))
+    run.scenario.optimization_layer = ConstantParametersConfig(speed_bound="1.45 V_s")
+    counts = np.cumsum(np.tile([0.0, 1, 2], (len(run.time), 1)), axis=0)
+    name = "optimization_layer.missed_limits"
+    layout = missed_layout(["airspeed", "lift", "climb"])
+    run.signals[name], run.entries[name] = counts, layout.entries("missed_limits", 3)
+    metrics = compute_metrics(run)
+    least = metrics["aircraft"]["airspeed_min_m_s"]
+    bound = 1.45 * np.sqrt(2 * 6 * 9.81 / (1.225 * 0.98 * 1.4))
+    assert metrics["aircraft"]["airspeed_above_bound_min_m_s"] == pytest.approx(least - bound)
+    airspeeds = AircraftState.view(run.steps["aircraft_state"]).airspeed
+    below = np.mean(np.any(airspeeds < bound, axis=1)) * TURN
+    assert 0 < metrics["carriers"]["time_below_bound_s"] == pytest.approx(below, abs=0.03)
+    assert metrics["carriers"]["speed_min_m_s"] != pytest.approx(least, abs=0.3)
+    counts = metrics["aircraft"]["missed_limits"]
+    assert counts == {
+        "airspeed": 0,
+        "lift": len(run.time),
+        "bank": None,
+        "climb": 2 * len(run.time),
+        "thrust": None,
+    }
+
+
+def test_the_saturated_share_is_the_time_with_any_flag(run):
+    flags, time = run.steps["command_saturation"], run.steps["time"]
+    flags[(time > 2) & (time < 3), 5] = 1
+    flags[(time > 2.5) & (time < 4), 11] = 1
+    share = compute_metrics(run)["aircraft"]["saturated_share"]
+    assert share == pytest.approx(2 / TURN, abs=2e-3)
+    del run.steps["command_saturation"]
+    assert compute_metrics(run)["aircraft"]["saturated_share"] is None
+
+
+def test_shares_are_of_the_simulated_aircraft(run):
+    nominal = compute_metrics(run)["aircraft"]
+    run.scenario.simulated = dataclasses.replace(run.scenario.simulated, gravity=9.81 / 4)
+    light = compute_metrics(run)["aircraft"]
+    assert light["airspeed_over_stall_min"] == pytest.approx(2 * nominal["airspeed_over_stall_min"])
+
+
+def test_the_table_of_a_run_has_lines_of_aircraft():
+    lines = metrics_table(compute_metrics(aircraft_run(11.0))).splitlines()
+    assert lines[-3:] == [
+        "aircraft                up to 0.561 of the largest lift, airspeed from 13.6 m/s "
+        "(1.62 x stall, 1.33 x stall with cable and bank), bank up to 33.2 deg",
+        "thrust                  4.68 to 23.2 N (13 to 70 % of the largest), commands saturated "
+        "for 0 % of the time",
+        "power of an aircraft    225 W of thrust",
+    ]
+
+
+def test_runs_without_aircraft_have_no_such_group(run):
+    assert {path for path in flattened(compute_metrics(run)) if "aircraft" in path} == PATHS
+    run.scenario.system.aircraft = None
+    assert not RunQuantities(run).has_aircraft
+    metrics = compute_metrics(run)
+    assert "aircraft" not in metrics
+    assert "aircraft" not in metrics_table(metrics)
+    assert "aircraft" not in figure_names(run)
+
+
+def test_the_figure_shows_each_aircraft_with_its_limits(run):
+    assert figure_names(run) == [name for name in FIGURE_NAMES if name != "limits"]
+    figure = make_figure(run, "aircraft")
+    lift, bank, thrust, airspeed = figure.axes
+    state = AircraftState.view(run.steps["aircraft_state"])
+    for axes, values in (
+        (lift, state.lift / 1.4),
+        (bank, np.degrees(state.bank)),
+        (thrust, state.thrust),
+        (airspeed, state.airspeed / 8.37),
+    ):
+        for line, column in zip(axes.lines, values.T, strict=False):
+            np.testing.assert_allclose(line.get_ydata(), column, rtol=2e-3)
+    least, most = (thrust.lines[4 + 4 * k].get_ydata() for k in range(2))
+    np.testing.assert_allclose(least, -0.034 * state.airspeed[:, 0] ** 2)
+    np.testing.assert_allclose(most, 58 - 1.45 * state.airspeed[:, 0])
+    assert [len(axes.lines) for axes in figure.axes] == [5, 4, 12, 5]  # stalls and limits
+
+
+def test_the_figure_of_limits_has_a_panel_for_each_that_is_asked_for(run):
+    layer = LimitsConfig(max_bank=0.6, max_speed=30.0, min_separation=20.0)
+    run.scenario.optimization_layer = layer
+    assert figure_names(run) == list(FIGURE_NAMES)
+    panels = make_figure(run, "limits").axes
+    assert [axes.get_ylabel() for axes in panels] == [
+        *("carrier speed (m/s)", "carriers apart (m)", "bank (rad)")
+    ]
+    assert [len(axes.lines) for axes in panels] == [4 + 1, 6 + 1, 4 + 1]
+    for axes, limit in zip(panels, (30.0, 20.0, 0.6), strict=True):
+        assert axes.lines[-1].get_ydata()[0] == limit
+    run.scenario.system.aircraft = None
+    assert len(make_figure(run, "limits").axes) == 2
+
+
+def test_a_flown_run_has_what_is_shown_and_no_carrier_forces():
+    meshcat = start_meshcat()
+    scenario = load_scenario("aircraft_rest", ["simulation_duration=0.05"])
+    run = simulate(scenario, viewers=[show_in(meshcat)], check_step=StepCheck.NOTHING)
+    with pytest.raises(UnknownSignalError):
+        run.signal("carrier_forces")
+    assert len(run.steps["aircraft_state"]) == len(run.steps["time"])
+    assert run.steps["command_saturation"].shape == (len(run.steps["time"]), 12)
+    metrics = compute_metrics(run)
+    assert {path for path in flattened(metrics) if path.startswith("aircraft.")} == PATHS
+    assert metrics["aircraft"]["saturated_share"] == 0
+    assert metrics["aircraft"]["lift_share_max"] == pytest.approx(0.56, abs=0.01)
+    assert meshcat.HasPath(f"{ROOT}/carriers/3/wing")
+    assert meshcat.HasPath(f"{ROOT}/wind/shaft")
+    assert "aircraft nearest to its stall" in record_replay(run)

@@ -1,0 +1,196 @@
+"""Many runs together are those that `simulate` makes of each alone, to the bit."""
+
+import os
+import signal
+import sys
+import warnings
+
+import numpy as np
+import pytest
+
+from drake_nonstop import (
+    Run,
+    RunsInterrupted,
+    RunStopped,
+    ScenarioError,
+    ScenarioWarning,
+    StepCheck,
+    load_scenario,
+    simulate,
+    simulate_many,
+)
+from drake_nonstop.run import many
+from drake_nonstop.systems import equation_loop
+from drake_nonstop.systems.loop_equations import LoopEquations
+
+simulating = sys.modules[simulate.__module__]  # not the function of that name
+CONSTANT = "optimization_layer=ConstantParameters"
+SHORT = [CONSTANT, "simulation_duration=0.3"]
+MEASURED = {"time", "solve_time"}  # among the steps' signals, by a clock
+NOTHING = {"check_step": StepCheck.NOTHING, "engine": "compiled"}
+
+
+def assert_equal(run, expected):
+    assert run.scenario == expected.scenario
+    assert (run.stopped, run.step, run.unresolved) == (
+        expected.stopped,
+        expected.step,
+        expected.unresolved,
+    )
+    pairs = [(run.signals, expected.signals, {*run.signals})]
+    pairs += [(run.steps, expected.steps, {*run.steps} - MEASURED)]
+    for signals, others, names in pairs:
+        assert {*signals} == {*others}
+        for name in names:
+            np.testing.assert_array_equal(signals[name], others[name], name)
+
+
+def with_warnings(call):
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        return call(), [str(each.message) for each in told]
+
+
+def caught(call):
+    try:
+        call()
+    except Exception as error:
+        return error
+
+
+GUST = "load_disturbance=!DisturbanceForce {{gust_force: {}, seed: 3, start_time: 0.01}}"
+OTHER_NUMBERS = {
+    "constant": (
+        SHORT,
+        [
+            ["simulated.load_mass=0.9", GUST.format(0.1), "limits.slack_time=1"],
+            ["simulated.load_mass=1.1", GUST.format(0.2), "simulation_duration=0.104"],
+            ["system.cable_stiffness=400", GUST.format(0.3)],
+            ["optimization_layer.frequency=1.9", "wrench_controller.position_gain=12"],
+            [GUST.format(0.2), "carrier_controller.velocity_gain=3"],
+        ],
+    ),
+    "planned": (
+        ["simulation_duration=0.12"],
+        [
+            ["optimization_layer.speed_bound=0.5", "system.load_mass=1.1"],
+            ["optimization_layer.speed_bound=0.4", GUST.format(0.2)],
+        ],
+    ),
+}
+
+
+@pytest.mark.parametrize("name", OTHER_NUMBERS)
+def test_runs_that_differ_in_numbers_share_functions_and_are_those_of_simulate(name, monkeypatch):
+    common, numbers = OTHER_NUMBERS[name]
+    common = [*common, GUST.format(0.0)]
+    scenarios = [load_scenario("quintic", [*common, *each]) for each in numbers]
+    composed, compose = [], LoopEquations.sample
+    monkeypatch.setattr(
+        LoopEquations, "sample", lambda own, *key: composed.append(key[0]) or compose(own, *key)
+    )
+    equation_loop._kept.clear()
+    found, told = with_warnings(lambda: simulate_many(scenarios, engine="compiled"))
+    assert len(composed) == len({*map(tuple, composed)}) <= 2  # and for half the steps
+    expected, told_alone = with_warnings(
+        lambda: [simulate(scenario, engine="compiled") for scenario in scenarios]
+    )
+    for run, alone in zip(found, expected, strict=True):
+        assert_equal(run, alone)
+    assert sorted(told) == sorted(told_alone)
+
+
+OTHER_LOOPS = [
+    ["simulated.attachments=[[0.8, 0.8, 0], [-0.8, 0.8, 0], [-0.8, -0.8, 0], [0.8, -0.8, 0]]"],
+    ["load_trajectory.move_time=8"],
+    ["control_period=0"],  # is not compiled
+]
+
+
+def test_other_loops_are_built_and_fly_beside():
+    short = [CONSTANT, "simulation_duration=0.06"]
+    scenarios = [load_scenario("quintic", [*short, *each]) for each in OTHER_LOOPS]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ScenarioWarning)
+        found = simulate_many(scenarios, **NOTHING)
+        for run, scenario in zip(found, scenarios, strict=True):
+            assert_equal(run, simulate(scenario, **NOTHING))
+
+
+def test_what_is_wrong_or_diverges_has_a_row_of_its_own_and_harms_no_other():
+    wrong = load_scenario("quintic", SHORT)
+    wrong.system.load_mass = -1.0
+    diverging = load_scenario(
+        "quintic", [CONSTANT, "simulation_duration=1", "wrench_controller.velocity_gain=400"]
+    )
+    right = load_scenario("quintic", SHORT)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ScenarioWarning)
+        found = simulate_many([wrong, right, diverging, right], **NOTHING)
+    assert isinstance(found[0], ScenarioError)
+    assert "load_mass" in str(found[0])
+    assert isinstance(found[2], RunStopped)
+    assert 0 < found[2].run.time[-1] < 1
+    with pytest.warns(ScenarioWarning):
+        stopped = caught(lambda: simulate(diverging, **NOTHING))
+    assert str(found[2]) == str(stopped)
+    assert_equal(found[2].run, stopped.run)
+    expected = simulate(right, **NOTHING)
+    assert_equal(found[1], expected)
+    assert_equal(found[3], expected)
+
+
+def test_an_interrupt_keeps_the_runs_that_have_ended():
+    scenarios = [load_scenario("quintic", own) for own in (SHORT, SHORT, [CONSTANT])]
+
+    def interrupt(share):
+        os.kill(os.getpid(), signal.SIGINT)
+
+    with pytest.raises(RunsInterrupted, match="2 of 3 runs have ended") as raised:
+        simulate_many(scenarios, progress=interrupt, **NOTHING)
+    *runs, missing = raised.value.runs
+    assert all(isinstance(run, Run) for run in runs)  # that of the second ended beside the first's
+    assert missing is None
+
+
+def test_an_interrupt_of_a_second_flight_keeps_the_runs_that_ended_with_the_first(monkeypatch):
+    scenarios = [load_scenario("quintic", [*SHORT, f"system.load_mass={m}"]) for m in (1, 1.1, 1.2)]
+    verify = simulating._verified
+
+    def interrupt(*arguments):
+        os.kill(os.getpid(), signal.SIGINT)
+        return verify(*arguments)
+
+    monkeypatch.setattr(
+        simulating, "is_in_doubt", lambda run, *_: run.scenario.system.load_mass == 1.1
+    )
+    monkeypatch.setattr(simulating, "_verified", interrupt)
+    with pytest.raises(RunsInterrupted, match="2 of 3 runs have ended") as raised:
+        simulate_many(scenarios)
+    first, missing, last = raised.value.runs
+    assert missing is None
+    for run, scenario in ((first, scenarios[0]), (last, scenarios[2])):
+        assert_equal(run, simulate(scenario))
+
+
+@pytest.mark.parametrize("wrong", [{"engine": "fast"}, {"check_step": 1}])
+def test_what_is_wrong_for_all_runs_is_refused_once(wrong):
+    with pytest.raises(ScenarioError, match=f"^{next(iter(wrong))} = "):
+        simulate_many([], **wrong)
+
+
+def test_an_engine_that_is_given_is_in_place_of_each_scenarios():
+    scenario = load_scenario("quintic", [*SHORT, "engine=diagram"])
+    for engine, flies in ((None, "diagram"), ("auto", "compiled"), ("diagram", "diagram")):
+        (run,) = simulate_many([scenario], check_step=StepCheck.NOTHING, engine=engine)
+        assert run.engine.startswith(flies)
+
+
+def test_with_little_memory_fewer_fly_at_a_time(monkeypatch):
+    monkeypatch.setattr(many, "free_memory", lambda: 1e6)
+    scenarios = [load_scenario("quintic", SHORT)] * 3
+    with pytest.warns(ScenarioWarning, match="1 of the runs fly at a time") as told:
+        found = simulate_many(scenarios, **NOTHING)
+    assert sum("memory" in str(each.message) for each in told) == 1
+    for run in found:
+        assert_equal(run, found[0])

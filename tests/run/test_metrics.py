@@ -1,0 +1,361 @@
+"""The metrics, on runs made up so that each figure is known."""
+
+import sys
+import tracemalloc
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from drake_nonstop import load_scenario, simulate
+from drake_nonstop.analysis.separations import (
+    closest_cables,
+    closest_carriers,
+    least_cable_distances,
+    segment_distances,
+)
+from drake_nonstop.run import run_quantities
+from drake_nonstop.run.metrics import METRICS, compute_metrics, flattened, metrics_table
+from drake_nonstop.run.run import Run
+from drake_nonstop.run.run_quantities import automatic_gains, load_errors
+
+KEYS = {
+    "": {
+        "scenario",
+        "outcome",
+        "reasons",
+        "warnings",
+        "simulated_s",
+        "engine",
+        "is_steered",
+        "simulator",
+        "wall_s",
+        "real_time_factor",
+        "load",
+        "carriers",
+        "cables",
+        "optimizer",
+        "versions",
+    },
+    "simulator": {"step_s"},
+    "load": {
+        "position_error_mean_m",
+        "position_error_max_m",
+        "position_error_final_m",
+        "reference_delay_max_s",
+        "reference_delay_final_s",
+        "orientation_error_mean_rad",
+        "orientation_error_max_rad",
+    },
+    "carriers": {
+        "n",
+        "speed_min_m_s",
+        "speed_max_m_s",
+        "speed_final_m_s",
+        "speed_bound_m_s",
+        "time_below_bound_s",
+        "separation_min_m",
+        "normal_acceleration_max_m_s2",
+        "acceleration_max_m_s2",
+        "climb_angle_max_rad",
+        "turn_radius_min_m",
+    },
+    "cables": {"tension_min_N", "tension_max_N", "slack_time_s", "separation_min_m"},
+    "optimizer": {
+        "missed_limits",
+        "updates",
+        "kept",
+        "solved",
+        "relaxed",
+        "held",
+        "solve_time_ms",
+        "xi_final_rad_s",
+        "A_final_N",
+    },
+    "versions": {"drake_nonstop", "drake", "numpy"},
+}
+
+
+def circling_run(*, radius=0.5, rate=2.0, tensions=None):
+    """Four carriers on level circles above the corners of a resting, level load."""
+    scenario = load_scenario("quintic")
+    time = np.linspace(0, 4, 4001)
+    corners = np.array(scenario.system.attachments)
+    angle = rate * time[:, None]
+    ring = radius * np.stack([np.cos(angle), np.sin(angle), 0 * angle + 1.6], axis=2)
+    swing = radius * rate * np.stack([-np.sin(angle), np.cos(angle), 0 * angle], axis=2)
+    positions = corners + ring
+    velocities = np.broadcast_to(swing, positions.shape)
+    carriers = np.concatenate(
+        [positions.reshape(len(time), -1), velocities.reshape(len(time), -1)], axis=1
+    )
+    load = np.zeros((len(time), 13))
+    load[:, 0] = 1
+    load[:, 4] = 0.003
+    reference = np.zeros((len(time), 22))
+    reference[:, 0] = 1
+    diagnostics = np.zeros((len(time), 7))
+    diagnostics[-1] = [1, 7, 4, 1, 1, 1, 0.2]
+    return Run(
+        scenario=scenario,
+        diagram=None,
+        time=time,
+        signals={
+            "load_plant.load_state": load,
+            "load_trajectory.reference": reference,
+            "carrier_dynamics.carrier_state": carriers,
+            "optimization_layer.parameters": np.tile([2.0, 1.3], (len(time), 1)),
+        },
+        steps={
+            "time": time,
+            "load_state": load,
+            "carrier_state": carriers,
+            "tensions": np.full((len(time), 4), 2.5) if tensions is None else tensions(time),
+            "diagnostics": diagnostics,
+        },
+        solve_times=np.array([1e-3, 2e-3, 3e-3]),
+        wall_time=0.5,
+    )
+
+
+def test_the_keys_are_those_that_others_read():
+    metrics = compute_metrics(circling_run())
+    assert set(metrics) == KEYS[""]
+    for part in ("simulator", "load", "carriers", "cables", "optimizer", "versions"):
+        assert set(metrics[part]) == KEYS[part]
+
+
+def test_a_version_that_is_not_found_takes_no_metric_away(monkeypatch):
+    run = circling_run()
+    monkeypatch.setattr(sys, "path", [])  # as own code may leave it
+    metrics = compute_metrics(run)
+    assert {metrics["versions"][name] for name in ("drake", "numpy")} == {"unknown"}
+    assert set(metrics) == KEYS[""]
+
+
+def test_the_table_has_a_row_for_each_metric():
+    metrics = compute_metrics(circling_run())
+    single = [m.path for m in METRICS if not m.is_list and not m.may_be_left_out]
+    single += ["reasons", "warnings"]  # whose sentences are one text
+    others = {"scenario", "is_steered", *(f"versions.{key}" for key in KEYS["versions"])}
+    assert set(flattened(metrics)) == {*single, *others}
+    assert len({metric.path for metric in METRICS}) == len(METRICS)
+    assert len({metric.heading for metric in METRICS}) == len(METRICS)
+    assert {metric.path for metric in METRICS if metric.is_wall_time} == {
+        "wall_s",
+        "real_time_factor",
+        "engine",
+        *(f"optimizer.solve_time_ms.{name}" for name in ("p50", "p99", "max")),
+    }
+
+
+def test_the_table_of_a_run():
+    run = circling_run(radius=0.5, rate=2.0)
+    assert metrics_table(compute_metrics(run)).splitlines() == [
+        "outcome                 ok",
+        "simulated               4 s in 0.50 s (8.0 x real time)",
+        "engine                  diagram",
+        "load position error     mean 3 mm, max 3 mm",
+        "load orientation error  mean 0 mrad, max 0 mrad",
+        "carrier speed           1.000 to 1.000 m/s, bound 0.55 m/s, below it for 0 s",
+        "closest                 carriers 1.5 m, cables 1.27 m",
+        "tension                 2.5 to 2.5 N, slack for 0 s",
+        "optimizer               7 updates: 4 kept xi and A, 1 solved, 1 relaxed (not feasible), "
+        "1 held (no solution)",
+    ]
+    run.steps["diagnostics"][-1, 1:] = 0
+    assert "optimizer" not in metrics_table(compute_metrics(run))
+
+
+def test_level_circles_have_known_figures():
+    metrics = compute_metrics(circling_run(radius=0.5, rate=2.0))
+    carriers = metrics["carriers"]
+    assert carriers["n"] == 4
+    assert carriers["speed_min_m_s"] == pytest.approx(1.0, abs=1e-12)
+    assert carriers["speed_max_m_s"] == pytest.approx(1.0, abs=1e-12)
+    assert carriers["separation_min_m"] == pytest.approx(1.5, abs=1e-12)
+    assert carriers["normal_acceleration_max_m_s2"] == pytest.approx(2.0, rel=2e-3)
+    assert carriers["acceleration_max_m_s2"] == pytest.approx(2.0, rel=2e-3)
+    assert carriers["turn_radius_min_m"] == pytest.approx(0.5, rel=2e-3)
+    assert carriers["climb_angle_max_rad"] == 0
+    assert carriers["time_below_bound_s"] == 0
+    assert metrics["load"]["position_error_mean_m"] == pytest.approx(0.003)
+    assert metrics["real_time_factor"] == pytest.approx(8.0)
+    assert metrics["optimizer"]["solve_time_ms"]["p50"] == pytest.approx(2.0)
+    assert metrics["optimizer"]["held"] == 1
+
+
+def test_time_below_the_bound_is_the_time_that_any_carrier_is_slow():
+    run = circling_run(radius=0.25, rate=2.0)  # 0.5 m/s, under the bound of 0.55
+    assert compute_metrics(run)["carriers"]["time_below_bound_s"] == pytest.approx(4.0)
+    slow = run.steps["carrier_state"]
+    slow[run.steps["time"] > 1.0, 12:] *= 2
+    assert compute_metrics(run)["carriers"]["time_below_bound_s"] == pytest.approx(1.0, abs=2e-3)
+
+
+def test_slack_time_counts_any_slack_cable():
+    def tensions(time):
+        values = np.full((len(time), 4), 2.5)
+        values[(time > 1) & (time < 1.5), 2] = 0
+        return values
+
+    metrics = compute_metrics(circling_run(tensions=tensions))
+    assert metrics["cables"]["slack_time_s"] == pytest.approx(0.5, abs=3e-3)
+    assert metrics["cables"]["tension_min_N"] == 0
+
+
+def test_orientation_error_is_the_angle_even_when_small_or_the_quaternion_flips_sign():
+    run = circling_run()
+    for angle in (1e-9, 1e-4, 0.3, 3.0):
+        for sign in (1, -1):
+            run.signals["load_plant.load_state"][:, :4] = sign * np.array(
+                [np.cos(angle / 2), 0, np.sin(angle / 2), 0]
+            )
+            _, error = load_errors(run)
+            np.testing.assert_allclose(error[0], [0, angle, 0], rtol=1e-9, atol=1e-16)
+
+
+def test_segment_distance_equals_a_dense_search():
+    random = np.random.default_rng(5)
+    ends = random.normal(size=(4, 60, 3))
+    ends[1, :10] = ends[0, :10] + (ends[3, :10] - ends[2, :10])  # some parallel ones
+    s = np.linspace(0, 1, 101)
+    first = ends[0, :, None] + s[:, None] * (ends[1] - ends[0])[:, None]
+    second = ends[2, :, None] + s[:, None] * (ends[3] - ends[2])[:, None]
+    dense = np.linalg.norm(first[:, :, None] - second[:, None], axis=3).min(axis=(1, 2))
+    exact = segment_distances(*ends)
+    assert np.all(exact <= dense + 1e-12)
+    assert np.max(dense - exact) < 0.03
+
+
+def test_crossing_and_touching_segments_have_no_distance():
+    a, b = np.array([[0.0, 0, 0]]), np.array([[2.0, 0, 0]])
+    assert segment_distances(a, b, np.array([[1.0, -1, 0]]), np.array([[1.0, 1, 0]]))[0] == 0
+    assert segment_distances(a, b, b, np.array([[3.0, 4, 0]]))[0] == 0
+    assert segment_distances(a, b, np.array([[3.0, 0, 0]]), np.array([[5.0, 0, 0]]))[0] == 1
+
+
+@pytest.mark.parametrize("chunk", [50, 1000])
+def test_metrics_do_not_depend_on_how_many_steps_are_computed_at_a_time(chunk, monkeypatch):
+    run = circling_run()
+    rng = np.random.default_rng(chunk)
+    for signals in (run.signals, run.steps):
+        for name, values in signals.items():
+            if name != "time" and "diagnostics" not in name:
+                values += 0.1 * rng.normal(size=values.shape)
+    whole = flattened(compute_metrics(run))
+    monkeypatch.setattr(run_quantities, "_CHUNK", chunk)
+    parts = flattened(compute_metrics(run))
+    assert parts.keys() == whole.keys()
+    for name, value in whole.items():
+        expected = pytest.approx(value, rel=1e-12) if isinstance(value, float) else value
+        assert parts[name] == expected, name
+
+
+@pytest.mark.parametrize("step", [0.004, 0.01, 0.03])
+def test_extremes_between_two_steps_are_found(step):
+    """Carriers that stop, and meet, at instants that no step ends at; known in closed form."""
+    rng = np.random.default_rng(3)
+    run = circling_run()
+    time = np.sort(np.concatenate([np.arange(0, 1, step), rng.uniform(0, 1, 20), [0.5]]))
+    t = time - 0.5004  # no step's end
+    start, acceleration = np.array([0.02, 0.0, 0.01]), np.array([0.0, 3.0, 1.0])
+    velocities = start + t[:, None] * acceleration
+    positions = [0.3 * i + t[:, None] * [1.0, 2.0, 0.0] * (-1) ** i for i in range(3)]
+    positions = [position + 5.0 * (i == 2) for i, position in enumerate(positions)]
+    positions[1] = positions[1] - 0.3 + np.array([0, 0, 0.004])  # passes the first 4 mm above it
+    carriers = np.concatenate([*positions, positions[2] + 1, *[velocities] * 4], axis=1)
+    run.steps |= {
+        "time": time,
+        "carrier_state": carriers,
+        "load_state": np.eye(13)[[0] * len(time)],
+    }
+    run.steps["tensions"] = np.full((len(time), 4), 2.5)
+    run.steps["diagnostics"] = np.zeros((len(time), 7))
+    carriers = compute_metrics(run)["carriers"]
+    place = -start @ acceleration / (acceleration @ acceleration)
+    slowest = np.linalg.norm(start + place * acceleration)
+    assert carriers["speed_min_m_s"] == pytest.approx(slowest, rel=1e-6)
+    fine = start + np.linspace(-0.01, 0.01, 100001)[:, None] * acceleration
+    steepest = np.max(np.arctan2(np.abs(fine[:, 2]), np.hypot(fine[:, 0], fine[:, 1])))
+    assert carriers["climb_angle_max_rad"] == pytest.approx(steepest, abs=1e-6)
+    assert carriers["separation_min_m"] == pytest.approx(0.004, rel=1e-9)
+
+
+def test_moving_cables_are_closest_where_they_cross():
+    rng = np.random.default_rng(5)
+    for _ in range(20):
+        ends = rng.uniform(-1, 1, (4, 1, 3)) + np.linspace(-1, 1, 7)[:, None] * rng.uniform(
+            -2, 2, (4, 1, 3)
+        )
+        dense = (
+            ends[:, :-1, None]
+            + np.linspace(0, 1, 2001)[:, None] * np.diff(ends, axis=1)[:, :, None]
+        )
+        distances = segment_distances(*dense.reshape(4, -1, 3))
+        assert least_cable_distances(
+            ends[::2].swapaxes(0, 1), ends[1::2].swapaxes(0, 1)
+        ) == pytest.approx([np.min(distances)], abs=2e-3)
+
+
+@pytest.mark.parametrize("steps", [9, 30, 300, 2000])
+def test_cables_are_closest_between_any_of_many_steps(steps):
+    rng = np.random.default_rng(steps)
+    rates, phases = rng.uniform(1, 20, (4, 6)), rng.uniform(0, 6, (4, 6))
+    motion = np.sin(rates * np.linspace(0, 3, steps)[:, None, None] + phases)
+    ends, carriers = motion[..., :3], motion[..., 3:]
+    apart = least_cable_distances(ends, carriers)
+    for found, (i, j) in zip(apart, combinations(range(4), 2), strict=True):
+        moving = np.array([ends[:, i], carriers[:, i], ends[:, j], carriers[:, j]])
+        shares = np.linspace(0, 1, 60)[:, None, None]
+        dense = moving[:, None, :-1] + shares * np.diff(moving, axis=1)[:, None]
+        assert found == pytest.approx(np.min(segment_distances(*dense)), abs=1e-2)
+
+
+def test_a_short_encounter_of_two_fast_carriers_counts():
+    """They come near each other for six steps, and are farther apart, but slower, at the end."""
+    x = np.interp(np.arange(40), [8, 12, 16, 24], [0.5, 0.1, 0.5, 0.25])
+    ends, carriers = np.zeros((2, 40, 2, 3))
+    ends[:, :, 0], carriers[:, :, 0] = [-0.5, 0.5], np.column_stack([-x, x])
+    carriers[..., 2] = 1
+    assert least_cable_distances(ends, carriers) == pytest.approx([0.2], abs=1e-15)
+
+
+@pytest.mark.parametrize(("steps", "n"), [(1, 3), (300, 3), (200, 7), (50, 40)])
+def test_closest_two_are_those_of_all_pairs(steps, n):
+    ends, carriers = np.random.default_rng(n).normal(size=(2, steps, n, 3))
+    pairs = list(combinations(range(n), 2))
+    apart = [np.linalg.norm(carriers[:, i] - carriers[:, j], axis=1) for i, j in pairs]
+    np.testing.assert_array_equal(closest_carriers(carriers), np.min(apart, axis=0))
+    apart = [
+        segment_distances(ends[:, i], carriers[:, i], ends[:, j], carriers[:, j]) for i, j in pairs
+    ]
+    np.testing.assert_array_equal(closest_cables(ends, carriers), np.min(apart, axis=0))
+
+
+def test_closest_two_take_little_memory():
+    ends, carriers = np.random.default_rng(0).normal(size=(2, 2000, 40, 3))
+    tracemalloc.start()
+    closest_carriers(carriers)
+    closest_cables(ends, carriers)
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert most < 3e6  # the distances of all pairs take 12 MB
+
+
+def test_gains_by_auto_are_told_with_their_units():
+    wanted = ["simulation_duration=0.02", "wrench_controller.velocity_gain=3"]
+    run = simulate(load_scenario("quintic", wanted))
+    told = automatic_gains(run)
+    assert told.startswith("gains by auto: K_p 5 N/m, K_i 0.9 N/(m s), K_R ")  # of 1 kg on 0.8 m
+    assert "K_v" not in told
+    assert automatic_gains(simulate(load_scenario("paper_quintic", wanted[:1]))) == ""
+
+
+def test_the_table_prints_three_reasons_at_most():
+    metrics = compute_metrics(circling_run(radius=0.5, rate=2.0))
+    for count in range(1, 7):
+        metrics["reasons"] = [f"reason {k}" for k in range(count)]
+        line = metrics_table(metrics).splitlines()[0]
+        assert line.count("reason ") == min(count, 3)
+        assert line.endswith(f"; {count - 3} more in metrics.json") == (count > 3)

@@ -1,0 +1,503 @@
+"""What becomes of a run: made-up runs with faults drawn at random, and a few real ones."""
+
+import dataclasses
+import json
+import math
+from operator import attrgetter
+
+import numpy as np
+import pytest
+from aircraft_runs import aircraft_run
+from helpers import regular
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drake_nonstop import (
+    RunInterrupted,
+    RunLimits,
+    RunOutcome,
+    ScenarioError,
+    StepAction,
+    compute_metrics,
+    load_scenario,
+    parse_scenario,
+    simulate,
+)
+from drake_nonstop.blocks.carrier_dynamics import LimitedCarriersConfig
+from drake_nonstop.blocks.force_distribution import BoundedTensionDistributionConfig
+from drake_nonstop.blocks.receding_horizon import RecedingHorizonOptimizerConfig
+from drake_nonstop.diagrams.nonstop import BOXES
+from drake_nonstop.model.system import SystemParameters
+from drake_nonstop.planning.limits import LIMITS as ASKED
+from drake_nonstop.planning.limits import Of, limits_of
+from drake_nonstop.planning.problem_config import LimitsConfig
+from drake_nonstop.run.outcome import LIMITS
+from drake_nonstop.run.run import Run
+from drake_nonstop.run.run_quantities import RunQuantities
+from drake_nonstop.scenario.loading import dump_scenario
+from drake_nonstop.scenario.obstacles import GroundConfig, SphereConfig
+from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.validation import require_ranges
+
+CONSTANT = "optimization_layer=ConstantParameters"
+SAMPLES = 60
+
+
+class MadeUpRun:
+    """A load at rest below carriers that circle at one and a half times the bound, of any size."""
+
+    def __init__(self, rng, n=4, size=1.0):
+        self.rng, self.n = rng, n
+        self.cable_length = size * rng.uniform(0.5, 1.0)
+        attachments = size * regular(n, radius=rng.uniform(0.3, 1.0))
+        apart = np.linalg.norm(attachments[0] - attachments[1])
+        self.reach = np.linalg.norm(attachments[0]) + self.cable_length
+        self.bound = rng.uniform(0.1, 5.0)
+        self.time = np.linspace(0, rng.uniform(0.5, 20.0), SAMPLES)
+        self.stopped, self.unresolved = "", ()
+        self.saturated = np.zeros((SAMPLES, 3 * n))
+        angle = 2 * np.pi * self.time / self.time[-1]
+        ring = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+        above = np.array([0, 0, self.cable_length])
+        self.positions = attachments + (above + 0.2 * apart * ring)[:, None]
+        swing = np.stack([-np.sin(angle), np.cos(angle), 0 * angle], axis=1)
+        self.velocities = np.repeat(1.5 * self.bound * swing[:, None], n, axis=1)
+        self.reference = np.zeros((SAMPLES, 22))
+        self.reference[:, 0] = 1
+        self.reference[:, 4:7] = rng.normal(size=3)
+        self.positions += self.reference[0, 4:7]
+        self.load = self.reference[:, :13].copy()
+        self.tensions = rng.uniform(0.2, 0.5, (SAMPLES, n)) * 9.81
+        self.forces = rng.normal(size=(SAMPLES, 3 * n))
+        self.scenario = Scenario(
+            system=SystemParameters(
+                attachments=attachments.tolist(), cable_length=self.cable_length
+            ),
+            limits=RunLimits(),
+            obstacles=[GroundConfig(height=-1e3)],
+        )
+        self.scenario.optimization_layer.speed_bound = self.bound
+
+    def some_time(self):
+        """A few samples that follow each other."""
+        start = self.rng.integers(1, SAMPLES - 10)
+        return slice(start, start + self.rng.integers(2, 9))
+
+    def two_carriers(self):
+        return self.rng.choice(self.n, 2, replace=False)
+
+    def run(self):
+        carriers = [each.reshape(SAMPLES, -1) for each in (self.positions, self.velocities)]
+        return Run(
+            scenario=self.scenario,
+            diagram=None,
+            time=self.time,
+            signals={
+                "load_plant.load_state": self.load,
+                "load_trajectory.reference": self.reference,
+                "optimization_layer.parameters": np.ones((SAMPLES, 2)),
+                "carrier_controller.carrier_forces": self.forces,
+                "carrier_dynamics.carrier_state": np.hstack(carriers),
+            },
+            steps={
+                "time": self.time,
+                "load_state": self.load,
+                "carrier_state": np.hstack(carriers),
+                "tensions": self.tensions,
+                "command_saturation": self.saturated,
+            },
+            solve_times=np.zeros(0),
+            wall_time=0.5,
+            stopped=self.stopped,
+            unresolved=self.unresolved,
+        )
+
+
+def load_far_off(made):
+    direction = made.rng.normal(size=3)
+    distance = made.rng.uniform(1.01, 20) * 0.2 * made.reach
+    made.load[made.some_time(), 4:7] += distance * direction / np.linalg.norm(direction)
+
+
+def load_turned(made):
+    axis = made.rng.normal(size=3)
+    half = made.rng.uniform(1.01 * 0.8, np.pi) / 2
+    turned = [np.cos(half), *(np.sin(half) * axis / np.linalg.norm(axis))]
+    made.load[made.some_time(), :4] = made.rng.choice([-1, 1]) * np.array(turned)
+
+
+def carriers_meet(made):
+    i, j = made.two_carriers()
+    gap = made.rng.uniform(0, 0.99) * made.scenario.limits.carrier_distance * made.reach
+    when = made.some_time()
+    made.positions[when, i] = made.positions[when, j] + [0, 0, gap]
+
+
+def cables_cross(made):
+    i, j = made.two_carriers()
+    when = made.some_time()
+    made.positions[when, [i, j]] = made.positions[when, [j, i]]
+
+
+def tower_hit(made):
+    place = made.load[made.some_time().start, 4:7]
+    made.scenario.obstacles.append(SphereConfig(name="tower", position=place, radius=1e-3))
+
+
+def cable_slack(made):
+    made.tensions[made.some_time(), made.rng.integers(made.n)] = 0
+
+
+def cable_broken(made):
+    breaking_load = 1.6e9 * np.pi / 4 * made.scenario.system.cable_diameter**2
+    tension = breaking_load * made.rng.uniform(1.001, 3)
+    made.tensions[made.some_time(), made.rng.integers(made.n)] = tension
+
+
+def carrier_slow(made):
+    made.velocities[made.some_time(), made.rng.integers(made.n)] *= made.rng.uniform(0, 0.66)
+
+
+def commands_saturated(made):
+    start = made.rng.integers(0, SAMPLES // 2)
+    made.saturated[start : start + made.rng.integers(8, 20), made.rng.integers(3 * made.n)] = 1
+
+
+def unresolved(made):
+    made.unresolved = ("the slowest speed moves by 20 % with half the step",)
+
+
+def stopped(made):
+    made.stopped = "the run diverged at t = 1.0000 s"
+
+
+FAULTS = {
+    load_far_off: RunOutcome.LOAD_LOST,
+    load_turned: RunOutcome.LOAD_LOST,
+    carriers_meet: RunOutcome.COLLISION,
+    cables_cross: RunOutcome.COLLISION,
+    tower_hit: RunOutcome.COLLISION,
+    cable_broken: RunOutcome.CABLE_BROKEN,
+    cable_slack: RunOutcome.CABLES_SLACK,
+    carrier_slow: RunOutcome.BOUND_MISSED,
+    commands_saturated: RunOutcome.LIMIT_MISSED,
+    unresolved: RunOutcome.UNCONVERGED,
+    stopped: RunOutcome.STOPPED,
+}
+SENTENCES = {
+    load_far_off: "from its reference (limits.position_error: ",
+    load_turned: " rad from its reference (limits.orientation_error: ",
+    carriers_meet: "two carriers came within ",
+    cables_cross: "two cables came within ",
+    tower_hit: " hit tower at t = ",
+    cable_broken: " N: it bears 1257 N (system.cable_breaking_load)",
+    cable_slack: "a cable was slack for ",
+    carrier_slow: "a carrier was below the bound for ",
+    commands_saturated: "commands of aircraft were at their limits for ",
+    unresolved: "half the step",
+    stopped: "the run diverged at t = 1.0000 s",
+}
+SEVERITY = (
+    *(
+        "stopped",
+        "cable_broken",
+        "load_lost",
+        "collision",
+        "cables_slack",
+        "bound_missed",
+        "limit_missed",
+    ),
+    "unconverged",
+)
+
+
+@settings(max_examples=30, deadline=None, derandomize=True)
+@given(
+    seed=st.integers(0, 2**32),
+    n=st.integers(3, 8),
+    size=st.sampled_from([0.05, 1.0, 80.0]),
+    faults=st.sets(st.sampled_from(list(FAULTS))),
+)
+def test_the_outcome_is_the_worst_of_all_faults_and_each_is_said(seed, n, size, faults):
+    made = MadeUpRun(np.random.default_rng(seed), n, size)
+    for fault in FAULTS:  # in one order: a carrier that crosses another one may then meet it
+        if fault in faults:
+            fault(made)
+    metrics = compute_metrics(made.run())
+    reasons = metrics["reasons"]
+    worst = min((SEVERITY.index(FAULTS[fault].value) for fault in faults), default=None)
+    assert metrics["outcome"] == ("ok" if worst is None else SEVERITY[worst])
+    assert bool(reasons) == bool(faults)
+    for fault in faults:
+        if fault is carriers_meet and cables_cross in faults:
+            continue  # the one may have been moved away by the other
+        assert any(SENTENCES[fault] in reason for reason in reasons), (fault, reasons)
+    if worst is not None:
+        first = [SENTENCES[f] for f in FAULTS if FAULTS[f].value == SEVERITY[worst]]
+        assert any(text in reasons[0] for text in first)
+    assert json.loads(json.dumps(metrics, allow_nan=False))["outcome"] == metrics["outcome"]
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [fault for fault in FAULTS if fault not in (cable_broken, tower_hit, unresolved, stopped)],
+)
+def test_a_fault_within_wider_limits_is_none(fault):
+    rng = np.random.default_rng(3)
+    for _ in range(2):
+        made = MadeUpRun(rng, rng.integers(3, 9), rng.choice([0.05, 1.0, 80.0]))
+        fault(made)
+        assert compute_metrics(made.run())["outcome"] == FAULTS[fault]
+        made.scenario.limits = RunLimits(
+            position_error=math.inf,
+            orientation_error=math.inf,
+            carrier_distance=0.0,
+            cable_distance=0.0,
+            slack_time=math.inf,
+            time_below_bound=math.inf,
+            saturated_share=math.inf,
+        )
+        assert compute_metrics(made.run())["outcome"] == "ok"
+
+
+def test_cables_with_nodes_are_measured_as_polylines():
+    """A node of cable 1 is moved outwards: a ball beyond it, and one beside the part below it."""
+    made = MadeUpRun(np.random.default_rng(5))
+    half = [0, 0, made.cable_length / 2]
+    ends = made.reference[0, 4:7] + np.array(made.scenario.system.attachments)
+    made.positions = np.tile(ends + np.multiply(2, half), (SAMPLES, 1, 1))
+    nodes = ends + half
+    side = ends[0] - ends.mean(axis=0)
+    nodes[0] += side
+    part = nodes[0] - ends[0]
+    normal = np.cross(part, np.cross(side, part))
+    places = {
+        "beyond": nodes[0] + 2 * side,
+        "beside": ends[0] + part / 2 + 0.3 * normal / np.linalg.norm(normal),
+    }
+    made.scenario.obstacles = [
+        SphereConfig(name=name, position=place.tolist(), radius=0.05)
+        for name, place in places.items()
+    ]
+
+    def distances(run):
+        approaches = RunQuantities(run).approaches
+        return {a.obstacle: (a.distance, a.body) for a in approaches if a.kind == "cable"}
+
+    run, width = made.run(), np.linalg.norm(side)
+    assert distances(run)["beyond"] == (pytest.approx(3 * width - 0.05, rel=1e-4), "cable 1")
+    state = np.hstack([nodes.ravel(), np.zeros(nodes.size)])
+    run.signals["cables.cable_state"] = np.tile(state, (SAMPLES, 1))
+    found = distances(run)
+    assert found["beyond"] == (pytest.approx(2 * width - 0.05, rel=1e-4), "cable 1")
+    assert found["beside"] == (pytest.approx(0.25, rel=1e-3), "cable 1")
+
+
+def everything_stated():
+    """A run in which every quantity that is bounded is above zero, of a scenario that has all."""
+    made = MadeUpRun(np.random.default_rng(8))
+    for fault in (load_far_off, load_turned, cable_slack, carrier_slow, commands_saturated):
+        fault(made)
+    made.tensions += 0.1  # but for the tensions, whose least must be above zero
+    made.scenario.force_distribution = BoundedTensionDistributionConfig()
+    made.scenario.carrier_dynamics = LimitedCarriersConfig(feels_cable=True)
+    return made
+
+
+OF_AIRCRAFT = [f"optimization_layer.{limit.field}" for limit in limits_of(Of.FLIGHT)]
+
+
+@pytest.mark.parametrize(
+    "limit", [each for each in LIMITS if each.path not in OF_AIRCRAFT], ids=lambda limit: limit.path
+)
+def test_each_limit_is_kept_up_to_it_and_missed_beyond(limit):
+    made = everything_stated()
+    if limit.path == "limits.slack_time":
+        made.tensions[5:9] = 0
+    quantities = RunQuantities(made.run())
+    value = limit.measure(quantities)
+    assert value > 0
+    *parents, name = limit.path.split(".")
+    owner = attrgetter(".".join(parents))(made.scenario)
+    exact = value / limit.share_of(quantities)
+    within = [(1 - limit.tolerance / 2, True)] if limit.tolerance else []
+    for factor, is_kept in ((1.01, True), *within, (0.99, False)):
+        setattr(owner, name, exact * (1 / factor if limit.is_least else factor))
+        sentence = limit.complaint(RunQuantities(made.run()))
+        assert (sentence is None) == is_kept
+        metrics = compute_metrics(made.run())
+        said = metrics["reasons"] if limit.outcome else metrics["warnings"]
+        assert any(f"({limit.path}: " in each for each in said) == (not is_kept)
+    *share, bound = sentence.split(f"({limit.path}: ")[1].split(", ")
+    assert [float(text.split(" of ")[0]) for text in share] == pytest.approx(
+        [getattr(owner, name)] if limit.share_of(quantities) != 1 else [], rel=1e-5
+    )
+    said = float(bound.split()[0])
+    assert said == pytest.approx(getattr(owner, name) * limit.share_of(quantities), rel=5e-3)
+
+
+def test_both_numbers_can_be_told_apart():
+    made = everything_stated()
+    least = made.tensions.min()
+    made.scenario.force_distribution.min_tension = 1.002 * least
+    (sentence,) = (s for s in compute_metrics(made.run())["reasons"] if "min_tension" in s)
+    fell, stated = sentence.removesuffix(" N)").split(" N (force_distribution.min_tension: ")
+    assert 0 < float(stated) - float(fell.rsplit(" ", 1)[1]) < 0.01 * least
+
+
+def test_a_limit_that_a_blocks_config_states_has_a_row():
+    paths = {limit.path for limit in LIMITS}
+    # The search keeps within these; the run has nothing that could exceed them.
+    rates = [f"max_{name}_rate" for name in ("frequency", "amplitude")]
+    kept = {f"{box}.{name}" for box in ("optimization_layer", "phase") for name in rates}
+    kept.add("optimization_layer.max_iterations")  # a number that is counted
+    kept.add("carrier_controller.max_bank")  # of the command, which the bank cannot overshoot
+    for name, box in BOXES.items():
+        for config in box.configs:
+            for field in dataclasses.fields(config):
+                if field.name.startswith(("min_", "max_")):
+                    assert f"{name}.{field.name}" in paths | kept
+    judged = {path.removeprefix("limits.") for path in paths if path.startswith("limits.")}
+    assert judged == {field.name for field in dataclasses.fields(RunLimits)}
+
+
+@pytest.mark.parametrize("field", [field.name for field in dataclasses.fields(RunLimits)])
+def test_limits_are_checked_dumped_and_loaded(field):
+    others = [] if field in ("position_error", "orientation_error") else [None]
+    for value in (-0.1, math.nan, "a", True, *others):
+        with pytest.raises(ScenarioError, match=rf"limits\.{field} = .*: give a"):
+            require_ranges("limits", RunLimits(**{field: value}))
+    scenario = load_scenario("quintic", [f"limits.{field}=0.123"])
+    assert getattr(scenario.limits, field) == 0.123
+    assert parse_scenario(dump_scenario(scenario)).limits == scenario.limits
+    with pytest.raises(ScenarioError, match=rf"limits\.{field} = .*: give a number"):
+        load_scenario("quintic", [f"limits.{field}=far"])
+    with pytest.raises(ScenarioError, match="did you mean"):
+        load_scenario("quintic", [f"limits.{field}x=1"])
+
+
+@pytest.mark.parametrize(
+    ("moved", "reason"),
+    [
+        ("off", "the load was 1.01 m from its reference (limits.position_error: 1 m)"),
+        (
+            "turned",
+            "the load was turned by 0.27 rad from its reference (limits.orientation_error: ",
+        ),
+        (
+            "saturated",
+            "commands of aircraft were at their limits for 11.9 % of the time (limits.satu",
+        ),
+    ],
+)
+def test_loads_of_aircraft_are_lost_where_a_transport_fails(moved, reason):
+    """Not at a fifth of 150 m and at 46 deg; a scenario may say otherwise."""
+    run = aircraft_run(10.0)
+    state, times = run.signal("load_state"), run.steps["time"]
+    if moved == "off":
+        state[300:, 6] += 1.01
+    elif moved == "turned":
+        state[300:, :4] = [np.cos(0.135), np.sin(0.135), 0, 0]
+    else:
+        run.steps["command_saturation"][(times > 2) & (times < 3.2), 4] = 1
+    metrics = compute_metrics(run)
+    assert metrics["outcome"] == ("limit_missed" if moved == "saturated" else "load_lost")
+    assert metrics["reasons"][0].startswith(reason)
+    run.scenario.limits = RunLimits(position_error=0.2, orientation_error=0.8, saturated_share=0.2)
+    assert compute_metrics(run)["outcome"] == "ok"
+
+
+def test_points_may_be_off_by_a_fifth_of_their_reach():
+    run = aircraft_run(10.0)
+    run.signal("load_state")[300:, 6] += 30.0
+    run.scenario.system.aircraft = None
+    assert compute_metrics(run)["outcome"] == "ok"
+    run.signal("load_state")[300:, 6] += 0.4
+    (reason,) = compute_metrics(run)["reasons"]
+    assert reason == (
+        "the load was 30.4 m from its reference (limits.position_error: 0.2 of the reach, 30.3 m)"
+    )
+
+
+def test_a_load_that_falls_is_lost(fleet):
+    _, metrics = fleet.evaluated("that_falls")
+    assert metrics["outcome"] == "load_lost"
+    assert metrics["reasons"][0].startswith("the load was ")
+    assert any("carrier_dynamics.max_acceleration: 10 m/s²" in text for text in metrics["warnings"])
+
+
+def test_a_bound_on_tensions_that_was_not_kept_is_said():
+    swap = ["force_distribution=BoundedTensionDistribution", "force_distribution.min_tension=2.9"]
+    swap += [CONSTANT, "carrier_trajectory.hold=velocity", "carrier_controller=CarrierPid"]
+    metrics = compute_metrics(
+        simulate(load_scenario("quintic", ["simulation_duration=0.1", *swap]))
+    )
+    said = "a cable's tension fell to 2.85 N (force_distribution.min_tension: 2.9 N)"
+    assert (metrics["outcome"], metrics["reasons"][0]) == ("limit_missed", said)
+
+
+@pytest.mark.parametrize("limit", limits_of(Of.FLIGHT), ids=lambda limit: limit.field)
+def test_a_limit_of_aircraft_is_missed_by_what_they_flew(limit):
+    run = aircraft_run(3.0)
+    flown = RunQuantities(run).extreme_of(limit)
+    assert flown > 0
+    for factor, outcome in ((1.002, "ok"), (0.9995, "ok"), (0.998, "limit_missed")):
+        run.scenario.optimization_layer = RecedingHorizonOptimizerConfig(
+            speed_bound=1.0, **{limit.field: factor * flown}
+        )
+        metrics = compute_metrics(run)
+        assert metrics["outcome"] == outcome
+    (reason,) = metrics["reasons"]
+    assert reason.startswith(limit.sentence.partition(" {")[0])
+    assert f"(optimization_layer.{limit.field}: " in reason
+
+
+def test_the_climb_that_is_limited_is_that_through_the_air():
+    limit = next(limit for limit in ASKED if limit.name == "climb")
+    risen = RunQuantities(aircraft_run(3.0, wind=(0.0, 0.0, 2.0)))
+    state = risen.aircraft_state
+    rise = risen.carrier_velocities[..., 2] - 2.0
+    assert risen.extreme_of(limit) == pytest.approx(np.abs(np.arcsin(rise / state.airspeed)).max())
+
+
+def test_every_row_is_a_field_of_the_layers_whose_default_is_no_limit():
+    for limit in ASKED:
+        assert getattr(LimitsConfig(), limit.field) == limit.none
+        assert not limit.is_asked(LimitsConfig())
+    assert len({limit.name for limit in ASKED}) == len(ASKED)
+
+
+def short():
+    return load_scenario("line", ["simulation_duration=0.2", CONSTANT])
+
+
+@pytest.mark.parametrize("after", [0.0, 0.1, 0.2])
+def test_a_run_that_is_ended_before_its_time_has_stopped(after):
+    run = simulate(
+        short(),
+        after_step=lambda simulator, nonstop: (
+            StepAction.END
+            if simulator.get_context().get_time() > after - 1e-9
+            else StepAction.CONTINUE
+        ),
+    )
+    metrics = compute_metrics(run)
+    assert metrics["outcome"] == ("ok" if after == 0.2 else "stopped")
+    if after < 0.2:
+        assert metrics["reasons"][0].startswith(f"the run was ended at t = {after:.2f}")
+
+
+def test_a_run_that_diverges_or_is_interrupted_has_stopped(fleet):
+    run, metrics = fleet.evaluated("that_diverges")
+    assert metrics["outcome"] == "stopped"
+    assert metrics["reasons"][0] == run.stopped
+    assert run.stopped.startswith("the run diverged at t = ")
+
+    def interrupt(simulator, nonstop):
+        raise KeyboardInterrupt
+
+    with pytest.raises(RunInterrupted) as interrupted:
+        simulate(short(), after_step=interrupt)
+    metrics = compute_metrics(interrupted.value.run)
+    assert metrics["outcome"] == "stopped"
+    assert metrics["reasons"][0].startswith("the run was interrupted at t = ")

@@ -1,0 +1,286 @@
+"""The signals of a run in memory and in files: the same, and nothing is left behind."""
+
+import copy
+import errno
+import functools
+import gc
+import os
+import pickle
+import re
+import shutil
+import tempfile
+
+import numpy as np
+import pytest
+from helpers import nightly_beyond
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder, LeafSystem
+
+from drake_nonstop import (
+    ConstantParameters,
+    RunInterrupted,
+    RunStopped,
+    ScenarioError,
+    StepCheck,
+    load_scenario,
+    simulate,
+)
+from drake_nonstop.diagrams.nonstop import make_nonstop
+from drake_nonstop.run import recording
+from drake_nonstop.run.metrics import compute_metrics
+from drake_nonstop.run.recording import LogSignals, require_room
+from drake_nonstop.studies.results_folder import write_results
+
+
+@pytest.fixture
+def temporary(tmp_path, monkeypatch):
+    """The temporary folder, which is empty again at the end."""
+    folder = tmp_path / "temporary"
+    folder.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(folder))
+    yield folder
+    if any(folder.iterdir()):
+        gc.collect()
+    assert list(folder.iterdir()) == []
+
+
+class Waves(LeafSystem):
+    """Signals of several sizes, two of which are recorded at every step."""
+
+    def __init__(self):
+        super().__init__()
+        self.set_name("waves")
+        sizes = {"load_state": 13, "tensions": 3, "reference": 2, "a/b": 1}
+        for k, (name, size) in enumerate(sizes.items()):
+            self.DeclareVectorOutputPort(name, size, self._calc(k, size))
+
+    @staticmethod
+    def _calc(k, size):
+        def calc(context, output):
+            output.SetFromVector(np.sin((1 + k + np.arange(size)) * context.get_time()))
+
+        return calc
+
+
+def recorded(samples, steps_per_sample):
+    """What is recorded in so many samples and steps."""
+    inner = DiagramBuilder()
+    waves = inner.AddSystem(Waves())
+    for i in range(waves.num_output_ports()):
+        inner.ExportOutput(waves.get_output_port(i), waves.get_output_port(i).get_name())
+    diagram = inner.Build()
+    builder = DiagramBuilder()
+    builder.AddSystem(diagram)
+    logs = LogSignals(builder, diagram, uses_files=True)
+    simulator = Simulator(builder.Build())
+    simulator.Initialize()
+    for k in range(samples):
+        for step in range(steps_per_sample):
+            simulator.AdvanceTo(0.01 * (k + (step + 1) / steps_per_sample))
+    return logs.collect(simulator.get_context())
+
+
+def is_in_memory(fields):
+    return all(values.flags.writeable for part in fields[1:] for values in part.values())
+
+
+def assert_same(stored, in_memory):
+    assert stored[0].tobytes() == in_memory[0].tobytes()
+    for ours, theirs in zip(stored[1:], in_memory[1:], strict=True):
+        assert list(ours) == list(theirs)
+        for name, values in theirs.items():
+            assert ours[name].shape == values.shape
+            assert ours[name].dtype == values.dtype
+            assert ours[name].tobytes() == values.tobytes(), name
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    samples=st.integers(0, 40),
+    steps_per_sample=st.integers(1, 4),
+    rows=st.integers(1, 12),
+    offset=st.integers(-1, 1),
+)
+def test_files_hold_what_memory_would_to_the_bit(samples, steps_per_sample, rows, offset):
+    in_memory = recorded(samples, steps_per_sample)
+    assert is_in_memory(in_memory)
+    row = 8 * (20 + 17 * steps_per_sample)  # bytes of a sample and its steps
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(recording, "MEMORY_LIMIT", rows * row + offset)
+        stored = recorded(samples, steps_per_sample)
+    assert samples <= rows + 1 or not is_in_memory(stored)
+    assert_same(stored, in_memory)
+
+
+def flown(limit=None, **options):
+    with pytest.MonkeyPatch.context() as patch:
+        if limit is not None:
+            patch.setattr(recording, "MEMORY_LIMIT", limit)
+        return simulate(scenario_of(0.25), **{"check_step": StepCheck.NOTHING} | options)
+
+
+CONSTANT = "optimization_layer=ConstantParameters"
+
+
+def scenario_of(duration, *overrides):
+    return load_scenario("quintic", [CONSTANT, f"simulation_duration={duration}", *overrides])
+
+
+@functools.cache
+def in_memory():
+    return flown()
+
+
+def fields(run):
+    steps = {name: values for name, values in run.steps.items() if name != "solve_time"}
+    return run.time, run.signals, steps
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_a_stored_run_is_the_same_run(temporary, tmp_path):
+    expected, run = in_memory(), flown(limit=2e4)
+    assert list(temporary.iterdir()) == []
+    assert not is_in_memory(fields(run))
+    assert_same(fields(run), fields(expected))
+    assert run.signal("load_state").tobytes() == expected.signal("load_state").tobytes()
+    with pytest.raises(KeyError):
+        run.signal("no_such_signal")
+    metrics = write_results(run, tmp_path / "out", figures=False)
+    for part in ("load", "carriers", "cables"):
+        assert metrics[part] == compute_metrics(expected)[part]
+    with np.load(tmp_path / "out" / "signals.npz") as written:
+        assert list(written) == ["time", "entries", *expected.signals]
+        for name, values in expected.signals.items():
+            assert written[name].tobytes() == values.tobytes()
+    for other in (copy.deepcopy(run.signals), pickle.loads(pickle.dumps(run.signals))):
+        assert other["load_plant.load_state"].flags.writeable
+    kept = run.signal("tensions")
+    del run
+    gc.collect()
+    assert kept.tobytes() == expected.signal("tensions").tobytes()
+
+
+def test_a_stored_run_takes_two_files_however_often_one_looks(temporary):
+    gc.collect()
+    before = len(os.listdir("/dev/fd"))
+    run = flown(limit=2e4)
+    looks = [run.signal("load_state")[k % 10] for k in range(100)]
+    gc.collect()
+    assert len(os.listdir("/dev/fd")) <= before + 2
+    assert not looks[0].flags.writeable
+
+
+class FailsAt(LeafSystem):
+    def __init__(self, error):
+        super().__init__()
+        self._error = error
+        self.DeclareVectorOutputPort("parameters", 2, self._calc)
+
+    def _calc(self, context, output):
+        if context.get_time() >= 0.2:
+            raise self._error
+        output.SetFromVector([2.0, 1.2])
+
+
+@pytest.mark.parametrize(
+    ("error", "ending"),
+    [(ZeroDivisionError("my mistake"), RunStopped), (KeyboardInterrupt(), RunInterrupted)],
+)
+def test_a_run_that_ends_early_has_all_its_signals(temporary, error, ending):
+    ends = []
+    for limit in (None, 2e4):
+        with pytest.raises(ending) as caught:
+            flown(limit, optimization_layer=lambda model: FailsAt(error))
+        ends.append(fields(caught.value.run))
+    assert 0.15 < ends[1][0][-1] <= 0.2
+    assert_same(*reversed(ends))
+    error.__traceback__ = None
+    del caught
+
+
+@pytest.mark.parametrize("room", nightly_beyond(2, "processes", [65e3, 5e3, 2e4, 5e4]))
+def test_a_full_disk_ends_the_run_in_one_sentence_and_loses_nothing(temporary, monkeypatch, room):
+    expected = in_memory()
+    write, sizes = recording.SignalRows._write, {}
+
+    def write_where_room_is(rows, content):
+        start, size = rows._file.tell(), sizes.get(rows, 0)
+        fitting = max(size, int(room) - sum(sizes.values()) + size) - start
+        write(rows, content[:fitting])
+        sizes[rows] = max(size, rows._file.tell())
+        if fitting < len(content):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(recording.SignalRows, "_write", write_where_room_is)
+    with pytest.raises(RunStopped, match="cannot take the signals") as caught:
+        flown(limit=2e4)
+    assert f"{temporary} cannot take the signals (No space left on device)" in str(caught.value)
+    assert "\n" not in str(caught.value)
+    run = caught.value.run
+    assert 1 < len(run.time) <= len(expected.time)
+    assert f"the run stopped at t = {run.time[-1]:.4f} s: " in str(caught.value)
+    for name, values in expected.signals.items():
+        assert run.signals[name].tobytes() == values[: len(run.time)].tobytes()
+    assert run.steps["time"].tobytes() == expected.steps["time"][: len(run.steps["time"])].tobytes()
+
+
+@pytest.mark.parametrize("duration", nightly_beyond(1, "studies", [4e5, 1e4]))
+def test_a_run_without_room_for_its_signals_is_refused_and_the_remedy_works(duration, monkeypatch):
+    usage = shutil.disk_usage(".")._replace(free=300_000_000)
+    monkeypatch.setattr(shutil, "disk_usage", lambda folder: usage)
+    scenario = scenario_of(duration)
+    with pytest.raises(ScenarioError, match=r"^simulation_duration = \S+: give at most ") as caught:
+        simulate(scenario)
+    scenario.simulation_duration = float(re.search(r"give at most (\S+) s", str(caught.value))[1])
+    assert scenario.simulation_duration > 100
+    require_room(recording.recorded_sizes(make_nonstop(scenario)), scenario)
+
+
+@pytest.mark.nightly("flights")
+def test_the_expected_size_is_that_of_the_signals():
+    for override in ("engine=compiled", "simulator_config.max_step_size=0.002"):
+        scenario = scenario_of(0.5, override)
+        run = simulate(scenario)
+        arrays = [run.time, *run.signals.values(), *run.steps.values()]
+        sizes = recording.recorded_sizes(make_nonstop(scenario))
+        expected = recording.expected_size(sizes, scenario)
+        assert sum(values.nbytes for values in arrays) == pytest.approx(expected, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    "name", nightly_beyond(1, "flights", ["line_without_optimization", "three_carriers"])
+)
+def test_results_take_at_least_half_the_size_of_the_signals(name):
+    scenario = load_scenario(name, ["simulation_duration=0.1"])
+    run = simulate(scenario, check_step=StepCheck.NOTHING)
+    signals = sum(values[1:].nbytes for values in run.signals.values())
+    assert recording.least_size(scenario) == pytest.approx(signals / 2, rel=0.05)
+
+
+class AccelerationReader(LeafSystem):
+    """No disturbance, from a signal that is recorded only where something reads it."""
+
+    def __init__(self, model):
+        super().__init__()
+        self._input = self.DeclareVectorInputPort("carrier_reference_acceleration", 3 * model.n)
+        self.DeclareVectorOutputPort("disturbance_wrench", 6, self._calc)
+
+    def _calc(self, context, output):
+        output.SetFromVector(0 * self._input.Eval(context)[:6])
+
+
+def test_accelerations_are_recorded_where_something_reads_them():
+    overrides = ["carrier_trajectory.hold=velocity", "carrier_controller=CarrierPid"]
+    overrides += ["simulation_duration=0.05", "engine=diagram"]  # which alone flies the reader
+    scenario = load_scenario("quintic", overrides)
+    plain = {"optimization_layer": ConstantParameters}
+    unread = simulate(scenario, **plain)
+    read = simulate(scenario, **plain, load_disturbance=AccelerationReader)
+    name = "carrier_trajectory.carrier_reference_acceleration"
+    assert read.signals.keys() - unread.signals.keys() == {name}
+    assert unread.signals.keys() <= read.signals.keys()
+    assert read.signals[name].shape == (6, 12)
+    for port, values in unread.signals.items():
+        np.testing.assert_array_equal(read.signals[port], values, err_msg=port)

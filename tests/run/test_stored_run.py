@@ -1,0 +1,328 @@
+"""A run that is read back from its folder, and its signals as columns."""
+
+import dataclasses
+import json
+import random
+import shutil
+import zipfile
+from typing import ClassVar
+
+import numpy as np
+import pytest
+from helpers import nightly_beyond, regular
+
+from drake_nonstop import (
+    Run,
+    ScenarioError,
+    ScenarioWarning,
+    compute_metrics,
+    load_scenario,
+    simulate,
+    write_results,
+)
+from drake_nonstop.cli.ending import BAD_INPUT
+from drake_nonstop.cli.main import main
+from drake_nonstop.mechanics.signal_layouts import Layout, Part
+from drake_nonstop.planning.diagnostics import DIAGNOSTICS_SIZE
+from drake_nonstop.run.metrics import metrics_table
+from drake_nonstop.run.signal_table import UnknownSignalError
+from drake_nonstop.run.stored_run import read_arrays
+from drake_nonstop.scenario.loading import dump_scenario
+from drake_nonstop.systems.block import LeafBlock
+from drake_nonstop.view.replay import record_replay
+from drake_nonstop.view.run_figures import make_figure
+
+pytestmark = pytest.mark.usefixtures("undrawn")
+
+CONSTANT = "optimization_layer=ConstantParameters"
+BRIEF = ["simulation_duration=0.2"]
+
+
+@pytest.fixture(scope="module")
+def stored(tmp_path_factory):
+    """A run, and the folder that it is written to."""
+    folder = tmp_path_factory.mktemp("stored") / "run"
+    run = simulate(load_scenario("quintic", [*BRIEF, CONSTANT]))
+    write_results(run, folder, figures=False, replay=False)
+    return run, folder
+
+
+def test_it_is_as_if_it_had_just_flown(stored):
+    run, folder = stored
+    loaded = Run.load(folder)
+    for name in ("signals", "steps"):
+        values, expected = getattr(loaded, name), getattr(run, name)
+        assert list(values) == list(expected)
+        for key in expected:
+            np.testing.assert_array_equal(values[key], expected[key])
+    same = [field.name for field in dataclasses.fields(Run)]
+    for name in set(same) - {"signals", "steps", "diagram", "time", "solve_times"}:
+        assert getattr(loaded, name) == getattr(run, name), name
+    assert compute_metrics(loaded) == compute_metrics(run)
+    assert compute_metrics(loaded) == json.loads((folder / "metrics.json").read_text())
+    assert record_replay(loaded) == record_replay(run)
+
+
+def test_it_is_written_again_to_the_bit(stored, tmp_path):
+    _, folder = stored
+    write_results(Run.load(folder), tmp_path, figures=False, replay=False)
+    for name in ("scenario.yaml", "metrics.json", "signals.npz", "steps.npz"):
+        assert (tmp_path / name).read_bytes() == (folder / name).read_bytes(), name
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_run_is_written_whatever_its_signals_hold(value, stored, tmp_path):
+    run, _ = stored
+    counts = {"diagnostics": DIAGNOSTICS_SIZE, "missed_limits": 1}
+    rows = len(run.steps["time"])
+    planned = dataclasses.replace(
+        run,
+        scenario=load_scenario("quintic", BRIEF),
+        steps={**run.steps, **{name: np.zeros((rows, size)) for name, size in counts.items()}},
+        stopped="a block made a NaN",
+    )
+    for kind in ("signals", "steps"):
+        for name in set(getattr(planned, kind)) - {"time"}:
+            values = np.array(getattr(planned, kind)[name])
+            values[-3:] = value
+            spoilt = {kind: {**getattr(planned, kind), name: values}}
+            with np.errstate(all="ignore"):
+                metrics = write_results(
+                    dataclasses.replace(planned, **spoilt), tmp_path, figures=False, replay=False
+                )
+            text = (tmp_path / "metrics.json").read_text()
+            assert json.loads(text, parse_constant=pytest.fail) == metrics, name
+            assert metrics["outcome"] == "stopped"
+            assert metrics_table(metrics)
+
+
+def test_pictures_show_what_is_finite(stored):
+    run, _ = stored
+    signals = dict(run.signals)
+    for name in ("optimization_layer.parameters", "optimization_layer.speed_bound"):
+        signals[name] = np.full_like(signals[name], np.nan)
+    spoilt = dataclasses.replace(run, signals=signals)
+    assert record_replay(spoilt)
+    assert make_figure(spoilt, "carrier_paths_zoomed").axes
+
+
+def test_the_signals_file_tells_names_units_and_frames(stored):
+    run, folder = stored
+    with np.load(folder / "signals.npz") as archive:
+        table = archive["entries"]
+        sizes = {name: archive[name].shape[1] for name in run.signals}
+    rows = {name: table[table["signal"] == name] for name in sizes}
+    for name, size in sizes.items():
+        np.testing.assert_array_equal(rows[name]["column"], np.arange(size))
+    velocities = rows["carrier_dynamics.carrier_state"][12:]
+    assert velocities["name"][0] == "carrier_state.velocities.1.x"
+    assert set(velocities["unit"]) == {"m/s"}
+    assert set(velocities["frame"]) == {"W"}
+
+
+def test_a_run_with_blocks_of_ones_own_says_so(tmp_path):
+    class Clock(LeafBlock):
+        signal_layouts: ClassVar = {"hours": Layout(Part("", "1", "h"))}
+
+        def __init__(self, model):
+            super().__init__()
+            self.DeclareVectorOutputPort("hours", 1, self._calc, {self.time_ticket()})
+            self.DeclareVectorOutputPort("numbers", 2, self._calc_numbers)
+
+        def _calc(self, context, output):
+            output.SetAtIndex(0, context.get_time() / 3600)
+
+        def _calc_numbers(self, context, output):
+            output.SetFromVector([1.0, 2.0])
+
+    run = simulate(load_scenario("quintic", [*BRIEF, CONSTANT]), extra={"clock": Clock})
+    frame = run.to_pandas(["clock.hours", "numbers"])
+    assert list(frame.columns) == ["hours [h]", "numbers.1", "numbers.2"]
+    assert frame["hours [h]"].iloc[-1] == pytest.approx(0.2 / 3600)
+    write_results(run, tmp_path, figures=False, replay=False)
+    with pytest.warns(ScenarioWarning, match="blocks that its scenario does not name"):
+        loaded = Run.load(tmp_path)
+    assert loaded.replacements is None
+    assert list(loaded.columns(["clock.hours"])) == ["time [s]", "hours [h]"]
+    assert compute_metrics(loaded) == compute_metrics(run)
+
+
+def test_columns_and_frames_have_units(stored):
+    run, _ = stored
+    frame = run.to_pandas(["load_state.velocity", "carrier_state.positions.2.x", "tensions"])
+    assert frame.index.name == "time [s]"
+    labels = [f"load_state.velocity.{axis} [m/s]" for axis in "xyz"]
+    labels += ["carrier_state.positions.2.x [m]", *(f"tensions.{k} [N]" for k in (1, 2, 3, 4))]
+    assert list(frame.columns) == labels
+    assert frame.attrs["units"] == {label: label.partition("[")[2][:-1] for label in labels}
+    assert frame.attrs["frames"][labels[0]] == "W"
+    expected = run.signal("carrier_state")[:, 3]
+    np.testing.assert_array_equal(frame[labels[3]].to_numpy(), expected)
+    assert len(run.columns()) == 1 + sum(values.shape[1] for values in run.signals.values())
+    with pytest.raises(UnknownSignalError, match=r"signal = load_state.speed: give a port"):
+        run.columns(["load_state.speed"])
+
+
+def test_a_run_is_shown_in_one_line(stored):
+    assert repr(stored[0]) == "<Run of quintic: 0.2 s, 28 signals>"
+    stopped = dataclasses.replace(stored[0], stopped="the run diverged")
+    assert repr(stopped) == "<Run of quintic: 0.2 s, 28 signals, stopped: the run diverged>"
+
+
+@pytest.fixture
+def copied(stored, tmp_path):
+    """A copy of the folder, whose path is longer than what a sentence shows of a value."""
+    folder = tmp_path / ("long" * 30)
+    shutil.copytree(stored[1], folder)
+    return folder
+
+
+def test_what_is_no_run_is_refused(copied):
+    for name in ("scenario.yaml", "signals.npz", "steps.npz"):
+        content = (copied / name).read_bytes()
+        (copied / name).write_bytes(b"nothing")
+        with pytest.raises(ScenarioError, match=rf"^{name}, run = \S+ .* give |fly its"):
+            Run.load(copied)
+        (copied / name).unlink()
+        with pytest.raises(
+            ScenarioError, match=rf"^{name}, run = \S+: there is no such file; give"
+        ):
+            Run.load(copied)
+        (copied / name).write_bytes(content)
+    with pytest.raises(ScenarioError, match=r"run = 7: give the path"):
+        Run.load(7)
+
+
+def _without(name):
+    return lambda arrays: arrays.pop(name)
+
+
+def _with(name, change):
+    return lambda arrays: arrays.update({name: change(arrays[name])})
+
+
+def _facts(**changes):
+    return _with("run", lambda text: np.array(json.dumps(json.loads(str(text)) | changes)))
+
+
+def _narrower(name):
+    """A signal and its entries without the last column."""
+
+    def damage(arrays):
+        rows = arrays["entries"]
+        last = np.flatnonzero(rows["signal"] == name)[-1]
+        arrays.update({name: arrays[name][:, :-1], "entries": np.delete(rows, last)})
+
+    return damage
+
+
+def _of_steps(chosen):
+    """Some of the steps only."""
+
+    def damage(arrays):
+        kept = {name: values[chosen] for name, values in arrays.items() if name != "run"}
+        arrays.update(kept)
+
+    return damage
+
+
+@pytest.mark.parametrize(
+    ("file", "damage", "part"),
+    [
+        ("signals.npz", _without("time"), "time"),
+        ("signals.npz", _with("time", lambda time: time[:0]), "time"),
+        ("signals.npz", _with("time", lambda time: time[::-1]), "time"),
+        ("signals.npz", _with("time", lambda time: np.where(time > 0.1, np.nan, time)), "time"),
+        ("signals.npz", _without("entries"), "entries"),
+        ("signals.npz", _with("entries", lambda rows: rows[:-1]), r"entries of \S+"),
+        ("signals.npz", _with("entries", lambda rows: np.arange(3.0)), "entries"),
+        ("signals.npz", _with("time", lambda time: time[:-2]), r"\w+\.\w+"),
+        ("signals.npz", _with("load_plant.load_state", np.ravel), "load_plant.load_state"),
+        ("signals.npz", _with("cables.tensions", lambda v: v.astype(str)), "cables.tensions"),
+        ("signals.npz", _without("cables.tensions"), "cables.tensions"),
+        ("signals.npz", _narrower("load_plant.load_state"), "load_plant.load_state"),
+        ("signals.npz", _narrower("cables.tensions"), "carrier_dynamics.carrier_state"),
+        ("signals.npz", _narrower("internal_force.internal_force"), "internal_force.*"),
+        ("steps.npz", _without("run"), "run"),
+        ("steps.npz", _without("carrier_state"), "carrier_state"),
+        ("steps.npz", _without("load_state"), "load_state"),
+        ("steps.npz", _with("time", lambda time: time[1:]), r"\w+"),
+        ("steps.npz", _with("time", lambda time: time + 1e-4), "time"),
+        ("steps.npz", _of_steps(slice(None, None, -1)), "time"),
+        ("steps.npz", _of_steps([0, 1, -1]), "time"),
+        ("steps.npz", _with("carrier_state", lambda v: v[:, :18]), "carrier_state"),
+        ("steps.npz", _with("carrier_state", lambda v: v[:, :-1]), "carrier_state"),
+        ("steps.npz", _with("speed_bound", lambda v: v[:, :0]), "speed_bound"),
+        ("steps.npz", _facts(unresolved=None), "run"),
+        ("steps.npz", _facts(unresolved=[7]), "run"),
+        ("steps.npz", _facts(wall_time="fast"), "run"),
+        ("steps.npz", _facts(step=-0.01), "run.step"),
+        ("steps.npz", _facts(step=np.nan), "run.step"),
+        ("steps.npz", _with("run", lambda text: np.array("7")), "run"),
+    ],
+)
+def test_a_damaged_part_is_named(file, damage, part, copied):
+    with np.load(copied / file) as archive:
+        arrays = dict(archive)
+    damage(arrays)
+    np.savez(copied / file, **arrays)
+    with pytest.raises(ScenarioError, match=rf"^{part} in {file}, run = \S+: it .*; put .* fly"):
+        Run.load(copied)
+
+
+def test_the_parts_of_two_runs_do_not_go_together(copied):
+    scenario = load_scenario("quintic", [*BRIEF, CONSTANT])
+    scenario.system.attachments = regular(3).tolist()
+    (copied / "scenario.yaml").write_text(dump_scenario(scenario))
+    with pytest.raises(ScenarioError, match=r"^carrier_state in steps.npz, .* 24 columns, not 18 "):
+        Run.load(copied)
+
+
+def _spoilt(content, kind, seed):
+    """The content of a file with one of its bits turned round, or without its end."""
+    rng = random.Random(seed)
+    place = rng.randrange(len(content))
+    if kind == "cut":
+        return content[:place]
+    changed = bytearray(content)
+    changed[place] ^= 1 << rng.randrange(8)
+    return bytes(changed)
+
+
+SPOILT = [("flip", range(16)), ("cut", range(8)), ("flip", range(16, 400))]
+
+
+@pytest.mark.parametrize(("kind", "seeds"), nightly_beyond(2, "adversary", SPOILT))
+@pytest.mark.parametrize("name", ["signals.npz", "steps.npz"])
+def test_a_spoilt_archive_is_read_whole_or_refused(name, kind, seeds, stored, copied, capsys):
+    _, folder = stored
+    content = (folder / name).read_bytes()
+    whole = read_arrays(folder / name)
+    for seed in seeds:
+        (copied / name).write_bytes(_spoilt(content, kind, seed))
+        try:
+            arrays = read_arrays(copied / name)
+        except ValueError:
+            with pytest.raises(ScenarioError, match=rf"^{name}, run = \S+: it cannot be read \("):
+                Run.load(copied)
+            if seed % 20 == 0:
+                command = [
+                    "export",
+                    str(copied),
+                    "--to",
+                    "csv" if name == "signals.npz" else "mcap",
+                ]
+                assert main(command) == BAD_INPUT
+                assert capsys.readouterr().err.count("\n") == 1
+        else:
+            assert all(np.array_equal(arrays[key], whole[key]) for key in arrays), seed
+            if arrays.keys() != whole.keys():  # the archive's own list ends too soon
+                with pytest.raises(ScenarioError, match=rf"in {name}, run = .* it is missing"):
+                    Run.load(copied)
+
+
+def test_what_is_no_array_in_an_archive_is_refused(copied):
+    with zipfile.ZipFile(copied / "signals.npz", "a") as archive:
+        archive.writestr("README.txt", "hello")
+    with pytest.raises(ScenarioError, match=r"^signals.npz, run = \S+: it cannot be read"):
+        Run.load(copied)

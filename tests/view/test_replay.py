@@ -1,0 +1,212 @@
+"""The page of a replay; test_replay_page.py plays it in a browser."""
+
+import base64
+import gzip
+import logging
+import re
+
+import numpy as np
+import pytest
+from aircraft_runs import aircraft_run
+from helpers import circling_run
+
+from drake_nonstop.run.run import Run
+from drake_nonstop.run.simulate import simulate
+from drake_nonstop.scenario.loading import load_scenario
+from drake_nonstop.scenario.obstacles import GroundConfig
+from drake_nonstop.view import replay
+from drake_nonstop.view.replay import record_replay
+
+MEGABYTE = 1e6
+
+
+@pytest.fixture(scope="module")
+def simulated():
+    scenario = load_scenario("quintic")
+    scenario.simulation_duration = 0.5
+    return simulate(scenario)
+
+
+def shortened(run, samples):
+    signals = {name: values[:samples].copy() for name, values in run.signals.items()}
+    return Run(**{**vars(run), "time": run.time[:samples], "signals": signals})
+
+
+def commands(html):
+    """What the page tells the viewer, each in msgpack."""
+    for kind, text in re.findall(r"application/(octet-binary|gzip);base64,([\w+/=]+)", html):
+        content = base64.b64decode(text)
+        yield gzip.decompress(content) if kind == "gzip" else content
+
+
+def paths(html):
+    """The scene's bodies that have an object in the page."""
+    objects = [content for content in commands(html) if b"set_object" in content]
+    path = rb"/nonstop/(load|reference|carriers/\d+|cables/\d+)\b"
+    return {found.decode() for content in objects for found in re.findall(path, content)}
+
+
+def expected_paths(n):
+    return {"load", "reference"} | {f"{k}/{i}" for k in ("carriers", "cables") for i in range(n)}
+
+
+def polyline(html, index):
+    points = re.findall(r'points="([^"]*)"', html)[index]
+    return np.array([pair.split(",") for pair in points.split()], dtype=float)
+
+
+def test_page_refers_to_nothing_outside(simulated):
+    html = record_replay(simulated)
+    assert "<script" in html
+    tags = re.findall(r"<(?:script|link|img|iframe)\b[^>]*>", html)
+    assert not [tag for tag in tags if re.search(r"\b(src|href)\s*=", tag)]
+    addresses = re.findall(r"""fetch\(["'](.{0,40})""", html)
+    assert addresses
+    assert all(address.startswith("data:") for address in addresses)
+
+
+@pytest.mark.parametrize("n", [3, 6])
+def test_page_shows_all_bodies(n):
+    assert paths(record_replay(circling_run(n))) == expected_paths(n)
+
+
+def test_page_of_a_simulated_run_shows_all_bodies(simulated):
+    assert paths(record_replay(simulated)) == expected_paths(4)
+
+
+@pytest.mark.nightly("benchmarks")
+def test_thirty_seconds_of_four_carriers_take_less_than_five_megabytes():
+    assert len(record_replay(circling_run(duration=30.0))) < 5 * MEGABYTE
+
+
+@pytest.mark.nightly("flights")
+@pytest.mark.parametrize("n", [4, 12])
+def test_a_long_replay_has_fewer_frames_and_stays_below_twenty_megabytes(n, monkeypatch):
+    part = 20  # of a run of 2,000 s
+    empty = len(record_replay(circling_run(n, duration=0.01)))
+    monkeypatch.setattr(replay, "_MOST_POSES", replay._MOST_POSES // part)
+    run = circling_run(n, duration=2000.0 / part)
+    dip = 5003  # a sample between two frames
+    run.signal("carrier_state")[dip, 3 * n :] *= 0.1
+    html = record_replay(run)
+    assert empty + part * (len(html) - empty) < 20 * MEGABYTE
+    rate = float(re.search(r"a long run: (\S+) frames per second", html)[1])
+    bound, slowest = polyline(html, 0), polyline(html, 1)
+    assert 2000 / part - bound[-1, 0] < 1 / rate
+    np.testing.assert_allclose(np.diff(bound[:, 0]), 1 / rate, rtol=5e-3)
+    assert 50.03 in slowest[:, 0]
+    assert slowest[:, 1].argmin() == np.flatnonzero(slowest[:, 0] == 50.03)[0]
+
+
+def test_a_flight_of_minutes_has_fewer_frames(monkeypatch):
+    monkeypatch.setattr(replay, "_MOST_FRAMES", 20)
+    html = record_replay(circling_run(duration=1.99))  # 200 samples
+    assert "a long run: 10 frames per second" in html
+    np.testing.assert_allclose(np.diff(polyline(html, 0)[:, 0]), 0.1)
+
+
+def test_page_compares_the_slowest_carrier_with_the_bound(simulated):
+    html = record_replay(simulated)
+    frames = slice(None, None, 4)  # 25 Hz of 100
+    bound, slowest = polyline(html, 0), polyline(html, 1)
+    np.testing.assert_allclose(bound[:, 1], 0.55)
+    np.testing.assert_allclose(slowest[:, 0], simulated.time[frames], atol=1e-6)
+    velocities = simulated.signal("carrier_state")[frames, 12:].reshape(-1, 4, 3)
+    speeds = np.linalg.norm(velocities, axis=2).min(axis=1)
+    np.testing.assert_allclose(slowest[:, 1], speeds, rtol=1e-3)
+
+
+def test_page_tells_the_least_margin_and_when_it_was(simulated):
+    text = re.search(r"least margin (\S+) m/s at (\S+) s", record_replay(simulated))
+    velocities = simulated.signal("carrier_state")[:49, 12:].reshape(-1, 4, 3)  # to the last frame
+    speeds = np.linalg.norm(velocities, axis=2).min(axis=1)
+    assert float(text[1]) == pytest.approx(speeds.min() - 0.55, rel=5e-3)
+    assert float(text[2]) == pytest.approx(simulated.time[speeds.argmin()])
+
+
+def test_the_scale_has_a_few_round_numbers_where_the_values_are(rng):
+    for low, high in [(0.0, 0.0), (3.0, 3.0), *np.sort(rng.lognormal(0, 3, (30, 2)))]:
+        ticks, bottom, top = replay._scale(np.array([low, high]))
+        assert bottom <= low <= high <= top
+        assert 1 <= len(ticks) <= 5
+        assert bottom <= ticks[0] <= ticks[-1] <= top
+        for step in np.diff(ticks):
+            assert step == pytest.approx(float(f"{step:.0e}"), rel=1e-9)  # of one digit
+
+
+def test_page_shows_the_paths_and_the_goal(simulated):
+    for part in (b"/nonstop/paths/flown", b"/nonstop/paths/desired", b"/nonstop/goal/bar0"):
+        drawn = [text for text in commands(record_replay(simulated)) if part in text]
+        assert any(b"set_object" in text for text in drawn), part
+
+
+def test_name_and_colours_are_escaped_and_shown():
+    run = circling_run()
+    run.scenario.name = "<b>&"
+    run.scenario.scene.slack_colour = "#123456"
+    run.scenario.obstacles = [GroundConfig(height=-3.0)]
+    run.scenario.scene.obstacle_colour = "#654321"
+    html = record_replay(run)
+    assert "&lt;b&gt;&amp;" in html
+    assert "#123456" in html
+    assert re.search(r"#654321,#654321\)\W+/span>obstacle</span>", html)
+
+
+def test_frame_rate_is_at_most_that_of_the_signals():
+    fast, faster = (
+        [content for content in commands(html) if b"set_animation" in content]
+        for html in (record_replay(circling_run(), frame_rate=rate) for rate in (100.0, 1000.0))
+    )
+    assert len(fast) == 1
+    assert fast == faster
+
+
+@pytest.mark.parametrize("samples", [1, 2])
+def test_run_of_hardly_any_samples(simulated, samples):
+    assert paths(record_replay(shortened(simulated, samples))) == expected_paths(4)
+
+
+def test_samples_from_the_first_that_is_not_finite_are_left_out(simulated):
+    run = shortened(simulated, len(simulated.time))
+    run.signal("carrier_state")[40, 2] = np.nan
+    run.signal("load_state")[45:, 4] = np.inf
+    html = record_replay(run)
+    assert len(polyline(html, 1)) == 10
+    assert paths(html) == expected_paths(4)
+
+
+@pytest.mark.parametrize("broken", [np.nan, np.inf, 0.0])
+def test_run_without_a_usable_sample_gives_an_empty_page(simulated, broken):
+    run = shortened(simulated, 1)
+    run.signal("load_state")[:] = broken
+    assert paths(record_replay(run)) == set()
+
+
+def test_recording_leaves_no_trace_in_the_log(caplog):
+    logger = logging.getLogger("drake")
+    level = logger.level
+    logger.setLevel(logging.INFO)
+    try:
+        record_replay(circling_run(duration=0.1))
+        assert logger.level == logging.INFO
+    finally:
+        logger.setLevel(level)
+    assert not caplog.records
+
+
+def test_page_of_aircraft_compares_the_nearest_with_its_stall():
+    run = aircraft_run(2.0, wind=(2.0, 0.0, 0.0))
+    html = record_replay(run)
+    stall, nearest = polyline(html, 0), polyline(html, 1)
+    np.testing.assert_array_equal(stall[:, 1], 1)
+    state = run.signal("aircraft_state")[::4]
+    shares = np.maximum(state[:, :4] / 1.4, (8.369 / state[:, 12:]) ** 2).max(axis=1)
+    np.testing.assert_allclose(nearest[:, 1], shares, rtol=1e-3)
+    assert "wind at the load" in html
+    (animation,) = (each for each in commands(html) if b"set_animation" in each)
+    assert b"carriers/0/wing/<object>" in animation
+    assert b"mark" not in animation
+    run.scenario.system.aircraft = None
+    html = record_replay(run)
+    assert "wind at the load" not in html
+    assert ">obstacle<" not in html
