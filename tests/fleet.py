@@ -126,7 +126,6 @@ DRAWN: dict[str, tuple[str, list[str]]] = {
         [
             *("simulation_duration=2", "pattern=!LinearPattern {}"),
             *("carrier_trajectory=MeasuredCarrierTrajectory", "carrier_controller=CarrierPid"),
-            "force_distribution=!BoundedTensionDistribution {min_tension: 2.4}",
             "wrench_controller=!WrenchController {feedforward: 0, position_integral_gain: 0, "
             "orientation_integral_gain: 0}",
             *("optimization_layer=ConstantParameters", "load_feedback=DesiredAttitudeFeedback"),

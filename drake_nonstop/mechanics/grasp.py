@@ -13,10 +13,6 @@ from drake_nonstop.mechanics.rotation import skew
 from drake_nonstop.mechanics.signals import InternalForce, InternalForceHigherRates, Wrench
 from drake_nonstop.mechanics.taylor import Quantity, Taylor
 
-# Of the tensions that a null space can change; squared, and relative to the largest. Below it rates
-# would be those of a division by nearly zero, as where carriers start symmetrically.
-_DEPENDENT = 1e-8
-
 
 def grasp_matrix(attachments: NDArray) -> NDArray:
     """G₀ (6, 3n) in L: stacked cable forces (3n,) to the wrench [torque; force] (6,).
@@ -113,34 +109,3 @@ def forces_along(
         offset=0.0,
     )
     return Taylor.of_rates(now, first, *along.rates[2:])
-
-
-def null_space_correction(
-    directions: NDArray,
-    direction_rates: NDArray,
-    shortfalls: NDArray,
-    shortfall_rates: NDArray,
-    null_space: NDArray,
-) -> tuple[NDArray, NDArray]:
-    """The smallest forces (n, 3) without a wrench that correct some tensions, and their rates.
-
-    Of all y, the least with q_iᵀ(Z y)_i = s_i for the k cables in question, and its exact rate
-    while these stay the same: y = Aᵀμ and ẏ = Ȧᵀμ + Aᵀμ̇ with A Aᵀ μ = s. Own derivation.
-
-    Args:
-        directions: q (k, n, 3), the unit direction of a cable in its row i and zero elsewhere.
-        direction_rates: q̇, of the same shape.
-        shortfalls: s (k,), N, missing tensions along the directions.
-        shortfall_rates: ṡ (k,), N/s.
-        null_space: Z (3n, 3n − 6), an orthonormal basis of the null space of the grasp matrix.
-    """
-    count = len(directions)
-    rows = directions.reshape(count, -1) @ null_space
-    row_rates = direction_rates.reshape(count, -1) @ null_space
-    inverse = np.linalg.pinv(rows @ rows.T, rcond=_DEPENDENT)
-    multipliers = inverse @ shortfalls
-    change = row_rates @ rows.T
-    multiplier_rates = inverse @ (shortfall_rates - (change + change.T) @ multipliers)
-    step = rows.T @ multipliers
-    rate = row_rates.T @ multipliers + rows.T @ multiplier_rates
-    return (null_space @ step).reshape(-1, 3), (null_space @ rate).reshape(-1, 3)

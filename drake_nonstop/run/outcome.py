@@ -14,7 +14,6 @@ from drake_nonstop.analysis.limit import DISTANCE_LIMITS, Limit, RunOutcome
 from drake_nonstop.mechanics.aircraft import stall_speed
 from drake_nonstop.model.system import breaking_load
 from drake_nonstop.planning.limits import LIMITS as ASKED
-from drake_nonstop.planning.limits import Of, limits_of
 from drake_nonstop.planning.measured_margin import LARGEST_SHARE
 from drake_nonstop.run.run_quantities import RunQuantities
 
@@ -97,7 +96,7 @@ LIMITS = (
     # What blocks are asked for. They command it; what is simulated follows with an error.
     *(
         Limit(
-            path=f"{box}.{asked.field}",
+            path=f"optimization_layer.{asked.field}",
             outcome=RunOutcome.LIMIT_MISSED,
             sentence=asked.sentence,
             unit=asked.unit,
@@ -105,11 +104,7 @@ LIMITS = (
             is_least=asked.is_least,
             tolerance=_ROUNDING,
         )
-        for box, rows in (
-            ("optimization_layer", ASKED),
-            ("force_distribution", limits_of(Of.TENSION)),
-        )
-        for asked in rows
+        for asked in ASKED
     ),
     Limit(
         path="carrier_dynamics.max_acceleration",

@@ -63,7 +63,6 @@ class EquationBlock(LeafBlock):
         declares_besides: whether it declares events besides those of its equations.
     """
 
-    computes_besides: ClassVar[bool] = False  # what its equations do not tell
     answer: ClassVar[Callable[..., NDArray] | None] = None
     equations_of_block: Equations
     every: int = 1
@@ -246,8 +245,7 @@ class EquationBlock(LeafBlock):
         moved = {} if own.motion is None else own.motion.makes
         rates = type(self).DoCalcTimeDerivatives  # Drake's, where the block has none
         return not (
-            self.computes_besides
-            or (self.declares_besides and not is_of_package(self))
+            (self.declares_besides and not is_of_package(self))
             or len(vectors) != len({**own.outputs, **own.shown, **moved})
             or len(state_values(context)) != len(own.state)
             or rates.__module__.partition(".")[0] not in _OURS

@@ -33,7 +33,6 @@ SWAPS = {
     "as it is": [],
     "a diagram in a box": ["load_plant=MultibodyLoadPlant"],
     "continuous control": ["control_period=0"],
-    "one block calls its parent's": ["force_distribution=BoundedTensionDistribution"],
 }
 needs_git = pytest.mark.skipif(shutil.which("git") is None, reason="git is not installed")
 

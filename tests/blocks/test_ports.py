@@ -10,10 +10,7 @@ import re
 import numpy as np
 import pytest
 import yaml
-from helpers import Motion, difference, fix, model, output, sizes_of, vector_outputs
-from pydrake.autodiffutils import AutoDiffXd, ExtractValue
-from pydrake.symbolic import Expression
-from pydrake.systems.framework import DiagramBuilder
+from helpers import Motion, fix, model, output, sizes_of, vector_outputs
 
 from drake_nonstop import blocks
 from drake_nonstop.blocks.cables import Cables
@@ -39,8 +36,6 @@ from drake_nonstop.blocks.carrier_trajectory import (
 )
 from drake_nonstop.blocks.fixed_wing_controller import FixedWingController
 from drake_nonstop.blocks.force_distribution import (
-    BoundedTensionDistribution,
-    BoundedTensionDistributionConfig,
     CableForceDistribution,
 )
 from drake_nonstop.blocks.internal_force import InternalForceTrajectory, PlannedInternalForce
@@ -94,7 +89,6 @@ from drake_nonstop.mechanics.signals import SIGNALS as LAYOUTS
 from drake_nonstop.model.aircraft import AircraftParameters
 from drake_nonstop.scenario.describe import parameters
 from drake_nonstop.systems.wiring import output_sizes
-from drake_nonstop.validation import ScenarioError
 
 
 def moving_reference(model):
@@ -126,10 +120,6 @@ def gusty_wind(model):
 
 def loaded_carriers(model):
     return LimitedCarriers(model, LimitedCarriersConfig(has_weight=True, feels_cable=True))
-
-
-def bounded_distribution(model):
-    return BoundedTensionDistribution(model, BoundedTensionDistributionConfig(min_tension=2.9))
 
 
 def first_order_trajectory(model):
@@ -195,7 +185,6 @@ BLOCKS = {
         (WrenchController, PaperWrenchController, TunedWrenchController),
         everything([*_WRENCH_INPUTS, "reference_higher_rates"], [*_WRENCH]),
     ),
-    bounded_distribution: DISTRIBUTION,
     **dict.fromkeys(
         (CarrierTrajectory, InextensibleCarrierTrajectory, first_order_trajectory),
         (
@@ -568,54 +557,11 @@ def along(scale):
     return lambda given: given + scale * np.sin(7 * given)
 
 
-CONVERTIBLE = [block for block in BLOCKS if block is not bounded_distribution]
-
-
-@of_every(CONVERTIBLE)
-def test_of_autodiff_values_are_those_of_floats_and_gradients_differences(make, period):
-    block = built(make, 4, period)
-    result = made_values(block.ToAutoDiffXd(), AutoDiffXd, along(AutoDiffXd(0.0, [1.0])))
-    expected = made_values(block, float, along(0.0))
-    scale = max(1.0, np.max(np.abs(expected)))
-    np.testing.assert_allclose(ExtractValue(result)[:, 0], expected, rtol=0, atol=1e-12 * scale)
-    slopes = [value.derivatives() for value in result]
-    gradient = np.array([slope[0] if slope.size else 0.0 for slope in slopes])
-    slope = difference(lambda step: made_values(block, float, along(step)), 0.0, 1e-4)
-    scale = max(1.0, np.max(np.abs(slope)))
-    np.testing.assert_allclose(gradient, slope, rtol=0, atol=1e-7 * scale)
-
-
-@of_every(CONVERTIBLE)
-def test_of_expressions_values_are_those_of_floats(make, period):
-    block = built(make, 4, period)
-    expected = made_values(block, float, along(0.0))
-    result = made_values(
-        block.ToSymbolic(), Expression, lambda given: np.array([Expression(v) for v in given])
-    )
-    scale = max(1.0, np.max(np.abs(expected)))
-    numbers = [value.Evaluate() for value in result]
-    np.testing.assert_allclose(numbers, expected, rtol=0, atol=1e-12 * scale)
-
-
 @of_every(BLOCKS)
 def test_a_clone_makes_the_same_to_the_bit(make, period):
     block = built(make, 4, period)
     expected = made_values(block, float, along(0.0))
     np.testing.assert_array_equal(made_values(block.Clone(), float, along(0.0)), expected)
-
-
-def test_a_quadratic_program_is_solved_on_floats_only():
-    builder = DiagramBuilder()
-    builder.AddNamedSystem("force_distribution", bounded_distribution(model()))
-    loop = builder.Build()
-    loop.set_name("nonstop")
-    block = loop.ToAutoDiffXd().GetSubsystemByName("force_distribution")
-    with pytest.raises(ScenarioError) as error:
-        made_values(block, AutoDiffXd, along(AutoDiffXd(0.0, [1.0])))
-    assert str(error.value) == (
-        "scalar type of force_distribution = AutoDiffXd: it computes with floating-point numbers "
-        "only; give CableForceDistribution in place of BoundedTensionDistribution"
-    )
 
 
 @pytest.mark.parametrize("n", [3, 6])

@@ -55,7 +55,6 @@ SWAPS = st.sampled_from(
         "pattern=SpreadCarousel",
         "load_trajectory=Waypoints",
         "wrench_controller=PaperWrenchController",
-        "force_distribution=!BoundedTensionDistribution {min_tension: 3}",
         "carrier_controller=FeedforwardCarrierPid",
         "carrier_dynamics=LimitedCarriers",
         "carrier_controller=own.Block",

@@ -5,12 +5,10 @@ import functools
 import numpy as np
 import pytest
 from helpers import Ports, model, output, with_ports
-from pydrake.autodiffutils import AutoDiffXd
 from pydrake.geometry import SceneGraph
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 
 from drake_nonstop import (
-    BoundedTensionDistribution,
     FixedWingDynamics,
     NoDisturbance,
     NonstopGeometry,
@@ -237,25 +235,6 @@ def test_a_block_that_raises_has_its_name(names, depth):
         diagram.get_output_port().Eval(context)
     called = ".".join(["outer"] * depth + ["mine"]) if names else "Raising"
     assert raising_block(error.value).startswith(f"{called} (test_wired_by_hand.py:")
-
-
-@NAMED
-@pytest.mark.parametrize("depth", [0, 1])
-def test_an_error_of_a_block_has_its_name(names, depth):
-    block = BoundedTensionDistribution(model())
-    if names:
-        block.set_name("mine")
-    diagram = in_diagrams(block, 1 + depth, names)
-    converted = diagram.ToAutoDiffXd()
-    context = converted.CreateDefaultContext()
-    for part in range(converted.num_input_ports()):
-        port = converted.get_input_port(part)
-        port.FixValue(context, np.full(port.size(), AutoDiffXd(1.0)))
-    called = "BoundedTensionDistribution"
-    if names:
-        called = ".".join(["outer"] * depth + ["mine"])
-    with pytest.raises(ScenarioError, match=rf"^scalar type of {called} = AutoDiffXd: it computes"):
-        converted.get_output_port(0).Eval(context)
 
 
 def in_diagrams(block, depth, names):

@@ -24,7 +24,6 @@ from drake_nonstop import (
     simulate,
 )
 from drake_nonstop.blocks.carrier_dynamics import LimitedCarriersConfig
-from drake_nonstop.blocks.force_distribution import BoundedTensionDistributionConfig
 from drake_nonstop.blocks.receding_horizon import RecedingHorizonOptimizerConfig
 from drake_nonstop.diagrams.nonstop import BOXES
 from drake_nonstop.model.system import SystemParameters
@@ -299,7 +298,6 @@ def everything_stated():
     for fault in (load_far_off, load_turned, cable_slack, carrier_slow, commands_saturated):
         fault(made)
     made.tensions += 0.1  # but for the tensions, whose least must be above zero
-    made.scenario.force_distribution = BoundedTensionDistributionConfig()
     made.scenario.carrier_dynamics = LimitedCarriersConfig(feels_cable=True)
     return made
 
@@ -339,9 +337,9 @@ def test_each_limit_is_kept_up_to_it_and_missed_beyond(limit):
 def test_both_numbers_can_be_told_apart():
     made = everything_stated()
     least = made.tensions.min()
-    made.scenario.force_distribution.min_tension = 1.002 * least
+    made.scenario.optimization_layer.min_tension = 1.002 * least
     (sentence,) = (s for s in compute_metrics(made.run())["reasons"] if "min_tension" in s)
-    fell, stated = sentence.removesuffix(" N)").split(" N (force_distribution.min_tension: ")
+    fell, stated = sentence.removesuffix(" N)").split(" N (optimization_layer.min_tension: ")
     assert 0 < float(stated) - float(fell.rsplit(" ", 1)[1]) < 0.01 * least
 
 
@@ -424,16 +422,6 @@ def test_a_load_that_falls_is_lost(fleet):
     assert metrics["outcome"] == "load_lost"
     assert metrics["reasons"][0].startswith("the load was ")
     assert any("carrier_dynamics.max_acceleration: 10 m/s²" in text for text in metrics["warnings"])
-
-
-def test_a_bound_on_tensions_that_was_not_kept_is_said():
-    swap = ["force_distribution=BoundedTensionDistribution", "force_distribution.min_tension=2.9"]
-    swap += [CONSTANT, "carrier_trajectory.hold=velocity", "carrier_controller=CarrierPid"]
-    metrics = compute_metrics(
-        simulate(load_scenario("quintic", ["simulation_duration=0.1", *swap]))
-    )
-    said = "a cable's tension fell to 2.85 N (force_distribution.min_tension: 2.9 N)"
-    assert (metrics["outcome"], metrics["reasons"][0]) == ("limit_missed", said)
 
 
 @pytest.mark.parametrize("limit", limits_of(Of.FLIGHT), ids=lambda limit: limit.field)

@@ -39,7 +39,6 @@ SWAPS = [
     ["engine=compiled"],
     ["phase=PaperPhase", "wrench_controller=PaperWrenchController", "control_period=0"],
     ["carrier_dynamics=!LimitedCarriers {feels_cable: true}", "load_feedback=DesiredStateFeedback"],
-    ["force_distribution=BoundedTensionDistribution"],
     [CONSTANT],
     *(
         [f"optimization_layer=!{layer} {{solver: {solver}}}"]
