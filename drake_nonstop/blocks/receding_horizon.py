@@ -1,6 +1,5 @@
 """Plans of ξ and A over a receding horizon, for the box "Optimization Layer" of the figure."""
 
-import math
 import threading
 import time as clock
 from collections.abc import Iterator
@@ -15,7 +14,8 @@ from drake_nonstop.blocks.speed_bound_layer import (
     BOX,
     COMMAND,
     WIND,
-    SpeedBoundLayer,
+    CommandedBound,
+    PeriodicLayer,
     outputs_of,
     shown_bound,
 )
@@ -23,7 +23,7 @@ from drake_nonstop.mechanics.cable import compliance_of
 from drake_nonstop.mechanics.reference_preview import ReferencePreview, continued_reference
 from drake_nonstop.mechanics.rigid_load import STILL_AIR
 from drake_nonstop.mechanics.signals import HELD, PLANNED_SIZE, SAMPLE_TIME, CarrierStates
-from drake_nonstop.model.block import LOAD, rigid_load
+from drake_nonstop.model.block import LOAD, BlockParameters, rigid_load
 from drake_nonstop.model.system import OFFSET, Model
 from drake_nonstop.planning.diagnostics import Outcome
 from drake_nonstop.planning.horizon_config import HorizonConfig, check_horizon, timed
@@ -43,18 +43,26 @@ from drake_nonstop.planning.measured_margin import (
     margin_at_next_plan,
     planned_motion,
 )
-from drake_nonstop.planning.model_parameters import ModelParameters
+from drake_nonstop.planning.model_parameters import (
+    OF_CONFIG,
+    OF_MODEL,
+    ModelParameters,
+    beliefs_from,
+)
 from drake_nonstop.planning.plan import DEGREE, Plan
 from drake_nonstop.planning.problem_config import (
     LEAST_BOUND,
     LimitsConfig,
     check_limits,
     check_pattern,
+    check_speed_bound,
+    highest_speed_bound,
     points,
 )
+from drake_nonstop.systems.parameters import parameters_in
 from drake_nonstop.systems.requirements import LoopBlocks
 from drake_nonstop.systems.tracing import NotFiniteError, where
-from drake_nonstop.validation import fulfilling, require
+from drake_nonstop.validation import require
 
 _PREVIEW = "reference_preview"  # an optional input
 _MANY_ITERATIONS = 20  # of a plan that no earlier one leads to
@@ -73,19 +81,16 @@ _NOWHERE = 1e5  # in the place of a state of carriers that is not measured
 
 @dataclass(kw_only=True)
 class RecedingHorizonOptimizerConfig(HorizonConfig, LimitsConfig):
-    """The bound, the horizon, and how much time its plans get."""
+    """The bound, the horizon, and what its plans count."""
 
     # plans aim at (1 + tightening) ε; "measured": by what carriers fly slower than planned
     tightening: float | str = MEASURED
     preview: bool = True  # read the motion ahead; without it the motion goes on as it does
     wind: bool = True  # count the wind that aircraft fly in; without it their ground speed counts
     max_iterations: int = points(2, _MOST_ITERATIONS)  # quadratic programs of a plan
-    time_limit: float = fulfilling(  # s, of wall time, beyond which the plan that exists goes on
-        float("inf"), lambda time: time > 0, "give a time above zero"
-    )
 
 
-class RecedingHorizonOptimizer(SpeedBoundLayer):
+class RecedingHorizonOptimizer(CommandedBound, PeriodicLayer):
     """Plans ξ and A over a horizon such that every carrier stays at or above ε.
 
     Every `knot_spacing` a plan of smooth ξ and A over the `horizon` is made: splines of fourth
@@ -111,14 +116,11 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
     of ξ and A.
 
     An update ends as kept where the last plan, shifted, cannot be improved; as solved where a plan
-    fulfils all constraints; as relaxed where it is the least infeasible one that was found; and as
-    held where it took more than `time_limit`: the last plan then goes on. Without a limit runs are
-    repeatable to the bit.
+    fulfils all constraints; and as relaxed where it is the least infeasible one that was found.
 
-    `set_speed_bound` and `set_enabled` change parameters of the context during a run, which also
-    holds the initial ξ and A, their bounds and what is believed of load, cables and pattern. Where
-    `speed_bound_command` is connected it is ε, read at each plan. A layer that is switched off
-    leads ξ and A back to their initial values.
+    `set_speed_bound` changes ε in the context during a run, which also holds the initial ξ and A,
+    their bounds and what is believed of load, cables and pattern. Where `speed_bound_command` is
+    connected it is ε, read at each plan. A bound of 0 leads ξ and A back to their initial values.
 
     Converted to AutoDiffXd or Expression the layer goes on with its plan, and an update raises
     ScenarioError: it solves with floating-point numbers only.
@@ -139,9 +141,9 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
         *("missed_limits", "measured_margin"),
     )
 
-    where: ClassVar = SpeedBoundLayer.where | {SAMPLE_TIME: "the model has a control period"}
+    where: ClassVar = PeriodicLayer.where | {SAMPLE_TIME: "the model has a control period"}
     optional_inputs = (_PREVIEW, WIND, COMMAND, _FLOWN)
-    unconnected: ClassVar = SpeedBoundLayer.unconnected | {_FLOWN: _NOWHERE}
+    unconnected: ClassVar = CommandedBound.unconnected | {_FLOWN: _NOWHERE}
     counts_bow = True  # of the references' cables
 
     def __init__(self, model: Model, config: RecedingHorizonOptimizerConfig | None = None):
@@ -153,6 +155,7 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
             name for name in type(self).makes if is_made.get(name, True)
         )
         super().__init__(model, config)
+        self.highest_speed_bound = highest_speed_bound(self.config)
         self._times = timed(self.config, self.config.frequency, model.control_period)
         self._planner = None
         if self.scalar is float:
@@ -188,8 +191,9 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
         return {_LAST: last, _MARGIN: NOTHING_MEASURED}
 
     def constants(self, model: Model, config: RecedingHorizonOptimizerConfig) -> dict[str, Any]:
-        """Constants of `SpeedBoundLayer`, the knots' spacing, s, and what speeds follow from."""
+        """Constants of `PeriodicLayer`, the highest bound, m/s, and what speeds follow from."""
         own = {
+            "highest": highest_speed_bound(config),
             "spacing": self.step_period(model, config),
             "measures_every": model.control_period if self.makes_next_state else 0.0,
             "counts_wind": model.aircraft is not None and config.wind,
@@ -249,13 +253,30 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
         check_horizon(BOX, config, config, model)
         check_pattern(BOX, model, "RecedingHorizonOptimizer")
 
+    def block_parameters(
+        self, model: Model, config: RecedingHorizonOptimizerConfig
+    ) -> BlockParameters:
+        """Beliefs, initial values and bounds; amplitude bounds of zero are those of the weight."""
+        return BlockParameters(
+            model,
+            (*OF_MODEL, *model.offset_parameter),
+            config=replace(config, amplitude_bounds=config.amplitude_bounds or [0.0, 0.0]),
+            own=("speed_bound", *OF_CONFIG),
+        )
+
+    def check_bound(self, speed_bound: float, name: str = "speed_bound") -> None:
+        """Raises ScenarioError for neither 0 nor from 1e-3 m/s to below the highest bound."""
+        check_speed_bound(f"{BOX}.{name}", speed_bound)
+        highest = self.highest_speed_bound
+        remedy = f"give less than {highest:g} m/s, for the sake of max_speed"
+        require(speed_bound < highest, f"{BOX}.{name}", speed_bound, remedy)
+
     def begin_anew(self, context: Context) -> None:
         """Lets what has no plan begin with the parameters of the context, its own."""
         last = self._last(context)
         if last.scale != _NO_PLAN:
             return
-        numbers = self._numbers_in(context)
-        begun = last._replace(nominal=numbers.nominal)
+        begun = last._replace(nominal=self._beliefs(context).nominal)
         context.SetDiscreteState(self.flat(self.states(context) | {_LAST: begun.flat()}))
 
     def answer(self, context: Context) -> NDArray:
@@ -267,9 +288,8 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
         margin = margin_at_next_plan(states[_MARGIN])
         after: dict[str, Any] = {_LAST: made.state.flat(), _MARGIN: margin}
         after["solve_time"] = made.solve_time
-        if self.is_enabled(context):
-            above = made.slowest_speed - float(self.bound_in(context)[0])
-            after |= self.counted_update(states, made.outcome, above, made.missed)
+        above = made.slowest_speed - float(self.bound_in(context)[0])
+        after |= self.counted_update(states, made.outcome, above, made.missed)
         return self.flat(states | after)
 
     def _next(self, context: Context, share: float, begin: float) -> "_Planned":
@@ -279,7 +299,7 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
         """
         assert self._planner is not None
         wind = self.input(context, WIND).copy() if self.config.wind else STILL_AIR
-        bound = float(self.bound_in(context)[0]) if self.is_enabled(context) else 0.0
+        bound = float(self.bound_in(context)[0])
         # Plans add the first share by themselves.
         aim = bound * (1 + share) / (1 + FIRST_SHARE) if self.makes_next_state else bound
         return self._planner.plan(
@@ -287,10 +307,14 @@ class RecedingHorizonOptimizer(SpeedBoundLayer):
             self._reference_ahead(context),
             bound,
             (aim, begin),
-            self._numbers_in(context),
+            self._beliefs(context),
             self._last(context),
             wind,
         )
+
+    def _beliefs(self, context: Context) -> ModelParameters:
+        """What is believed of load, cables and pattern, and the layer's own numbers."""
+        return beliefs_from(parameters_in(self, context), self.model.n)
 
     def _last(self, context: Context) -> "_PlanState":
         return _PlanState.view(self.states(context)[_LAST])
@@ -378,8 +402,7 @@ class _Planner(threading.local):
         """The next plan, from a time in s on, in a wind (3,), which goes on from the last one.
 
         In place of ε it is for the speed, m/s, that `aim` begins with; of that a share, the other
-        number, holds at the start. Where it takes too much time the last plan stays, judged by what
-        is known now.
+        number, holds at the start.
         """
         began = clock.perf_counter()
         solver = self._solver_for(numbers, self._config.fixed_coefficients)
@@ -418,7 +441,8 @@ class _Planner(threading.local):
                 raise NotFiniteError(self._name())
             found = answer.margins, answer.slowest
             if is_first:
-                found = _judged(judge, judged, answer.coefficients)
+                margins = judge.linearization(judged, answer.coefficients).margins
+                found = margins, judge.slowest(judged, margins)
                 if judge.least_slacks(found[0]).max() > PLAN_TOLERANCE:
                     made = self._make(judging, judged, start, scale, is_new, repeats, starts)
                     answer, outcome = made
@@ -427,12 +451,8 @@ class _Planner(threading.local):
         answer, outcome, margins, slowest = known[1]
         slack, begin = answer.slack, (start_time, angle, answer.scale, speed_bound)
         state = _PlanState(*begin, slack, numbers.nominal, answer.coefficients)
-        solve_time = clock.perf_counter() - began
-        if solve_time > self._config.time_limit and not is_first:
-            state, outcome, slack = last, Outcome.HELD, math.inf
-            margins, slowest = _judged(judge, judged, start)
         missed = judge.missed(margins, PLAN_TOLERANCE) if slack > PLAN_TOLERANCE else set()
-        return _Planned(state, outcome, slowest, missed, solve_time)
+        return _Planned(state, outcome, slowest, missed, clock.perf_counter() - began)
 
     def continued(self, now: float, reference: NDArray) -> ReferencePreview:
         """How a reference (22,) at a time in s goes on, where that is not told."""
@@ -516,11 +536,3 @@ class _Planner(threading.local):
             )
             self._solvers[fixed] = known = key, HorizonSolver(problem, self._name)
         return known[1]
-
-
-def _judged(
-    problem: HorizonProblem, data: HorizonData, coefficients: NDArray
-) -> tuple[NDArray, float]:
-    """The margins of coefficients (2, N), and the least speed along them, m/s."""
-    margins = problem.linearization(data, coefficients).margins
-    return margins, problem.slowest(data, margins)

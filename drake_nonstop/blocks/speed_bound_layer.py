@@ -2,13 +2,12 @@
 
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydrake.common.value import Value
-from pydrake.systems.framework import BasicVector_, Context
+from pydrake.systems.framework import Context
 
 from drake_nonstop.mechanics.rigid_load import STILL_AIR
 from drake_nonstop.mechanics.signal_layouts import Layout
@@ -23,17 +22,7 @@ from drake_nonstop.planning.diagnostics import (
     missed_layout,
     missed_limits_of,
 )
-from drake_nonstop.planning.model_parameters import (
-    OF_CONFIG,
-    OF_MODEL,
-    ModelParameters,
-    beliefs_from,
-)
-from drake_nonstop.planning.problem_config import (
-    check_speed_bound,
-    highest_speed_bound,
-    with_stated_bound,
-)
+from drake_nonstop.planning.problem_config import with_stated_bound
 from drake_nonstop.systems.documentation import own_config_class
 from drake_nonstop.systems.parameters import NumericParameters, parameters_in
 from drake_nonstop.systems.requirements import LoopBlocks
@@ -256,56 +245,3 @@ def shown_bound(
     below = where(command[0] < highest, command, nothing)
     commanded = where(command[0] >= least, below, where(command[0] == 0, command, nothing))
     return where(command[0] == NO_COMMAND, speed_bound, commanded)
-
-
-class SpeedBoundLayer(CommandedBound, PeriodicLayer):
-    """A layer that keeps a speed bound, which may change during a run.
-
-    Attributes:
-        highest_speed_bound: m/s, below which a bound has to be.
-    """
-
-    def __init__(self, model: Model, config: Any = None):
-        super().__init__(model, config)
-        self._enabled = self.DeclareNumericParameter(BasicVector_[self.scalar]([1.0]))
-        self.highest_speed_bound = highest_speed_bound(self.config)
-
-    def constants(self, model: Model, config: Any) -> dict[str, Any]:
-        """Constants of `PeriodicLayer`, and the highest bound, m/s."""
-        return super().constants(model, config) | {"highest": highest_speed_bound(config)}
-
-    def block_parameters(self, model: Model, config: Any) -> BlockParameters:
-        """Beliefs, initial values and bounds; amplitude bounds of zero are those of the weight."""
-        return BlockParameters(
-            model,
-            (*OF_MODEL, *model.offset_parameter),
-            config=replace(config, amplitude_bounds=config.amplitude_bounds or [0.0, 0.0]),
-            own=("speed_bound", *OF_CONFIG),
-        )
-
-    def check_bound(self, speed_bound: float, name: str = "speed_bound") -> None:
-        """Raises ScenarioError for neither 0 nor from 1e-3 m/s to below the highest bound."""
-        check_speed_bound(f"{BOX}.{name}", speed_bound)
-        highest = self.highest_speed_bound
-        remedy = f"give less than {highest:g} m/s, for the sake of max_speed"
-        require(speed_bound < highest, f"{BOX}.{name}", speed_bound, remedy)
-
-    def set_speed_bound(self, context: Context, speed_bound: float) -> None:
-        """Bound of `CommandedBound`."""
-        super().set_speed_bound(context, speed_bound)
-        self.begin_anew(context)
-
-    def begin_anew(self, context: Context) -> None:
-        """Lets what has not been updated begin with the parameters of the context, its own."""
-
-    def set_enabled(self, context: Context, enabled: bool) -> None:
-        """Switches the layer on or off from the next update on; the context is the block's own."""
-        context.get_mutable_numeric_parameter(self._enabled).SetFromVector([float(enabled)])
-
-    def is_enabled(self, context: Context) -> bool:
-        """Whether the layer is switched on."""
-        return bool(context.get_numeric_parameter(self._enabled).CopyToVector()[0])
-
-    def _numbers_in(self, context: Context) -> ModelParameters:
-        """What is believed of load, cables and pattern, and the layer's own numbers."""
-        return beliefs_from(parameters_in(self, context), self.model.n)

@@ -31,7 +31,6 @@ RESTART = "restart"
 STOP = "stop"
 BOUND = "bound, m/s"
 SLOWEST = "slowest, m/s"
-ENABLED = "optimize 0/1"
 RATE = "x real time"
 _KEYS = {PAUSE: "Space", RESTART: "KeyR", STOP: ""}  # no key for what cannot be undone
 
@@ -112,12 +111,11 @@ class _Controls:
             meshcat.AddButton(name, key)
         meshcat.AddSlider(BOUND, 0.0, highest, highest / 300, bound)
         meshcat.AddSlider(SLOWEST, 0.0, gauge, gauge / 1000, 0.0)
-        meshcat.AddSlider(ENABLED, 0.0, 1.0, 1.0, 1.0)
         low, high = _RATES
         rate = realtime_rate or high
         meshcat.AddSlider(RATE, min(low, rate), max(high, rate), 0.1, rate)
         # Meshcat may round a slider's value: it is applied only once the slider was moved.
-        self._initial = {name: meshcat.GetSliderValue(name) for name in (BOUND, ENABLED, RATE)}
+        self._initial = {name: meshcat.GetSliderValue(name) for name in (BOUND, RATE)}
         self.start_run()
 
     def start_run(self) -> None:
@@ -144,22 +142,19 @@ class _Controls:
             self._has_started = True
             simulator.set_target_realtime_rate(self._realtime_rate)
             is_commanded = nonstop.HasOutputPort("speed_bound_command")
-            for name, method in ((BOUND, "set_speed_bound"), (ENABLED, "set_enabled")):
-                is_of_no_effect = not hasattr(layer, method) or (name == BOUND and is_commanded)
-                if is_of_no_effect and name in self._meshcat.GetSliderNames():
-                    self._meshcat.DeleteSlider(name)
+            is_of_no_effect = not hasattr(layer, "set_speed_bound") or is_commanded
+            if is_of_no_effect and BOUND in self._meshcat.GetSliderNames():
+                self._meshcat.DeleteSlider(BOUND)
         own = layer.GetMyMutableContextFromRoot(root)
         for name, value in self._take_changes().items():
             self.is_steered |= name != RATE
             if name == RATE:
                 simulator.set_target_realtime_rate(value)
                 simulator.ResetStatistics()  # or it would make up for the time before
-            elif name == BOUND:
+            else:
                 bound = value if value >= LEAST_BOUND else 0.0
                 bound = min(bound, 0.999 * getattr(layer, "highest_speed_bound", math.inf))
                 layer.set_speed_bound(own, bound)
-            else:
-                layer.set_enabled(own, value > 0)
         now = time.perf_counter()
         if now - self._last_gauge > _GAUGE_PERIOD:
             self._last_gauge = now
@@ -183,7 +178,7 @@ class _Controls:
         """Removes these controls from the page, and no others."""
         for name in set(_KEYS) & set(self._meshcat.GetButtonNames()):
             self._meshcat.DeleteButton(name)
-        for name in {BOUND, SLOWEST, ENABLED, RATE} & set(self._meshcat.GetSliderNames()):
+        for name in {BOUND, SLOWEST, RATE} & set(self._meshcat.GetSliderNames()):
             self._meshcat.DeleteSlider(name)
 
     def wait_after_run(self) -> None:

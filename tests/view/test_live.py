@@ -123,9 +123,8 @@ def test_with_other_constraints_the_commands_do_not_jump_either(monkeypatch, con
         "quintic", [f"simulation_duration={duration}", f"optimization_layer.{constraint}"]
     )
     actions = [
-        (0.1, lambda page: page.SetSliderValue(live.ENABLED, 0.0)),
-        (0.3, lambda page: page.SetSliderValue(live.BOUND, 1.5)),
-        (0.6, lambda page: page.SetSliderValue(live.ENABLED, 1.0)),
+        (0.1, lambda page: page.SetSliderValue(live.BOUND, 0.0)),
+        (0.6, lambda page: page.SetSliderValue(live.BOUND, 1.5)),
     ]
     (run,) = live_runs(scenario, actions, monkeypatch)
     assert commanded_jumps(run).max() < _JUMP
@@ -137,31 +136,6 @@ def test_with_other_constraints_the_commands_do_not_jump_either(monkeypatch, con
         assert bound == pytest.approx(highest, rel=2e-3)
     else:
         assert bound == pytest.approx(1.5, rel=0.03)
-
-
-@pytest.mark.nightly("flights")
-def test_the_switch_leads_to_the_nominal_parameters_and_back(monkeypatch):
-    actions = [
-        (0.5, lambda page: page.SetSliderValue(live.ENABLED, 0.0)),
-        (5.0, lambda page: page.SetSliderValue(live.ENABLED, 1.0)),
-    ]
-    (run,) = live_runs(short(9.0), actions, monkeypatch)
-    diagnostics = run.signal("diagnostics")
-    off = (run.time > 0.52) & (run.time < 4.98)
-    assert np.ptp(diagnostics[off, 1]) == 0  # no updates
-    config = short(1.0).optimization_layer
-    np.testing.assert_allclose(
-        run.signal("parameters")[run.time < 4.98][-1],
-        [config.frequency, config.amplitude],
-        rtol=2e-3,
-    )
-    plans = diagnostics[-1, 1] - diagnostics[off, 1][0]
-    spacing = 2 * np.pi / config.frequency / 8  # s, between two
-    assert plans == pytest.approx(4.0 / spacing, abs=1.5)
-    slowest = slowest_speeds(run)
-    assert slowest[off].min() < 0.55  # without the layer this scenario falls below its bound
-    assert slowest[run.time > 7.01].min() >= 0.55
-    assert commanded_jumps(run).max() < _JUMP
 
 
 def test_stop_ends_the_run_and_yields_it(monkeypatch):
@@ -249,14 +223,13 @@ def test_the_pace_can_be_changed(monkeypatch):
     assert {rate for _, _, rate in page.steps} == {0.0}
 
 
-def test_a_layer_without_a_switch_has_none_in_the_page(monkeypatch):
+def test_the_bound_of_constant_parameters_has_a_slider(monkeypatch):
     names = []
     actions = [
         (0.1, lambda page: names.extend(page.GetSliderNames())),
         (0.1, lambda page: page.SetSliderValue(live.BOUND, 0.11)),
     ]
     (run,) = live_runs(short(0.2), actions, monkeypatch, optimization_layer=ConstantParameters)
-    assert live.ENABLED not in names
     assert live.BOUND in names
     assert run.signal("speed_bound")[-1] == pytest.approx(0.11)
 

@@ -54,7 +54,7 @@ def shown(page, name):
     return page.evaluate("(name) => viewer.gui_controllers[name].getValue()", name)
 
 
-def test_sliders_switch_and_stop_do_what_they_say(watched, flight):
+def test_sliders_and_stop_do_what_they_say(watched, flight):
     process, address, results = flight
     page = opened(watched, address)
     page.wait_for_function(
@@ -64,8 +64,6 @@ def test_sliders_switch_and_stop_do_what_they_say(watched, flight):
     page.wait_for_function(f"viewer.gui_controllers[{live.SLOWEST!r}].getValue() > 0.5")
     page.evaluate("viewer.gui.open()")
     slide(page, live.BOUND, 0.66)
-    page.wait_for_timeout(1000)
-    slide(page, live.ENABLED, 0)
     page.wait_for_timeout(1000)
     page.get_by_text(live.STOP, exact=True).click()
     assert process.wait(timeout=60) == 0
@@ -77,7 +75,6 @@ def test_sliders_switch_and_stop_do_what_they_say(watched, flight):
     assert bound[0] == 0.55
     assert bound[-1] == pytest.approx(0.66, abs=0.006)
     assert updates[80] - updates[0] == 2  # plans, at 0.39 s and 0.78 s
-    assert updates[-1] == updates[-50]  # switched off
     assert [error for error in watched.errors if "WebSocket" not in error] == []
 
 
