@@ -12,8 +12,8 @@ from drake_nonstop.analysis.task_check import check_task, task_dictionary, task_
 from drake_nonstop.cli.arguments import Commands, add_scenario, read_scenario
 from drake_nonstop.cli.ending import BAD_INPUT, FAILED
 from drake_nonstop.run.make_simulator import make_simulator
+from drake_nonstop.scenario.fields import warn_of_angles
 from drake_nonstop.scenario.loading import dump_scenario
-from drake_nonstop.scenario.proportions import warn_of_angles
 from drake_nonstop.studies.files import replacing_files, require_writable, write_json
 from drake_nonstop.studies.results_folder import default_folder, require_no_other_run
 from drake_nonstop.systems.block import LOOP

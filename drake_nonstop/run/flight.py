@@ -42,7 +42,7 @@ from drake_nonstop.run.recording import (
     require_room,
 )
 from drake_nonstop.run.run import Run, RunInterrupted, RunStopped, StepAction, StepCheck
-from drake_nonstop.scenario.proportions import warn_of_angles
+from drake_nonstop.scenario.fields import warn_of_angles
 from drake_nonstop.scenario.schema import COMPILED, DIAGRAM, ENGINES, Scenario, check, drawn
 from drake_nonstop.systems.diagnosis import raising_block, source_of_fault
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError

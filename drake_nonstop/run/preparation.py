@@ -14,7 +14,6 @@ from drake_nonstop.analysis.task import is_known, task_at
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.loop.step import with_largest_step
 from drake_nonstop.run.recording import RUN_SIGNALS
-from drake_nonstop.scenario.proportions import out_of_proportion
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.systems.block import LOOP
 from drake_nonstop.systems.wiring import context_in, input_names, loop_in, require_signals
@@ -59,15 +58,8 @@ def check_simulation(scenario: Scenario) -> None:
 
 
 def stable_config(scenario: Scenario, nonstop: Diagram, context: Context) -> SimulatorConfig:
-    """The scenario's `simulator_config` as of `with_largest_step`.
-
-    Raises:
-        ScenarioError: steps would have to be too short; it names what is out of proportion.
-    """
-    try:
-        return with_largest_step(scenario.simulator_config, nonstop, context)
-    except ScenarioError as error:
-        raise ScenarioError("; ".join([str(error), *out_of_proportion(scenario)])) from None
+    """The scenario's `simulator_config` as of `with_largest_step`."""
+    return with_largest_step(scenario.simulator_config, nonstop, context)
 
 
 def warn_of_margins(scenario: Scenario, nonstop: Diagram, context: Context) -> None:
@@ -114,10 +106,8 @@ _FOUR_DIGITS: Any = {"float_kind": "{:.4g}".format}
 
 def cause_of_divergence(scenario: Scenario, nonstop: Diagram, time: float) -> str:
     """Why a run may have diverged at a time in s, and the gains with which it did."""
-    cause = "; ".join(out_of_proportion(scenario))
-    if not cause:
-        context = nonstop.CreateDefaultContext()
-        cause = _growth_complaint(scenario, nonstop, context, time, in_samples=True)
+    context = nonstop.CreateDefaultContext()
+    cause = _growth_complaint(scenario, nonstop, context, time, in_samples=True)
     cause = cause or "the loop may be unstable, or simulator_config.max_step_size too large"
     gains = [
         f"{block.get_name()}.{name} = {np.array2string(np.asarray(value), formatter=_FOUR_DIGITS)}"
