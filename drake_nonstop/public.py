@@ -91,8 +91,8 @@ from drake_nonstop.run.make_gym_env import (
     make_gym_env as make_gym_env,
     make_gym_vec_env as make_gym_vec_env,
 )
-from drake_nonstop.run.simulate import verify_step as verify_step
-from drake_nonstop.run.run import StepAction as StepAction, StepCheck as StepCheck
+from drake_nonstop.run.verify_step import verify_step as verify_step
+from drake_nonstop.run.run import StepAction as StepAction
 from drake_nonstop.run.recording import LogSignals as LogSignals
 from drake_nonstop.run.run import (
     Run as Run,

@@ -19,7 +19,6 @@ from drake_nonstop.planning.formation_program import (
     FormationProgram,
     FormationVariables,
 )
-from drake_nonstop.run.run import StepCheck
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.studies.design_request import DesignRequest, read_request
 from drake_nonstop.studies.designed_formation import (
@@ -122,7 +121,7 @@ def flown_beside_printed(formation: DesignedFormation) -> dict[str, Any]:
 
 def fly(scenario: Scenario) -> dict[str, Any]:
     """What a flight needed of its aircraft."""
-    metrics = compute_metrics(simulate(scenario, check_step=StepCheck.NOTHING))
+    metrics = compute_metrics(simulate(scenario))
     flown = metrics["aircraft"]
     return {
         "outcome": metrics["outcome"],

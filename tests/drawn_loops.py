@@ -16,7 +16,6 @@ from drake_nonstop import (
     CompiledLoop,
     RunStopped,
     ScenarioError,
-    StepCheck,
     make_nonstop,
     simulate,
 )
@@ -86,7 +85,7 @@ def largest_difference(scenario: Scenario) -> tuple[float, str]:
         RunStopped: the diagram's run diverges, or a block fails.
         ScenarioError: the diagram takes steps that are too short to be traced.
     """
-    run = simulate(scenario, check_step=StepCheck.NOTHING)
+    run = simulate(scenario)
     loop = loop_of(scenario, run.step)
     times, signals = loop.run(loop.diagram.CreateDefaultContext(), DURATION)
     every = round(run.time[1] / times[1])

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from pydrake.systems.framework import LeafSystem
 
-from drake_nonstop import Block, ScenarioWarning, StepCheck, load_scenario, simulate
+from drake_nonstop import Block, ScenarioWarning, load_scenario, simulate
 from drake_nonstop.run.compiled_run import NOT_COMPILED
 
 PERIOD = 0.01  # s, of the controllers
@@ -166,7 +166,7 @@ def compare(seed: int) -> tuple[float, str]:
     for engine in ("diagram", "compiled"):
         with warnings.catch_warnings(record=True) as found:
             warnings.simplefilter("always", ScenarioWarning)
-            run = simulate(scenario, engine=engine, check_step=StepCheck.NOTHING, **replaced)
+            run = simulate(scenario, engine=engine, **replaced)
         runs.append(run)
         told += [text for w in found if (text := str(w.message)).startswith(NOT_COMPILED)]
     worst = 0.0

@@ -31,7 +31,7 @@ from drake_nonstop.analysis.speed_check import check_speeds
 from drake_nonstop.analysis.task import task_of
 from drake_nonstop.mechanics.signals import SIGNAL_PERIOD, Parameters, PlannedParameters
 from drake_nonstop.run.outcome import LIMITS
-from drake_nonstop.run.run import Run, StepCheck
+from drake_nonstop.run.run import Run
 from drake_nonstop.run.run_quantities import RunQuantities
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.scenario.schema import Scenario
@@ -108,7 +108,7 @@ def fly(tasks: str, seed: int, condition: str, overrides: Sequence[str]) -> dict
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always", ScenarioWarning)
         make = partial(scenario_of, tasks, seed, condition, overrides)
-        _, tried = next(attempts([(make, {"check_step": StepCheck.NOTHING})]))
+        _, tried = next(attempts([(make, {})]))
     if tried.run is None:
         return _without_run(tried.ending, tried.message)
     wrong = _wrong(RunQuantities(tried.run), _JUDGED_BY[tasks])

@@ -19,7 +19,6 @@ from drawn_tasks import GRAVITY, aircraft_task, attachments_of, loaded
 from drake_nonstop.analysis.limit import RunOutcome
 from drake_nonstop.analysis.task_check import check_task
 from drake_nonstop.run.outcome import Judgement, judge
-from drake_nonstop.run.run import StepCheck
 from drake_nonstop.run.run_quantities import RunQuantities
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.scenario.schema import Scenario
@@ -140,7 +139,7 @@ def verdict_of(scenario: Scenario) -> tuple[str, list[str]]:
 
 def outcome_of(scenario: Scenario) -> Judgement:
     """What becomes of the flight; one that could not be built has stopped."""
-    _, tried = next(attempts([(scenario, {"check_step": StepCheck.NOTHING})]))
+    _, tried = next(attempts([(scenario, {})]))
     if tried.run is None:
         return Judgement(outcome=RunOutcome.STOPPED, reasons=(tried.message,))
     judged = judge(RunQuantities(tried.run))

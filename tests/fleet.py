@@ -28,7 +28,6 @@ from drake_nonstop import (
     RunStopped,
     Scenario,
     ScenarioWarning,
-    StepCheck,
     compute_metrics,
 )
 from drake_nonstop.run.simulate import simulate
@@ -219,19 +218,14 @@ class Fleet:
         """The run of a flight of the fleet, or of a scenario, by an engine or the fastest."""
         return self.evaluated(flight, engine)[0]
 
-    def evaluated(
-        self,
-        flight: str | Scenario,
-        engine: str | None = None,
-        check_step: StepCheck = StepCheck.WHOLE,
-    ) -> tuple[Run, dict]:
+    def evaluated(self, flight: str | Scenario, engine: str | None = None) -> tuple[Run, dict]:
         """The run of a flight of the fleet, or of a scenario, and its metrics."""
         scenario = scenario_of(flight) if isinstance(flight, str) else flight
-        text = f"{engine}\n{check_step}\n{dump_scenario(scenario)}"
+        text = f"{engine}\n{dump_scenario(scenario)}"
         key = hashlib.sha256(text.encode()).hexdigest()
         found = self._here.pop(key, None)
         if found is None:
-            stored, metrics = self._stored(key, scenario, engine=engine, check_step=check_step)
+            stored, metrics = self._stored(key, scenario, engine=engine)
             run = Run(scenario=copy.deepcopy(scenario), diagram=None, **stored)
             for values in (run.time, run.solve_times, *run.signals.values(), *run.steps.values()):
                 values.flags.writeable = False

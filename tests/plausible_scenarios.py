@@ -1,28 +1,8 @@
-"""Drawn plausible scenarios, each flown also at a fifth of its step.
-
-`python -m tests.plausible_scenarios --count 300` flies them in two processes and lists those whose
-metrics move with the step though nothing was said; with `--aircraft` those of aircraft in wind.
-"""
-
-import argparse
-import time
-import warnings
-from collections import Counter
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, field
-from functools import cache, partial
+"""Drawn plausible scenarios: names and overrides."""
 
 import numpy as np
 
-from drake_nonstop.run.metrics import compute_metrics
-from drake_nonstop.run.moved_metrics import moved_metrics
-from drake_nonstop.run.run import RunStopped, StepCheck
-from drake_nonstop.run.simulate import simulate
-from drake_nonstop.scenario.loading import load_scenario, scenario_names
-from drake_nonstop.scenario.overrides import changed
-from drake_nonstop.validation import ScenarioError, ScenarioWarning
-
-loaded = cache(load_scenario)
+from drake_nonstop.scenario.loading import scenario_names
 
 
 def draw(seed: int) -> tuple[str, list[str]]:
@@ -191,85 +171,3 @@ def _trajectory(duration, is_large, uniform, choice, chance):
 
 def _tagged(name, values):
     return f"!{name} {{{', '.join(f'{key}: {value}' for key, value in values.items())}}}"
-
-
-@dataclass
-class Flight:
-    """How a draw went."""
-
-    seed: int
-    said: list[str] = field(default_factory=list)  # refused, stopped, shortened, warned about
-    moves: list[str] = field(default_factory=list)
-    kind: str = ""
-    overrides: list[str] = field(default_factory=list)
-    seconds: float = 0.0
-
-
-def fly(seed: int, *, is_judged_if_said: bool = True, draw=draw) -> Flight:
-    """Flies a draw as it is and at a fifth of its step.
-
-    Where `is_judged_if_said` is false, what was said of the first flight saves the second.
-    """
-    name, overrides = draw(seed)
-    flight = Flight(seed, overrides=[name, *overrides])
-    start = time.perf_counter()
-    try:
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always")
-            scenario = changed(loaded(name), overrides)
-            run = simulate(scenario)
-        flight.said += [
-            str(w.message)
-            for w in caught
-            if issubclass(w.category, ScenarioWarning) and "engine = " not in str(w.message)
-        ]
-        flight.said += run.unresolved
-        flight.seconds = time.perf_counter() - start
-        metrics = compute_metrics(run)
-    except (ScenarioError, RunStopped) as error:
-        flight.said.append(str(error))
-        flight.kind = type(error).__name__
-        return flight
-    if flight.said and not is_judged_if_said:
-        return flight
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            finer = [f"simulator_config.max_step_size={max(run.step / 5, 1e-5)!r}"]
-            if scenario.simulator_config.use_error_control:
-                finer.append(
-                    f"simulator_config.accuracy={scenario.simulator_config.accuracy / 100!r}"
-                )
-            fine = compute_metrics(simulate(changed(scenario, finer), check_step=StepCheck.NOTHING))
-    except (ScenarioError, RunStopped) as error:
-        flight.moves = [f"with a fifth of the step: {error}"]
-    else:
-        flight.moves = [str(move) for move in moved_metrics(metrics, fine)]
-    flight.kind = ("moved" if flight.moves else "still") + (", said" if flight.said else "")
-    return flight
-
-
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--count", type=int, default=300)
-    parser.add_argument("--first", type=int, default=0, help="seed of the first draw")
-    parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--aircraft", action="store_true", help="in wind, with disturbances")
-    parser.add_argument("--verbose", action="store_true")
-    options = parser.parse_args()
-    kinds = Counter()
-    flown = partial(fly, draw=draw_aircraft if options.aircraft else draw)
-    with ProcessPoolExecutor(options.workers) as executor:
-        for flight in executor.map(flown, range(options.first, options.first + options.count)):
-            kinds[flight.kind] += 1
-            if flight.kind == "moved" or options.verbose:
-                print(f"{flight.seed}: {flight.kind}, {flight.seconds:.1f} s", flush=True)
-                for text in [*flight.overrides, "SAID", *flight.said, "MOVES", *flight.moves]:
-                    print(f"      {text}", flush=True)
-    for kind, count in sorted(kinds.items()):
-        print(f"{count:5} {kind}")
-    return int(kinds["moved"] > 0)
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -14,7 +14,7 @@ from drake_nonstop.run.compiled_run import recorded_loop
 from drake_nonstop.run.flight import without_warnings
 from drake_nonstop.run.preparation import stable_config
 from drake_nonstop.run.recording import LogSignals
-from drake_nonstop.run.run import Run, StepCheck
+from drake_nonstop.run.run import Run
 from drake_nonstop.run.simulate import simulate
 from drake_nonstop.run.versions import versions
 from drake_nonstop.scenario.schema import COMPILED, DIAGRAM, Scenario
@@ -68,7 +68,7 @@ def benchmark_engines(
         for way in _WAYS:
             if way in (DIAGRAM, COMPILED):
                 with without_warnings():
-                    runs[way] = simulate(scenario, engine=way, check_step=StepCheck.NOTHING)
+                    runs[way] = simulate(scenario, engine=way)
                 seconds[way].append(runs[way].wall_time)
             else:
                 start = time.perf_counter()

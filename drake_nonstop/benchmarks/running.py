@@ -8,7 +8,6 @@ from typing import Any
 
 from drake_nonstop.benchmarks.block_timers import OUTSIDE, BlockTimers, Frame
 from drake_nonstop.benchmarks.comparing import FreshRuns, Source, spread
-from drake_nonstop.run.run import StepCheck
 from drake_nonstop.run.simulate import simulate
 from drake_nonstop.run.versions import versions
 from drake_nonstop.scenario.schema import COMPILED, DIAGRAM
@@ -59,11 +58,11 @@ def benchmark_run(
     plain: list[tuple[float, float]] = []  # s: the run, the solving in it
     timed: list[tuple[float, BlockTimers]] = []
     for i in range(repeats):
-        run = simulate(scenario, check_step=StepCheck.NOTHING, engine=DIAGRAM)
+        run = simulate(scenario, engine=DIAGRAM)
         plain.append((run.wall_time, float(run.solve_times.sum())))
         timers = BlockTimers()
         with timers.installed():
-            run = simulate(scenario, after_step=timers.after_step, check_step=StepCheck.NOTHING)
+            run = simulate(scenario, after_step=timers.after_step)
         timed.append((run.wall_time, timers))
         progress("running", (i + 1) / repeats)
     wall = statistics.median(wall for wall, _ in plain)

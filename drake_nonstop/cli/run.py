@@ -23,11 +23,11 @@ from drake_nonstop.cli.ending import (
 )
 from drake_nonstop.run.interruption import ALL, current_interruption
 from drake_nonstop.run.metrics import in_brief, metrics_table
-from drake_nonstop.run.moved_metrics import TOLERANCES
 from drake_nonstop.run.recording import least_size
 from drake_nonstop.run.run import Run, RunInterrupted, RunStopped
 from drake_nonstop.run.run_quantities import automatic_gains
-from drake_nonstop.run.simulate import simulate, verify_step
+from drake_nonstop.run.simulate import simulate
+from drake_nonstop.run.verify_step import TOLERANCES, verify_step
 from drake_nonstop.scenario.loading import dump_scenario
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.studies.files import require_writable
@@ -141,7 +141,7 @@ def run_into(folder: Path, scenario: Scenario, options: argparse.Namespace = _NO
     def runs() -> Iterator[Run]:
         if not options.live:
             run = simulate(scenario, progress=progress)
-            if options.verify_step and run.half_step is None:
+            if options.verify_step:
                 run = verify_step(run, progress=progress)
             yield run
             return

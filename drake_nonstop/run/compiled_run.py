@@ -2,19 +2,16 @@
 
 import math
 from collections.abc import Generator, Sequence
-from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.analysis import SimulatorConfig
 from pydrake.systems.framework import Context
 
-from drake_nonstop.mechanics.signal_layouts import by_name
 from drake_nonstop.mechanics.signals import SIGNAL_PERIOD
 from drake_nonstop.run.monitor import SAME_RATIO, EndingBlocks, Monitor, at_instant
 from drake_nonstop.run.recording import LogSignals, RecordingError
-from drake_nonstop.run.short_flights import FlightSamples
 from drake_nonstop.scenario.schema import COMPILED, Scenario
 from drake_nonstop.systems.compiled_flight import (
     Advance,
@@ -28,6 +25,7 @@ from drake_nonstop.validation import one_line, warn_user
 
 NOT_COMPILED = "engine = compiled"  # how the warning begins that tells why
 _ROUNDING = 1e-9  # s, of instants
+_AT_ONCE = 0.5  # s of flight, between which the user is asked and told
 _UNUSUAL = 1e-3 * LARGEST  # a value beyond it may become one that a block of the diagram refuses
 
 Result = TypeVar("Result")
@@ -105,33 +103,11 @@ def tell_not_compiled(reason: str, engine: str) -> None:
         warn_user(f"{NOT_COMPILED}: {reason} the diagram is simulated instead")
 
 
-@dataclass(frozen=True)
-class CompiledState:
-    """A `RestorableState` whose context is written when it is asked for, which takes longer."""
+class _Recorded(NamedTuple):
+    """The last sample that was recorded."""
 
-    time: float
+    time: float  # s
     before: NDArray  # the state before the updates at that sample
-    state: NDArray  # and after them
-    samples: int  # up to there
-    flight: CompiledFlight
-
-    def restore(self, context: Context) -> None:
-        """Sets the state of a context of the same diagram."""
-        context.SetTime(self.time)
-        self.flight.write_state(context, self.before)
-
-    def fly(self, duration: float, config: SimulatorConfig) -> FlightSamples:
-        """A flight from it on as of `ShortFlights`, by steps of the config; its own one is over."""
-        flight = self.flight
-        loop, period = flight.loop, flight.loop.control_period
-        flight.loop = loop.with_steps(config)
-        flight.go_to(self.samples, self.state)
-        samples = math.ceil(duration / period - _ROUNDING)
-        rows = np.concatenate([flight.advance(1)[0] for _ in range(samples)])
-        flight.loop = loop
-        times = self.time + period / loop.shown_per_sample * np.arange(1, len(rows) + 1)
-        kept = at_instant(times)
-        return FlightSamples.of(times[kept], by_name(loop.signals, rows[kept]))
 
 
 class CompiledRun:
@@ -161,11 +137,9 @@ class CompiledRun:
         self._end = 0.0  # s, of what is recorded
         self.evaluator, self.failure = "C" if loop.is_compiled else "virtual machine", ""
 
-    def _state(self) -> CompiledState:
-        """The state of the last sample, for a flight from there."""
-        flight = self._flight
-        before, state = flight.state_before_updates, flight.state
-        return CompiledState(flight.time, before, state, flight.samples, flight)
+    def _state(self) -> _Recorded:
+        """The last sample of the flight."""
+        return _Recorded(self._flight.time, self._flight.state_before_updates)
 
     def _write_state(self) -> None:
         """Sets the root context to the last sample."""
@@ -189,10 +163,9 @@ class CompiledRun:
             self._rows.add(np.zeros(1), signals[None], np.zeros(1), steps[None])
             self._recorded = self._state()
             monitor.has_ended = self._is_over(steps[None]) is not None
-            ends = monitor.ends(0.0, self._state) or monitor.has_ended
+            ends = monitor.ends(0.0) or monitor.has_ended
             while not ends and self._flight.samples < samples:
-                to_save = math.ceil((monitor.saved.next_time - self._flight.time) / period)
-                most = min(samples - self._flight.samples, max(1, to_save))
+                most = min(samples - self._flight.samples, math.ceil(_AT_ONCE / period))
                 first = self._flight.samples
                 advance = yield self._flight, most
                 if len(advance.signals):
@@ -206,7 +179,7 @@ class CompiledRun:
                 raise
             self._end = self._recorded.time
             self.failure = f"{one_line(error)}; from t = {self._end:g} s on"
-            if self._recorded.samples == 0:
+            if self._end == 0:
                 return False
         finally:
             self._context.SetTime(self._end)
@@ -238,7 +211,7 @@ class CompiledRun:
             monitor.has_ended = True
             return True
         self._recorded = self._state()
-        return monitor.ends(self._end, self._state)
+        return monitor.ends(self._end)
 
     def _is_over(self, steps: NDArray) -> int | None:
         """How many steps there are until a block ends the run; None: none does."""

@@ -41,7 +41,7 @@ from drake_nonstop.run.recording import (
     RecordingError,
     require_room,
 )
-from drake_nonstop.run.run import Run, RunInterrupted, RunStopped, StepAction, StepCheck
+from drake_nonstop.run.run import Run, RunInterrupted, RunStopped, StepAction
 from drake_nonstop.scenario.fields import warn_of_angles
 from drake_nonstop.scenario.schema import COMPILED, DIAGRAM, ENGINES, Scenario, check, drawn
 from drake_nonstop.systems.diagnosis import raising_block, source_of_fault
@@ -62,7 +62,6 @@ class Request:
     progress: Callable[[float], None] | None = None
     viewers: Sequence[Viewer] = ()
     after_step: Callable[[Simulator, Diagram], StepAction] | None = None
-    check_step: StepCheck = StepCheck.WHOLE
     make_loop: LoopMaker = make_nonstop
     engine: str | None = None
     flights: int = 1  # runs like it that are to be flown; not one of the arguments
@@ -70,7 +69,7 @@ class Request:
 
     def __post_init__(self) -> None:
         check(self.scenario)
-        require_how(self.check_step, self.engine)
+        require_engine(self.engine)
         remedy = "give a function that takes a scenario and returns a Diagram, such as make_nonstop"
         require(callable(self.make_loop), "make_loop", self.make_loop, remedy)
         remedy = "give a list of functions, such as [show_in(meshcat)]"
@@ -84,12 +83,10 @@ class Request:
         return self.engine or self.scenario.engine
 
 
-def require_how(check_step: StepCheck, engine: str | None) -> None:
-    """Raises ScenarioError where one of these arguments of `simulate` is none."""
+def require_engine(engine: str | None) -> None:
+    """Raises ScenarioError where this argument of `simulate` is none."""
     remedy = f"give {', '.join(ENGINES)}, or None"
     require(engine in (None, *ENGINES), "engine", engine, remedy)
-    is_one = isinstance(check_step, StepCheck)
-    require(is_one, "check_step", check_step, "give one, such as StepCheck.PARTS")
 
 
 class Flight:

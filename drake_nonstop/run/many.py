@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from drake_nonstop.run.compiled_run import Flying
-from drake_nonstop.run.flight import Request, require_how
+from drake_nonstop.run.flight import Request, require_engine
 from drake_nonstop.run.interruption import Interruption, current_interruption
 from drake_nonstop.run.recording import MEMORY_LIMIT, least_size
-from drake_nonstop.run.run import Run, RunsInterrupted, StepCheck
+from drake_nonstop.run.run import Run, RunsInterrupted
 from drake_nonstop.run.simulate import simulating
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.systems.compiled_flight import Advance, CompiledFlight, advance_together
@@ -29,7 +29,6 @@ _COPIES = 2  # of the signals of a run: as they are recorded, and in its arrays
 def simulate_many(
     scenarios: Iterable[Scenario],
     *,
-    check_step: StepCheck = StepCheck.WHOLE,
     engine: str | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> list[Run | BaseException]:
@@ -41,21 +40,20 @@ def simulate_many(
 
     Args:
         scenarios: what to run.
-        check_step: as of `simulate`.
         engine: as of `simulate`.
         progress: called with the share of the runs that have ended, as each does.
 
     Raises:
-        ScenarioError: `scenarios` is no list, `progress` no function, or there is no such engine or
-            extent of the check.
+        ScenarioError: `scenarios` is no list, `progress` no function, or there is no such
+            engine.
         RunsInterrupted: Ctrl-C; carries the runs that have ended.
     """
     scenarios = listed("scenarios", scenarios, "give a list of them")
     remedy = "give a function, or None"
     require(progress is None or callable(progress), "progress", progress, remedy)
-    require_how(check_step, engine)
+    require_engine(engine)
     outcomes: list[Any] = [None] * len(scenarios)
-    arguments: dict[str, Any] = {"check_step": check_step, "engine": engine}
+    arguments: dict[str, Any] = {"engine": engine}
     ended = 0
     try:
         for k, outcome, _ in fly_many([{"scenario": each} | arguments for each in scenarios]):

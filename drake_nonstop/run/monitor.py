@@ -15,7 +15,6 @@ from drake_nonstop.mechanics.signal_layouts import by_name
 from drake_nonstop.mechanics.signals import SIGNAL_PERIOD
 from drake_nonstop.run.interruption import Interruption
 from drake_nonstop.run.run import StepAction
-from drake_nonstop.run.short_flights import RestorableState, SavedState, SavedStates
 from drake_nonstop.systems.block import LeafBlock, is_of_package
 
 _WAITING_PERIOD = 0.02  # s of wall time, between two questions of a run that waits
@@ -88,7 +87,7 @@ class EndingBlocks:
 
 
 class Monitor:
-    """Saves states, reports progress, asks what to do, and ends the run where it is asked to.
+    """Reports progress, asks what to do, and ends the run where it is asked to.
 
     Args:
         simulator: of the diagram around the loop.
@@ -98,7 +97,6 @@ class Monitor:
         ending: the blocks that may end the run.
 
     Attributes:
-        saved: states on the way.
         has_ended: whether a block has ended the run.
         time: s, of the last step.
         waited: s of wall time.
@@ -120,17 +118,13 @@ class Monitor:
         self._progress = progress
         self._after_step = after_step
         self._ending = ending
-        self.saved = SavedStates()
         self.has_ended = False
         self._last_report = 0.0
         self.time = self.waited = 0.0
 
     def __call__(self, root_context: Context) -> EventStatus:
         """The function that Drake calls after every step."""
-        time_ = root_context.get_time()
-        if self.ends(
-            time_, lambda: SavedState.of(self._nonstop.GetMyContextFromRoot(root_context))
-        ):
+        if self.ends(root_context.get_time()):
             return EventStatus.ReachedTermination(self._nonstop, "ended")
         if self._ending.end_now():
             self.has_ended = True
@@ -142,11 +136,9 @@ class Monitor:
         """Whether a signal has asked for the end."""
         return self._interruption.number > 0
 
-    def ends(self, time_: float, state: Callable[[], RestorableState]) -> bool:
-        """Takes note of a step that ends at a time in s, in a state; whether the run ends there."""
+    def ends(self, time_: float) -> bool:
+        """Takes note of a step that ends at a time in s; whether the run ends there."""
         self.time = time_
-        if time_ >= self.saved.next_time and at_instant(time_):
-            self.saved.save(state())
         if self.is_interrupted:
             return True
         now = time.perf_counter()

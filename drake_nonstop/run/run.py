@@ -42,9 +42,9 @@ class Run(SignalTable):
     "diagram", with the reason where it is not the scenario's.
     `is_steered` tells whether a user changed the loop while the run went on. `stopped` says why a
     run ended before its time, and is empty where it did not. `step` is the longest step of the
-    integrator, s; `unresolved` has a sentence for each metric that this step does not resolve, and
-    `half_step` what `verify_step` found. `replacements` are the arguments of `simulate` that made
-    the loop or its blocks in place of the scenario's; None: `simulate` did not make the run.
+    integrator, s; `half_step` is what `verify_step` found, and `unresolved` has a sentence for each
+    metric that this step does not resolve by that. `replacements` are the arguments of `simulate`
+    that made the loop or its blocks in place of the scenario's; None: `simulate` did not make it.
 
     A run can be pickled, and so comes back from another process, where its `replacements` can be.
     Its diagram is left out, and is built again when it is first asked for.
@@ -203,14 +203,6 @@ class StepAction(Enum):
     CONTINUE = 1
     WAIT = 2  # then call `after_step` again, without a step
     END = 3
-
-
-class StepCheck(Enum):
-    """Extent of what `simulate` flies again with half the step."""
-
-    NOTHING = 1
-    PARTS = 2
-    WHOLE = 3  # parts, then the whole flight where these leave a doubt
 
 
 class RunStopped(RuntimeError):  # noqa: N818 - the end of a run; its message has the cause

@@ -30,7 +30,7 @@ from drake_nonstop.planning.formation_program import (
     FormationVariables,
 )
 from drake_nonstop.run.outcome import judge
-from drake_nonstop.run.run import RunStopped, StepCheck
+from drake_nonstop.run.run import RunStopped
 from drake_nonstop.run.run_quantities import RunQuantities
 from drake_nonstop.run.simulate import simulate
 from drake_nonstop.scenario.overrides import as_override, changed
@@ -350,7 +350,7 @@ def _is_steady(scenario: Scenario, turn: float) -> bool:
         "load_trajectory.displacement=[0.0, 0.0, 0.0]",
     ]
     try:
-        run = simulate(changed(scenario, changes), check_step=StepCheck.NOTHING)
+        run = simulate(changed(scenario, changes))
     except RunStopped:
         return False
     if run.stopped:
@@ -371,7 +371,7 @@ def _fault_in_gusts(scenario: Scenario, strength: float = _STRONGER) -> str:
     for seed in range(_SEEDS):
         in_gusts = changed(scenario, [*strong, as_override("wind.seed", seed)])
         try:
-            run = simulate(in_gusts, check_step=StepCheck.NOTHING)
+            run = simulate(in_gusts)
         except RunStopped as error:
             run = error.run
         judgement = judge(RunQuantities(run))

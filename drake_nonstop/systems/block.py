@@ -105,7 +105,6 @@ class _Declaring:
     optional_inputs: tuple[str, ...] = ()
     signal_layouts: Mapping[str, Any] = {}
     is_sampled = False
-    has_state_outside = False
 
     def __init_subclass__(cls) -> None:
         documented(cls)
@@ -120,7 +119,6 @@ class DiagramBlock(_Declaring, Diagram, metaclass=BlockType):
         signal_layouts: of its signals that the figure does not have, by name.
         is_sampled: whether its outputs, with a control period, change at the controllers' samples
             only, or move along their rates in between.
-        has_state_outside: whether part of its state is not in the context: a run cannot go back.
     """
 
     def __init__(self) -> None:

@@ -5,7 +5,6 @@ CasADi's virtual machine. Layers, whose answers are no equations, are asked in P
 due, after the states of all other blocks have stepped.
 """
 
-import copy
 import functools
 import logging
 import math
@@ -245,14 +244,6 @@ class CompiledLoop(EquationLoop):
         require_context("context", self.diagram, context)
         require(context.get_time() == 0, "context.time", context.get_time(), "start at 0")
         return CompiledFlight(self, context, largest)
-
-    def with_steps(self, config: SimulatorConfig) -> "CompiledLoop":
-        """The same loop with other steps of the integrator, in CasADi's virtual machine."""
-        other = copy.copy(self)
-        vars(other).pop("_interpreted", None)
-        other._compiles, other._key, other.config = False, self._sample_key(config), config
-        other.step_ends = np.array([step.end for step in other._key[0]])
-        return other
 
     def run(self, context: Context, duration: float) -> tuple[NDArray, dict[str, NDArray]]:
         """The times (instants,), s, and the signals (instants, size) by their names.

@@ -16,7 +16,6 @@ from drake_nonstop.run.run import (
     RunInterrupted,
     RunStopped,
     StepAction,
-    StepCheck,
 )
 from drake_nonstop.run.run_quantities import carrier_speeds
 from drake_nonstop.run.simulate import simulate
@@ -82,7 +81,6 @@ def run_live(
                 progress=progress,
                 viewers=[show_in(meshcat)],
                 after_step=controls.after_step,
-                check_step=StepCheck.PARTS,
                 **replacements,
             )
             if controls.is_stopped or not controls.is_restarted:

@@ -9,9 +9,8 @@ What any block around another simulator needs is in it:
 
 - an update each 5 ms lets the simulator go a step further, under what the inputs are then;
 - what the outputs show in between is interpolated: cables need positions without jumps;
-- `trim` sets where a flight starts; the simulator is made anew by the first step after that;
-- `has_state_outside` says that the aircraft are not in the context: no part of a run is flown
-  again with half the step, and a context that was copied during a flight cannot go on.
+- `trim` sets where a flight starts; the simulator is made anew by the first step after that. The
+  aircraft are not in the context: one that was copied during a flight cannot go on.
 
 It has no equations, and so its loop is flown by the diagram. Lift, drag, thrust, lags and limits
 are those of the system's aircraft; moments, inertia, surfaces and the autopilot, which flies C_L,
@@ -188,8 +187,6 @@ class JsbsimAircraft:
 
 class JsbsimCarriers(LeafSystem):
     """Fixed-wing aircraft as rigid bodies, with the ports of `FixedWingDynamics`."""
-
-    has_state_outside = True
 
     def __init__(self, model: Model):
         super().__init__()

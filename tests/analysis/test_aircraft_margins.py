@@ -20,7 +20,6 @@ from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE, AircraftState, 
 from drake_nonstop.model.aircraft import AircraftParameters
 from drake_nonstop.model.pattern import ConstantSpreadConfig, EllipticCarouselConfig
 from drake_nonstop.model.system import Model, SystemParameters
-from drake_nonstop.run.run import StepCheck
 from drake_nonstop.run.simulate import simulate
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.validation import ScenarioError, ScenarioWarning
@@ -262,7 +261,7 @@ def test_the_needs_of_another_plant_are_those_that_are_flown(name, overrides):
     scenario.simulation_duration = 2 * expected.turn
     with warnings.catch_warnings():
         warnings.simplefilter("error", ScenarioWarning)  # all of them can be flown
-        run = simulate(scenario, check_step=StepCheck.NOTHING, engine="compiled")
+        run = simulate(scenario, engine="compiled")
     state = AircraftState.view(run.signal("aircraft_state")[run.time > expected.turn])
     needs = expected.needs
     for told, flown, share in (
@@ -280,4 +279,4 @@ def test_a_run_warns_of_what_is_missed_before_it_flies():
     overrides = ["simulation_duration=0.01", "wind=!SteadyWind {velocity: [0, 4, 0]}"]
     scenario = load_scenario("aircraft_rest", overrides)
     with pytest.warns(ScenarioWarning, match=r"^wind\.velocity = .*C_L / C_Lmax 1\.1.* check "):
-        simulate(scenario, check_step=StepCheck.NOTHING)
+        simulate(scenario)

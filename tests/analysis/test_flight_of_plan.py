@@ -18,7 +18,6 @@ from drake_nonstop.analysis.task import task_of
 from drake_nonstop.analysis.task_check import check_task, flight_of_plan
 from drake_nonstop.mechanics.aircraft import stall_speed
 from drake_nonstop.mechanics.signals import AircraftState
-from drake_nonstop.run.run import StepCheck
 from drake_nonstop.run.simulate import simulate
 from drake_nonstop.scenario.overrides import changed
 
@@ -90,7 +89,7 @@ def test_so_they_are_of_a_load_that_the_controllers_do_not_know(mass):
     """C_L, bank and airspeed within 2 %, thrust 4 %."""
     overrides = ["simulation_duration=30", f"simulated.load_mass={mass}"]
     scenario = load_scenario("aircraft_transfer", overrides)
-    run = simulate(scenario, engine="compiled", check_step=StepCheck.NOTHING)
+    run = simulate(scenario, engine="compiled")
     assert_flown(flight(scenario), run, 0.02)
 
 

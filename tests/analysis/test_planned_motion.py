@@ -8,7 +8,6 @@ from helpers import regular
 from drake_nonstop.analysis.planned_motion import PlannedMotion, find_motion_remedies
 from drake_nonstop.analysis.task import task_of
 from drake_nonstop.analysis.task_check import check_task, task_dictionary, task_table
-from drake_nonstop.run.run import StepCheck
 from drake_nonstop.run.run_quantities import RunQuantities
 from drake_nonstop.run.simulate import simulate
 from drake_nonstop.scenario.loading import load_scenario
@@ -39,7 +38,7 @@ def planned(*overrides):
 def test_distances_and_pulls_are_those_of_a_flight_with_constant_parameters(pattern):
     scenario, task = planned(CONSTANT, f"pattern={pattern}", "simulation_duration=4")
     motion = PlannedMotion(scenario, task)
-    run = RunQuantities(simulate(scenario, check_step=StepCheck.NOTHING))
+    run = RunQuantities(simulate(scenario))
     assert motion.carrier_separation == pytest.approx(run.carrier_separation, rel=2e-3)
     for own, flown in zip(
         motion.closest_cables_for_attachments, run.closest_cables_for_attachments, strict=True

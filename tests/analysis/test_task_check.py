@@ -15,7 +15,6 @@ from drake_nonstop.analysis.task import task_of
 from drake_nonstop.analysis.task_check import check_task, task_dictionary, task_table
 from drake_nonstop.mechanics.signals import Parameters
 from drake_nonstop.planning.limits import LIMITS
-from drake_nonstop.run.run import StepCheck
 from drake_nonstop.run.run_quantities import RunQuantities
 
 # Beyond what any plan of so many seconds keeps, and what is within reach.
@@ -56,7 +55,7 @@ def test_a_limit_that_no_plan_keeps_is_not_sound(field):
 def test_what_the_check_says_cannot_be_kept_is_missed_in_flight(field):
     duration, beyond, _ = MISSED[field]
     scenario = quintic(f"optimization_layer.{field}={beyond}", duration=duration)
-    metrics = compute_metrics(simulate(scenario, check_step=StepCheck.NOTHING))
+    metrics = compute_metrics(simulate(scenario))
     assert metrics["outcome"] == "limit_missed"
     assert f"optimization_layer.{field}: {beyond:g}" in metrics["reasons"][0]
 

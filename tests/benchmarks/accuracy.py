@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from drake_nonstop.mechanics.signals import LoadState
-from drake_nonstop.run.run import Run, RunStopped, StepCheck
+from drake_nonstop.run.run import Run, RunStopped
 from drake_nonstop.run.run_quantities import carrier_speeds
 from drake_nonstop.run.simulate import simulate
 from drake_nonstop.scenario.overrides import changed
@@ -65,7 +65,6 @@ def benchmark_accuracy(
     reference, finer = (
         simulate(
             changed(scenario, [*fine, _STEP.format(_REFERENCE_STEP / part)]),
-            check_step=StepCheck.NOTHING,
         )
         for part in (1, 2)
     )
@@ -81,7 +80,7 @@ def benchmark_accuracy(
             if "stopped" in row:
                 continue
             try:
-                run = simulate(one, check_step=StepCheck.NOTHING)
+                run = simulate(one)
             except RunStopped as stopped:
                 row["stopped"] = str(stopped)
                 continue

@@ -21,7 +21,6 @@ from drake_nonstop.run.many import simulate_many
 from drake_nonstop.run.metrics import compute_metrics, versions
 from drake_nonstop.run.preparation import stable_config
 from drake_nonstop.run.recording import LogSignals
-from drake_nonstop.run.run import StepCheck
 from drake_nonstop.run.simulate import simulate
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.scenario.schema import COMPILED, DIAGRAM, Scenario
@@ -96,7 +95,7 @@ def _of_layer(scenario: Scenario, runs: int, repeats: int) -> dict[str, Any]:
     own = [changed(scenario, [str(text) for text in texts]) for texts in planned]
     brief = [changed(each, short) for each in own]
     with without_warnings(), tempfile.TemporaryDirectory() as folder:
-        unchecked: dict[str, Any] = {"check_step": StepCheck.NOTHING, "engine": COMPILED}
+        unchecked: dict[str, Any] = {"engine": COMPILED}
         apart = _median(repeats, lambda k: simulate(brief[k], **unchecked | {"engine": DIAGRAM}))
         together = _median(repeats, lambda k: simulate_many(brief, **unchecked)) / _PREPARED
         one = _median(repeats, lambda k: compute_metrics(simulate(own[k], engine=DIAGRAM)))

@@ -22,7 +22,7 @@ from drake_nonstop.benchmarks.comparing import FreshRuns, Source, checked_out, c
 from drake_nonstop.benchmarks.figures import make_run_time_figure
 from drake_nonstop.cli.ending import BAD_INPUT, FAILED
 from drake_nonstop.cli.main import main
-from drake_nonstop.run.run import RunStopped, StepCheck
+from drake_nonstop.run.run import RunStopped
 from drake_nonstop.systems.tracing import Evaluator
 from drake_nonstop.validation import ScenarioError
 
@@ -43,7 +43,6 @@ def timed_run(scenario, timers=None, **replacements):
         run = simulate(
             scenario,
             after_step=timers.after_step,
-            check_step=StepCheck.NOTHING,
             **replacements,
         )
     return run, timers

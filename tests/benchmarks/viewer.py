@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from drake_nonstop.run.run import StepAction, StepCheck
+from drake_nonstop.run.run import StepAction
 from drake_nonstop.run.simulate import simulate
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.view.meshcat_server import start_meshcat
@@ -31,7 +31,6 @@ def benchmark_viewer(
                 scenario,
                 viewers=viewers,
                 after_step=_in_real_time,
-                check_step=StepCheck.NOTHING,
             )
             seconds[is_watched].append(time.process_time() - start)
             progress("running in real time", (repeat + (1 if is_watched else 2) / 2) / REPEATS)

@@ -18,7 +18,7 @@ from drake_nonstop.mechanics.rigid_load import STILL_AIR
 from drake_nonstop.mechanics.signals import SIGNAL_PERIOD, PlannedParameters
 from drake_nonstop.planning.horizon_config import HorizonConfig, timed
 from drake_nonstop.planning.horizon_problem import HorizonProblem
-from drake_nonstop.run.run import Run, StepCheck
+from drake_nonstop.run.run import Run
 from drake_nonstop.run.run_quantities import RunQuantities
 from drake_nonstop.run.simulate import simulate
 from drake_nonstop.scenario.loading import load_scenario
@@ -97,7 +97,7 @@ def tasks_table(results: dict[str, dict[str, Row]]) -> str:
 
 def _flown(scenario: Scenario, config: HorizonConfig) -> Row:
     """The row of a layer that flies."""
-    run = simulate(scenario, check_step=StepCheck.NOTHING)
+    run = simulate(scenario)
     quantities = RunQuantities(run)
     layer = scenario.optimization_layer
     planned = _planned(run)

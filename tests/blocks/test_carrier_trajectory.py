@@ -42,7 +42,6 @@ from drake_nonstop.model.pattern import (
     HamiltonianCycleConfig,
 )
 from drake_nonstop.model.system import SystemParameters
-from drake_nonstop.run.run import StepCheck
 from drake_nonstop.run.simulate import simulate
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.scenario.schema import Scenario
@@ -478,7 +477,7 @@ def test_references_on_lines_without_mass_and_drag_are_straight():
 
 def test_bowed_references_fly_alike_as_a_diagram_and_as_one_function():
     scenario = load_scenario("aircraft_rest", [*AIRCRAFT, "cables=!LumpedCables {nodes: 2}"])
-    run = simulate(scenario, check_step=StepCheck.NOTHING, engine="diagram")
+    run = simulate(scenario, engine="diagram")
     loop = CompiledLoop(
         *(make_nonstop(run.scenario), run.scenario.simulator_config, 0.04),
         signal_period=0.01,

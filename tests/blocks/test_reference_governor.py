@@ -9,7 +9,6 @@ from pydrake.systems.framework import LeafSystem
 
 from drake_nonstop import (
     ReferencePreview,
-    StepCheck,
     compute_metrics,
     dump_scenario,
     load_scenario,
@@ -62,7 +61,7 @@ def flights():
     scenarios = [
         load_scenario("line_without_optimization", [*FAST_LINE, *o]) for o in ([], [GOVERNED])
     ]
-    return [simulate(scenario, check_step=StepCheck.NOTHING) for scenario in scenarios]
+    return [simulate(scenario) for scenario in scenarios]
 
 
 def test_its_signals_are_those_of_the_delayed_motion():

@@ -21,7 +21,6 @@ from drake_nonstop.mechanics.signals import LoadReference
 from drake_nonstop.model.system import OF_CABLES, Model
 from drake_nonstop.run.metrics import compute_metrics
 from drake_nonstop.run.outcome import RunOutcome
-from drake_nonstop.run.run import StepCheck
 from drake_nonstop.run.simulate import simulate
 from drake_nonstop.scenario.loading import dump_scenario, load_scenario, parse_scenario
 from drake_nonstop.validation import ScenarioError
@@ -71,7 +70,7 @@ SHORT = ["control_period=0", "simulation_duration=1"]
 
 
 def fly(*changes, name="quintic", **arguments):
-    return simulate(load_scenario(name, changes), check_step=StepCheck.NOTHING, **arguments)
+    return simulate(load_scenario(name, changes), **arguments)
 
 
 @pytest.mark.parametrize(("block", "config"), BLOCKS)

@@ -7,7 +7,6 @@ from drake_nonstop import load_scenario
 from drake_nonstop.mechanics.aircraft import stall_speed
 from drake_nonstop.mechanics.signals import Parameters
 from drake_nonstop.model.system import aircraft_in
-from drake_nonstop.run.run import StepCheck
 from drake_nonstop.run.run_quantities import RunQuantities, load_errors
 from drake_nonstop.run.simulate import simulate
 
@@ -52,7 +51,7 @@ def test_a_load_that_turns_at_a_fixed_rate_misses_the_bound():
         "load_trajectory=!SteadyTurn {yaw_rate: 0.28}",
         *("simulation_duration=6", "wind.start_time=0", "wind.rise_time=0"),
     ]
-    run = simulate(load_scenario(TURNING, fixed), check_step=StepCheck.NOTHING)
+    run = simulate(load_scenario(TURNING, fixed))
     bound = 1.5 * stall_speed(aircraft_in(run.scenario.system))
     assert RunQuantities(run).aircraft_state.airspeed.min() < 0.86 * bound
 

@@ -6,12 +6,11 @@ from helpers import nightly_beyond
 
 from drake_nonstop import Scenario, compute_metrics, load_scenario
 from drake_nonstop.blocks.optimization_layer import NlpLayerConfig, PaperLayerConfig
-from drake_nonstop.run.run import StepCheck
 from drake_nonstop.run.simulate import simulate
 
 
 def assert_no_carrier_is_ever_below_its_bound(scenario: Scenario) -> None:
-    metrics = compute_metrics(simulate(scenario, check_step=StepCheck.NOTHING))
+    metrics = compute_metrics(simulate(scenario))
     assert metrics["carriers"]["time_below_bound_s"] == 0
     assert metrics["carriers"]["speed_min_m_s"] >= scenario.optimization_layer.speed_bound
     optimizer = metrics["optimizer"]

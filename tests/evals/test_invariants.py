@@ -11,7 +11,6 @@ from helpers import nightly_beyond
 from scipy.spatial.transform import Rotation
 
 from drake_nonstop.blocks.optimization_layer import ConstantParametersConfig
-from drake_nonstop.run.run import StepCheck
 from drake_nonstop.run.simulate import simulate
 from drake_nonstop.scenario.loading import load_scenario
 
@@ -196,7 +195,7 @@ def test_a_turned_and_moved_run_gives_the_turned_and_moved_result(overrides, tol
             displacement=(turn @ trajectory.displacement).tolist(),
         ),
     )
-    one, other = (simulate(each, check_step=StepCheck.NOTHING) for each in (scenario, turned))
+    one, other = (simulate(each) for each in (scenario, turned))
     load = one.signal("load_state")[:, 4:7] @ turn.T + shift
     np.testing.assert_allclose(other.signal("load_state")[:, 4:7], load, rtol=0, atol=tolerance)
     carriers = (run.signal("carrier_state")[:, :12].reshape(-1, 3) for run in (one, other))
@@ -211,7 +210,7 @@ def test_carriers_of_a_square_follow_each_other():
     scenario.load_trajectory = dataclasses.replace(
         scenario.load_trajectory, displacement=[0.0] * 3, roll_pitch_yaw=[0.0] * 3
     )
-    run = simulate(scenario, check_step=StepCheck.NOTHING)
+    run = simulate(scenario)
     positions = run.signal("carrier_state")[:, :12].reshape(-1, 4, 3)
     quarter = Rotation.from_euler("z", np.pi / 2).as_matrix()
     later = positions[880:1200]  # 0.8 s, a quarter of a turn, after the earlier ones
@@ -237,7 +236,7 @@ def test_the_integrator_converges_in_its_nominal_order(hold, largest):
     for step in steps:
         overrides = ["simulation_duration=0.4", f"simulator_config.max_step_size={step}", *CONSTANT]
         overrides += ["load_trajectory.start_time=0", f"carrier_trajectory.hold={hold}"]
-        run = simulate(load_scenario("quintic", overrides), check_step=StepCheck.NOTHING)
+        run = simulate(load_scenario("quintic", overrides))
         states = [run.signal("load_state")[-1, :7], run.signal("carrier_state")[-1]]
         results.append(np.concatenate(states))
     changes = [np.abs(a - b).max() for a, b in pairwise(results)]

@@ -6,7 +6,6 @@ from helpers import fix, model
 from scipy.spatial.transform import Rotation
 
 from drake_nonstop.blocks.load_plant import LoadPlant, MultibodyLoadPlant
-from drake_nonstop.run.run import StepCheck
 from drake_nonstop.run.simulate import simulate
 from drake_nonstop.scenario.loading import load_scenario, scenario_names
 from drake_nonstop.scenario.overrides import changed
@@ -28,7 +27,6 @@ def test_both_plants_agree(name):
     ours, drakes = (
         simulate(
             load_scenario(name, [*overrides, f"load_plant=!{plant} {{}}"]),
-            check_step=StepCheck.NOTHING,
         ).signal("load_state")
         for plant in ("LoadPlant", "MultibodyLoadPlant")
     )

@@ -16,7 +16,6 @@ from drake_nonstop import (
     compute_metrics,
     load_scenario,
 )
-from drake_nonstop.run.run import StepCheck
 from drake_nonstop.run.simulate import simulate
 
 
@@ -46,7 +45,7 @@ def quintic(duration: float, **fields: float) -> Scenario:
 
 
 def flown(scenario: Scenario, **blocks: Any) -> Run:
-    return simulate(scenario, check_step=StepCheck.NOTHING, **blocks)
+    return simulate(scenario, **blocks)
 
 
 def metrics_of(scenario: Scenario, **blocks: Any) -> dict:

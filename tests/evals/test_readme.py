@@ -16,7 +16,6 @@ from benchmarks.claims import (
 )
 
 from drake_nonstop import compute_metrics, load_scenario, scenario_names
-from drake_nonstop.run.run import StepCheck
 from drake_nonstop.run.simulate import simulate
 
 README = Path(__file__).parents[2] / "README.md"
@@ -71,7 +70,7 @@ def assert_hold(claims, run, metrics):
 @pytest.mark.nightly("flights")
 def test_claims_on_a_changed_scenario():
     name, *overrides = shlex.split(CHEAP)
-    run = simulate(load_scenario(name, overrides), check_step=StepCheck.NOTHING)
+    run = simulate(load_scenario(name, overrides))
     assert_hold(BY_ARGUMENTS[CHEAP], run, compute_metrics(run))
 
 

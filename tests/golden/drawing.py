@@ -8,7 +8,7 @@ import plausible_scenarios
 import yaml
 from fleet import flown
 
-from drake_nonstop import ScenarioError, ScenarioWarning, StepCheck, load_scenario
+from drake_nonstop import ScenarioError, ScenarioWarning, load_scenario
 from golden.numbers import DRAWN_LOOPS
 
 DURATION = 1.0  # s
@@ -44,7 +44,7 @@ def write_drawn_loops() -> None:
                 with warnings.catch_warnings():
                     warnings.simplefilter("ignore", ScenarioWarning)
                     start = time.process_time()
-                    run = flown(load_scenario(name, overrides), check_step=StepCheck.NOTHING)
+                    run = flown(load_scenario(name, overrides))
                     seconds = time.process_time() - start
             except ScenarioError:
                 continue  # it is refused

@@ -16,7 +16,7 @@ import numpy as np
 import yaml
 from fleet import FLEET, Fleet, flown, scenario_of
 
-from drake_nonstop import Run, Scenario, StepCheck, compute_metrics, load_scenario
+from drake_nonstop import Run, Scenario, compute_metrics, load_scenario
 from drake_nonstop.run.metrics import METRICS, flattened
 
 HERE = Path(__file__).parent
@@ -77,13 +77,12 @@ def golden_scenario(name: str) -> Scenario:
 
 def numbers_of_flight(name: str, fleet: Fleet) -> Numbers:
     """The numbers of a golden flight, flown by the fastest engine."""
-    check_step, few = _way_of(name)
-    return numbers_of(*fleet.evaluated(golden_scenario(name), check_step=check_step), few)
+    return numbers_of(*fleet.evaluated(golden_scenario(name)), _few_of(name))
 
 
-def _way_of(name: str) -> tuple[StepCheck, tuple[str, ...] | None]:
-    """What of a flight is flown again, and which of its metrics count; None: all."""
-    return (StepCheck.WHOLE, None) if name in FLEET else (StepCheck.NOTHING, FEW_METRICS)
+def _few_of(name: str) -> tuple[str, ...] | None:
+    """Which metrics of a flight count; None: all."""
+    return None if name in FLEET else FEW_METRICS
 
 
 def moved_numbers(name: str, share: float) -> Numbers:
@@ -92,9 +91,8 @@ def moved_numbers(name: str, share: float) -> Numbers:
     for masses in (scenario.system, scenario.simulated):
         if masses.load_mass is not None:
             masses.load_mass *= 1.0 + share
-    check_step, few = _way_of(name)
-    run = flown(scenario, check_step=check_step)
-    return numbers_of(run, compute_metrics(run), few)
+    run = flown(scenario)
+    return numbers_of(run, compute_metrics(run), _few_of(name))
 
 
 def numbers_of(run: Run, metrics: dict, few: tuple[str, ...] | None = None) -> Numbers:

@@ -20,7 +20,6 @@ from drake_nonstop import (
     DisturbanceForce,
     DisturbanceForceConfig,
     ScenarioError,
-    StepCheck,
     load_scenario,
     make_nonstop,
     scenario_names,
@@ -55,7 +54,7 @@ def traced(scenario, **options):
 def assert_equal(scenario, loop, context):
     scenario = changed(scenario, [f"simulation_duration={DURATION}"])
     times, signals = loop.run(context, DURATION)
-    run = simulate(scenario, check_step=StepCheck.NOTHING)
+    run = simulate(scenario)
     every = round(run.time[1] / times[1])
     np.testing.assert_allclose(times[::every], run.time, atol=1e-12)
     compared = 0

@@ -14,7 +14,6 @@ from drake_nonstop.planning.measured_margin import (
     margin_at_next_plan,
 )
 from drake_nonstop.run.outcome import judge
-from drake_nonstop.run.run import StepCheck
 from drake_nonstop.run.run_quantities import RunQuantities
 from drake_nonstop.run.simulate import simulate
 from drake_nonstop.scenario.loading import load_scenario
@@ -83,7 +82,7 @@ def wrong_models():
 
 
 def flown(name, *overrides):
-    run = simulate(load_scenario(name, overrides), check_step=StepCheck.NOTHING)
+    run = simulate(load_scenario(name, overrides))
     return RunQuantities(run)
 
 

@@ -12,7 +12,6 @@ from drake_nonstop.mechanics.signals import AircraftState
 from drake_nonstop.planning.diagnostics import missed_layout
 from drake_nonstop.planning.problem_config import LimitsConfig
 from drake_nonstop.run.metrics import METRICS, compute_metrics, flattened, metrics_table
-from drake_nonstop.run.run import StepCheck
 from drake_nonstop.run.run_quantities import RunQuantities
 from drake_nonstop.run.signal_table import UnknownSignalError
 from drake_nonstop.run.simulate import simulate
@@ -184,7 +183,7 @@ def test_the_figure_of_limits_has_a_panel_for_each_that_is_asked_for(run):
 def test_a_flown_run_has_what_is_shown_and_no_carrier_forces():
     meshcat = start_meshcat()
     scenario = load_scenario("aircraft_rest", ["simulation_duration=0.05"])
-    run = simulate(scenario, viewers=[show_in(meshcat)], check_step=StepCheck.NOTHING)
+    run = simulate(scenario, viewers=[show_in(meshcat)])
     with pytest.raises(UnknownSignalError):
         run.signal("carrier_forces")
     assert len(run.steps["aircraft_state"]) == len(run.steps["time"])

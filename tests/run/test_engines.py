@@ -19,7 +19,6 @@ from drake_nonstop import (
     ScenarioError,
     ScenarioWarning,
     StepAction,
-    StepCheck,
     compute_metrics,
     load_scenario,
     simulate,
@@ -32,7 +31,6 @@ from drake_nonstop.systems.native import compiler
 from drake_nonstop.systems.tracing import where
 
 PROGRAM = "optimization_layer=NlpLayer"
-NOTHING = StepCheck.NOTHING
 CONSTANT = "optimization_layer=ConstantParameters"
 SHORT = [CONSTANT, "simulation_duration=0.05"]
 BOUNDED = "optimization_layer.speed_bound=0.45"
@@ -43,7 +41,7 @@ def flown(name, overrides, engine, **arguments):
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
         try:
-            scenario, given = load_scenario(name, overrides), {"check_step": NOTHING} | arguments
+            scenario, given = load_scenario(name, overrides), arguments
             run = simulate(scenario, engine=engine, **given)
         except RunStopped as stopped:
             run = stopped.run
@@ -202,8 +200,6 @@ def test_another_engine_is_refused():
         simulate(load_scenario("quintic", ["engine=fast"]))
     with pytest.raises(ScenarioError, match=r"engine = fast: .*, compiled, or None"):
         simulate(load_scenario("quintic"), engine="fast")
-    with pytest.raises(ScenarioError, match=r"check_step = 3: give one, such"):
-        simulate(load_scenario("quintic"), check_step=3)
 
 
 @pytest.mark.parametrize("period", nightly_beyond(1, "engines", [0.03, 0.06, 0.015, 0.012]))
@@ -244,7 +240,7 @@ class FailsBeside(Fails):
 
 def test_an_error_is_not_lost_where_the_diagram_does_not_meet_it_again():
     scenario = load_scenario("quintic", [CONSTANT, "simulation_duration=0.1"])
-    run = simulate(scenario, load_disturbance=FailsBeside, check_step=NOTHING)
+    run = simulate(scenario, load_disturbance=FailsBeside)
     assert "diagram: ValueError: it broke; from t = " in run.engine
 
 

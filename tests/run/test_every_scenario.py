@@ -16,7 +16,6 @@ from drake_nonstop import (
     with_largest_step,
 )
 from drake_nonstop.mechanics.signals import SIGNAL_PERIOD
-from drake_nonstop.run.run import StepCheck
 from drake_nonstop.scenario.loading import scenario_names
 
 NAMES = scenario_names()
@@ -43,7 +42,7 @@ def test_the_recipe_of_the_readme_flies_as_simulate_does(name):
     config = with_largest_step(scenario.simulator_config, diagram, context)
     ApplySimulatorConfig(config, simulator)
     simulator.AdvanceTo(1.0)
-    run = simulate(scenario, check_step=StepCheck.NOTHING)
+    run = simulate(scenario)
     for signal in ("load_state", "carrier_state"):
         flown = diagram.GetOutputPort(signal).Eval(context)
         np.testing.assert_allclose(flown, run.signal(signal)[-1], rtol=1e-6, atol=1e-6)
@@ -70,7 +69,7 @@ def test_an_environment_flies_as_simulate_does(name, is_vector):
         )
         assert (bool(terminated), bool(truncated)) == (False, step == 9)
     last = info["final_obs"][0] if is_vector else observation
-    run = simulate(constant, check_step=StepCheck.NOTHING)
+    run = simulate(constant)
     flown = np.concatenate(
         [run.signal(s)[-1] for s in ("load_state", "reference", "carrier_state")]
     )

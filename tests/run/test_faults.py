@@ -16,7 +16,7 @@ from helpers import nightly_beyond
 from drake_nonstop.blocks.nlp_layer import NlpLayer
 from drake_nonstop.cli.main import main
 from drake_nonstop.planning.horizon_solver import HorizonSolver
-from drake_nonstop.run.run import RunStopped, StepCheck
+from drake_nonstop.run.run import RunStopped
 from drake_nonstop.run.simulate import simulate
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.validation import ScenarioError
@@ -175,4 +175,4 @@ def test_ctrl_c_while_results_are_written_leaves_what_was_flown(tmp_path, result
 def test_a_divergence_has_the_gains_in_use():
     settings = ["optimization_layer=ConstantParameters", "wrench_controller.position_gain=1e5"]
     with pytest.raises(RunStopped, match=r"gains in use: wrench_controller\.position_gain = 1e"):
-        simulate(load_scenario("quintic", settings), check_step=StepCheck.NOTHING)
+        simulate(load_scenario("quintic", settings))

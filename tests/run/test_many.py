@@ -2,7 +2,6 @@
 
 import os
 import signal
-import sys
 import warnings
 
 import numpy as np
@@ -14,7 +13,6 @@ from drake_nonstop import (
     RunStopped,
     ScenarioError,
     ScenarioWarning,
-    StepCheck,
     load_scenario,
     simulate,
     simulate_many,
@@ -23,11 +21,10 @@ from drake_nonstop.run import many
 from drake_nonstop.systems import equation_loop
 from drake_nonstop.systems.loop_equations import LoopEquations
 
-simulating = sys.modules[simulate.__module__]  # not the function of that name
 CONSTANT = "optimization_layer=ConstantParameters"
 SHORT = [CONSTANT, "simulation_duration=0.3"]
 MEASURED = {"time", "solve_time"}  # among the steps' signals, by a clock
-NOTHING = {"check_step": StepCheck.NOTHING, "engine": "compiled"}
+COMPILED = {"engine": "compiled"}
 
 
 def assert_equal(run, expected):
@@ -112,9 +109,9 @@ def test_other_loops_are_built_and_fly_beside():
     scenarios = [load_scenario("quintic", [*short, *each]) for each in OTHER_LOOPS]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ScenarioWarning)
-        found = simulate_many(scenarios, **NOTHING)
+        found = simulate_many(scenarios, **COMPILED)
         for run, scenario in zip(found, scenarios, strict=True):
-            assert_equal(run, simulate(scenario, **NOTHING))
+            assert_equal(run, simulate(scenario, **COMPILED))
 
 
 def test_what_is_wrong_or_diverges_has_a_row_of_its_own_and_harms_no_other():
@@ -126,16 +123,16 @@ def test_what_is_wrong_or_diverges_has_a_row_of_its_own_and_harms_no_other():
     right = load_scenario("quintic", SHORT)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ScenarioWarning)
-        found = simulate_many([wrong, right, diverging, right], **NOTHING)
+        found = simulate_many([wrong, right, diverging, right], **COMPILED)
     assert isinstance(found[0], ScenarioError)
     assert "load_mass" in str(found[0])
     assert isinstance(found[2], RunStopped)
     assert 0 < found[2].run.time[-1] < 1
     with pytest.warns(ScenarioWarning):
-        stopped = caught(lambda: simulate(diverging, **NOTHING))
+        stopped = caught(lambda: simulate(diverging, **COMPILED))
     assert str(found[2]) == str(stopped)
     assert_equal(found[2].run, stopped.run)
-    expected = simulate(right, **NOTHING)
+    expected = simulate(right, **COMPILED)
     assert_equal(found[1], expected)
     assert_equal(found[3], expected)
 
@@ -147,33 +144,13 @@ def test_an_interrupt_keeps_the_runs_that_have_ended():
         os.kill(os.getpid(), signal.SIGINT)
 
     with pytest.raises(RunsInterrupted, match="2 of 3 runs have ended") as raised:
-        simulate_many(scenarios, progress=interrupt, **NOTHING)
+        simulate_many(scenarios, progress=interrupt, **COMPILED)
     *runs, missing = raised.value.runs
     assert all(isinstance(run, Run) for run in runs)  # that of the second ended beside the first's
     assert missing is None
 
 
-def test_an_interrupt_of_a_second_flight_keeps_the_runs_that_ended_with_the_first(monkeypatch):
-    scenarios = [load_scenario("quintic", [*SHORT, f"system.load_mass={m}"]) for m in (1, 1.1, 1.2)]
-    verify = simulating._verified
-
-    def interrupt(*arguments):
-        os.kill(os.getpid(), signal.SIGINT)
-        return verify(*arguments)
-
-    monkeypatch.setattr(
-        simulating, "is_in_doubt", lambda run, *_: run.scenario.system.load_mass == 1.1
-    )
-    monkeypatch.setattr(simulating, "_verified", interrupt)
-    with pytest.raises(RunsInterrupted, match="2 of 3 runs have ended") as raised:
-        simulate_many(scenarios)
-    first, missing, last = raised.value.runs
-    assert missing is None
-    for run, scenario in ((first, scenarios[0]), (last, scenarios[2])):
-        assert_equal(run, simulate(scenario))
-
-
-@pytest.mark.parametrize("wrong", [{"engine": "fast"}, {"check_step": 1}])
+@pytest.mark.parametrize("wrong", [{"engine": "fast"}])
 def test_what_is_wrong_for_all_runs_is_refused_once(wrong):
     with pytest.raises(ScenarioError, match=f"^{next(iter(wrong))} = "):
         simulate_many([], **wrong)
@@ -182,7 +159,7 @@ def test_what_is_wrong_for_all_runs_is_refused_once(wrong):
 def test_an_engine_that_is_given_is_in_place_of_each_scenarios():
     scenario = load_scenario("quintic", [*SHORT, "engine=diagram"])
     for engine, flies in ((None, "diagram"), ("auto", "compiled"), ("diagram", "diagram")):
-        (run,) = simulate_many([scenario], check_step=StepCheck.NOTHING, engine=engine)
+        (run,) = simulate_many([scenario], engine=engine)
         assert run.engine.startswith(flies)
 
 
@@ -190,7 +167,7 @@ def test_with_little_memory_fewer_fly_at_a_time(monkeypatch):
     monkeypatch.setattr(many, "free_memory", lambda: 1e6)
     scenarios = [load_scenario("quintic", SHORT)] * 3
     with pytest.warns(ScenarioWarning, match="1 of the runs fly at a time") as told:
-        found = simulate_many(scenarios, **NOTHING)
+        found = simulate_many(scenarios, **COMPILED)
     assert sum("memory" in str(each.message) for each in told) == 1
     for run in found:
         assert_equal(run, found[0])

@@ -6,7 +6,7 @@ from drawn_own_blocks import compare
 from helpers import nightly_beyond
 from pydrake.systems.framework import LeafSystem
 
-from drake_nonstop import ScenarioError, ScenarioWarning, StepCheck, load_scenario, simulate
+from drake_nonstop import ScenarioError, ScenarioWarning, load_scenario, simulate
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.systems.compiled_loop import CompiledLoop
 
@@ -43,7 +43,7 @@ class Own(LeafSystem):
 
 def flown(engine, layer):
     scenario = load_scenario("quintic", ["simulation_duration=0.1"])
-    given = {"optimization_layer": layer, "check_step": StepCheck.NOTHING}
+    given = {"optimization_layer": layer}
     return simulate(scenario, engine=engine, **given).signal("parameters")
 
 

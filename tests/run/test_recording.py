@@ -23,7 +23,6 @@ from drake_nonstop import (
     RunInterrupted,
     RunStopped,
     ScenarioError,
-    StepCheck,
     load_scenario,
     simulate,
 )
@@ -118,7 +117,7 @@ def flown(limit=None, **options):
     with pytest.MonkeyPatch.context() as patch:
         if limit is not None:
             patch.setattr(recording, "MEMORY_LIMIT", limit)
-        return simulate(scenario_of(0.25), **{"check_step": StepCheck.NOTHING} | options)
+        return simulate(scenario_of(0.25), **options)
 
 
 CONSTANT = "optimization_layer=ConstantParameters"
@@ -254,7 +253,7 @@ def test_the_expected_size_is_that_of_the_signals():
 )
 def test_results_take_at_least_half_the_size_of_the_signals(name):
     scenario = load_scenario(name, ["simulation_duration=0.1"])
-    run = simulate(scenario, check_step=StepCheck.NOTHING)
+    run = simulate(scenario)
     signals = sum(values[1:].nbytes for values in run.signals.values())
     assert recording.least_size(scenario) == pytest.approx(signals / 2, rel=0.05)
 

@@ -1,6 +1,5 @@
-"""Steps: shortened where they have to be, checked with half of them, and said if unresolved."""
+"""Steps: shortened where the fastest mode asks for it, and verified with half of them."""
 
-import dataclasses
 import os
 import signal
 
@@ -12,14 +11,12 @@ from pydrake.systems.framework import LeafSystem
 from drake_nonstop import (
     RunInterrupted,
     ScenarioError,
-    StepAction,
-    StepCheck,
     compute_metrics,
     load_scenario,
     simulate,
     verify_step,
 )
-from drake_nonstop.run.moved_metrics import moved_metrics
+from drake_nonstop.run.verify_step import moved_metrics
 
 CONSTANT = "optimization_layer=ConstantParameters"
 GENERATOR = np.random.default_rng(16)
@@ -39,19 +36,16 @@ def short(*overrides, duration=0.2):
 
 @pytest.mark.parametrize("damping", DRAWN)
 def test_strongly_damped_cables_are_flown_as_with_a_fifth_of_the_step_or_refused(damping):
-    overrides = [f"system.cable_damping={damping}", "simulation_duration=0.2", CONSTANT]
+    overrides = [f"system.cable_damping={damping}", CONSTANT]
     if damping > 1000:
         with pytest.raises(ScenarioError, match="fastest mode"):
-            simulate(load_scenario("quintic", overrides))
+            simulate(short(*overrides))
         return
-    run = simulate(load_scenario("quintic", overrides), check_step=StepCheck.NOTHING)
+    run = simulate(short(*overrides))
     step = run.step / 5
     if step < 1e-5:
         return
-    finer = simulate(
-        load_scenario("quintic", [*overrides, f"simulator_config.max_step_size={step}"]),
-        check_step=StepCheck.NOTHING,
-    )
+    finer = simulate(short(*overrides, f"simulator_config.max_step_size={step}"))
     assert moved_metrics(compute_metrics(run), compute_metrics(finer)) == []
 
 
@@ -66,37 +60,24 @@ class Slow(LeafSystem):
 
 
 def test_what_is_verified_is_the_loop_that_flew():
-    run = simulate(short(), optimization_layer=Slow, check_step=StepCheck.NOTHING)
-    again = simulate(
-        dataclasses.replace(run.scenario, simulation_duration=0.2),
-        optimization_layer=Slow,
-        check_step=StepCheck.NOTHING,
-    )
-    assert verify_step(run).unresolved == verify_step(again).unresolved == ()
+    assert verify_step(simulate(short(), optimization_layer=Slow)).unresolved == ()
 
 
-def test_an_interrupt_of_the_second_flight_keeps_the_first_and_its_doubt():
-    calls = []
+def test_what_half_the_step_moves_is_named_and_decides_the_outcome():
+    run = simulate(short(*FAST_YAW, duration=2.0))
+    assert compute_metrics(run)["outcome"] != "unconverged"
+    verified = compute_metrics(verify_step(run))
+    assert verified["outcome"] == "unconverged"
+    assert verified["half_step"]["step_s"] == run.step / 2
+    assert verified["half_step"]["moved"]
 
-    def progress(time):
-        calls.append(time)
-        if len(calls) > 1 and time <= calls[-2]:  # the second flight
-            os.kill(os.getpid(), signal.SIGINT)
+
+def test_an_interrupt_of_the_second_flight_keeps_the_first():
+    run = simulate(short(duration=2.0))
+
+    def interrupt(time):
+        os.kill(os.getpid(), signal.SIGINT)
 
     with pytest.raises(RunInterrupted) as raised:
-        simulate(short(*FAST_YAW, duration=2.0), progress=progress)
-    run = raised.value.run
-    assert run.time[-1] == pytest.approx(2.0)
-    assert compute_metrics(run)["outcome"] == "unconverged"
-
-
-def test_what_is_called_after_each_step_sees_one_flight():
-    times = []
-
-    def after_step(simulator, nonstop):
-        times.append(simulator.get_context().get_time())
-        return StepAction.CONTINUE
-
-    run = simulate(short(*FAST_YAW, duration=2.0), after_step=after_step)
-    assert times == sorted(times)
-    assert compute_metrics(run)["outcome"] == "unconverged"
+        verify_step(run, progress=interrupt)
+    assert raised.value.run is run
