@@ -34,20 +34,27 @@ def on_files(files: Any, config: Any) -> Any:
 
 
 def names_by_page() -> dict[str, list[str]]:
-    """Every public name, by the page that describes it: of its box, else of its package."""
-    boxes = {}
+    """Blocks by the page of their box, and all other public names by that of their package."""
+    pages: dict[str, list[str]] = {}
     for name, box in BOXES.items():
-        for variant, config in zip(box.variants, box.configs, strict=True):
-            boxes |= {variant.__name__: name, config.__name__: name}
-    pages: dict[str, list[str]] = {f"reference/box_{name}.md": [] for name in BOXES}
+        pairs = zip(box.variants, box.configs, strict=True)
+        pages[f"reference/box_{name}.md"] = [part.__name__ for pair in pairs for part in pair]
+    blocks = {name for names in pages.values() for name in names}
     packages: dict[str, list[str]] = {}
     for name in drake_nonstop.__all__:
         module = getattr(getattr(drake_nonstop, name), "__module__", "")
-        if name in boxes:
-            pages[f"reference/box_{boxes[name]}.md"].append(name)
-        elif module:
+        if name not in blocks and module:
             packages.setdefault(f"reference/package_{module.split('.')[1]}.md", []).append(name)
     return {**pages, **dict(sorted(packages.items()))}
+
+
+def _named(name: str) -> Any:
+    """The public object, block or block's parameters of that name."""
+    for box in BOXES.values():
+        for part in (*box.variants, *box.configs):
+            if part.__name__ == name:
+                return part
+    return getattr(drake_nonstop, name)
 
 
 def reference_pages() -> dict[str, str]:
@@ -74,9 +81,10 @@ def index_page() -> str:
     lines = [
         "# Reference",
         "",
-        "Every name that `import drake_nonstop` offers. Blocks are described with their box, all",
-        "else with the package's folder that it comes from. The functions behind the",
-        "[equations](theory.md) have a page for each module of `drake_nonstop.mechanics`.",
+        "Every name that `import drake_nonstop` offers, and all blocks, which",
+        "`drake_nonstop.blocks.BOX` has. Other names are described with the package's folder. The",
+        "functions behind the [equations](theory.md) have a page for each module of",
+        "`drake_nonstop.mechanics`.",
     ]
     kind = ""
     for page, names in names_by_page().items():
@@ -91,19 +99,19 @@ def index_page() -> str:
 
 def _place(name: str) -> str:
     """Where on its page a name is."""
-    value = getattr(drake_nonstop, name)
+    value = _named(name)
     return f"{value.__module__}.{name}" if _is_documented(name) else name
 
 
 def _is_documented(name: str) -> bool:
     """Whether mkdocstrings describes it: a class or a function by its own name."""
-    value = getattr(drake_nonstop, name)
+    value = _named(name)
     own = getattr(value, "__name__", name) == name
     return own and (inspect.isclass(value) or inspect.isfunction(value))
 
 
 def _entry(name: str) -> str:
-    value = getattr(drake_nonstop, name)
+    value = _named(name)
     if _is_documented(name):
         return f"::: {value.__module__}.{name}"
     other = getattr(value, "__name__", name)

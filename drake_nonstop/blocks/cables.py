@@ -6,7 +6,11 @@ from typing import Any
 from numpy.typing import NDArray
 from pydrake.systems.framework import Context
 
-from drake_nonstop.blocks.lumped_cables import LumpedCables, LumpedCablesConfig, require_stretch
+from drake_nonstop.blocks.lumped_cables import (
+    LumpedCables,
+    LumpedCablesConfig,  # noqa: F401
+    require_stretch,
+)
 from drake_nonstop.mechanics.cable import cable_forces_and_tensions, cables_elastic_energy
 from drake_nonstop.model.block import Block
 from drake_nonstop.model.system import Model
@@ -71,5 +75,3 @@ class Cables(Block):
 
 
 VARIANTS = (Cables, LumpedCables)
-
-__all__ = ["Cables", "CablesConfig", "LumpedCables", "LumpedCablesConfig"]

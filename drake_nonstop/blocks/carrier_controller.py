@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from drake_nonstop.blocks.fixed_wing_controller import (
     FixedWingController,
-    FixedWingControllerConfig,
+    FixedWingControllerConfig,  # noqa: F401
 )
 from drake_nonstop.mechanics.carrier import pid_forces
 from drake_nonstop.mechanics.tuning import pid_gains
@@ -153,7 +153,3 @@ class TunedFeedforwardCarrierPid(FeedforwardCarrierPid):
 
 
 VARIANTS = (FeedforwardCarrierPid, CarrierPid, TunedFeedforwardCarrierPid, FixedWingController)
-
-__all__ = ["FeedforwardCarrierPid", "FeedforwardCarrierPidConfig", "CarrierPid", "CarrierPidConfig"]
-__all__ += ["TunedFeedforwardCarrierPid", "TunedFeedforwardCarrierPidConfig"]
-__all__ += ["FixedWingController", "FixedWingControllerConfig"]

@@ -258,6 +258,3 @@ class FixedWingDynamics(_Carriers):
 
 
 VARIANTS = (CarrierDynamics, LimitedCarriers, FixedWingDynamics)
-
-__all__ = ["CarrierDynamics", "CarrierDynamicsConfig", "LimitedCarriers", "LimitedCarriersConfig"]
-__all__ += ["FixedWingDynamics", "FixedWingDynamicsConfig"]

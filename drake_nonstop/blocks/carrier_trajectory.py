@@ -507,8 +507,3 @@ VARIANTS = (
     MeasuredCarrierTrajectory,
     BowedCarrierTrajectory,
 )
-
-__all__ = ["CarrierTrajectory", "CarrierTrajectoryConfig"]
-__all__ += ["InextensibleCarrierTrajectory", "InextensibleCarrierTrajectoryConfig"]
-__all__ += ["BowedCarrierTrajectory", "BowedCarrierTrajectoryConfig"]
-__all__ += ["MeasuredCarrierTrajectory", "MeasuredCarrierTrajectoryConfig"]

@@ -46,5 +46,3 @@ class CableForceDistribution(Block):
 
 
 VARIANTS = (CableForceDistribution,)
-
-__all__ = ["CableForceDistribution", "CableForceDistributionConfig"]

@@ -60,6 +60,3 @@ class PlannedInternalForce(Block):
 
 
 VARIANTS = (PlannedInternalForce, InternalForceTrajectory)
-
-__all__ = ["PlannedInternalForce", "PlannedInternalForceConfig"]
-__all__ += ["InternalForceTrajectory", "InternalForceTrajectoryConfig"]

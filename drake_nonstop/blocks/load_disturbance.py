@@ -106,5 +106,3 @@ class DisturbanceForce(Block):
 
 
 VARIANTS = (NoDisturbance, DisturbanceForce)
-
-__all__ = ["NoDisturbance", "NoDisturbanceConfig", "DisturbanceForce", "DisturbanceForceConfig"]

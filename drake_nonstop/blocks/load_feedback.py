@@ -386,8 +386,3 @@ VARIANTS = (
     NoisyFeedback,
     EstimatedFeedback,
 )
-
-__all__ = ["IdealFeedback", "IdealFeedbackConfig"]
-__all__ += ["DesiredStateFeedback", "DesiredStateFeedbackConfig"]
-__all__ += ["DesiredAttitudeFeedback", "DesiredAttitudeFeedbackConfig"]
-__all__ += ["NoisyFeedback", "NoisyFeedbackConfig", "EstimatedFeedback", "EstimatedFeedbackConfig"]

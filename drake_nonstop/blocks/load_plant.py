@@ -160,5 +160,3 @@ class _LoadForces(InnerBlock):
 
 
 VARIANTS = (LoadPlant, MultibodyLoadPlant)
-
-__all__ = ["LoadPlant", "LoadPlantConfig", "MultibodyLoadPlant", "MultibodyLoadPlantConfig"]

@@ -374,8 +374,3 @@ def _sample_array(rows: Any, field: str, value: Any) -> NDArray:
 
 
 VARIANTS = (RestToRest, ConstantVelocityMove, Waypoints, SampledTrajectory, SteadyTurn, PlannedTurn)
-
-__all__ = ["RestToRest", "RestToRestConfig", "ConstantVelocityMove", "ConstantVelocityMoveConfig"]
-__all__ += ["Waypoints", "WaypointsConfig", "SteadyTurn", "SteadyTurnConfig"]
-__all__ += ["SampledTrajectory", "SampledTrajectoryConfig"]
-__all__ += ["PlannedTurn", "PlannedTurnConfig"]

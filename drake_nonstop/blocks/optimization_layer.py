@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.blocks.nlp_layer import NlpLayer, NlpLayerConfig
-from drake_nonstop.blocks.paper_layer import PaperLayer, PaperLayerConfig
+from drake_nonstop.blocks.nlp_layer import NlpLayer, NlpLayerConfig  # noqa: F401
+from drake_nonstop.blocks.paper_layer import PaperLayer, PaperLayerConfig  # noqa: F401
 from drake_nonstop.blocks.receding_horizon import (
     RecedingHorizonOptimizer,
-    RecedingHorizonOptimizerConfig,
+    RecedingHorizonOptimizerConfig,  # noqa: F401
 )
 from drake_nonstop.blocks.speed_bound_layer import (
     BOX,
@@ -17,7 +17,10 @@ from drake_nonstop.blocks.speed_bound_layer import (
     CommandedBound,
     shown_bound,
 )
-from drake_nonstop.blocks.turn_rate_optimizer import TurnRateOptimizer, TurnRateOptimizerConfig
+from drake_nonstop.blocks.turn_rate_optimizer import (
+    TurnRateOptimizer,
+    TurnRateOptimizerConfig,  # noqa: F401
+)
 from drake_nonstop.model.system import Model
 from drake_nonstop.planning.problem_config import SpeedBound, with_stated_bound
 from drake_nonstop.validation import (
@@ -95,16 +98,3 @@ VARIANTS = (
     NlpLayer,
     ConstantParameters,
 )
-
-__all__ = [
-    "RecedingHorizonOptimizer",
-    "RecedingHorizonOptimizerConfig",
-    "PaperLayer",
-    "PaperLayerConfig",
-    "TurnRateOptimizer",
-    "TurnRateOptimizerConfig",
-    "NlpLayer",
-    "NlpLayerConfig",
-    "ConstantParameters",
-    "ConstantParametersConfig",
-]

@@ -187,6 +187,3 @@ class ShapedPhase(Block):
 
 
 VARIANTS = (ShapedPhase, AccumulatedPhase, PaperPhase)
-
-__all__ = ["ShapedPhase", "ShapedPhaseConfig", "AccumulatedPhase", "AccumulatedPhaseConfig"]
-__all__ += ["PaperPhase", "PaperPhaseConfig"]

@@ -248,6 +248,3 @@ def _air(config: GustyWindConfig, body: str, axes: NDArray) -> tuple[NDArray, ND
 
 
 VARIANTS = (StillAir, SteadyWind, GustyWind)
-
-__all__ = ["StillAir", "StillAirConfig", "SteadyWind", "SteadyWindConfig"]
-__all__ += ["GustyWind", "GustyWindConfig"]

@@ -222,7 +222,3 @@ class LoadAnemometer(_WindInstruments):
 
 
 VARIANTS = (KnownWind, NoWind, WindObserver, LoadAnemometer)
-
-__all__ = ["KnownWind", "KnownWindConfig", "NoWind", "NoWindConfig"]
-__all__ += ["WindObserver", "WindObserverConfig"]
-__all__ += ["LoadAnemometer", "LoadAnemometerConfig"]

@@ -273,7 +273,3 @@ class WrenchRate(Block):
 
 
 VARIANTS = (WrenchController, PaperWrenchController, TunedWrenchController)
-
-__all__ = ["WrenchController", "WrenchControllerConfig"]
-__all__ += ["PaperWrenchController", "PaperWrenchControllerConfig"]
-__all__ += ["TunedWrenchController", "TunedWrenchControllerConfig"]

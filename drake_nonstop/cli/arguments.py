@@ -8,24 +8,10 @@ from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.studies.files import replacing_file
 from drake_nonstop.studies.results_folder import default_folder
-from drake_nonstop.validation import ScenarioError, require
+from drake_nonstop.validation import require
 from drake_nonstop.view.figure_style import WIDTHS
 
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
-
-
-def add_moved(commands: Commands, *names: str) -> None:
-    """Adds subcommands that are refused, whatever their arguments: `tests/benchmarks` has them."""
-    for name in names:
-        parser = commands.add_parser(name, prefix_chars="\0", add_help=False)
-        parser.add_argument("rest", nargs="*")
-        parser.set_defaults(action=_refuse_moved, moved=parser.prog.partition(" ")[2])
-
-
-def _refuse_moved(options: argparse.Namespace) -> int:
-    name = options.moved.rpartition(" ")[2]
-    remedy = f"give `python -m tests.benchmarks {name}`, in the folder of a checkout"
-    raise ScenarioError(f"command = {options.moved}: {remedy}")
 
 
 def add_repeats(parser: argparse.ArgumentParser, default: int) -> None:

@@ -9,7 +9,6 @@ from typing import Any
 from drake_nonstop.cli.arguments import (
     Commands,
     add_changes,
-    add_moved,
     add_repeats,
     add_scenario,
     read_scenario,
@@ -44,7 +43,6 @@ def add_to(commands: Commands) -> None:
     engines.set_defaults(action=_bench_engines)
     add_scenario(engines, "out/bench", default="quintic")
     add_repeats(engines, 5)
-    add_moved(benches, "optimizer", "viewer", "accuracy", "scale")
 
 
 def _bench_run(options: argparse.Namespace) -> int:

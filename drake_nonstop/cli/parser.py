@@ -3,7 +3,6 @@
 import argparse
 
 from drake_nonstop.cli import bench, check, design, run, scenarios, signals, studies, video, view
-from drake_nonstop.cli.arguments import add_moved
 from drake_nonstop.version import __version__
 
 # Each has `add_to`, which adds its parsers; the help lists them in this order.
@@ -21,5 +20,4 @@ def make_parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(required=True, metavar="COMMAND", dest="command")
     for command in _COMMANDS:
         command.add_to(commands)
-    add_moved(commands, "pictures", "report")
     return parser

@@ -9,7 +9,7 @@ from typing import Any
 
 from drake_nonstop.diagrams.nonstop import BOXES
 from drake_nonstop.loop.box import kept_parameters
-from drake_nonstop.scenario.schema import CHOICES, Scenario, require_current
+from drake_nonstop.scenario.schema import CHOICES, Scenario
 from drake_nonstop.scenario.tree import (
     BASE,
     Tree,
@@ -114,9 +114,7 @@ def _apply(tree: Tree, override: str, trusted: Trusted) -> None:
     *parents, last = path.split(".")
     require(path != BASE, "--set", override, "run that scenario itself, or name it in a file")
     require("_tag" not in path.split("."), "--set", path, "choose a block by its name, phase=X")
-    if parents:
-        require_current(parents[0], "--set", override)
-    elif path not in tree:
+    if not parents and path not in tree:
         homes = [
             f"{part}.{path}" for part, of in tree.items() if isinstance(of, dict) and path in of
         ]

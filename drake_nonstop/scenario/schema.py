@@ -52,51 +52,6 @@ PATTERN = "pattern"  # the field that is chosen like a box's block, and belongs 
 # What steps a loop from instant to instant: Drake's Simulator, or one traced function.
 AUTO, DIAGRAM, COMPILED = ENGINES = "auto", "diagram", "compiled"
 
-# What earlier versions had as fields of a scenario, and what has taken their place.
-_FORMER_FIELDS = {
-    "duration": "duration is called simulation_duration now",
-    "simulator": "simulator is called simulator_config now",
-    "fused_plant": "give engine: compiled instead, which has the whole loop in one traced function",
-    "safe_carrier_distance": "give limits.carrier_distance instead, a share of the reach: of the "
-    "farthest attachment's distance from the load's centre plus a cable's length",
-    "safe_cable_distance": "give limits.cable_distance instead, a share of the distance between "
-    "the two cables' attachments",
-}
-
-FORMER_BLOCKS = {
-    ("load_disturbance", "Wind"): "Wind, a force on the load, is called DisturbanceForce now",
-    ("carrier_controller", "LoadedCarrierPid"): "give a PID with an integral_gain, which learns "
-    "weight and pull",
-    ("carrier_controller", "TunedCarrierPid"): "give !TunedFeedforwardCarrierPid, or !CarrierPid "
-    "with the gains m_c ω² and 2 ζ ω m_c",
-    ("carrier_dynamics", "LoadedCarrierDynamics"): "give !LimitedCarriers {has_weight: true, "
-    "feels_cable: true}",
-    ("carrier_dynamics", "IdealCarriers"): "give !CarrierDynamics {}, or a block of your own whose "
-    "carrier_state is its carrier_reference",
-    ("carrier_dynamics", "JsbsimCarriers"): "it is a block of an example now, see "
-    "examples/six_degrees_of_freedom",
-    ("cables", "IndividualCables"): "give !Cables {}, and lists in simulated.cable_length, "
-    "simulated.cable_stiffness and simulated.cable_damping",
-    ("optimization_layer", "NonstopOptimizer"): "give PaperLayer instead, the paper's problem at "
-    "the present phase, or NlpLayer, the same along the orbit ahead",
-    ("wind", "Dryden"): "give !GustyWind, with a gust of 0.1 W_20 / (0.177 + 0.0027 altitude)^0.4",
-    ("wind", "WindProfile"): "give !SteadyWind, with the velocity at that height",
-    ("wrench_controller", "GeometricPd"): "give !WrenchController {position_integral_gain: 0, "
-    "orientation_integral_gain: 0, feedforward: 0}, which is the same",
-    ("wind_estimator", "AssumedWind"): "give !NoWind {}, or a block of your own",
-    ("load_trajectory", "Circle"): "give SampledTrajectory, or a LoadTrajectory of your own",
-}
-
-
-def require_current(name: Any, field: str, value: Any) -> None:
-    """Raises ScenarioError for the name of a field that only earlier versions had.
-
-    `field` is what the error message calls it, and `value` what it was to be.
-    """
-    if name in _FORMER_FIELDS:
-        require(False, field, value, _FORMER_FIELDS[name])
-
-
 copyreg.pickle(SimulatorConfig, distributions.reduced)
 
 
@@ -166,23 +121,6 @@ class Scenario(_Boxes):
     """
 
     scene: SceneConfig = field(default_factory=SceneConfig)
-
-    def __new__(cls, *_: Any, **fields: Any) -> "Scenario":
-        """Raises ScenarioError for a field of an earlier version, which __init__ would not name."""
-        for name, value in fields.items():
-            require_current(name, f"Scenario.{name}", value)
-        return super().__new__(cls)
-
-    if not typing.TYPE_CHECKING:  # with these type checkers would take any name for a field
-
-        def __setattr__(self, name: str, value: Any) -> None:
-            require_current(name, f"Scenario.{name}", value)
-            super().__setattr__(name, value)
-
-        def __getattr__(self, name: str) -> Any:
-            """Raises AttributeError for what is no attribute."""
-            remedy = _FORMER_FIELDS.get(name, f"there is no {name}")
-            raise AttributeError(f"Scenario.{name}: {remedy}", name=name, obj=self)
 
     def __eq__(self, other: object) -> bool:
         if type(other) is not type(self):

@@ -20,11 +20,9 @@ from drake_nonstop.scenario import distributions
 from drake_nonstop.scenario.own_blocks import import_config
 from drake_nonstop.scenario.schema import (
     CHOICES,
-    FORMER_BLOCKS,
     Scenario,
     check,
     check_name,
-    require_current,
 )
 from drake_nonstop.scenario.yaml_text import dump_plain
 from drake_nonstop.validation import (
@@ -76,8 +74,6 @@ def from_tree(
         ScenarioError: a key or value cannot be used, or a block is not trusted.
     """
     check_name(name)
-    for key, value in tree.items():
-        require_current(key, f"{name}.{key}", value)
     require("name" not in tree, f"{name}.name", tree.get("name"), "leave it to the file's one key")
     scenario, schema = Scenario() if defaults is None else copy.deepcopy(defaults), Scenario()
     fields = {**tree}
@@ -225,8 +221,6 @@ def config_class_of(name: str, tag: str, trusted: Trusted) -> type:
             "trust that code, give --trust (in Python: trust=True)",
         )
         return import_config(name, block)
-    if former := FORMER_BLOCKS.get((name, block)):
-        require(False, name, tag, former)
     matching = [option for option in options if block_name(option) == block]
     require(matching, name, tag, f"give one of !{', !'.join(map(block_name, options))}")
     return matching[0]

@@ -2,6 +2,7 @@
 
 import contextlib
 import functools
+import html
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor
@@ -63,6 +64,9 @@ class Sweep:
     endings: dict[str, int]
     errors: dict[tuple[str, str], int] = field(default_factory=dict)
     outcomes: dict[str, int] = field(default_factory=dict)  # of those that have metrics
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{html.escape(self.summary())}\ntable: {html.escape(str(self.table))}</pre>"
 
     def summary(self) -> str:
         """Why runs did not complete, and how many had each ending and outcome, in lines."""

@@ -1,9 +1,8 @@
-"""How notebooks show scenarios, runs, sweeps and loops; `drake_nonstop.public` assigns it."""
+"""How notebooks show scenarios, runs and loops; `drake_nonstop` imports it in them."""
 
 import base64
 import html
 import io
-from typing import Any
 
 from pydrake.systems.framework import Diagram
 
@@ -12,6 +11,7 @@ from drake_nonstop.run.run import Run
 from drake_nonstop.run.run_quantities import automatic_gains
 from drake_nonstop.scenario.loading import dump_scenario
 from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.systems.energy import LoopDiagram
 from drake_nonstop.view.drawing import draw_diagram
 from drake_nonstop.view.run_figures import make_figure
 
@@ -48,10 +48,13 @@ def diagram_html(diagram: Diagram) -> str:
     return drawing[drawing.index("<svg") :]
 
 
-def sweep_html(done: Any) -> str:
-    """A sweep's endings, outcomes and errors, and where its table is."""
-    return _preformatted(f"{done.summary()}\ntable: {done.table}")
-
-
 def _preformatted(text: str) -> str:
     return f'<pre style="font-size: 85%; line-height: 1.3">{html.escape(text)}</pre>'
+
+
+for _shown, _html in (
+    (Scenario, scenario_html),
+    (Run, run_html),
+    (LoopDiagram, diagram_html),
+):
+    setattr(_shown, "_repr_html_", _html)  # noqa: B010 - for type checkers it is no attribute

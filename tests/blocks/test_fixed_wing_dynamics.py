@@ -9,8 +9,6 @@ from helpers import ends_run, fix, model, output
 from pydrake.systems.analysis import Simulator
 
 from drake_nonstop import (
-    FixedWingControllerConfig,
-    LimitedCarriersConfig,
     ScenarioError,
     ScenarioWarning,
     compute_metrics,
@@ -23,11 +21,12 @@ from drake_nonstop import (
     simulate,
 )
 from drake_nonstop.analysis.limit import RunOutcome
-from drake_nonstop.blocks.carrier_controller import CarrierPidConfig
+from drake_nonstop.blocks.carrier_controller import CarrierPidConfig, FixedWingControllerConfig
 from drake_nonstop.blocks.carrier_dynamics import (
     CarrierDynamicsConfig,
     FixedWingDynamics,
     FixedWingDynamicsConfig,
+    LimitedCarriersConfig,
 )
 from drake_nonstop.mechanics.aircraft import FlightStates, air_force
 from drake_nonstop.mechanics.signals import AircraftState

@@ -156,40 +156,6 @@ def test_dangerous_metrics_are_warned_of(tmp_path, capsys):
     assert any(line.endswith(" m/s (limits.speed: 0.1 m/s)") for line in warnings)
 
 
-def test_what_limits_have_replaced_is_said(capsys):
-    for name, field in (
-        ("safe_carrier_distance", "limits.carrier_distance"),
-        ("safe_cable_distance", "limits.cable_distance"),
-    ):
-        assert main(["run", "quintic", "--set", f"{name}=5"]) == BAD_INPUT
-        error = capsys.readouterr().err
-        assert error.startswith(f"drake-nonstop: quintic.{name} = 5: give {field} instead, ")
-        assert load_scenario("quintic", [f"{field}=0.3"])
-
-
-def test_the_former_name_of_a_block_is_refused_with_its_name_of_today(capsys):
-    for setting in ("load_disturbance=Wind", "load_disturbance=!Wind {force: [1, 0, 0]}"):
-        assert main(["run", "quintic", "--set", setting]) == BAD_INPUT
-        error = capsys.readouterr().err
-        now = "Wind, a force on the load, is called DisturbanceForce now"
-        assert error == f"drake-nonstop: load_disturbance = !Wind: {now}\n"
-        assert load_scenario("quintic", [setting.replace("Wind", "DisturbanceForce")])
-    with pytest.raises(ImportError, match="WindConfig is called DisturbanceForceConfig now"):
-        from drake_nonstop import WindConfig  # noqa: F401
-
-
-def test_the_former_name_of_a_field_is_refused_with_its_name_of_today(capsys):
-    for setting, field, now in (
-        ("duration=5", "quintic.duration = 5: duration", "simulation_duration"),
-        ("simulator.accuracy=0.1", "--set = simulator.accuracy=0.1: simulator", "simulator_config"),
-        ("simulator={}", "quintic.simulator = {}: simulator", "simulator_config"),
-    ):
-        assert main(["run", "quintic", "--set", setting]) == BAD_INPUT
-        assert capsys.readouterr().err == f"drake-nonstop: {field} is called {now} now\n"
-        former = setting.partition("=")[0].partition(".")[0]
-        assert load_scenario("quintic", [setting.replace(former, now, 1)])
-
-
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -382,25 +348,6 @@ def test_an_interrupt_that_no_signal_asked_for_is_an_error_of_the_code(
     error = capsys.readouterr().err
     end = f": {said}" if said else ""
     assert error == f"drake-nonstop: stopped by a KeyboardInterrupt in its code{end}\n"
-
-
-@pytest.mark.parametrize(
-    "call",
-    [
-        "report --quick",
-        "pictures --out o",
-        "bench scale quintic --set a=1",
-        "bench viewer",
-        "bench optimizer --help",
-        "bench accuracy",
-    ],
-)
-def test_commands_that_are_in_the_checkout_are_refused_with_their_new_name(call, capsys):
-    assert main(call.split()) == BAD_INPUT
-    command = call.partition(" -")[0].removesuffix(" quintic")
-    new = f"python -m tests.benchmarks {command.removeprefix('bench ')}"
-    said = f"drake-nonstop: command = {command}: give `{new}`, in the folder of a checkout\n"
-    assert capsys.readouterr() == ("", said)
 
 
 @pytest.mark.parametrize(

@@ -13,9 +13,7 @@ from drake_nonstop import (
     CompiledLoop,
     ConstantParametersConfig,
     LogSignals,
-    PaperPhase,
     Run,
-    SampleAndHold,
     ScenarioError,
     connect_by_name,
     get_parameter,
@@ -27,6 +25,8 @@ from drake_nonstop import (
     set_equilibrium,
     set_parameter,
 )
+from drake_nonstop.blocks.phase import PaperPhase
+from drake_nonstop.blocks.sample_and_hold import SampleAndHold
 from drake_nonstop.diagrams.nonstop import BOXES
 from drake_nonstop.systems.wiring import connections, input_names, output_names
 

@@ -17,7 +17,6 @@ from pydrake.systems.framework import EventStatus, LeafSystem
 from drake_nonstop import (
     Block,
     ConstantParameters,
-    DisturbanceForce,
     DisturbanceForceConfig,
     ScenarioError,
     load_scenario,
@@ -27,6 +26,7 @@ from drake_nonstop import (
     set_parameter,
     simulate,
 )
+from drake_nonstop.blocks.load_disturbance import DisturbanceForce
 from drake_nonstop.loop.step import with_largest_step
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.systems.compiled_loop import CompiledLoop, reason_against

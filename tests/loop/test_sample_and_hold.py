@@ -9,7 +9,6 @@ from pydrake.systems.primitives import ConstantVectorSource, Gain
 
 from drake_nonstop import (
     Model,
-    SampleAndHold,
     add_sample_and_hold,
     connect_remaining,
     load_scenario,
@@ -17,6 +16,7 @@ from drake_nonstop import (
     make_nonstop,
     set_default_equilibrium,
 )
+from drake_nonstop.blocks.sample_and_hold import SampleAndHold
 from drake_nonstop.systems.wiring import connections, input_names, output_names, wires
 from drake_nonstop.validation import ScenarioError
 

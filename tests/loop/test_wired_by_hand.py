@@ -9,9 +9,7 @@ from pydrake.geometry import SceneGraph
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 
 from drake_nonstop import (
-    FixedWingDynamics,
     NoDisturbance,
-    NonstopGeometry,
     connect_by_name,
     connect_remaining,
     get_parameter,
@@ -22,10 +20,12 @@ from drake_nonstop import (
     set_equilibrium,
     set_parameter,
 )
+from drake_nonstop.blocks.carrier_dynamics import FixedWingDynamics
 from drake_nonstop.systems.diagnosis import raising_block
 from drake_nonstop.systems.tracing import NotFiniteError
 from drake_nonstop.systems.wiring import input_names, output_names, wires
 from drake_nonstop.validation import ScenarioError
+from drake_nonstop.view.geometry import NonstopGeometry
 
 CONSTANT = "optimization_layer=ConstantParameters"
 STATES = ("load_state", "carrier_state", "aircraft_state")

@@ -7,17 +7,9 @@ import pytest
 from helpers import fix, model, output
 from pydrake.autodiffutils import AutoDiffXd
 
-from drake_nonstop import (
-    BetweenSamples,
-    Block,
-    Layout,
-    Part,
-    load_scenario,
-    make_nonstop,
-    set_parameter,
-    simulate,
-)
+from drake_nonstop import Block, Layout, Part, load_scenario, make_nonstop, set_parameter, simulate
 from drake_nonstop.systems.block import number
+from drake_nonstop.systems.equations import BetweenSamples
 from drake_nonstop.validation import ScenarioError
 
 POSITION = slice(4, 7)

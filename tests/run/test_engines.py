@@ -12,7 +12,6 @@ from helpers import nightly_beyond
 
 from drake_nonstop import (
     Block,
-    DisturbanceForce,
     LoadPlant,
     RunInterrupted,
     RunStopped,
@@ -23,6 +22,7 @@ from drake_nonstop import (
     load_scenario,
     simulate,
 )
+from drake_nonstop.blocks.load_disturbance import DisturbanceForce
 from drake_nonstop.mechanics.signal_layouts import Layout, Part
 from drake_nonstop.run import recording
 from drake_nonstop.studies.run_all import attempts

@@ -9,7 +9,6 @@ import pytest
 
 from drake_nonstop import (
     Run,
-    RunsInterrupted,
     RunStopped,
     ScenarioError,
     ScenarioWarning,
@@ -18,6 +17,7 @@ from drake_nonstop import (
     simulate_many,
 )
 from drake_nonstop.run import many
+from drake_nonstop.run.run import RunsInterrupted
 from drake_nonstop.systems import equation_loop
 from drake_nonstop.systems.loop_equations import LoopEquations
 

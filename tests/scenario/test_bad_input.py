@@ -400,7 +400,6 @@ def test_scalars_are_those_of_yaml_1_2(text, value):
         ("system.load_mass=1e400", "below 1e308"),
         ("optimization_layer.wind=yes", "give true or false"),
         ("engine=fast", "give auto, diagram or compiled"),
-        ("fused_plant=true", "give engine: compiled instead"),
         ("description=5", "give a text, in quotes"),
         ("phase='!PaperPhase {}'", "give it without quotes, or the name alone: PaperPhase"),
         ("system=!Foo {}", "take the tag away"),

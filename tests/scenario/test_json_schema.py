@@ -17,7 +17,7 @@ FOLDER = Path(drake_nonstop.diagrams.__file__).parent / "scenarios"
 
 OWN_BLOCK = """
 from dataclasses import dataclass
-from drake_nonstop import AccumulatedPhase
+from drake_nonstop.blocks.phase import AccumulatedPhase
 
 @dataclass(kw_only=True)
 class SlowerConfig:

@@ -7,7 +7,6 @@ import pytest
 from helpers import GAINS
 
 from drake_nonstop import (
-    PaperLayerConfig,
     ScenarioError,
     dump_scenario,
     load_scenario,
@@ -15,6 +14,7 @@ from drake_nonstop import (
     parse_scenario,
     scenario_names,
 )
+from drake_nonstop.blocks.optimization_layer import PaperLayerConfig
 
 
 def test_the_shipped_scenarios():
@@ -156,7 +156,6 @@ def test_a_file_with_defaults_only_needs_no_more_than_its_name(tmp_path):
         ("optimization_layer.knot_spacing=0.004", ["knot_spacing = 0.004", "control period"]),
         ("optimization_layer.instants=1.5", ["instants = 1.5", "whole number"]),
         ("optimization_layer.period=0.02", ["period = 0.02", "one of PaperLayer"]),
-        ("optimization_layer=NonstopOptimizer", ["give PaperLayer instead", "or NlpLayer"]),
         ("phase=!Phase {}", ["phase = !Phase", "!AccumulatedPhase, !PaperPhase"]),
         ("control_period=-1", ["control_period = -1", "0 for continuous"]),
         ("simulation_duration=1:30", ["simulation_duration = 1:30", "plain digits"]),

@@ -26,7 +26,7 @@ MODULE = """
     import numpy as np
     from pydrake.systems.framework import LeafSystem
 
-    from drake_nonstop import HamiltonianCycleConfig
+    from drake_nonstop.model.pattern import HamiltonianCycleConfig
 
 
     @dataclass(kw_only=True)

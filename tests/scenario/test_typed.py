@@ -132,7 +132,7 @@ def test_a_copy_shares_no_part_with_the_scenario_it_was_made_of():
 OWN = """
 from dataclasses import dataclass, field
 import numpy as np
-from drake_nonstop import CarrierPid, CarrierPidConfig
+from drake_nonstop.blocks.carrier_controller import CarrierPid, CarrierPidConfig
 
 @dataclass(kw_only=True)
 class MineConfig(CarrierPidConfig):
@@ -183,27 +183,3 @@ def test_what_typed_yaml_gives_is_checked_where_it_is_used():
         make_nonstop(scenario)
     with pytest.raises(RuntimeError, match="duration"):
         yaml_load_typed(schema=Scenario, data="duration: 5.0")
-
-
-@pytest.mark.parametrize(
-    ("former", "now"), [("duration", "simulation_duration"), ("simulator", "simulator_config")]
-)
-def test_a_former_name_is_refused_with_that_of_today(former, now):
-    scenario = load_scenario("quintic")
-    value = getattr(scenario, now)
-    remedy = f"{former} is called {now} now"
-    for action in (
-        lambda: setattr(scenario, former, value),
-        lambda: Scenario(**{former: value}),
-        lambda: dataclasses.replace(scenario, **{former: value}),
-        lambda: parse_scenario(f"a: {{{former}: 5}}"),
-        lambda: parse_scenario(f"a: {{based_on: quintic, {former}: 5}}"),
-        lambda: load_scenario("quintic", [f"{former}=5"]),
-        lambda: load_scenario("quintic", [f"{former}.accuracy=5"]),
-    ):
-        with pytest.raises(ScenarioError, match=f" = .*: {remedy}$"):
-            action()
-    with pytest.raises(AttributeError, match=remedy):
-        getattr(scenario, former)
-    assert not hasattr(scenario, former)
-    assert dataclasses.replace(scenario, **{now: value}) == scenario

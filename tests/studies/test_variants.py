@@ -8,11 +8,7 @@ from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from tables import read_rows
 
 from drake_nonstop import (
-    AccumulatedPhase,
-    CarouselConfig,
     DisturbanceForceConfig,
-    PaperPhase,
-    PaperPhaseConfig,
     ScenarioError,
     SweepSpec,
     ablate,
@@ -22,6 +18,8 @@ from drake_nonstop import (
     simulate,
     sweep,
 )
+from drake_nonstop.blocks.phase import AccumulatedPhase, PaperPhase, PaperPhaseConfig
+from drake_nonstop.model.pattern import CarouselConfig
 from drake_nonstop.run.metrics import compute_metrics
 from drake_nonstop.studies.run_all import SerialExecutor
 from drake_nonstop.studies.variants import identity, label, varied

@@ -15,6 +15,7 @@ from drake_nonstop import (
     sweep,
 )
 from drake_nonstop.studies.run_all import SerialExecutor
+from drake_nonstop.view import rich_display  # noqa: F401 - as in a notebook
 
 BRIEF = ["simulation_duration=0.2"]
 
