@@ -70,7 +70,8 @@ _MOST_ITERATIONS = 100  # of any other
 _FAR_FROM_FEASIBLE = 0.01  # slack of plans that may be on a branch from which no step leads
 _REPEATS = 4  # of the iterations of a plan that needs slack
 # Factors of the ξ of its start, from which it begins again: where a carrier would all but stop, no
-# small change helps. 0 stands for constant ξ and A that are searched for.
+# small change helps, and a plan that goes on from none has several branches. 0 stands for constant
+# ξ and A that are searched for.
 _STARTS: tuple[float, ...] = (0.0, 1.1, 0.9)
 _NO_PLAN = 0.0  # in place of a scale
 _LAST = "last_plan"  # a part of the state, a flat `_PlanState`
@@ -511,7 +512,7 @@ class _Planner(threading.local):
         for factor in starts:
             if not factor and (is_new or answer.slack > _FAR_FROM_FEASIBLE):
                 other = solver.first_guess(data, start[:, : solver.fixed])
-            elif factor and not answer.is_feasible:
+            elif factor and (solver.fixed == 0 or not answer.is_feasible):
                 other = start.copy()
                 other[0, solver.fixed :] *= factor
             else:
