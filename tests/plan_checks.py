@@ -31,14 +31,14 @@ from drake_nonstop.model.pattern import (
 from drake_nonstop.model.system import Model, SystemParameters
 from drake_nonstop.planning.diagnostics import BOUND
 from drake_nonstop.planning.horizon_config import HorizonConfig
-from drake_nonstop.planning.horizon_problem import HorizonProblem
+from drake_nonstop.planning.horizon_problem import TERMINAL_PHASES, HorizonProblem
 from drake_nonstop.planning.problem_config import LimitsConfig
 
 TIGHTENING = 0.02
 WINDOW = TimeWindow.of(0.75, 9)
 WIND = np.array([1.6, -0.7, 0.2])  # m/s
 AT_REST = np.concatenate([[1.0], np.zeros(21)])
-SMALL = HorizonConfig(horizon=4.0, knot_spacing=0.4, instants=10, terminal_phases=36)
+SMALL = HorizonConfig(intervals=10, knot_spacing=0.4, instants=10)
 PATTERNS = {
     "cycle-3": (regular(3), HamiltonianCycleConfig()),
     "cycle-4": (irregular(4), HamiltonianCycleConfig()),
@@ -263,7 +263,7 @@ def expected_orbit_margins(
         return lambda now: (angle + frequency * (now - time), A)
 
     motion = motion_at(problem, reference, kept(xi), time)
-    half = np.pi / problem.config.terminal_phases / xi
+    half = np.pi / TERMINAL_PHASES / xi
     margins = expected_margins(problem, motion, bounds, half)
     wind = WIND if model.aircraft is not None else STILL_AIR
     slow, fast = (

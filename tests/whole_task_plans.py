@@ -22,7 +22,7 @@ def plan_task(model, limits, reference, duration, *, config=None):
     intervals = round(duration / config.knot_spacing)
     short = HorizonProblem(model, limits, config)
     flown, _ = receding_coefficients(short, reference, intervals, limits.speed_bound)
-    whole = replace(config, horizon=intervals * config.knot_spacing)
+    whole = replace(config, intervals=intervals)
     problem = HorizonProblem(model, limits, whole)
     data = problem.data(0.0, 0.0, reference, limits.speed_bound)
     solver = HorizonSolver(problem)

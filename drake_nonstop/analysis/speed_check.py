@@ -19,7 +19,7 @@ from drake_nonstop.mechanics.planned_orbit import OrbitMotion, squared_gaps
 from drake_nonstop.mechanics.signals import constant_plan
 from drake_nonstop.planning.carriers import motion_above, orbit_terms
 from drake_nonstop.planning.horizon_config import HorizonConfig
-from drake_nonstop.planning.horizon_problem import HorizonData, HorizonProblem
+from drake_nonstop.planning.horizon_problem import TERMINAL_KNOTS, HorizonData, HorizonProblem
 from drake_nonstop.planning.horizon_solver import HorizonSolver, receding_coefficients
 from drake_nonstop.planning.limits import Of, asked
 from drake_nonstop.planning.plan import Plan
@@ -301,8 +301,8 @@ def _planned(task: Task, *, most: int | None) -> list[SpeedCheck]:
     Where one keeps the bound on the speeds alone, few others are tried.
     """
     spacing = task.horizon.knot_spacing
-    intervals = max(task.horizon.terminal_knots, round(task.duration / spacing))
-    whole = replace(task.horizon, horizon=intervals * spacing)
+    intervals = max(TERMINAL_KNOTS, round(task.duration / spacing))
+    whole = replace(task.horizon, intervals=intervals)
     coarse = replace(whole, instants=max(2, whole.instants // _COARSE))
     bound = task.limits.speed_bound
     along: _Along | None = None

@@ -94,7 +94,7 @@ class RecedingHorizonOptimizerConfig(HorizonConfig, LimitsConfig):
 class RecedingHorizonOptimizer(CommandedBound, PeriodicLayer):
     """Plans ξ and A over a horizon such that every carrier stays at or above ε.
 
-    Every `knot_spacing` a plan of smooth ξ and A over the `horizon` is made: splines of fourth
+    Every `knot_spacing` a plan of smooth ξ and A over some `intervals` is made: splines of fourth
     degree that go on from the last plan with three continuous rates, see
     `planning.horizon_problem`. The carriers' speeds along it follow from the load's reference,
     which `reference_preview` tells ahead, and the wrench that moves the load along it in still air.
@@ -185,7 +185,7 @@ class RecedingHorizonOptimizer(CommandedBound, PeriodicLayer):
     def parts(self, model: Model, config: RecedingHorizonOptimizerConfig) -> dict[str, ArrayLike]:
         """The last plan: at first none."""
         times = timed(config, config.frequency, model.control_period)
-        count = round(times.horizon / times.knot_spacing) + DEGREE
+        count = times.intervals + DEGREE
         nominal, ones = np.array([config.frequency, config.amplitude]), np.ones((2, count))
         bound = float(config.speed_bound)
         last = _PlanState(0.0, 0.0, _NO_PLAN, bound, 0.0, nominal, ones).flat()
@@ -325,13 +325,13 @@ class RecedingHorizonOptimizer(CommandedBound, PeriodicLayer):
         port = self.GetInputPort(_PREVIEW)
         if self.config.preview and port.HasValue(context):
             preview = port.Eval(context)
-            end = context.get_time() + self._times.horizon
+            end = context.get_time() + self._times.intervals * self._times.knot_spacing
             require(
                 preview.end_time >= end,
                 f"{_PREVIEW}.end_time",
                 preview.end_time,
-                f"it ends before the horizon, at {end:g} s; let it tell more, or give a shorter "
-                f"{BOX}.horizon",
+                f"it ends before the horizon, at {end:g} s; let it tell more, or give fewer "
+                f"{BOX}.intervals",
             )
             return preview
         assert self._planner is not None

@@ -26,19 +26,6 @@ def hamiltonian_cycle(attachments: NDArray) -> NDArray:
     return (signs[:, None, :] * units.T[None]).reshape(3 * n, n)
 
 
-def carousel(attachments: NDArray) -> NDArray:
-    """Horizontal forces (3n, 2) that rotate together, without a wrench on the load.
-
-    For attachments (n, 3) at the angles β_i about the load's vertical, columns for the phases 0
-    and −π/2 of (cos(θ − β_i), sin(θ − β_i), 0). On a regular polygon they have no wrench; for
-    other attachments they are projected on the null space of the grasp matrix.
-    """
-    x, y = _outward(attachments)
-    zero = 0 * x
-    columns = (np.stack([x, -y, zero], axis=1), np.stack([y, x, zero], axis=1))
-    return without_wrench(attachments, np.stack([column.ravel() for column in columns], axis=1))
-
-
 def elliptic_carousel(
     attachments: NDArray,
     *,

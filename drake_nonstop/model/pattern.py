@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.grasp import grasp_matrix
 from drake_nonstop.mechanics.internal_force import (
-    carousel,
     elliptic_carousel,
     even_phases,
     hamiltonian_cycle,
@@ -114,67 +113,80 @@ class HamiltonianCycleConfig(_Pattern):
         lengths = np.linalg.norm(edges, axis=1)
         remedy = "give neighbouring cables different attachment points"
         require(np.all(lengths > 1e-9 * np.max(lengths)), "system.attachments", shown, remedy)
-        units = edges / lengths[:, None]
         phases = even_phases(n)
         if self.phases:
             phases = require_array("pattern.phases", self.phases, [n], "one phase per cable")
-        for i in range(n):
-            require(
-                np.linalg.norm(np.cross(units[i - 1], units[i])) > _MIN_SINE,
-                "system.attachments",
-                shown,
-                f"the edges of the cycle that meet at attachment {i + 1} are collinear, so "
-                "its carrier would stop; move it or reorder the attachments",
-            )
-            require(
-                abs(np.sin(phases[i] - phases[i - 1])) > _MIN_SINE,
-                "pattern.phases",
-                phases.tolist(),
-                f"neighbouring phases {(i - 1) % n + 1} and {i + 1} coincide modulo pi, so "
-                "a carrier would stop; set them apart",
-            )
         return InternalForcePattern(hamiltonian_cycle(attachments), phases, np.zeros(3 * n))
 
 
-@dataclass(kw_only=True)
-class CarouselConfig(_Pattern):
-    """Forces that rotate together: the carriers keep apart at constant speed, cables cross.
+class _Ellipses(_Pattern):
+    """Forces whose ends move on ellipses about a constant outward pull, m = 2.
 
-    m = 2. On a regular polygon every carrier flies a circle above its attachment, all at the
-    same speed; for other attachments the pattern is projected on the null space.
+    A row of the table above is such a config: what is no field of it is as here.
     """
 
+    spread: float = 0.0  # N
+    phase_turns: int = -2
+    radial: float = 1.0
+    tangential: float = 1.0
+    vertical: float = 0.0
+
     def _forces(self, attachments: NDArray) -> InternalForcePattern:
-        turning, outward = carousel(attachments), np.zeros(attachments.size)
-        return InternalForcePattern(turning, np.array(_CIRCLE), outward)
+        n, turns = len(attachments), self.phase_turns
+        suitable = self.suitable_turns(n)
+        remedy = f"with {n} cables the forces would have a net wrench on the load; give "
+        remedy += " or ".join(map(str, suitable)) + f" (modulo {n})" if suitable else _CIRCULAR
+        require(turns % n in suitable, "pattern.phase_turns", turns, remedy)
+        forces = elliptic_carousel(attachments, phase_turns=turns, **self._sizes)
+        outward = self.spread * spread(attachments)
+        return InternalForcePattern(without_wrench(attachments, forces), np.array(_CIRCLE), outward)
+
+    @property
+    def _sizes(self) -> dict[str, float]:
+        return {name: getattr(self, name) for name in ("radial", "tangential", "vertical")}
+
+    def suitable_turns(self, n: int) -> list[int]:
+        """The numbers of turns, modulo n, whose forces on n attachments have no wrench."""
+        angles = 2 * np.pi * np.arange(n) / n
+        polygon = np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1)
+        limit, found = 1e-9 * max(map(abs, self._sizes.values())), []
+        for turns in range(n):
+            forces = elliptic_carousel(polygon, phase_turns=turns, **self._sizes)
+            if np.all(np.abs(grasp_matrix(polygon) @ forces) <= limit):
+                found.append(turns)
+        return found
 
 
 @dataclass(kw_only=True)
-class SpreadCarouselConfig(_Pattern):
+class CarouselConfig(_Ellipses):
+    """Forces that rotate together: the carriers keep apart at constant speed, cables cross.
+
+    On a regular polygon every carrier flies a circle above its attachment, all at the same speed;
+    for other attachments the pattern is projected on the null space.
+    """
+
+
+@dataclass(kw_only=True)
+class SpreadCarouselConfig(_Ellipses):
     """The carousel with a constant outward pull: neither carriers nor cables meet.
 
-    m = 2. Each carrier circles about an axis of its own that leans outward. Cables do not
-    cross as long as the amplitude A stays below `spread`: bound it there
-    (`optimization_layer.amplitude_bounds`).
+    Each carrier circles about an axis of its own that leans outward. Cables do not cross as long as
+    the amplitude A stays below `spread`: bound it there (`optimization_layer.amplitude_bounds`).
     """
 
     spread: float = positive(2.5)  # N, the constant outward pull C of every cable
 
-    def _forces(self, attachments: NDArray) -> InternalForcePattern:
-        turning, outward = carousel(attachments), self.spread * spread(attachments)
-        return InternalForcePattern(turning, np.array(_CIRCLE), outward)
-
 
 _MAX_TURNS = 100
 _MAX_SIZE = 1e6
+_CIRCULAR = "vertical = 0 and radial = tangential"
 _check_size = number_with(
     lambda size: abs(size) <= _MAX_SIZE, f"give a number of at most {_MAX_SIZE:g}"
 )
-_ELLIPSE = ("radial", "tangential", "vertical")  # whose sizes are times A
 
 
 @dataclass(kw_only=True)
-class EllipticCarouselConfig(_Pattern):
+class EllipticCarouselConfig(_Ellipses):
     """Orbits that lean and climb: amplitudes of their own along the radius, the tangent and e₃.
 
     m = 2. With β_i the angle of attachment i, r_i outward, t_i tangential and φ_i = θ + κ β_i,
@@ -204,42 +216,6 @@ class EllipticCarouselConfig(_Pattern):
         ),
     )
     vertical: float = checked(0.0, _check_size)  # B / A
-
-    def _forces(self, attachments: NDArray) -> InternalForcePattern:
-        n, turns = len(attachments), self.phase_turns
-        sizes = {name: getattr(self, name) for name in _ELLIPSE}
-        if not self._suits(n, turns, sizes):
-            require(False, "pattern.phase_turns", turns, _remedy(self, n, sizes))
-        forces = elliptic_carousel(attachments, phase_turns=turns, **sizes)
-        outward = self.spread * spread(attachments)
-        return InternalForcePattern(without_wrench(attachments, forces), np.array(_CIRCLE), outward)
-
-    def _suits(self, n: int, turns: int, sizes: dict[str, float]) -> bool:
-        """Whether such forces on a regular polygon of n attachments have no wrench."""
-        angles = 2 * np.pi * np.arange(n) / n
-        polygon = np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1)
-        forces = elliptic_carousel(polygon, phase_turns=turns % n, **sizes)
-        limit = 1e-9 * np.max(np.abs(forces))
-        return bool(np.all(np.abs(grasp_matrix(polygon) @ forces) <= limit))
-
-    def suitable_turns(self, n: int, **sizes: float) -> list[int]:
-        """The numbers of turns, modulo n, for n attachments and `sizes` such as vertical = 0."""
-        given = {name: getattr(self, name) for name in _ELLIPSE} | sizes
-        return [turns for turns in range(n) if self._suits(n, turns, given)]
-
-
-def _remedy(config: EllipticCarouselConfig, n: int, sizes: dict[str, float]) -> str:
-    """Least change that makes elliptic carousels of n attachments possible."""
-    level = {"vertical": 0.0}
-    for change in ({}, level, level | {"radial": sizes["tangential"]}):
-        turns = config.suitable_turns(n, **change)
-        if turns:
-            words = " and ".join(f"{name} = {value:g}" for name, value in change.items())
-            return (
-                f"with {n} cables the forces would have a net wrench on the load; give "
-                f"{' or '.join(map(str, turns))} (modulo {n})" + (f" with {words}" if words else "")
-            )
-    raise AssertionError("a circle suits every number of cables")
 
 
 @dataclass(kw_only=True)
@@ -311,12 +287,13 @@ def check_pattern(
         return
     constant = gravity_forces + pattern.offset.reshape(-1, 3)
     axes = np.stack([constant, *orbit_axes(pattern.basis, pattern.phases)], axis=1)
-    volumes, sizes = np.abs(np.linalg.det(axes)), np.linalg.norm(axes, axis=2).prod(axis=1)
-    for i in np.flatnonzero(volumes <= _MIN_SINE * sizes):
+    mean, *ellipse = np.linalg.norm(axes, axis=2).T
+    sizes = mean * (ellipse[0] ** 2 + ellipse[1] ** 2) / 2  # whichever phase the axes belong to
+    for i in np.flatnonzero(np.abs(np.linalg.det(axes)) <= _MIN_SINE * sizes):
         require(
             False,
             "pattern.phases",
             pattern.phases.tolist(),
             f"cable {i + 1} swings in a plane or not at all, so its carrier would stop; "
-            "choose other phases or another basis, or other amplitudes",
+            "choose other phases, sizes or attachments, or another basis",
         )

@@ -45,6 +45,12 @@ from drake_nonstop.planning.problem_config import LimitsConfig, tightened_bound
 _OTHERS_SHARE = 0.3  # of the weight of the speed bound's slack: that of the other limits
 _STEP = 1e-4  # of θ in rad, and of the nominal ξ and A and their rates, for differences
 _MOST_NODES = 4  # of the cables of plans: chords are 0.1 % too long
+AMPLITUDE_WEIGHT = 4.0  # w_A
+SLACK_WEIGHT = 100.0  # ρ
+TERMINAL_KNOTS = 4  # of the last part, in which all phases of the orbit are constrained
+_TERMINAL_INSTANTS = 2  # of it, between two knots
+TERMINAL_PHASES = 24  # of the orbit
+ORBIT_TIGHTENING = 0.005  # of the nominal orbits' speed, the least margin
 _BOWED_EVERY = 4  # of the instants, at which margins of bowed cables are found
 _OF_XI, _OF_AMPLITUDE = [0, 1, 3, 5], [2, 4, 6, 7]  # the entries of `planned`
 
@@ -124,7 +130,7 @@ class HorizonProblem:
         beliefs = beliefs or model_parameters_of(model, limits)
         self.nominal, self._lower, self._upper = beliefs.nominal, beliefs.lower, beliefs.upper
         self.constraints = Constraints(limits)
-        self.intervals = round(config.horizon / config.knot_spacing)
+        self.intervals = config.intervals
         self.count = self.intervals + DEGREE
         self._place_points()
         xi, A = self.nominal
@@ -145,10 +151,9 @@ class HorizonProblem:
         # Where coefficients are fixed, so is the value at the start: no instant is there.
         self._first_instant = 1 if config.fixed_coefficients else 0
         self.instants = end / count * np.arange(self._first_instant, count + 1)
-        along, phases = len(self.instants), config.terminal_phases
-        each = min(config.terminal_instants, config.instants)
-        back = np.arange(each * config.terminal_knots)[::-1]
-        ends = along - 1 - back * config.instants // each
+        along, phases = len(self.instants), TERMINAL_PHASES
+        back = np.arange(_TERMINAL_INSTANTS * TERMINAL_KNOTS)[::-1]
+        ends = along - 1 - back * config.instants // _TERMINAL_INSTANTS
         self._along = along
         self._instant_of = np.concatenate([np.arange(along), np.repeat(ends, phases)])
         self.points = len(self._instant_of)
@@ -197,9 +202,9 @@ class HorizonProblem:
         piece[self._along :] = self.intervals
         self.slacks = slacks * kinds[:, None] + piece.astype(int)
         weights = np.full(slacks, self.config.knot_spacing)
-        weights[-1] *= self.config.terminal_knots
+        weights[-1] *= TERMINAL_KNOTS
         shares = [1.0] + [_OTHERS_SHARE] * int(kinds.max())
-        self.slack_weights = self.config.slack_weight * np.outer(shares, weights).ravel()
+        self.slack_weights = SLACK_WEIGHT * np.outer(shares, weights).ravel()
 
     def linearization(self, data: HorizonData, coefficients: NDArray) -> Linearization:
         """The margins about coefficients (2, N)."""
@@ -216,9 +221,9 @@ class HorizonProblem:
         Each is taken at every second phase and knot.
         """
         count = parameters.shape[1]
-        angles = self._phases[self._along :][: self.config.terminal_phases : 2]
+        angles = self._phases[self._along :][:TERMINAL_PHASES:2]
         knots = data.motion[:, : self._along][:, :: 2 * self.config.instants].copy()
-        knots[-2:] = np.array([[1], [2 * np.pi / self.config.terminal_phases]])
+        knots[-2:] = np.array([[1], [2 * np.pi / TERMINAL_PHASES]])
         orbits = constant_plan(np.tile(angles, count), *np.repeat(parameters, len(angles), axis=1))
         planned = np.repeat(orbits.T, knots.shape[1], axis=1)
         points = np.concatenate([planned, np.tile(knots, len(orbits))])
@@ -320,9 +325,7 @@ class HorizonProblem:
         smooth = tau**4 * square(rows.second_rate) + tau**6 * square(rows.third_rate)
         hessian = np.zeros((2 * self.count, 2 * self.count))
         hessian[: self.count, : self.count] = 2 * (square(rows.value) + smooth)
-        hessian[self.count :, self.count :] = 2 * (
-            config.amplitude_weight * square(rows.value) + smooth
-        )
+        hessian[self.count :, self.count :] = 2 * (AMPLITUDE_WEIGHT * square(rows.value) + smooth)
         return hessian
 
     # Data
@@ -348,7 +351,7 @@ class HorizonProblem:
         bound = tightened_bound(self.limits, speed_bound)
         # Where carriers pass low speeds they are off by a share of their orbits' speeds.
         orbits = float(np.prod(self.nominal)) * self._margins.resting_speeds
-        of_orbits = speed_bound + self.config.orbit_tightening * orbits
+        of_orbits = speed_bound + ORBIT_TIGHTENING * orbits
         bounds = np.maximum(bound, of_orbits) if speed_bound > 0 else np.zeros(self.model.n)
         times, rows = self.times(start_time), np.zeros((0, LOAD_REFERENCE_SIZE))
         if last is not None:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.rigid_load import STILL_AIR
 from drake_nonstop.planning.horizon_problem import (
+    AMPLITUDE_WEIGHT,
     HorizonData,
     HorizonProblem,
     Linearization,
@@ -211,7 +212,7 @@ class HorizonSolver:
         if worst.max() < 0:
             return shares[:, worst.argmax()]
         away = (shares - 1) ** 2
-        cost = away[0] + problem.config.amplitude_weight * away[1]
+        cost = away[0] + AMPLITUDE_WEIGHT * away[1]
         return shares[:, np.where(worst >= 0, cost, np.inf).argmin()]
 
     def merit(self, answer: PlanAnswer) -> float:

@@ -145,8 +145,8 @@ class FormationSearch:
         best = max(found, key=lambda values: values[-1])
         if self.kind != LEANING or self.n < 5 or best[-1] >= MOST_RESERVE - _CLOSE:
             return best
-        sizes = {"radial": 1.0, "tangential": 2.0, "vertical": 1.0}
-        for turns in EllipticCarouselConfig().suitable_turns(self.n, **sizes):
+        leaning = EllipticCarouselConfig(radial=1.0, tangential=2.0, vertical=1.0)
+        for turns in leaning.suitable_turns(self.n):
             if turns != self.turns:
                 values = self._of_most_reserve(self.program(2, _COARSE, turns), best)
                 if values[-1] > best[-1] + _CLOSE:

@@ -17,7 +17,7 @@ from drake_nonstop.blocks.phase import ShapedPhaseConfig
 from drake_nonstop.mechanics.rigid_load import STILL_AIR
 from drake_nonstop.mechanics.signals import SIGNAL_PERIOD, PlannedParameters
 from drake_nonstop.planning.horizon_config import HorizonConfig, timed
-from drake_nonstop.planning.horizon_problem import HorizonProblem
+from drake_nonstop.planning.horizon_problem import AMPLITUDE_WEIGHT, HorizonProblem
 from drake_nonstop.run.run import Run
 from drake_nonstop.run.run_quantities import RunQuantities
 from drake_nonstop.run.simulate import simulate
@@ -165,7 +165,7 @@ def _costs(
     relative: NDArray, planned: NDArray | None, nominal: NDArray, config: HorizonConfig
 ) -> Row:
     """The cost of ξ/ξ₀ and A/A₀ (k, 2) at samples, as in `planning.horizon_problem`."""
-    weights = np.array([1.0, config.amplitude_weight])
+    weights = np.array([1.0, AMPLITUDE_WEIGHT])
     deviation = SIGNAL_PERIOD * float(np.sum((relative - 1) ** 2 @ weights))
     if planned is None:
         return {"deviation": deviation, "cost": None}

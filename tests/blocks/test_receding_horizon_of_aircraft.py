@@ -32,7 +32,7 @@ def aircraft_model():
 
 def planned(told_wind=None, **fields):
     """The layer's outputs after its first plan, above a resting load."""
-    fields = {"frequency": 0.595, "amplitude": 1.0, "instants": 4, "terminal_phases": 12} | fields
+    fields = {"frequency": 0.595, "amplitude": 1.0, "instants": 4} | fields
     block = RecedingHorizonOptimizer(aircraft_model(), RecedingHorizonOptimizerConfig(**fields))
     simulator = Simulator(block)
     context = simulator.get_mutable_context()

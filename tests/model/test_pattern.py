@@ -1,6 +1,5 @@
 import dataclasses
 import itertools
-import re
 import textwrap
 
 import numpy as np
@@ -53,39 +52,31 @@ def test_phases_can_be_given():
     )
 
 
-@pytest.mark.parametrize("shift", [0.0, np.pi, -np.pi, 3 * np.pi, np.pi + 1e-4])
-@pytest.mark.parametrize("k", [1, 2, 3])
-def test_neighbouring_phases_that_coincide_modulo_pi_are_refused(k, shift):
-    phases = np.array([0.0, 1.0, 2.0, 4.0])
-    phases[k] = phases[k - 1] + shift
-    with pytest.raises(
-        ScenarioError, match=rf"pattern\.phases = .*phases {k} and {k + 1} coincide modulo pi"
-    ):
-        HamiltonianCycleConfig(phases=phases.tolist()).make(regular(4))
+PHASES, SQUARE = [0.0, 1.0, 2.0, 4.0], regular(4).tolist()
+STRAIGHT = [[1.0, 1, 0], [0.0, 1, 0], [-1, 1, 0], [-1, -1, 0], [1, -1, 0]]
+BACK = [[0.0, 0, 0], [2, 0, 0], [1, 0, 0], [0, 1, 0]]
 
 
-def test_last_and_first_phase_are_neighbours():
-    with pytest.raises(ScenarioError, match="phases 4 and 1 coincide modulo pi"):
-        HamiltonianCycleConfig(phases=[0.0, 1.0, 2.0, np.pi]).make(regular(4))
+@pytest.mark.parametrize(
+    ("attachments", "phases", "cable"),
+    [
+        *((SQUARE, [*PHASES[:2], 1.0 + shift, 4.0], 3) for shift in (0.0, np.pi, np.pi + 1e-4)),
+        (SQUARE, [0.0, 1.0, 2.0, np.pi], 1),
+        (STRAIGHT, [], 2),
+        (BACK, [], 2),
+    ],
+)
+def test_edges_or_phases_that_let_a_carrier_stop_are_refused(attachments, phases, cable):
+    attachments = np.array(attachments)
+    pattern = HamiltonianCycleConfig(phases=phases).make(attachments)
+    with pytest.raises(ScenarioError, match=f"cable {cable} swings in a plane or not at all"):
+        check_pattern(pattern, attachments, weight_shares(attachments))
 
 
 @pytest.mark.parametrize("phases", [[0.0, 1.0, 2.0], [0.0, 1.0, 2.0, np.nan], [[0.0, 1, 2, 4]]])
 def test_phases_of_wrong_shape_are_refused(phases):
     with pytest.raises(ScenarioError, match=r"pattern\.phases = .*give 4 finite numbers"):
         HamiltonianCycleConfig(phases=phases).make(regular(4))
-
-
-def test_collinear_neighbouring_edges_are_refused_and_the_attachment_named():
-    attachments = np.array([[1.0, 1, 0], [0.0, 1, 0], [-1, 1, 0], [-1, -1, 0], [1, -1, 0]])
-    assert np.linalg.matrix_rank(hamiltonian_cycle(attachments)) == 5  # rank tells nothing
-    with pytest.raises(ScenarioError, match=r"system\.attachments = .*attachment 2 are collinear"):
-        HamiltonianCycleConfig().make(attachments)
-
-
-def test_edge_that_goes_back_on_the_one_before_is_refused():
-    attachments = np.array([[0.0, 0, 0], [2, 0, 0], [1, 0, 0], [0, 1, 0]])
-    with pytest.raises(ScenarioError, match="attachment 2 are collinear"):
-        HamiltonianCycleConfig().make(attachments)
 
 
 def test_cables_on_one_point_are_refused():
@@ -222,14 +213,6 @@ def test_spread_carousel_holds_a_load_at_rest_and_every_carrier_in_motion(n):
     assert np.min(gaps) > np.linalg.norm(regular(n)[0] - regular(n)[1])
 
 
-@pytest.mark.parametrize("n", [3, 4, 6])
-def test_spread_carousel_is_in_the_null_space(n):
-    pattern = spread_carousel(n, 1.0).make(regular(n))
-    grasp = grasp_matrix(regular(n))
-    np.testing.assert_allclose(grasp @ pattern.basis, 0, rtol=0, atol=1e-14)
-    np.testing.assert_allclose(grasp @ pattern.offset, 0, rtol=0, atol=1e-14)
-
-
 @pytest.mark.parametrize("n", [3, 4, 5, 8])
 def test_carousel_turns_all_forces_of_a_regular_polygon_together(n):
     pattern = CarouselConfig().make(regular(n))
@@ -245,20 +228,6 @@ def test_spread_pulls_outward(n):
     pattern = SpreadCarouselConfig(spread=3.0).make(regular(n, 1.5))
     np.testing.assert_allclose(pattern.offset.reshape(n, 3), 2 * regular(n, 1.5), atol=1e-13)
     np.testing.assert_array_equal(pattern.basis, CarouselConfig().make(regular(n, 1.5)).basis)
-
-
-@pytest.mark.parametrize("attachments", [irregular(5), spatial(4), spatial(7), regular(4) + 0.3])
-@pytest.mark.parametrize("config", [CarouselConfig(), SpreadCarouselConfig(spread=2.0)])
-def test_carousels_for_other_attachments_are_the_nearest_without_a_wrench(attachments, config):
-    pattern = config.make(attachments)
-    check_pattern(pattern, attachments, weight_shares(attachments))
-    grasp = grasp_matrix(attachments)
-    from_centre = (attachments - attachments.mean(axis=0))[:, :2]
-    x, y = (from_centre / np.linalg.norm(from_centre, axis=1, keepdims=True)).T
-    ideal = np.stack([x, -y, 0 * x], axis=1).ravel()
-    change = pattern.basis[:, 0] - ideal
-    row_space = np.linalg.lstsq(grasp.T, change, rcond=None)[0]
-    np.testing.assert_allclose(grasp.T @ row_space, change, rtol=0, atol=1e-12)
 
 
 def test_carousel_needs_a_direction_for_every_cable():
@@ -351,26 +320,13 @@ def test_elliptic_carousel_has_the_forces_of_its_formula_where_they_have_no_wren
     assert accepted > n - 2
 
 
-@pytest.mark.parametrize("n", [3, 4, 6])
-def test_the_remedy_of_an_elliptic_carousel_with_a_wrench_works(n):
-    config = EllipticCarouselConfig(**(ELLIPTIC | {"phase_turns": 1}))
-    with pytest.raises(ScenarioError) as error:
-        config.make(regular(n))
-    match = re.search(r"give ([\d or]+) \(modulo \d\)(?: with (.*))?$", str(error.value))
-    change = {3: ["radial", "vertical"], 4: [], 6: []}[n]
-    assert all(name in (match[2] or "") for name in change)
-    wanted = {"radial": config.tangential, "vertical": 0.0}
-    for turns in map(int, match[1].split(" or ")):
-        sizes = {name: wanted[name] for name in change}
-        EllipticCarouselConfig(**(ELLIPTIC | sizes | {"phase_turns": turns})).make(regular(n))
-
-
-@pytest.mark.parametrize("n", [3, 4, 5])
-def test_elliptic_carousel_is_the_spread_carousel_by_default(n):
-    elliptic = EllipticCarouselConfig(spread=3.0).make(regular(n))
-    plain = SpreadCarouselConfig(spread=3.0).make(regular(n))
-    for name in ("basis", "phases", "offset"):
-        np.testing.assert_allclose(getattr(elliptic, name), getattr(plain, name), atol=1e-14)
+@pytest.mark.parametrize(
+    ("n", "remedy"),
+    [(3, "give vertical = 0"), (4, r"give 2 \(mod"), (6, r"give 2 or 3 or 4 \(mod")],
+)
+def test_turns_that_suit_are_told(n, remedy):
+    with pytest.raises(ScenarioError, match=remedy):
+        EllipticCarouselConfig(**(ELLIPTIC | {"phase_turns": 1})).make(regular(n))
 
 
 @pytest.mark.parametrize("attachments", [irregular(5), spatial(4), spatial(7), regular(4) + 0.3])

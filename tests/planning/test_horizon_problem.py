@@ -1,7 +1,6 @@
 """Margins over a horizon, their gradients and slacks, and the data of plans."""
 
 import functools
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +12,6 @@ from plan_checks import (
     NO_LIMITS,
     NO_SHARES,
     PATTERNS,
-    SMALL,
     WIND,
     aircraft_problem,
     along,
@@ -29,6 +27,12 @@ from plan_checks import (
 )
 
 from drake_nonstop.planning.diagnostics import BOUND
+from drake_nonstop.planning.horizon_problem import (
+    ORBIT_TIGHTENING,
+    SLACK_WEIGHT,
+    TERMINAL_KNOTS,
+    TERMINAL_PHASES,
+)
 from drake_nonstop.planning.limits import LIMITS as ROWS
 
 ON_THE_WAY = ["cycle-5", "spread-7", "aircraft", "bowed"]
@@ -92,7 +96,7 @@ def test_margins_at_instants_are_those_of_carriers_on_the_plan(name):
 def test_margins_of_the_last_part_are_those_of_whole_orbits(name):
     """Of the plan's ξ and A at two instants of each of its last four intervals, kept."""
     problem, data, reference = example(name), data_of(name), reference_of(name)
-    x, phases = coefficients_of(name), problem.config.terminal_phases
+    x, phases = coefficients_of(name), TERMINAL_PHASES
     plan = problem.plan(data, x)
     count = len(problem.instants)
     orbits = problem.linearization(data, x).margins[:, count:].reshape(-1, 8, phases)
@@ -108,7 +112,7 @@ def test_margins_of_the_last_part_are_those_of_whole_orbits(name):
 def test_phases_of_whole_orbits_are_close_enough_to_tell_the_worst_of_720(name):
     problem = example(name)
     data = problem.data(0.0, 0.0, lambda time: AT_REST, problem.limits.speed_bound, wind=WIND)
-    x, phases = problem.nominal_coefficients() * 1.05, problem.config.terminal_phases
+    x, phases = problem.nominal_coefficients() * 1.05, TERMINAL_PHASES
     found = problem.linearization(data, x).margins[:, -phases:].min(axis=1)
     worst = np.full(len(found), np.inf)
     for angle in 2 * np.pi * np.arange(720) / 720:
@@ -148,8 +152,8 @@ def test_slacks_are_those_of_the_bound_of_aircraft_and_of_others_in_each_interva
             place = problem.intervals  # of all orbits
             if column < count:
                 place = np.searchsorted(ends, problem.instants[column])
-            weight = config.slack_weight * config.knot_spacing * (0.3 if kind else 1.0)
-            weight *= config.terminal_knots if column >= count else 1
+            weight = SLACK_WEIGHT * config.knot_spacing * (0.3 if kind else 1.0)
+            weight *= TERMINAL_KNOTS if column >= count else 1
             expected = np.zeros(3 * (problem.intervals + 1))
             expected[kind * (problem.intervals + 1) + place] = 0.7
             np.testing.assert_array_equal(slacks, expected)
@@ -158,8 +162,7 @@ def test_slacks_are_those_of_the_bound_of_aircraft_and_of_others_in_each_interva
 
 
 def test_bounds_are_raised_by_a_share_of_the_speed_of_orbits():
-    horizon = replace(SMALL, orbit_tightening=0.1)
-    problem = points_problem("cycle-4", horizon=horizon, **LIMITS)
+    problem = points_problem("cycle-4", **LIMITS)
     speeds = np.zeros((36, 4))
     for k, angle in enumerate(2 * np.pi * np.arange(36) / 36):
         velocities = straight_velocities(
@@ -174,8 +177,8 @@ def test_bounds_are_raised_by_a_share_of_the_speed_of_orbits():
         problem.data(0.0, 0.0, lambda time: AT_REST, bound).speed_bounds
         for bound in (0.01, 10.0, 0.0)
     )
-    shares = (slow - 0.01) / speeds.max(axis=0)
-    assert np.all((shares > 0.07) & (shares < 0.1))
+    shares = (slow - 0.01) / speeds.max(axis=0) / ORBIT_TIGHTENING
+    assert np.all((shares > 0.7) & (shares < 1))
     np.testing.assert_allclose(fast, 1.02 * 10.0)
     np.testing.assert_array_equal(none, 0.0)
 

@@ -124,7 +124,7 @@ def test_the_receding_horizon_keeps_the_bound_and_is_close_to_the_best_plan():
     for answer in plans:
         start = answer.plan.start_time
         assert least_speed(system, answer.plan, reference, start, start + 0.42, 0.013) >= bound
-    whole = HorizonProblem(system, limits(bound), HorizonConfig(horizon=12.0, knot_spacing=0.4))
+    whole = HorizonProblem(system, limits(bound), HorizonConfig(intervals=30, knot_spacing=0.4))
     assert whole.cost(flown) <= 1.05 * plans_of("quintic")[0].cost
 
 

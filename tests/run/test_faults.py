@@ -90,7 +90,7 @@ LAYERS = [
     (
         HorizonSolver,
         "solve",
-        ["optimization_layer.knot_spacing=0.13", "optimization_layer.horizon=3.25"],
+        ["optimization_layer.knot_spacing=0.13", "optimization_layer.intervals=25"],
     ),
 ]
 

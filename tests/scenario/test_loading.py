@@ -138,7 +138,7 @@ def test_a_file_with_defaults_only_needs_no_more_than_its_name(tmp_path):
         ("speed_bound=2", ["did you mean optimization_layer.speed_bound?"]),
         ("system.loadmass=1", ["system.loadmass = 1", "did you mean load_mass"]),
         ("sytem.load_mass=1", ["sytem", "did you mean system"]),
-        ("pattern.phases=[0,0,1,2]", ["pattern.phases", "coincide modulo pi"]),
+        ("pattern.phases=[0,0,1,2]", ["pattern.phases", "swings in a plane"]),
         ("pattern.phases=[0,1]", ["pattern.phases = [0.0, 1.0]", "4 finite numbers"]),
         (
             "optimization_layer=!NlpLayer {period: 0.004}",
