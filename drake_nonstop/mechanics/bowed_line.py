@@ -40,16 +40,11 @@ _PASSES = 1  # of a segment's direction: leaves 2 mm on 12 nodes, a second one 0
 
 
 class TimeWindow(NamedTuple):
-    """An odd number k of instants about the present, and rates of the polynomial through them.
+    """An odd number k of instants about the present, and rates of the polynomial through them."""
 
-    The instants are Chebyshev's, symmetric about the present. Matrices of derivatives therefore are
-    given for sums and differences of values at opposite instants, which halves the arithmetic.
-    """
-
-    times: NDArray  # (k,), s, the present in the middle
+    times: NDArray  # (k,), s, Chebyshev's instants, the present in the middle
     present: NDArray  # (4, k), from values to the present one and its first three rates
-    of_sums: tuple[NDArray, NDArray]  # first and second, 1/s and 1/s², of the later half
-    of_differences: tuple[NDArray, NDArray]
+    derived: NDArray  # (2, k, k), to the first and second rates at all instants, 1/s and 1/s²
 
     @classmethod
     def of(cls, span: float, count: int) -> "TimeWindow":
@@ -61,30 +56,14 @@ class TimeWindow(NamedTuple):
             coefficients = chebyshev.chebder(np.eye(count), order) / span**order
             return chebyshev.chebvander(at, count - 1 - order) @ coefficients @ values
 
-        half = count // 2
-        later = [derived(order, points[half:]) for order in (1, 2)]
-        ahead, behind = zip(*((d[:, half:], d[:, half::-1]) for d in later), strict=True)
         present = np.array([derived(order, np.zeros(1))[0] for order in range(4)])
-        # With v(−t) = s − d and v(t) = s + d, where the present one counts once.
-        share = np.where(np.arange(half + 1) == 0, 0.5, 1.0)
-        sums = tuple((a + b) * share for a, b in zip(ahead, behind, strict=True))
-        differences = tuple((a - b)[:, 1:] for a, b in zip(ahead, behind, strict=True))
-        return cls(span * points, present, sums, differences)
+        return cls(span * points, present, np.stack([derived(order, points) for order in (1, 2)]))
 
     def rates(self, values: NDArray) -> tuple[NDArray, NDArray]:
         """First and second rates (k, n, 3) of values (k, n, 3) at all instants."""
-        half = len(self.times) // 2
-        ahead, behind = (v.reshape(half + 1, -1) for v in (values[half:], values[half::-1]))
-        sums, differences = (ahead + behind) / 2, ((ahead - behind) / 2)[1:]
-        found = []
-        for order, (of_sums, of_differences) in enumerate(
-            zip(self.of_sums, self.of_differences, strict=True)
-        ):
-            even, odd = of_sums @ sums, of_differences @ differences
-            if order == 0:  # the rate of what is even is odd
-                even, odd = odd, even
-            found.append(np.concatenate([(even - odd)[:0:-1], even + odd]).reshape(values.shape))
-        return found[0], found[1]
+        flat = values.reshape(len(values), -1)
+        first, second = ((rows @ flat).reshape(values.shape) for rows in self.derived)
+        return first, second
 
     def at_present(self, values: NDArray) -> list[NDArray]:
         """The present value and its first three rates, each (n, 3), of values (k, n, 3)."""

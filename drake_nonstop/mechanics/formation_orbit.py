@@ -10,9 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.mechanics.carrier import carrier_positions
-from drake_nonstop.mechanics.load_motion import LoadMotion, in_axes
-from drake_nonstop.mechanics.planned_orbit import OrbitMotion
+from drake_nonstop.mechanics.load_motion import LoadMotion
+from drake_nonstop.mechanics.planned_orbit import FlightTerms, OrbitMotion, orbit_motion
 from drake_nonstop.mechanics.taylor import Taylor
 
 _UP = np.array([0.0, 0.0, 1.0])
@@ -88,10 +87,16 @@ def carrier_orbit(
     turn = Taylor([shape.yaw_rate * _UP, _NONE])
     motion = LoadMotion.of(np.eye(4)[0], velocity.integral(_NONE), turn)
     pull = load.mass * (velocity.rate() + load.gravity * _UP) + load.drag * velocity
+    shared = np.hstack([np.zeros((3, 3)), np.eye(3)]) / load.carriers
+    terms = FlightTerms(
+        motion,
+        0.0 * pull,
+        pull,
+        np.tile(shared, (len(azimuths), 1)),
+        (shape.spread * outward).ravel(),
+    )
     phase = Taylor([phases[:, None], shape.frequency + zero, zero])
     swing = np.cos(phase) * (shape.radial * outward - shape.vertical * _UP)
     swing = swing + np.sin(phase) * (shape.tangential * onward)
-    forces = in_axes(pull, motion.axes) / load.carriers + shape.spread * outward + swing
     cables = {"rest_length": shape.cable_length, "compliance": load.compliance}
-    positions = carrier_positions(motion, forces, attachments=load.radius * outward, **cables)
-    return OrbitMotion(forces.coefficients[0], *positions.rates)
+    return orbit_motion(terms, swing, attachments=load.radius * outward, **cables)

@@ -5,13 +5,7 @@ from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.internal_force import internal_force
 from drake_nonstop.mechanics.rotation import quaternion_rate
-from drake_nonstop.mechanics.signals import (
-    LOAD_STATE_SIZE,
-    LoadReference,
-    LoadState,
-    Parameters,
-    Phase,
-)
+from drake_nonstop.mechanics.signals import LoadReference, Parameters, Phase
 
 
 def phase_of(parameters: NDArray, previous: NDArray, phase: NDArray) -> NDArray:
@@ -24,29 +18,21 @@ def phase_of(parameters: NDArray, previous: NDArray, phase: NDArray) -> NDArray:
     return angle + change * slope
 
 
-def advance(state: NDArray, angular: NDArray, translational: NDArray, time: float) -> NDArray:
-    """A load state (13,) after `time` (s) at constant accelerations (3,), in W.
+def advanced_reference(reference: NDArray, time: float) -> NDArray:
+    """A reference (22,) after `time` (s) at its present accelerations.
 
-    First order in the quaternion, which `rotation_matrix` normalizes; second order in
-    the position.
+    First order in the quaternion, which `rotation_matrix` normalizes; second order in the position.
     """
-    quaternion, position, angular_velocity, velocity = LoadState.view(state)
+    now = LoadReference.view(reference)
+    middle = now.angular_velocity + time / 2 * now.angular_acceleration
     return np.concatenate(
         [
-            quaternion + time * quaternion_rate(quaternion, angular_velocity + time / 2 * angular),
-            position + time * (velocity + time / 2 * translational),
-            angular_velocity + time * angular,
-            velocity + time * translational,
+            now.quaternion + time * quaternion_rate(now.quaternion, middle),
+            now.position + time * (now.velocity + time / 2 * now.acceleration),
+            now.angular_velocity + time * now.angular_acceleration,
+            now.velocity + time * now.acceleration,
+            *now[4:],
         ]
-    )
-
-
-def advanced_reference(reference: NDArray, time: float) -> NDArray:
-    """A reference (22,) after `time` (s) at its present accelerations, see `advance`."""
-    desired = LoadReference.view(reference)
-    rates = desired.angular_acceleration, desired.acceleration
-    return np.concatenate(
-        [advance(reference[:LOAD_STATE_SIZE], *rates, time), *rates, desired.jerk]
     )
 
 

@@ -83,34 +83,25 @@ class Layout:
     """The parts of a signal, in their order.
 
     Raises:
-        ScenarioError: there is no part, or two have one name; a part's size is none of those that
-            a `Part` may have; a name, unit or frame cannot stand in a table; or some parts are
-            those of n carriers and others of m coordinates.
+        ScenarioError: there is no part, two have one name, a size is none of those that a `Part`
+            may have, or some parts are those of n carriers and others of m coordinates.
     """
 
     parts: tuple[Part, ...]
 
     def __init__(self, *parts: Part):
-        for part in parts:
-            is_part = isinstance(part, Part) and all(isinstance(text, str) for text in part)
-            if not is_part or not part.size or not _SIZE.fullmatch(part.size):
-                raise ScenarioError(
-                    f"layout = {tuple.__repr__(part) if isinstance(part, tuple) else part!r}: give "
-                    "Part(name, size, unit, frame) of texts, with a size such as 3, n, 3n or m"
-                )
-            if _MARKS & {*part.name, *part.unit, *part.frame}:
-                raise ScenarioError(
-                    f"layout = {tuple.__repr__(part)}: give names, units and frames without "
-                    "commas, quotation marks, square brackets and line breaks"
-                )
-        names = [part.name for part in parts]
-        if len({*names}) < len(names):
-            raise ScenarioError(f"layout = {', '.join(names)}: give each Part a name of its own")
-        kinds = {part.per for part in parts} - {""}
-        if not parts or len(kinds) > 1:
+        names = {part.name for part in parts if isinstance(part, Part)}
+        is_sound = len(names) == len(parts) > 0 and all(
+            all(isinstance(text, str) and not _MARKS & {*text} for text in part[:4])
+            and part.size
+            and _SIZE.fullmatch(part.size)
+            for part in parts
+        )
+        if not is_sound or len({part.per for part in parts} - {""}) > 1:
             raise ScenarioError(
-                f"layout = {len(parts)} parts: give at least one Part, of n carriers or of m "
-                "coordinates, not of both"
+                f"layout = {', '.join(map(repr, parts)) or 'no part'}: give Part(name, size, unit, "
+                "frame), each with a name of its own and without commas, quotation marks, square "
+                "brackets and line breaks, and a size such as 3, n or 3n of carriers, or m"
             )
         object.__setattr__(self, "parts", parts)
 

@@ -251,7 +251,7 @@ def test_a_preview_that_ends_before_the_horizon_is_refused():
     ("fields", "sentence"),
     [
         ({"frequency_bounds": [2.5, 3.0]}, r"frequency_bounds = \[2.5, 3.0\]: give bounds"),
-        ({"intervals": 5}, r"intervals = 5: give a whole number from 8 to 200"),
+        ({"intervals": 5}, r"intervals = 5: give a whole number from 9 to 200"),
         ({"knot_spacing": 0.405}, r"knot_spacing = 0.405: give"),
         ({"max_iterations": 0}, r"max_iterations = 0: give 1 to 100"),
         ({"speed_bound": -1.0}, r"speed_bound = -1.0: give 0"),

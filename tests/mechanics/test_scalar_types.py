@@ -161,7 +161,7 @@ EQUATIONS = {
     "drawn_power": (lambda *a: aircraft.drawn_power(AIRCRAFT, *a), [N, N]),
     "shown_state": (lambda *a: aircraft.shown_state(AIRCRAFT, *a), [12 * N, 3 * N]),
     "phase_of": (nonstop.phase_of, [2, 2, 2]),
-    "advance": (lambda *a: nonstop.advance(*a, 0.01), [13, 3, 3]),
+    "advanced_reference": (lambda x: nonstop.advanced_reference(x, 0.01), [22]),
     "change_cost": (
         lambda *a: nonstop.change_cost(
             *a,

@@ -72,13 +72,9 @@ def test_sizes_that_do_not_fit_have_no_entries():
         (Part("a", "1", "[m]"),),
         (Part("a\n", "1"),),
         (Part("", "1", "kg"), Part("", "1", "kg")),
+        (Part("a", "n"), Part("b", "m")),
     ],
 )
 def test_what_is_no_layout_is_refused(parts):
     with pytest.raises(ScenarioError, match=r"layout = .*give"):
         Layout(*parts)
-
-
-def test_parts_of_carriers_and_of_coordinates_do_not_mix():
-    with pytest.raises(ScenarioError, match="layout = 2 parts: give at least one Part"):
-        Layout(Part("a", "n"), Part("b", "m"))
