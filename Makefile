@@ -3,7 +3,7 @@
 # make quick: the units, in a minute at most.
 # make test: what a change has to pass, in some minutes.
 # make nightly: all the rest: studies, both engines on everything, browsers, notebooks, signals and
-#   kills, benchmarks, `make adversary`, `make lowest TESTS=`, `make mutants`.
+#   kills, claims on speed, `make adversary`, `make lowest TESTS=`, `make mutants`.
 #   make sample: one test of each class of them, and some of the adversary and of the mutants.
 # make adversary: bad and extreme inputs, signals and kills; COUNT=2000 SEED=1 for more and others.
 # make mutants: which tests catch faults that are planted in a copy of the code.

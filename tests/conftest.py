@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 # Why a test takes longer than `make test` can wait: the classes of `nightly`.
 CLASSES = {
     "adversary": "bad and extreme inputs",
-    "benchmarks": "benchmarks and the claims on speed",
+    "benchmarks": "the claims on speed, and what measures them",
     "browsers": "pages in a headless Chromium",
     "engines": "both engines, both load plants, on everything",
     "examples": "examples, pages and notebooks, executed whole",

@@ -8,16 +8,9 @@ from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.studies.files import replacing_file
 from drake_nonstop.studies.results_folder import default_folder
-from drake_nonstop.validation import require
 from drake_nonstop.view.figure_style import WIDTHS
 
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
-
-
-def add_repeats(parser: argparse.ArgumentParser, default: int) -> None:
-    """Adds --repeats, to be checked by `require_repeats`."""
-    about = f"of each run; medians are taken ({default})"
-    parser.add_argument("--repeats", type=int, default=default, metavar="N", help=about)
 
 
 def add_changes(
@@ -78,11 +71,6 @@ def study_folder(options: argparse.Namespace, name: str, settings: str) -> Path:
     if options.out or options.restart:
         return options.out or folder
     return default_folder(folder, settings)
-
-
-def require_repeats(options: argparse.Namespace) -> None:
-    """Checks --repeats; raises ScenarioError."""
-    require(options.repeats > 0, "--repeats", options.repeats, "give at least 1")
 
 
 def read_scenario(options: argparse.Namespace, *, sampled: bool = True) -> Scenario:

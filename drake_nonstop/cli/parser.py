@@ -2,11 +2,11 @@
 
 import argparse
 
-from drake_nonstop.cli import bench, check, design, run, scenarios, signals, studies, video, view
+from drake_nonstop.cli import check, design, run, scenarios, signals, studies, video
 from drake_nonstop.version import __version__
 
 # Each has `add_to`, which adds its parsers; the help lists them in this order.
-_COMMANDS = (scenarios, design, check, run, view, video, signals, studies, bench)
+_COMMANDS = (scenarios, design, check, run, video, signals, studies)
 STUDIES = ("design", "stability", "robustness", "ablate", "sweep")
 
 

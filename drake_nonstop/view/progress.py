@@ -48,7 +48,7 @@ class _Progress:
 
 
 class TaskProgress(_Progress):
-    """The share of a task that is done: the `progress` of studies and benchmarks.
+    """The share of a task that is done: the `progress` of studies.
 
     Example:
         with TaskProgress() as progress:

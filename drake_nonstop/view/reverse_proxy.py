@@ -11,7 +11,6 @@ import os
 import socket
 import sys
 import threading
-from collections.abc import Sequence
 
 _LONGEST_HEAD = 1 << 16  # bytes, of a request
 _OWN_NAMES = ("localhost", "127.0.0.1", "[::1]")
@@ -33,12 +32,7 @@ def is_own(head: bytes) -> bool:
     pairs = [(name.strip().lower(), value.strip()) for name, _, value in cut]
     hosts = [value for name, value in pairs if name == "host"]
     origins = [value for name, value in pairs if name == "origin"]
-    return request.startswith(("GET ", "HEAD ")) and are_own(hosts, origins)
-
-
-def are_own(hosts: Sequence[str], origins: Sequence[str]) -> bool:
-    """Whether a request's values of Host and Origin are those of a page at a local address."""
-    if len(hosts) != 1:
+    if not request.startswith(("GET ", "HEAD ")) or len(hosts) != 1:
         return False
     host = hosts[0].lower()
     name, colon, port = host.rpartition(":")

@@ -109,17 +109,10 @@ def _arguments(rng: np.random.Generator) -> list[str]:
                 "run",
                 "check",
                 "check",
-                "view",
                 "stability",
                 "robustness",
                 "ablate",
                 "sweep",
-                "pictures",
-                "report",
-                "bench",
-                "bench run",
-                "bench engines",
-                "bench scale",
                 "odd",
             ]
         )
@@ -173,8 +166,6 @@ def _arguments(rng: np.random.Generator) -> list[str]:
         ]
         drawn = [options[k] for k in rng.choice(len(options), rng.integers(0, 4), replace=False)]
         return ["run", scenario, *quick, *(a for o in drawn for a in o), *brief]
-    if command == "view":
-        return ["view", *([] if pick < 0.1 else [_text(rng)]), "--port", _number(rng), "--no-open"]
     if command == "check":
         options = [
             ["--out"],
@@ -223,16 +214,6 @@ def _arguments(rng: np.random.Generator) -> list[str]:
         form = rng.integers(4)
         end = [["--run", _number(rng)], ["--serial", "--restart"], ["--serial"], [_text(rng)]][form]
         return ["sweep", scenario, "s.yaml", *quick, *end]
-    if command == "bench":
-        return ["bench", *([] if pick < 0.5 else [_text(rng)])]
-    if command == "bench run":
-        options = [
-            ["--repeats", _number(rng)],
-            ["--against", _text(rng)],
-            ["--against-revision", _text(rng)],
-        ]
-        drawn = options[rng.integers(3)]
-        return ["bench", "run", scenario, *quick, *drawn, "--set", "system.load_mass=0"]
     return [*command.split(), scenario, *quick, "--set", "system.load_mass=0"]
 
 

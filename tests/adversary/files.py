@@ -293,9 +293,7 @@ def _named(rng: np.random.Generator, folder: Path) -> tuple[list[str], str]:
             ]
         )
     )
-    command = str(
-        rng.choice(["run", "run", "ablate", "sweep", "robustness", "stability", "check", "view"])
-    )
+    command = str(rng.choice(["run", "run", "ablate", "sweep", "robustness", "stability", "check"]))
     (folder / "s.yaml").write_text(_SWEPT)
     call = {
         "run": ["run", "line", *_QUICK],
@@ -312,10 +310,7 @@ def _named(rng: np.random.Generator, folder: Path) -> tuple[list[str], str]:
         "robustness": ["robustness", "line", "--set", "system.load_mass=-1"],
         "stability": ["stability", "line", "--set", "system.load_mass=-1"],
         "check": ["check", "aircraft_rest"],
-        "view": ["view", "--no-open"],
     }[command]
-    if command == "view":
-        return [*call, "--", out], "a folder to view"
     return [*call, f"--out={out}"], "an odd folder"
 
 

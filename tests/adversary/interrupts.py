@@ -73,8 +73,6 @@ CALLS: dict[str, tuple[list[str], float]] = {
     "robustness": (["robustness", "line", "--set", "simulation_duration=0.2", "--out", "out"], 6.0),
     "stability": (["stability", "line", "--out", "out"], 20.0),
     "check": (["check", "aircraft_rest", "--out", "out/check"], 3.0),
-    "view": (["view", "out", "--no-open"], 1.0),
-    "bench engines": (["bench", "engines", "--set", "simulation_duration=0.1"], 4.0),
     "list": (["list"], 0.5),
 }
 _WEIGHTS = {
@@ -87,8 +85,6 @@ _WEIGHTS = {
     "robustness": 2,
     "stability": 1,
     "check": 1,
-    "view": 0.7,
-    "bench engines": 0.5,
     "list": 0.5,
 }
 
@@ -142,9 +138,7 @@ def _attempt(
     to_group: bool,
     has_earlier: bool,
 ) -> Verdict:
-    out = prepare(folder, has_earlier=has_earlier or name == "view")
-    if name == "view":
-        (out / "replay.html").write_text("<p>a replay</p>")
+    out = prepare(folder, has_earlier=has_earlier)
     arguments = CALLS[name][0]
     command = Command(arguments=arguments, folder=folder, is_fresh=is_fresh)
     command.await_start()
@@ -184,10 +178,8 @@ def _attempt(
 
 
 def _judge_code(verdict: Verdict, command: Command, name: str, number: int) -> None:
-    """The shell's code for the signal, or that of an end just before it, or of `view`."""
+    """The shell's code for the signal, or that of an end just before it."""
     fine = {128 + number, -number}
-    if name == "view" and number == signal.SIGINT:
-        fine.add(0)
     if command.code in (0, 3) or (command.code == 2 and "Ctrl-C" not in command.error):
         # It ended by itself meanwhile: only where it was about to, anyway.
         if name in ("run", "run live", "stability") and command.code == 0:

@@ -1,7 +1,6 @@
 """The README's pictures: the line task with and without optimization, patterns, aircraft."""
 
 import io
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -22,15 +21,11 @@ from drake_nonstop.run.run_quantities import (
 )
 from drake_nonstop.run.simulate import simulate
 from drake_nonstop.scenario.loading import load_scenario
-from drake_nonstop.studies.files import replacing_file
 from drake_nonstop.view.browser import open_browser
 from drake_nonstop.view.figure_style import new_figure
 from drake_nonstop.view.task_figures import make_aircraft_margins_figure
 from drake_nonstop.view.video import encode_gif, replay_pictures
 
-STILL, ANIMATION, PATTERNS = "line.png", "line.gif", "real_scale.png"
-AIRCRAFT, ORBIT = "aircraft.png", "aircraft_check.png"
-FILES = (STILL, ANIMATION, PATTERNS, AIRCRAFT, ORBIT)
 _VIEW = 640, 460  # pixels, of one page
 _SPAN = 6.0, 11.0  # s, of the animation: the load sets off, and comes to its speed
 _FRAME_RATE = 12  # 1/s
@@ -41,8 +36,8 @@ _FLIGHT = 30.0, 60.0  # s, of the aircraft: the load is fastest in the middle
 _CLOSE_VIEW = {"width": 700, "height": 700}  # pixels, of the aircraft
 
 
-def make_pictures(folder: Path, progress: Callable[[str, float], None]) -> list[Path]:
-    """Writes a still, a short animation and a figure to a folder, and returns where they are.
+def make_pictures(folder: Path) -> list[Path]:
+    """Writes the pictures to a folder, and returns where they are.
 
     Raises:
         ScenarioError: there is no browser to take them with.
@@ -53,28 +48,26 @@ def make_pictures(folder: Path, progress: Callable[[str, float], None]) -> list[
         around = np.abs(runs[0].time - _STILL_TIME) < 1.5
         still_time = runs[0].time[around][np.argmin(slow[around])]
         times = [float(still_time), *np.arange(*_SPAN, 1 / _FRAME_RATE)]
-        views: list[list[NDArray]] = [[] for _ in runs]
-        for k, run in enumerate(runs):
-            for j, view in enumerate(_views(page, run, times)):
-                progress("pictures", (k + (j + 1) / len(times)) / len(runs))
-                views[k].append(view)
+        views = [_views(page, run, times) for run in runs]
         flight = simulate(load_scenario(_TASK, [f"simulation_duration={_FLIGHT[1]}"]))
         page.set_viewport_size(_CLOSE_VIEW)
         hardest = _hardest_instant(flight)
         (flying,) = _views(page, flight, [hardest])
-    figures = [_figure(runs, list(pair), time) for time, *pair in zip(times, *views, strict=True)]
-    with replacing_file(folder / STILL) as file:
-        file.write(_png(figures[0], dpi=150))
-    with replacing_file(folder / ANIMATION) as file:
-        file.write(encode_gif([_png(figure, dpi=76) for figure in figures[1:]], _FRAME_RATE))
-    with replacing_file(folder / PATTERNS) as file:
-        file.write(_png(_encounters_figure(_patterns()), dpi=110))
-    with replacing_file(folder / AIRCRAFT) as file:
-        file.write(_png(_aircraft_figure(flight, flying, hardest), dpi=110))
-    with replacing_file(folder / ORBIT) as file:
-        margins = aircraft_margins(load_scenario(_TASK))
-        file.write(_png(make_aircraft_margins_figure(margins), dpi=110))
-    return [folder / name for name in FILES]
+    still, *moving = [
+        _figure(runs, list(pair), time) for time, *pair in zip(times, *views, strict=True)
+    ]
+    pictures = {
+        "line.png": _png(still, dpi=150),
+        "line.gif": encode_gif([_png(figure, dpi=76) for figure in moving], _FRAME_RATE),
+        "real_scale.png": _png(_encounters_figure(_patterns()), dpi=110),
+        "aircraft.png": _png(_aircraft_figure(flight, flying, hardest), dpi=110),
+        "aircraft_check.png": _png(
+            make_aircraft_margins_figure(aircraft_margins(load_scenario(_TASK))), dpi=110
+        ),
+    }
+    for name, content in pictures.items():
+        (folder / name).write_bytes(content)
+    return [folder / name for name in pictures]
 
 
 def _patterns() -> dict[str, Run]:
@@ -100,10 +93,10 @@ def _runs() -> list[Run]:
     return runs
 
 
-def _views(page: Any, run: Run, times: list[float]) -> Iterator[NDArray]:
+def _views(page: Any, run: Run, times: list[float]) -> list[NDArray]:
     """Pictures of the run's replay at some times."""
-    for picture in replay_pictures(page, run, times):
-        yield matplotlib.image.imread(io.BytesIO(picture))
+    pictures = replay_pictures(page, run, times)
+    return [matplotlib.image.imread(io.BytesIO(picture)) for picture in pictures]
 
 
 def _figure(runs: list[Run], views: list[NDArray], time: float) -> Figure:

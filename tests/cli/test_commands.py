@@ -3,21 +3,15 @@
 import contextlib
 import io
 import json
-import os
 import re
-import signal
-import socket
 import sys
-import threading
-import urllib.request
 
 import numpy as np
 import pytest
 
 from drake_nonstop.cli import run
-from drake_nonstop.cli.ending import BAD_INPUT, FAILED, INTERRUPTED, NOT_OK
+from drake_nonstop.cli.ending import BAD_INPUT, FAILED, NOT_OK
 from drake_nonstop.cli.main import main
-from drake_nonstop.cli.view import serve_folder
 from drake_nonstop.scenario.loading import dump_scenario, load_scenario, scenario_names
 
 RESULTS = {
@@ -211,83 +205,6 @@ def test_a_diverging_run_exits_with_1_and_writes_what_there_is(tmp_path, capsys)
     assert "diverged at t = " in metrics["reasons"][0]
 
 
-def test_view_serves_the_replay_until_it_is_interrupted(tmp_path, capsys):
-    (tmp_path / "replay.html").write_text("<p>hello</p>")
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port = free.getsockname()[1]
-    address, read, has_ended = f"http://localhost:{port}/replay.html", [], threading.Event()
-
-    def visit():
-        for _ in range(600):
-            with contextlib.suppress(OSError):
-                with urllib.request.urlopen(address, timeout=60) as page:
-                    read.append(page.read())
-                break
-            if has_ended.wait(0.05):
-                return  # the port was taken meanwhile, or it failed: an interrupt would end pytest
-        os.kill(os.getpid(), signal.SIGINT)
-
-    visitor = threading.Thread(target=visit)
-    visitor.start()
-    code = main(["view", str(tmp_path), "--no-open", "--port", str(port)])
-    has_ended.set()
-    visitor.join()
-    assert read == [b"<p>hello</p>"]
-    assert code == INTERRUPTED
-    assert address in capsys.readouterr().out
-
-
-def _status(port, path, host, *others):
-    """The status of the answer to a request."""
-    with socket.create_connection(("localhost", port), timeout=20) as connection:
-        lines = [f"GET {path} HTTP/1.1", f"Host: {host}", *others, "Connection: close", "", ""]
-        connection.sendall("\r\n".join(lines).encode())
-        return int(connection.recv(1000).split()[1])
-
-
-def test_view_answers_its_own_address_with_its_own_files(tmp_path, capfd):
-    folder, outside = tmp_path / "run", tmp_path / "outside"
-    for place in (folder / "figures", folder / "part", outside):
-        place.mkdir(parents=True)
-        (place / "page.txt").write_text("a page")
-    (outside / "index.html").write_text("not for others")
-    for link, target in {
-        "inner": folder / "figures",
-        "link.txt": outside / "page.txt",
-        "outer": outside,
-        "part/index.html": outside / "index.html",
-        "loop": folder / "loop",
-    }.items():
-        (folder / link).symlink_to(target)
-    with serve_folder(folder) as address:
-        port = int(address.rsplit(":", 1)[1])
-        own = f"localhost:{port}"
-        for host in (own, f"127.0.0.1:{port}", f"[::1]:{port}", "LOCALHOST"):
-            assert _status(port, "/figures/page.txt", host) == 200
-        for host in ("evil.example", f"localhost.evil.example:{port}", "0.0.0.0", ""):
-            assert _status(port, "/figures/page.txt", host) == 403
-        assert _status(port, "/figures/page.txt", own, "Origin: http://evil.example") == 403
-        assert _status(port, "/inner/page.txt", own) == 200
-        for path in ("/link.txt", "/outer/", "/outer/page.txt", "/part/", "/loop", "/a%00b"):
-            assert _status(port, path, own) == 404, path
-        assert _status(port, "/../outside/page.txt", own) == 404
-    assert "Traceback" not in capfd.readouterr().err
-
-
-def test_view_wants_a_folder_with_a_replay(tmp_path, capsys):
-    assert main(["view", str(tmp_path)]) == 2
-    assert "replay.html" in capsys.readouterr().err
-
-
-def test_a_taken_port_is_reported(tmp_path, capsys):
-    (tmp_path / "replay.html").write_text("")
-    with serve_folder(tmp_path) as address:
-        port = address.rsplit(":", 1)[1]
-        assert main(["view", str(tmp_path), "--no-open", "--port", port]) == 2
-    assert f"--port = {port}: give a free port" in capsys.readouterr().err
-    assert main(["view", str(tmp_path), "--no-open", "--port", "99999999"]) == 2
-
-
 def test_a_live_run_without_a_browser_ends_with_its_results(tmp_path, capsys):
     options = ["--live", "--realtime", "0", "--set", "simulation_duration=0.2", *BRIEF[1:]]
     assert main(["run", "quintic", "--out", str(tmp_path), *options]) == 0
@@ -357,7 +274,6 @@ def test_an_interrupt_that_no_signal_asked_for_is_an_error_of_the_code(
         ["ablate", "line", "--swap", "phase=PaperPhase"],
         ["stability", "line"],
         ["robustness", "line"],
-        ["bench", "run", "line"],
     ],
 )
 def test_a_backend_that_matplotlib_does_not_know_is_refused_first(

@@ -161,8 +161,6 @@ _DRAWN = {  # commands, and within how many s of their start they are signalled
         "--set",
         "simulation_duration=2",
     ): 5.0,
-    ("bench", "engines", "--out", "o", "--repeats", "1"): 4.0,
-    ("view", ".", "--no-open"): 2.0,
 }
 
 

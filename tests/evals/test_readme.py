@@ -6,18 +6,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from benchmarks.claims import (
-    QUANTITIES,
-    Measured,
-    documentation,
-    measure,
-    read_claims,
-    wrong_claims,
-)
+from benchmarks.claims import documentation, measure, read_claims
+from benchmarks.measures import MEASURES, RUN
 
 from drake_nonstop import compute_metrics, load_scenario, scenario_names
 from drake_nonstop.run.simulate import simulate
 
+QUANTITIES = MEASURES[RUN].quantities
 README = Path(__file__).parents[2] / "README.md"
 TEXT = documentation(README)
 ALL = read_claims(TEXT)
@@ -55,15 +50,15 @@ def test_a_fault_in_a_claim_is_reported(evaluated, shift):
     (found,) = [
         claim for claim in claims if replace(claim, printed="") == replace(true, printed="")
     ]
-    value = QUANTITIES[quantity](*evaluated("quintic"))
-    assert true.fault(Measured(value=value)) == ""
-    assert found.fault(Measured(value=value)).endswith(f"not {planted}")
+    value = QUANTITIES[quantity](evaluated("quintic"))
+    assert true.fault(value) == ""
+    assert found.fault(value).endswith(f"not {planted}")
 
 
 def assert_hold(claims, run, metrics):
     assert claims
     for claim in claims:
-        value = QUANTITIES[claim.quantity](run, metrics)
+        value = QUANTITIES[claim.quantity]((run, metrics))
         assert claim.holds(value), (claim.quantity, value)
 
 
@@ -80,4 +75,4 @@ def test_claims_on_changed_scenarios():
     of_changed = [claim for arguments in CHANGED for claim in BY_ARGUMENTS[arguments]]
     claims = [claim for claim in of_changed if claim.is_in_table]
     assert len(claims) >= 12
-    assert wrong_claims(measure(claims)) == []
+    assert [fault for claim, value in measure(claims) if (fault := claim.fault(value))] == []

@@ -13,7 +13,7 @@ from typing import Any
 
 from mutants.faults import DRAWN, ROOT, Fault, FaultError, as_yaml, read_faults
 
-_LEFT_OUT = {"cli", "benchmarks", "view"}
+_LEFT_OUT = {"cli", "view"}
 _BINARY = "Add_Sub Sub_Add Mul_Div Div_Mul Pow_Mul FloorDiv_Div BitOr_BitAnd BitAnd_BitOr"
 _COMPARISON = "Lt_LtE Lt_Gt LtE_Lt LtE_Gt Gt_GtE Gt_Lt GtE_Gt GtE_Lt Eq_NotEq NotEq_Eq Is_IsNot"
 _OTHERS = "TrueWithFalse FalseWithTrue AndWithOr OrWithAnd BreakWithContinue"
