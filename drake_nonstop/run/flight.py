@@ -32,8 +32,6 @@ from drake_nonstop.run.preparation import (
     cause_of_divergence,
     check_simulation,
     stable_config,
-    warn_of_growth,
-    warn_of_margins,
     warn_of_other_bound,
 )
 from drake_nonstop.run.recording import (
@@ -147,8 +145,6 @@ class Flight:
         warn_of_other_bound(nonstop, self.loop_context, self._stated_bound)
         if not self._is_second:  # it has been said
             warn_of_angles(scenario)
-            warn_of_margins(scenario, nonstop, self.loop_context)
-            warn_of_growth(scenario, nonstop, self.loop_context)
         config = stable_config(scenario, nonstop, self.loop_context)
         if request.after_step is None:  # which may end a run of any duration
             require_room(self._logs.sizes, dataclasses.replace(scenario, simulator_config=config))
@@ -266,7 +262,7 @@ class Flight:
             raise RunInterrupted(self.run(self._interrupted)) from None
         except NotFiniteError as error:
             source = source_of_fault(error, self.nonstop, self.loop_context)
-            cause = cause_of_divergence(self.scenario, self.nonstop, self.context.get_time())
+            cause = cause_of_divergence(self.nonstop)
             raise self._stopped(
                 f"diverged{self._now}: {source} made a value that is not finite, or beyond "
                 f"{LARGEST:.0e} in SI units; {cause}"

@@ -1,6 +1,5 @@
 """Preparation of a flight: its loop, its step, and its warnings."""
 
-import contextlib
 from collections.abc import Callable
 from typing import Any
 
@@ -8,16 +7,13 @@ import numpy as np
 from pydrake.systems.analysis import GetIntegrationSchemes, SimulatorConfig
 from pydrake.systems.framework import Context, Diagram
 
-from drake_nonstop.analysis.aircraft_margins import aircraft_margins_for
-from drake_nonstop.analysis.formation import growth_complaint
-from drake_nonstop.analysis.task import is_known, task_at
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.loop.step import with_largest_step
 from drake_nonstop.run.recording import RUN_SIGNALS
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.systems.block import LOOP
-from drake_nonstop.systems.wiring import context_in, input_names, loop_in, require_signals
-from drake_nonstop.validation import ScenarioError, called, require, require_ranges, warn_user
+from drake_nonstop.systems.wiring import input_names, loop_in, require_signals
+from drake_nonstop.validation import called, require, require_ranges, warn_user
 
 # Makes the loop's diagram of a scenario, and of replacements as `make_nonstop` takes them.
 LoopMaker = Callable[..., Diagram]
@@ -62,53 +58,12 @@ def stable_config(scenario: Scenario, nonstop: Diagram, context: Context) -> Sim
     return with_largest_step(scenario.simulator_config, nonstop, context)
 
 
-def warn_of_margins(scenario: Scenario, nonstop: Diagram, context: Context) -> None:
-    """Warns where aircraft cannot fly the orbit above the resting load within their limits."""
-    if not nonstop.HasOutputPort("aircraft_state"):
-        return
-    with contextlib.suppress(ScenarioError):  # there is no such orbit
-        loop = loop_in(nonstop, RUN_SIGNALS)
-        context = context_in(nonstop, loop, context)
-        found = aircraft_margins_for(scenario, loop, context)
-        if not found.is_flyable:
-            message = f"{found.verdict}; drake-nonstop check shows all margins"
-            warn_user(message)
-
-
-def _growth_complaint(
-    scenario: Scenario,
-    nonstop: Diagram,
-    context: Context,
-    time: float,
-    *,
-    in_samples: bool = False,
-) -> str:
-    """A sentence on a formation that is unstable at the start, in a flight of a time in s."""
-    with contextlib.suppress(ScenarioError):  # what is no formation
-        loop = loop_in(nonstop, RUN_SIGNALS)
-        context = context_in(nonstop, loop, context)
-        if is_known(loop):
-            task = task_at(scenario, loop, context)
-            return growth_complaint(task, time, in_samples=in_samples)
-    return ""
-
-
-def warn_of_growth(scenario: Scenario, nonstop: Diagram, context: Context) -> None:
-    """Warns where a small deviation of the load grows from the start on."""
-    duration = scenario.simulation_duration
-    complaint = _growth_complaint(scenario, nonstop, context, duration)
-    if complaint:
-        warn_user(complaint)
-
-
 _FOUR_DIGITS: Any = {"float_kind": "{:.4g}".format}
 
 
-def cause_of_divergence(scenario: Scenario, nonstop: Diagram, time: float) -> str:
-    """Why a run may have diverged at a time in s, and the gains with which it did."""
-    context = nonstop.CreateDefaultContext()
-    cause = _growth_complaint(scenario, nonstop, context, time, in_samples=True)
-    cause = cause or "the loop may be unstable, or simulator_config.max_step_size too large"
+def cause_of_divergence(nonstop: Diagram) -> str:
+    """Why a run may have diverged, and the gains with which it did."""
+    cause = "the loop may be unstable, or simulator_config.max_step_size too large"
     gains = [
         f"{block.get_name()}.{name} = {np.array2string(np.asarray(value), formatter=_FOUR_DIGITS)}"
         for block in loop_in(nonstop, RUN_SIGNALS).GetSystems()

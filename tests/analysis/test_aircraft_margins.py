@@ -273,10 +273,3 @@ def test_the_needs_of_another_plant_are_those_that_are_flown(name, overrides):
         size = np.max(expected.thrust_limits[1]) if told is needs.thrust else np.max(told)
         for end in (np.min, np.max):
             assert end(told) == pytest.approx(end(flown), abs=share * size)
-
-
-def test_a_run_warns_of_what_is_missed_before_it_flies():
-    overrides = ["simulation_duration=0.01", "wind=!SteadyWind {velocity: [0, 4, 0]}"]
-    scenario = load_scenario("aircraft_rest", overrides)
-    with pytest.warns(ScenarioWarning, match=r"^wind\.velocity = .*C_L / C_Lmax 1\.1.* check "):
-        simulate(scenario)
