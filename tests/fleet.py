@@ -54,7 +54,7 @@ def _circle(radius: float, duration: float) -> list[list[float]]:
 
 _ONE_SAMPLE_AHEAD = [
     *("optimization_layer=NlpLayer", "phase=AccumulatedPhase"),
-    *("internal_force=InternalForceTrajectory", "carrier_trajectory.hold=velocity"),
+    "carrier_trajectory.hold=velocity",
 ]
 _SHORT_MOTION = "!RestToRest {displacement: [0.2, 0.1, 0.1], start_time: 0.2, move_time: 2.0}"
 
@@ -171,7 +171,7 @@ DRAWN: dict[str, tuple[str, list[str]]] = {
         "quintic",
         [
             *("simulation_duration=2", "optimization_layer=ConstantParameters"),
-            "carrier_trajectory=InextensibleCarrierTrajectory",
+            *("system.cable_stiffness=.inf", "simulated.cable_stiffness=500"),
             "load_disturbance=!DisturbanceForce {force: [0, 0, 9], start_time: 1}",
         ],
     ),

@@ -98,8 +98,44 @@ class _CarrierReferences(Block):
         return (*moved, *others)
 
 
-class _TrajectoryAboveReference(_CarrierReferences):
-    """Carriers above the load's reference, with accelerations and jerks (eqs. 1, 22)."""
+@dataclass(kw_only=True)
+class _MovingReferencesConfig(StrictFields):
+    """How the references move, between samples and against errors; the cables are the system's."""
+
+    hold: str = checked(  # of the references between samples: "third_order" or "velocity"
+        "third_order", one_of(_HOLDS, f"give {' or '.join(_HOLDS)}")
+    )
+    # rad/s, along x, y and z of W, at which the references move against the load's measured error
+    correction_rates: list[float] = vector([0.0] * 3, "in W", number_or_list(require_non_negative))
+
+
+@dataclass(kw_only=True)
+class CarrierTrajectoryConfig(_MovingReferencesConfig):
+    """How the references move, between samples and against errors; the cables are the system's."""
+
+
+class CarrierTrajectory(_CarrierReferences):
+    """Carriers above the desired load pose, on cables stretched by the desired forces (eqs. 1, 22).
+
+    The cables stretch by the system's stiffness (.inf: L_i = L₀, as in the paper). Only
+    accelerations and jerks need `internal_force_higher_rates`, `wind_estimate` and
+    `reference_higher_rates`: they are those while the load is on its reference, whose rates beyond
+    these are taken as zero, see `mechanics.grasp`.
+
+    A time τ after a sample the `carrier_reference` is p + τ v + τ² a/2 + τ³ j/6 and
+    v + τ a + τ² j/2, and its acceleration a + τ j. With the `hold` "velocity" they are p + τ v, v
+    and a. Jerks stand still.
+
+    With `correction_rates` σ, one for each axis of W, the load's reference is moved by the state s,
+    of ṡ = −σ (p − p_d), and by its velocity ṡ, with the measured position p: what else holds the
+    load off its reference, such as cables of another length, dies out as exp(−σ t). The integral of
+    a wrench controller cannot do that on long cables: a force moves the load only by the cables'
+    stretch, 2.3 mm/N in `aircraft_rest`, and its predicted rate is that of a free load. Rates above
+    a tenth of the carriers' frequency are lost in `aircraft_co_rotating`.
+
+    Raises:
+        ScenarioError: `hold` is another text, or a rate is negative.
+    """
 
     reads: ClassVar[tuple[str, ...]] = (
         "reference",
@@ -170,7 +206,7 @@ class _TrajectoryAboveReference(_CarrierReferences):
                 f"internal_force = {type(internal_force).__name__}: it does not make "
                 f"{_FORCE_RATES}, of which the references' accelerations follow; give it this "
                 "output, the second and third rates (2m) of the internal force, or "
-                "internal_force=InternalForceTrajectory"
+                "internal_force=PlannedInternalForce"
             )
         gains = described(loop.get("wrench_controller")) or {}
         is_integrated = np.any(gains.get("position_integral_gain", 0.0))
@@ -198,7 +234,7 @@ class _TrajectoryAboveReference(_CarrierReferences):
         basis: NDArray,
         attachments: NDArray,
         cable_length: NDArray,
-        cable_stiffness: NDArray | None = None,
+        cable_stiffness: NDArray,
         **load: NDArray,
     ) -> tuple[NDArray, NDArray, NDArray, NDArray]:
         motion, shift_rate = LoadMotion.along(reference, reference_higher_rates), shift
@@ -261,68 +297,10 @@ def _corrected(
     return motion._replace(position=motion.position + steady), rate
 
 
-def _cables(attachments: NDArray, length: NDArray, stiffness: NDArray | None) -> dict[str, Any]:
-    """Cables of lengths in m and stiffnesses in N/m, (1,) or (n,); None: they do not stretch."""
-    compliance = np.zeros(1) if stiffness is None else compliance_of(stiffness)
+def _cables(attachments: NDArray, length: NDArray, stiffness: NDArray) -> dict[str, Any]:
+    """Cables of lengths in m and stiffnesses in N/m, (1,) or (n,)."""
+    compliance = compliance_of(stiffness)
     return {"attachments": attachments, "rest_length": length, "compliance": compliance}
-
-
-@dataclass(kw_only=True)
-class _MovingReferencesConfig(StrictFields):
-    """How the references move, between samples and against errors; the cables are the system's."""
-
-    hold: str = checked(  # of the references between samples: "third_order" or "velocity"
-        "third_order", one_of(_HOLDS, f"give {' or '.join(_HOLDS)}")
-    )
-    # rad/s, along x, y and z of W, at which the references move against the load's measured error
-    correction_rates: list[float] = vector([0.0] * 3, "in W", number_or_list(require_non_negative))
-
-
-@dataclass(kw_only=True)
-class CarrierTrajectoryConfig(_MovingReferencesConfig):
-    """How the references move, between samples and against errors; the cables are the system's."""
-
-
-class CarrierTrajectory(_TrajectoryAboveReference):
-    """Carriers above the desired load pose, on cables stretched by the desired forces (eqs. 1, 22).
-
-    The cables stretch by the system's stiffness (.inf: L_i = L₀, as in the paper). Only
-    accelerations and jerks need `internal_force_higher_rates`, `wind_estimate` and
-    `reference_higher_rates`: they are those while the load is on its reference, whose rates beyond
-    these are taken as zero, see `mechanics.grasp`.
-
-    A time τ after a sample the `carrier_reference` is p + τ v + τ² a/2 + τ³ j/6 and
-    v + τ a + τ² j/2, and its acceleration a + τ j. With the `hold` "velocity" they are p + τ v, v
-    and a. Jerks stand still.
-
-    With `correction_rates` σ, one for each axis of W, the load's reference is moved by the state s,
-    of ṡ = −σ (p − p_d), and by its velocity ṡ, with the measured position p: what else holds the
-    load off its reference, such as cables of another length, dies out as exp(−σ t). The integral of
-    a wrench controller cannot do that on long cables: a force moves the load only by the cables'
-    stretch, 2.3 mm/N in `aircraft_rest`, and its predicted rate is that of a free load. Rates above
-    a tenth of the carriers' frequency are lost in `aircraft_co_rotating`.
-
-    Raises:
-        ScenarioError: `hold` is another text, or a rate is negative.
-    """
-
-
-@dataclass(kw_only=True)
-class InextensibleCarrierTrajectoryConfig(_MovingReferencesConfig):
-    """Those of `CarrierTrajectory`."""
-
-
-class InextensibleCarrierTrajectory(_TrajectoryAboveReference):
-    """Carriers above the desired load pose, on inextensible cables L_i = L₀, as in the paper.
-
-    If the simulated cables stretch, the load hangs lower until the wrench controller's integral
-    lifts it. Otherwise as `CarrierTrajectory`.
-
-    Raises:
-        ScenarioError: `hold` is another text, or a rate is negative.
-    """
-
-    system = ("cable_length", *LOAD)
 
 
 @dataclass(kw_only=True)
@@ -378,7 +356,7 @@ class BowedCarrierTrajectoryConfig(_MovingReferencesConfig):
     window: float = positive(0.75)  # s, before and after the present, in which their motion counts
 
 
-class BowedCarrierTrajectory(_TrajectoryAboveReference):
+class BowedCarrierTrajectory(CarrierTrajectory):
     """Carriers at the ends of cables that bow under their drag, weight and inertia.
 
     Eq. 1 as an initial value problem: nodes as those of `LumpedCables`, from the attachment and the
@@ -408,13 +386,13 @@ class BowedCarrierTrajectory(_TrajectoryAboveReference):
     )
     optional_inputs = (_HIGHER_RATES, _GUSTS)
     makes = (
-        *_TrajectoryAboveReference.makes,
+        *CarrierTrajectory.makes,
         "cable_drag_and_weight",
         "cable_drag_and_weight_rates",
         "cable_reference",
     )
     system = (*CABLE_MATERIAL, *LOAD)
-    of_model = (*_TrajectoryAboveReference.of_model, "pattern.phases")
+    of_model = (*CarrierTrajectory.of_model, "pattern.phases")
 
     bears_drag = True  # of the cables, which aircraft then do not
 
@@ -503,7 +481,6 @@ class BowedCarrierTrajectory(_TrajectoryAboveReference):
 
 VARIANTS = (
     CarrierTrajectory,
-    InextensibleCarrierTrajectory,
     MeasuredCarrierTrajectory,
     BowedCarrierTrajectory,
 )

@@ -5,35 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.mechanics.internal_force import harmonics, internal_force
-from drake_nonstop.mechanics.signals import Phase, PlannedParameters
+from drake_nonstop.mechanics.internal_force import harmonics
+from drake_nonstop.mechanics.signals import PlannedParameters
 from drake_nonstop.model.block import Block
 from drake_nonstop.validation import StrictFields
-
-
-@dataclass(kw_only=True)
-class InternalForceTrajectoryConfig(StrictFields):
-    """No parameters: the phases belong to the scenario's pattern."""
-
-
-class InternalForceTrajectory(Block):
-    """λ_k = A cos(θ + φ_k) and its rates (eq. 23).
-
-    The rates are those of constant ξ and A.
-    """
-
-    reads = ("parameters", "phase")
-    makes = ("internal_force", "internal_force_higher_rates")
-    of_model = ("pattern.phases",)
-    is_sampled = True
-
-    @staticmethod
-    def equations(
-        parameters: NDArray, phase: NDArray, *, phases: NDArray
-    ) -> tuple[NDArray, NDArray]:
-        angle = Phase.view(phase).angle
-        rates = internal_force(parameters, angle, phases=phases)
-        return np.concatenate(rates[:2]), np.concatenate(rates[2:])
 
 
 @dataclass(kw_only=True)
@@ -42,9 +17,10 @@ class PlannedInternalForceConfig(StrictFields):
 
 
 class PlannedInternalForce(Block):
-    """λ_k = A cos(θ + φ_k) of ξ and A that change, with the exact rates of a plan.
+    """λ_k = A cos(θ + φ_k) with its exact rates (eq. 23), of ξ and A that may change.
 
-    See `mechanics.internal_force.harmonics`.
+    Where `planned` tells no rates they are those of constant ξ and A. See
+    `mechanics.internal_force.harmonics`.
     """
 
     reads = ("planned",)
@@ -59,4 +35,4 @@ class PlannedInternalForce(Block):
         return np.concatenate(rates[:2]), np.concatenate(rates[2:])
 
 
-VARIANTS = (PlannedInternalForce, InternalForceTrajectory)
+VARIANTS = (PlannedInternalForce,)

@@ -1,6 +1,5 @@
 """Box "phase" of the internal forces, in the paper a part of their trajectories."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -13,7 +12,6 @@ from drake_nonstop.mechanics.signals import PHASE_SIZE
 from drake_nonstop.model.block import Block, BlockParameters
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import weakly
-from drake_nonstop.systems.requirements import LoopBlocks
 from drake_nonstop.systems.tracing import where
 from drake_nonstop.validation import (
     StrictFields,
@@ -116,18 +114,6 @@ class ShapedPhase(Block):
             # At the first step, and not at the initialization, which a layer's first answer is a
             # part of.
             self.DeclarePerStepUnrestrictedUpdateEvent(weakly(self._begin_shaping))
-
-    def requires(self, loop: LoopBlocks) -> Iterator[str]:
-        """Tells of an internal force of other ξ and A than it makes."""
-        layer, reader = loop.get("optimization_layer"), loop.get("internal_force")
-        if loop.reads("internal_force", "parameters") and not getattr(layer, "is_trivial", False):
-            has_plan = loop.maker_of("plan") is not None
-            other = "" if has_plan else ", or give phase=AccumulatedPhase"
-            yield (
-                f"internal_force = {type(reader).__name__}: it reads parameters, which phase = "
-                "ShapedPhase smooths, so that its rates are others than those that are flown; have "
-                f"it read planned, as PlannedInternalForce does{other}"
-            )
 
     @classmethod
     def check(cls, model: Model, config: ShapedPhaseConfig) -> None:

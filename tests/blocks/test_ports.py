@@ -31,14 +31,13 @@ from drake_nonstop.blocks.carrier_trajectory import (
     BowedCarrierTrajectoryConfig,
     CarrierTrajectory,
     CarrierTrajectoryConfig,
-    InextensibleCarrierTrajectory,
     MeasuredCarrierTrajectory,
 )
 from drake_nonstop.blocks.fixed_wing_controller import FixedWingController
 from drake_nonstop.blocks.force_distribution import (
     CableForceDistribution,
 )
-from drake_nonstop.blocks.internal_force import InternalForceTrajectory, PlannedInternalForce
+from drake_nonstop.blocks.internal_force import PlannedInternalForce
 from drake_nonstop.blocks.load_disturbance import (
     DisturbanceForce,
     DisturbanceForceConfig,
@@ -186,7 +185,7 @@ BLOCKS = {
         everything([*_WRENCH_INPUTS, "reference_higher_rates"], [*_WRENCH]),
     ),
     **dict.fromkeys(
-        (CarrierTrajectory, InextensibleCarrierTrajectory, first_order_trajectory),
+        (CarrierTrajectory, first_order_trajectory),
         (
             [*_PULLED, *_ORBIT],
             ["carrier_reference", *_DERIVATIVES],
@@ -252,9 +251,6 @@ BLOCKS = {
         ["parameters", "plan"],
         ["phase", "planned"],
         [("parameters", "planned"), ("plan", "phase"), ("plan", "planned")],
-    ),
-    InternalForceTrajectory: everything(
-        ["parameters", "phase"], ["internal_force", "internal_force_higher_rates"]
     ),
     PlannedInternalForce: everything(
         ["planned"], ["internal_force", "internal_force_higher_rates"]
@@ -329,7 +325,6 @@ SAMPLED = {
     PaperPhase: ("phase", "planned"),
     **dict.fromkeys((WrenchController, PaperWrenchController, TunedWrenchController), _WRENCH),
     CarrierTrajectory: _MOVED,
-    InextensibleCarrierTrajectory: _MOVED,
     bowed_trajectory: _MOVED,
     first_order_trajectory: _MOVED[:1],
     MeasuredCarrierTrajectory: _MOVED[:1],
@@ -381,7 +376,7 @@ def expected_ports(make, period):
     made = [name for name in _MOVED if name in outputs]  # at samples, and moved in between
     outputs = [*outputs[:3], *(f"sampled_{name}" for name in made), *outputs[3:]]
     feedthrough = [*feedthrough, *((s, f"sampled_{t}") for s, t in feedthrough if t in made)]
-    if make in (CarrierTrajectory, InextensibleCarrierTrajectory):
+    if make is CarrierTrajectory:
         feedthrough = [*feedthrough, *((source, "carrier_reference") for source in _ORBIT)]
     times = [("sample_time", target) for target in SAMPLED[make]]
     return [*inputs, "sample_time"], outputs, [*feedthrough, *times]

@@ -12,7 +12,6 @@ from drake_nonstop.blocks.carrier_trajectory import (
     BowedCarrierTrajectory,
     BowedCarrierTrajectoryConfig,
     CarrierTrajectory,
-    InextensibleCarrierTrajectory,
     MeasuredCarrierTrajectory,
 )
 from drake_nonstop.blocks.lumped_cables import LumpedCables, LumpedCablesConfig
@@ -39,7 +38,6 @@ BLOCKS = [
     (Cables, None),
     (LumpedCables, LumpedCablesConfig(nodes=3)),
     (CarrierTrajectory, None),
-    (InextensibleCarrierTrajectory, None),
     (MeasuredCarrierTrajectory, None),
     (BowedCarrierTrajectory, BowedCarrierTrajectoryConfig(nodes=3)),
 ]

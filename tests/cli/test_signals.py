@@ -26,7 +26,6 @@ from drake_nonstop.run import flight
 TRIES = int(os.environ.get("SIGNAL_TRIES", "6"))
 _DATA = {"scenario.yaml", "metrics.json", "signals.npz", "steps.npz"}
 _GRACE = 2.0  # s, from the second signal to the end
-_UNPLANNED = ["internal_force=InternalForceTrajectory"]  # reads the two signals that they make
 
 _BLOCKS = """
 import sys, time
@@ -41,13 +40,13 @@ class Spins(LeafSystem):
     def __init__(self, model, config):
         super().__init__()
         self.begin = config.begin
-        self.DeclareVectorOutputPort("phase", 2, self.calc)
+        self.DeclareVectorOutputPort("planned", 8, self.calc)
 
     def calc(self, context, output):
         if context.get_time() > self.begin:
             open("there", "w").close()
             self.stay()
-        output.SetFromVector([2 * context.get_time(), context.get_time()])
+        output.SetFromVector([2 * context.get_time(), 2.0, 1.2, 0, 0, 0, 0, 0])
 
     def stay(self):
         while True:
@@ -194,7 +193,6 @@ def test_two_signals_end_every_command_with_one_sentence(start, tmp_path, seed):
 @pytest.mark.parametrize("block", ["Spins", "Sleeps", "Waits", "Swallows"])
 def test_a_block_that_never_returns_is_ended_and_what_was_flown_is_kept(start, tmp_path, block):
     options = ["--out", "o", "--trust", "--quiet", "--set", f"phase=stays.{block}"]
-    options += _UNPLANNED
     process = start("run", "quintic", *options)
     wait_for(tmp_path / "there")
     process.send_signal(signal.SIGINT)
@@ -212,7 +210,7 @@ def test_a_block_that_never_returns_is_ended_and_what_was_flown_is_kept(start, t
 @pytest.mark.nightly("processes")
 def test_a_blocks_exit_is_its_error_and_what_was_flown_is_kept(start, tmp_path):
     options = ["--no-figures", "--no-replay", "--out", "o", "--trust", "--quiet"]
-    process = start("run", "quintic", *options, "--set", "phase=stays.Exits", *_UNPLANNED)
+    process = start("run", "quintic", *options, "--set", "phase=stays.Exits")
     code, sentences, _ = ended(process)
     assert code == 1
     assert re.search(r"stopped at t = 0\.3\d+ s: phase \(stays.py:\d+\): SystemExit", sentences[0])
@@ -242,7 +240,7 @@ def test_a_signal_while_a_run_goes_on_keeps_what_was_flown(tmp_path, monkeypatch
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
 def test_one_signal_ends_a_run_in_order(start, tmp_path, number):
     options = ["--no-figures", "--no-replay", "--out", "o", "--trust", "--set"]
-    options += ["simulation_duration=1000", "phase=stays.FliesOn", *_UNPLANNED]
+    options += ["simulation_duration=1000", "phase=stays.FliesOn"]
     process = start("run", "quintic", *options)
     wait_for(tmp_path / "there")
     process.send_signal(number)

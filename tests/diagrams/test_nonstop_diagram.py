@@ -11,7 +11,6 @@ from pydrake.systems.framework import LeafSystem
 from drake_nonstop.blocks.carrier_controller import CarrierPidConfig
 from drake_nonstop.blocks.carrier_dynamics import CarrierDynamicsConfig
 from drake_nonstop.blocks.carrier_trajectory import MeasuredCarrierTrajectory
-from drake_nonstop.blocks.internal_force import InternalForceTrajectory
 from drake_nonstop.blocks.load_feedback import (
     DesiredStateFeedback,
     DesiredStateFeedbackConfig,
@@ -428,31 +427,16 @@ def test_a_run_starts_at_the_parameters_that_the_context_has(period):
         np.testing.assert_allclose(planned[1:], [2.5, 1.4, 0, 0, 0, 0, 0], rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize("layer", [NlpLayerConfig(), ConstantParametersConfig()])
-def test_an_internal_force_that_reads_what_is_smoothed_is_told(layer):
-    fields = {"internal_force": InternalForceTrajectory, "at_equilibrium": False}
-    make_nonstop(Scenario(optimization_layer=layer), phase=AccumulatedPhase, **fields)
-    if isinstance(layer, ConstantParametersConfig):
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")
-            make_nonstop(Scenario(optimization_layer=layer), **fields)
-        return
-    with pytest.warns(ScenarioWarning, match="it reads parameters, which phase = ShapedPhase smoo"):
-        make_nonstop(Scenario(optimization_layer=layer), **fields)
-
-
 def test_a_phase_that_leaves_the_plan_unread_is_told():
     fields = {"phase": AccumulatedPhase, "at_equilibrium": False}
     with pytest.warns(
         ScenarioWarning, match="phase = AccumulatedPhase: it does not read the plan"
     ) as told:
-        make_nonstop(Scenario(), internal_force=InternalForceTrajectory, **fields)
+        make_nonstop(Scenario(), **fields)
     with warnings.catch_warnings():  # its remedies
         warnings.simplefilter("error")
         make_nonstop(Scenario(), at_equilibrium=False)
         make_nonstop(Scenario(optimization_layer=NlpLayerConfig()), **fields)
-    with pytest.warns(ScenarioWarning, match="as PlannedInternalForce does$"):
-        make_nonstop(Scenario(), internal_force=InternalForceTrajectory, at_equilibrium=False)
     assert len(told) == 1
 
 

@@ -151,12 +151,11 @@ class PlainPhase(LeafSystem):
 
     def __init__(self, model):
         super().__init__()
-        self.DeclareVectorOutputPort("phase", 2, lambda context, output: output.SetZero())
+        self.DeclareVectorOutputPort("planned", 8, lambda context, output: output.SetZero())
 
 
 def test_a_block_of_the_users_that_does_not_convert_is_named():
-    overrides = [CONSTANT, "internal_force=InternalForceTrajectory"]
-    loop = make_nonstop(load_scenario("quintic", overrides), phase=PlainPhase)
+    loop = make_nonstop(load_scenario("quintic", [CONSTANT]), phase=PlainPhase)
     with pytest.raises(RuntimeError, match=r"::phase of type .*PlainPhase does not support"):
         loop.ToAutoDiffXd()
 
