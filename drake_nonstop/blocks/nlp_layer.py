@@ -37,9 +37,9 @@ from drake_nonstop.planning.problem_config import (
     amplitude_range,
     below_one,
     check_initial,
-    check_samples,
     check_speed_bound,
     points,
+    require_samples,
 )
 from drake_nonstop.systems.block import weakly
 from drake_nonstop.systems.tracing import NotFiniteError, TracedFunction
@@ -195,7 +195,7 @@ class NlpLayer(CommandedBound, PeriodicLayer):
         require_ranges(BOX, config)
         check_initial(BOX, "frequency", config.frequency, config.frequency_bounds)
         check_initial(BOX, "amplitude", config.amplitude, amplitude_range(config, model))
-        check_samples(BOX, config.period, model)
+        require_samples(f"{BOX}.period", config.period, model)
         remedy = "the pattern has no orbits that it could change; give !ConstantParameters"
         require(not model.pattern.is_constant, BOX, cls.__name__, remedy)
 

@@ -30,9 +30,9 @@ from drake_nonstop.planning.problem_config import (
     below_one,
     check_flight_limits,
     check_initial,
-    check_samples,
     check_speed_bound,
     points,
+    require_samples,
 )
 from drake_nonstop.systems.requirements import LoopBlocks
 from drake_nonstop.validation import (
@@ -281,4 +281,4 @@ class TurnRateOptimizer(PeriodicLayer):
         require_ranges(BOX, config)
         check_flight_limits(BOX, config, model.aircraft)
         check_initial(BOX, "frequency", config.frequency, config.frequency_bounds)
-        check_samples(BOX, config.period, model)
+        require_samples(f"{BOX}.period", config.period, model)

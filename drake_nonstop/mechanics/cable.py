@@ -62,10 +62,8 @@ def cable_forces_and_tensions(
     wherever the cable is taut; as it goes slack the tension falls to zero without a
     jump, which a damper that switches off at s = 0 would leave behind.
     """
-    load, carriers = LoadState.view(load_state), CarrierStates.view(carrier_state)
-    levers = attachments @ rotation_matrix(load.quaternion).T
-    stretch = carriers.positions - load.position - levers
-    stretch_rate = carriers.velocities - load.velocity - cross(load.angular_velocity, levers)
+    ends, velocities = ends_of_cables(load_state, carrier_state, attachments)
+    stretch, stretch_rate = (high - low for low, high in (ends, velocities))
     tension, direction = tensions_and_directions(
         stretch,
         stretch_rate,

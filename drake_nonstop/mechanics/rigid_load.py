@@ -34,27 +34,10 @@ class RigidLoad:
 
 
 def symmetric_inverse(matrix: NDArray) -> NDArray:
-    """The inverse of a symmetric, positive definite (3, 3) matrix, of numbers or symbols.
-
-    By the decomposition M = L D Lᵀ, without a choice of pivots; the entries above the diagonal are
-    not read.
-    """
-    a, b, c = (matrix[i, :1] for i in range(3))
-    d, e, f = matrix[1, 1:2], matrix[2, 1:2], matrix[2, 2:]
-    first, second = b / a, c / a
-    rest = e - second * b
-    pivot = d - first * b
-    third = rest / pivot
-    zero, one = 0 * a, 0 * a + 1
-    inverse_of_L = np.stack(
-        [
-            np.concatenate([one, zero, zero]),
-            np.concatenate([-first, one, zero]),
-            np.concatenate([first * third - second, -third, one]),
-        ]
-    )
-    pivots = np.stack([a, pivot, f - second * c - third * rest])
-    return inverse_of_L.T @ (inverse_of_L / pivots)
+    """The inverse of a symmetric (3, 3) matrix, of numbers or symbols, by its cofactors."""
+    a, b, c = matrix
+    cofactors = np.stack([cross(b, c), cross(c, a), cross(a, b)])
+    return cofactors / (a * cofactors[0]).sum(keepdims=True)
 
 
 def gravity_wrench(mass: float, gravity: float) -> NDArray:

@@ -6,7 +6,7 @@ from typing import TypeVar
 
 from drake_nonstop.model.system import Model
 from drake_nonstop.planning.plan import DEGREE
-from drake_nonstop.planning.problem_config import LimitsConfig
+from drake_nonstop.planning.problem_config import LimitsConfig, require_samples
 from drake_nonstop.planning.step_program import DAQP, SOLVERS
 from drake_nonstop.validation import (
     checked,
@@ -79,16 +79,10 @@ def check_horizon(box: str, config: HorizonConfig, limits: LimitsConfig, model: 
     require_ranges(box, config)
     turn = 2 * math.pi / limits.frequency
     times = timed(config, limits.frequency, model.control_period)
-    spacing, intervals, period = times.knot_spacing, times.intervals, model.control_period
+    spacing, intervals = times.knot_spacing, times.intervals
     name = f"{box}.knot_spacing"
     require_period(name, spacing)
-    if period > 0:
-        ratio = spacing / period
-        remedy = (
-            f"give a multiple of the control period {period}, such as "
-            f"{max(round(ratio), 1) * period:.10g}, or 0 for an eighth of a turn"
-        )
-        require(round(ratio) >= 1 and abs(ratio - round(ratio)) < _WHOLE, name, spacing, remedy)
+    require_samples(name, spacing, model)
     least = math.ceil(1e4 * _TURNS * turn / _MOST_INTERVALS) / 1e4
     remedy = f"give at least {least:g} s, or 0 for an eighth of a turn"
     require(spacing >= least, name, spacing, remedy)

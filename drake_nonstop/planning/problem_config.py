@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 
 from drake_nonstop.mechanics.aircraft import Aircraft, stall_speed
 from drake_nonstop.model.system import Model
-from drake_nonstop.planning.limits import LIMITS, Limit, Of, limits_of
+from drake_nonstop.planning.limits import LIMITS, Of, limits_of
 from drake_nonstop.planning.measured_margin import FIRST_SHARE, MEASURED
 from drake_nonstop.systems.tracing import LARGEST
 from drake_nonstop.validation import (
@@ -177,16 +177,16 @@ def check_limits(box: str, config: LimitsConfig, model: Model, *, measures: bool
         check_initial(box, name, start, bounds)
 
 
-def check_samples(box: str, period: float, model: Model) -> None:
-    """Raises ScenarioError for a period (s), of a config's `box`, of no whole control periods."""
+def require_samples(field: str, period: float, model: Model) -> None:
+    """Raises ScenarioError for a period (s) that is not a whole number of control periods."""
     if model.control_period > 0:
         ratio = period / model.control_period
-        require(
-            round(ratio) >= 1 and abs(ratio - round(ratio)) < 1e-9,
-            f"{box}.period",
-            period,
-            f"give a multiple of the control period {model.control_period}",
+        remedy = (
+            f"give a multiple of the control period {model.control_period}, such as "
+            f"{max(round(ratio), 1) * model.control_period:.10g}"
         )
+        is_whole = round(ratio) >= 1 and abs(ratio - round(ratio)) < 1e-6
+        require(is_whole, field, period, remedy)
 
 
 def check_initial(box: str, name: str, start: float, bounds: Any) -> None:
@@ -210,23 +210,15 @@ def _check_ratios(box: str, config: LimitsConfig) -> None:
             f"give at most {LARGEST:g}, in SI units",
         )
     for limit in LIMITS:
-        if not (limit.is_least or limit.is_of_aircraft):
-            require_limit(box, limit.field, limit.stated(config), _least_room(limit, config))
-
-
-def _least_room(limit: Limit, config: LimitsConfig) -> float:
-    """Value that a largest one has to be above, for the least ones of the same quantity."""
-    if limit.of is Of.SPEED:
-        return tightened_bound(config, config.speed_bound) / (1 - limit_tightening(config))
-    least = [each.stated(config) for each in limits_of(limit.of) if each.is_least]
-    return _least_ratio(config) * max(least, default=0.0)
-
-
-def require_limit(box: str, name: str, value: Any, least: float) -> None:
-    """Raises ScenarioError for a largest value, of a config's `box`, that is not above `least`."""
-    remedy = f"give a number greater than {least:g}, or .inf for no limit"
-    is_above = (is_number(value) and value > least) or value == math.inf
-    require(is_above, f"{box}.{name}", value, remedy)
+        if limit.is_least or limit.is_of_aircraft:
+            continue
+        lowest = [each.stated(config) for each in limits_of(limit.of) if each.is_least]
+        lowest += [config.speed_bound] if limit.of is Of.SPEED else []
+        least = _least_ratio(config) * max(lowest, default=0.0)
+        value = limit.stated(config)
+        remedy = f"give a number greater than {least:g}, or .inf for no limit"
+        is_above = (is_number(value) and value > least) or value == math.inf
+        require(is_above, f"{box}.{limit.field}", value, remedy)
 
 
 def check_flight_limits(box: str, config: AircraftLimits, aircraft: Aircraft | None) -> None:
