@@ -20,10 +20,11 @@ from drake_nonstop.blocks.reference_governor import ReferenceGovernorConfig
 from drake_nonstop.diagrams.nonstop import BOXES, SIGNALS, make_nonstop
 from drake_nonstop.model.aircraft import AircraftParameters
 from drake_nonstop.model.system import SystemParameters
+from drake_nonstop.scenario.choices import CHOICES
 from drake_nonstop.scenario.describe import Parameter, box_names, describe, parameters
 from drake_nonstop.scenario.run_limits import RunLimits
 from drake_nonstop.scenario.scene_config import SceneConfig
-from drake_nonstop.scenario.schema import CHOICES, Scenario
+from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.view.drawing import draw_diagram
 
 

@@ -6,7 +6,6 @@ import difflib
 import functools
 import importlib.util
 import math
-import os
 import re
 import stat
 import sys
@@ -219,7 +218,7 @@ def require_ranges(owner: str, config: _Config, values: Mapping[str, Any] | None
         for check in field.metadata.get("checks", ()):
             value = values[field.name]
             if value is not None or field.default is not None:
-                check(f"{owner}.{field.name}", value)
+                check(f"{owner}.{field.name}".removeprefix("."), value)
     return config
 
 
@@ -235,20 +234,17 @@ def require_seed(field: str, value: Any) -> None:
     require(is_seed, field, value, "give 0 or a whole number above it, of 18 digits at most")
 
 
-def require_known(
-    key: Any, valid: Collection[str], field: str, value: Any, called: str = ""
-) -> None:
-    """Raises ScenarioError for a key that is not among the valid ones; `called` is its full name.
+def require_known(key: Any, valid: Collection[str], field: str, value: Any) -> None:
+    """Raises ScenarioError for a key that is not among the valid ones.
 
     Only then is a close one looked for, which takes longer than all else.
     """
-    if key in valid:
-        return
-    name = _shown(called or key)
-    close = difflib.get_close_matches(name, valid, n=1)
-    hint = f"did you mean {close[0]}? " if close else ""
-    there = f"there is no {name}; {hint}there are {', '.join(valid) or 'no fields'}"
-    require(False, field, value, there)
+    if key not in valid:
+        name = _shown(key)
+        close = difflib.get_close_matches(name, valid, n=1)
+        hint = f"did you mean {close[0]}? " if close else ""
+        there = f"there is no {name}; {hint}there are {', '.join(valid) or 'no fields'}"
+        require(False, field, value, there)
 
 
 class StrictFields:
@@ -282,102 +278,40 @@ def plain_value(value: Any, field: str, depth: int = 0) -> Any:
     return value
 
 
-def require_fields(path: str, config: Any) -> None:
-    """Raises ScenarioError for the first field of a dataclass that is not of its type.
+def members_of(kind: Any) -> tuple[Any, ...]:
+    """The types that a value of a type may have: the members of a union, or the type itself."""
+    is_union = typing.get_origin(kind) in (typing.Union, types.UnionType)
+    return typing.get_args(kind) if is_union else (kind,)
 
-    `path` is what error messages call the dataclass.
+
+def require_type(field: str, value: Any, kind: type) -> Any:
+    """The value, a number, text or truth value; a whole number as a float where that is asked for.
+
+    Raises:
+        ScenarioError: it is none of `kind`: float, int, bool or str, or a number is NaN, or large.
     """
-    for field in fields_of(type(config)):
-        name, part = f"{path}.{field.name}", optional_part(field.type)
-        value = getattr(config, field.name, None)
-        if part is not None and value is not None:
-            remedy = f"give an instance of {part.__name__}, or in YAML a mapping of its fields"
-            require(isinstance(value, part), name, value, remedy)
-        require_type(name, value, field.type)
-
-
-def of_given(kind: Any, value: Any = None) -> Any:
-    """The type of what a field holds where it is not None, nor a word in a number's place.
-
-    Where it may hold a number or a list of numbers, the value tells which.
-    """
-    if typing.get_origin(kind) in (typing.Union, types.UnionType):
-        options = [option for option in typing.get_args(kind) if option is not types.NoneType]
-        if options == [float, list[float]]:
-            return options[isinstance(value, list)]
-        return options[0] if len(options) == 1 or options == [float, str] else kind
-    return kind
-
-
-def optional_part(kind: Any) -> Any:
-    """The dataclass of a field that may be None instead; None where it is no such field."""
-    part = of_given(kind)
-    return part if part is not kind and dataclasses.is_dataclass(part) else None
-
-
-def parts_of(kind: Any) -> tuple[type, ...]:
-    """The dataclasses that a value of this type is one of; none where it may be anything else."""
-    parts = typing.get_args(kind)
-    return parts if all(map(dataclasses.is_dataclass, parts)) else ()
-
-
-def fields_of(schema: Any) -> Sequence[Any]:
-    """The fields of a dataclass, or of one of Drake's, each with a `name` and a `type`."""
-    is_own = dataclasses.is_dataclass(schema)
-    return dataclasses.fields(schema) if is_own else schema.__fields__
-
-
-def require_type(field: str, value: Any, kind: Any) -> None:
-    """Raises ScenarioError for a value that is not what a field's annotation says.
-
-    Numbers, texts, truth values, lists of those and what may be None are checked, and numbers
-    for their size; all else is taken as it is.
-    """
-    part = of_given(kind, value)
-    if part is not kind:
-        options = typing.get_args(kind)
-        if value is not None or type(None) not in options:
-            is_word = isinstance(value, str) and str in options
-            require_type(field, value, str if is_word else part)
-    elif typing.get_origin(kind) is list:
-        require(isinstance(value, list), field, value, "give a list in [ ]")
-        for i, item in enumerate(value):
-            require_type(f"{field}[{i}]", item, typing.get_args(kind)[0])
-    elif kind in (int, float):
-        _require_number(field, value, kind)
-    elif kind is bool:
+    if kind is bool:
         require(isinstance(value, bool), field, value, "give true or false")
-    elif kind is str:
+        return value
+    if kind is str:
         require(isinstance(value, str), field, value, "give a text, in quotes")
         is_text = not any("\ud800" <= character <= "\udfff" for character in value)
         require(is_text, field, value, "give a text that can be written as UTF-8")
-    elif parts := parts_of(kind):
-        names = " and ".join(f"!{part.__name__.removesuffix('Config')}" for part in parts)
-        require(isinstance(value, parts), field, value, f"give one of {names}")
-        require_fields(field, value)
-    elif dataclasses.is_dataclass(kind) and isinstance(value, kind):  # type: ignore[arg-type]
-        require_fields(field, value)
-
-
-def _require_number(field: str, value: Any, kind: type) -> None:
-    """Raises ScenarioError for what is no int or no float, or is NaN, or too large."""
+        return value
     if isinstance(value, str):
         require(not number_text(value), field, f"'{value}'", "give the number without quotes")
-        is_nan = value.lower() in ("nan", ".nan")
-        require(not is_nan, field, value, "give a finite number")
-        is_infinity = value.lower().strip("+-") in ("inf", "infinity")
-        require(not is_infinity, field, value, "write .inf where there is to be no limit")
-        is_other = re.fullmatch(r"[-+]?[0-9][0-9A-Fa-foxOX_:.]*", value)
-        require(not is_other, field, value, "give a number in plain digits, such as 10")
+        is_other = re.fullmatch(r"[-+]?(\.?nan|inf|infinity|[0-9][0-9A-Fa-foxOX_:.]*)", value, re.I)
+        require(not is_other, field, value, "give a finite number in plain digits, or .inf")
     is_whole = isinstance(value, int) and not isinstance(value, bool)
     if kind is int:
         require(is_whole, field, value, "give a whole number")
         require(abs(value) < 2**63, field, value, "give a whole number of 18 digits at most")
-    else:
-        require(is_whole or isinstance(value, float), field, value, "give a number")
-        require(value == value, field, value, "give a finite number")
-        is_within = abs(value) <= _LARGEST or value in (math.inf, -math.inf)
-        require(is_within, field, value, f"give a number up to {_LARGEST:g}, in SI units")
+        return value
+    require(is_whole or isinstance(value, float), field, value, "give a number")
+    require(value == value, field, value, "give a finite number")
+    is_within = abs(value) <= _LARGEST or value in (math.inf, -math.inf)
+    require(is_within, field, value, f"give a number up to {_LARGEST:g}, in SI units")
+    return float(value) if is_whole else value
 
 
 def number_text(text: str) -> bool:
@@ -401,13 +335,7 @@ def read_text(path: str | Path, field: str, remedy: str = "give a file that can 
     """
     require_file(path, field, remedy)
     try:
-        # Without waiting for what a device may have to say later.
-        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
-        with os.fdopen(descriptor, "rb") as file:
-            content = file.read(_LARGEST_FILE + 1)
-        require(content is not None, field, path, f"{remedy} (it has nothing to read)")
-        require(len(content) <= _LARGEST_FILE, field, path, _file_remedy(remedy))
-        return content.decode("utf-8-sig")
+        return Path(path).read_text(encoding="utf-8-sig")
     except UnicodeDecodeError:
         raise _refusal(field, path, f"{remedy} (it is not UTF-8)") from None
     except OSError as error:
@@ -421,11 +349,8 @@ def require_file(path: str | Path, field: str, remedy: str) -> None:
     except (OSError, ValueError) as error:
         raise _refusal(field, path, f"{remedy} ({_shown(error)})") from None
     require(stat.S_ISREG(found.st_mode), field, path, f"{remedy} (it is no regular file)")
-    require(found.st_size <= _LARGEST_FILE, field, path, _file_remedy(remedy))
-
-
-def _file_remedy(remedy: str) -> str:
-    return f"{remedy}, of {_LARGEST_FILE / 1e6:g} MB at most"
+    remedy = f"{remedy}, of {_LARGEST_FILE / 1e6:g} MB at most"
+    require(found.st_size <= _LARGEST_FILE, field, path, remedy)
 
 
 def require_flags(**flags: bool) -> None:

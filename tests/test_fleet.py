@@ -10,7 +10,8 @@ from fleet import BY_BOTH_ENGINES, DRAWN, FLEET, Fleet, flown, scenario_of
 from drake_nonstop import compute_metrics, load_scenario
 from drake_nonstop.analysis.limit import RunOutcome
 from drake_nonstop.diagrams.nonstop import BOXES
-from drake_nonstop.scenario.schema import DIAGRAM, PATTERNS
+from drake_nonstop.scenario.choices import PATTERNS
+from drake_nonstop.scenario.schema import DIAGRAM
 
 SHORT = load_scenario(
     "quintic", ["simulation_duration=0.1", "optimization_layer=ConstantParameters"]

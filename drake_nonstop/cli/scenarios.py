@@ -8,9 +8,15 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from drake_nonstop.cli.arguments import Commands, add_trust
-from drake_nonstop.scenario.commented import commented_scenario
-from drake_nonstop.scenario.describe import Parameter, Port, box_names, describe
-from drake_nonstop.scenario.json_schema import custom_tags, scenario_schema
+from drake_nonstop.scenario.describe import (
+    Parameter,
+    Port,
+    box_names,
+    commented_scenario,
+    custom_tags,
+    describe,
+    scenario_schema,
+)
 from drake_nonstop.scenario.loading import load_scenario, parse_scenario, scenario_names
 from drake_nonstop.studies.files import replacing_file, require_writable_file
 from drake_nonstop.validation import ScenarioError, require

@@ -2,8 +2,8 @@
 
 import math
 import typing
-from dataclasses import dataclass, field, replace
-from typing import Any, TypeVar
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, TypeVar, cast
 
 from drake_nonstop.mechanics.aircraft import Aircraft, stall_speed
 from drake_nonstop.model.system import Model
@@ -13,7 +13,6 @@ from drake_nonstop.systems.tracing import LARGEST
 from drake_nonstop.validation import (
     StrictFields,
     checked,
-    fields_of,
     fulfilling,
     is_number,
     number_with,
@@ -122,7 +121,7 @@ def with_stated_bound(box: str, config: _Config, model: Model) -> _Config:
 
 def with_fields_of(kind: type[_Config], config: Any) -> _Config:
     """A config of the fields that another one has, too; its others are the defaults."""
-    names = [field.name for field in fields_of(kind)]
+    names = [field.name for field in fields(cast(Any, kind))]
     return kind(**{name: getattr(config, name) for name in names if hasattr(config, name)})
 
 

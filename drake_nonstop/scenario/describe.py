@@ -1,12 +1,16 @@
-"""Choices for the boxes of the figure: blocks, parameters and ports, for people to read.
+"""What can stand in a scenario, for people and for editors, from the declarations of its fields.
 
-All is taken from the code: the blocks from `BOXES`, a block's parameters from the dataclass
-beside it, their meanings from the comments on its fields, and the ports from a block that is
-built with the default scenario's model.
+The blocks are those of `BOXES`, a block's parameters the fields of the dataclass beside it, their
+units and meanings the comments on these, and the ports those of a block that is built with the
+default scenario's model.
 """
 
 import dataclasses
 import inspect
+import math
+import textwrap
+import types
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,11 +20,26 @@ from drake_nonstop.mechanics.signal_layouts import Layout
 from drake_nonstop.mechanics.signals import HELD
 from drake_nonstop.model.aircraft import AircraftParameters
 from drake_nonstop.model.system import Model
-from drake_nonstop.scenario.schema import PATTERN, PATTERNS, Scenario
+from drake_nonstop.scenario.choices import CHOICES, PATTERN, PATTERNS, block_name, tag_of
+from drake_nonstop.scenario.distributions import is_entry
+from drake_nonstop.scenario.fields import Tree, fields_of, item_of, parts_of, write
+from drake_nonstop.scenario.overrides import BASE, to_tree
+from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.scenario.yaml_text import dump_plain
 from drake_nonstop.systems import wiring
-from drake_nonstop.systems.documentation import meanings
-from drake_nonstop.validation import ScenarioError, require
+from drake_nonstop.systems.documentation import field_comments, meanings
+from drake_nonstop.validation import ScenarioError, members_of, require_known
+
+_COMMENT_COLUMN = 44  # where comments begin
+_LINE_WIDTH = 100  # characters; a comment for which there is no room stands above its field
+_HEADING = """\
+# {name} with every field; lines that you delete have their defaults.
+# Vectors are in the world frame W, or where a comment says so in the load's frame L.
+# `drake-nonstop schema --help` tells how an editor completes and checks this file.
+"""
+_JSON_TYPES = {float: "number", int: "integer", bool: "boolean", str: "string"}
+_JSON_TYPES |= {types.NoneType: "null"}
+Schema = dict[str, Any]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,7 +97,7 @@ def describe(name: str) -> Box:
     Raises:
         ScenarioError: there is no such box.
     """
-    require(name in box_names(), "box", name, f"give one of {', '.join(box_names())}")
+    require_known(name, box_names(), "box", name)
     if name == PATTERN:
         choices = tuple(_choice(config, config, None) for config in PATTERNS)
         return Box(name=name, signals=(), choices=choices)
@@ -95,16 +114,16 @@ def describe(name: str) -> Box:
 
 def parameters(config: type) -> tuple[Parameter, ...]:
     """The fields of a config class, in order."""
-    about = meanings(config)
-    default = config()
+    about, default = meanings(config), config()
     return tuple(
         Parameter(
-            name=field.name,
-            type=field.type.__name__ if type(field.type) is type else str(field.type),
-            default=_shown(getattr(default, field.name)),
-            meaning=about.get(field.name, ""),
+            name=name,
+            type=kind.__name__ if type(kind) is type else str(kind),
+            default="" if parts_of(kind) and value else dump_plain(write(value, kind)),
+            meaning=about.get(name, ""),
         )
-        for field in dataclasses.fields(config)
+        for name, kind in fields_of(config).items()
+        for value in [getattr(default, name)]
     )
 
 
@@ -121,8 +140,8 @@ def _choice(config: type, block: type, model: Model | None) -> Choice:
             read = wiring.input_sizes(built).items()
             ports["inputs"] = tuple(_port(*port, port[0] in optional) for port in read)
             ports["outputs"] = tuple(_port(*port) for port in wiring.output_sizes(built).items())
-    name = config.__name__.removesuffix("Config")
     summary = (inspect.getdoc(block) or "").partition("\n")[0]
+    name = block_name(config)
     return Choice(name=name, summary=summary, parameters=parameters(config), **ports)
 
 
@@ -136,7 +155,132 @@ def _port(name: str, size: int | None, is_optional: bool | None = None) -> Port:
     return Port(name=name, size=text, is_optional=is_optional, layout=layout)
 
 
-def _shown(value: Any) -> str:
-    """The value as it may stand in a scenario, in one line; nothing for a part with fields."""
-    is_part = dataclasses.is_dataclass(value) or hasattr(value, "__fields__")
-    return "" if is_part else dump_plain(value)
+def commented_scenario(scenario: Scenario, name: str) -> str:
+    """The scenario as YAML under another name; `parse_scenario` reads it.
+
+    Each field stands in a line of its own with a comment, and each box with its other blocks.
+    """
+    about = meanings(Scenario)
+    lines = [f"{name}:"]
+    for key, value in to_tree(scenario).items():
+        if not isinstance(value, dict) or is_entry(value):
+            lines += _field(1, key, value, about.get(key, ""))
+            continue
+        config, tag, comment = (
+            type(getattr(scenario, key)),
+            value.pop("_tag", ""),
+            about.get(key, ""),
+        )
+        if tag:
+            others = [block_name(other) for other in CHOICES[key] if other is not config]
+            comment = f"or {', '.join(others)}" if others else ""
+        head = " ".join(filter(None, [f"  {key}:", tag, "" if value else "{}"]))
+        lines += ["", *_wrapped(1, comment), head, *commented_fields(2, value, config)]
+    return _HEADING.format(name=scenario.name) + "\n".join(lines) + "\n"
+
+
+def commented_fields(depth: int, fields: Tree, config: type) -> list[str]:
+    """Lines of YAML for fields of a dataclass, each with its unit and meaning."""
+    about = field_comments(config)
+    lines = []
+    for key, value in fields.items():
+        meaning, heading = about.get(key, ("", ""))
+        lines += [*_wrapped(depth, heading), ""] if heading else []
+        lines += _field(depth, key, value, meaning)
+    return lines
+
+
+def _field(depth: int, key: str, value: Any, comment: str) -> list[str]:
+    """A field with its comment."""
+    text = f"{'  ' * depth}{key}: {dump_plain(value)}"
+    beside = f"{text:{_COMMENT_COLUMN}}  # {comment}"
+    if not comment or len(beside) <= _LINE_WIDTH:
+        return [beside if comment else text]
+    return [*_wrapped(depth, comment), text]
+
+
+def _wrapped(depth: int, comment: str) -> list[str]:
+    """A comment in lines of its own."""
+    start = f"{'  ' * depth}# "
+    return [start + line for line in textwrap.wrap(comment, _LINE_WIDTH - len(start))]
+
+
+def scenario_schema(scenarios: Iterable[Scenario] = ()) -> Schema:
+    """JSON Schema of a file with one scenario under its name, by which editors complete fields.
+
+    JSON Schema knows no YAML tags: a box has the fields of all blocks that it can be, each with the
+    names of those. Boxes may be the blocks of one's own that `scenarios` have, too.
+    """
+    scenario = _object(Scenario, _choices(scenarios))
+    del scenario["properties"]["name"]
+    about = "a scenario's name or file, whose fields count where this one has none"
+    scenario["properties"][BASE] = {"type": "string", "description": about}
+    return {
+        "$schema": "http://json-schema.org/draft-07/schema#",
+        "title": "drake_nonstop scenario",
+        "type": "object",
+        "minProperties": 1,
+        "maxProperties": 1,
+        "additionalProperties": scenario,
+    }
+
+
+def custom_tags(scenarios: Iterable[Scenario] = ()) -> list[str]:
+    """The tags of blocks, as the setting `yaml.customTags` of YAML's language server takes them."""
+    configs = {config for choices in _choices(scenarios).values() for config in choices}
+    configs |= {*parts_of(item_of(fields_of(Scenario)["obstacles"]))}
+    return sorted(f"{tag_of(config)} mapping" for config in configs)
+
+
+def _choices(scenarios: Iterable[Scenario]) -> dict[str, tuple[type, ...]]:
+    """`CHOICES` with the configs of scenarios' own blocks."""
+    found = {name: dict.fromkeys(configs) for name, configs in CHOICES.items()}
+    for scenario in scenarios:
+        for name, configs in found.items():
+            configs[type(getattr(scenario, name))] = None
+    return {name: tuple(configs) for name, configs in found.items()}
+
+
+def _object(config: type, choices: dict[str, tuple[type, ...]] | None = None) -> Schema:
+    """The schema of a dataclass, some of whose fields are boxes with choices."""
+    about = meanings(config) if dataclasses.is_dataclass(config) else {}
+    default, properties = config(), {}
+    for name, kind in fields_of(config).items():
+        boxes = (choices or {}).get(name)
+        properties[name] = _box(boxes) if boxes else _of(kind)
+        if about.get(name):
+            properties[name].setdefault("description", about[name])
+        value = getattr(default, name)
+        if isinstance(value, tuple(_JSON_TYPES)) and value not in (None, math.inf):
+            properties[name]["default"] = value
+    return {"type": "object", "properties": properties, "additionalProperties": False}
+
+
+def _box(configs: Sequence[type]) -> Schema:
+    """A part with the fields of all classes that it can be."""
+    properties: dict[str, Schema] = {}
+    for config in configs:
+        for key, found in _object(config)["properties"].items():
+            known = properties.setdefault(key, {"anyOf": []})
+            about = f"{block_name(config)}: {found.pop('description', '')}".removesuffix(": ")
+            known["description"] = "; ".join(filter(None, [known.get("description"), about]))
+            found.pop("default", None)
+            known["anyOf"] += [found] if found not in known["anyOf"] else []
+    part = {"type": "object", "properties": properties, "additionalProperties": False}
+    tags = ", ".join(map(tag_of, configs))
+    return {"anyOf": [part, {"type": "null"}], "description": f"one of {tags}"}
+
+
+def _of(kind: Any) -> Schema:
+    """The schema of a field's type."""
+    members = members_of(kind)
+    options: list[Schema] = [{"type": _JSON_TYPES[m]} for m in members if m in _JSON_TYPES]
+    if (item := item_of(kind)) is not None:
+        options.append({"type": "array", "items": _of(item)})
+    if len(parts := parts_of(kind)) == 1:
+        options.append(_object(parts[0]))
+    elif parts:
+        options.append(_box(parts))
+    if {float, int} & {*members} or item is float:
+        options.append({"type": "object"})  # a distribution, a tag with a mapping
+    return {"anyOf": options} if options else {}

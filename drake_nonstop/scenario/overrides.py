@@ -1,35 +1,50 @@
 """Changes "path=value" to a scenario: read from files, checked, combined, applied."""
 
 import copy
+import dataclasses
 import itertools
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from drake_nonstop.blocks.load_trajectory import SampledTrajectoryConfig
 from drake_nonstop.diagrams.nonstop import BOXES
 from drake_nonstop.loop.box import kept_parameters
-from drake_nonstop.scenario.schema import CHOICES, Scenario
-from drake_nonstop.scenario.tree import (
-    BASE,
-    Tree,
-    Trusted,
-    config_class_of,
-    from_tree,
-    to_tree,
-)
+from drake_nonstop.scenario.choices import CHOICES, config_of, tag_of
+from drake_nonstop.scenario.fields import Tree, Walk, fields_of, write
+from drake_nonstop.scenario.schema import Scenario, check
 from drake_nonstop.scenario.yaml_text import dump_plain, parse_plain
-from drake_nonstop.validation import (
-    listed,
-    number_text,
-    read_text,
-    require,
-    require_known,
-    require_type,
-)
+from drake_nonstop.validation import listed, number_text, read_text, require, require_type
 
-# Parts that are not in the tree where they are none.
-_LEFT_OUT = ("system.aircraft", "simulated.aircraft", "reference_governor")
+BASE = "based_on"  # a key of files, the name of the scenario that has the fields left out
+
+
+def to_tree(scenario: Scenario) -> Tree:
+    """Nested dicts with every field of a scenario but its name, as in a YAML file.
+
+    Raises:
+        ScenarioError: see `check`.
+    """
+    check(scenario)
+    tree = write(resolved(copy.copy(scenario)), Scenario)
+    del tree["name"]
+    return tree
+
+
+def resolved(scenario: Scenario) -> Scenario:
+    """The scenario with what stands in the files that it names in their place: load, trajectory."""
+    for owner in ("system", "simulated"):
+        system: Any = getattr(scenario, owner)
+        if getattr(system, "load_file", ""):
+            from drake_nonstop.model.load_file import read_load  # with much of Drake
+
+            read = read_load(system.load_file, system.attachment_frames or [])
+            read |= {"load_file": "", "attachment_frames": []}
+            setattr(scenario, owner, dataclasses.replace(system, **read))
+    if isinstance(scenario.load_trajectory, SampledTrajectoryConfig):
+        scenario.load_trajectory = scenario.load_trajectory.resolved()
+    return scenario
 
 
 def changed(scenario: Scenario, overrides: Iterable[str], *, trust: bool = False) -> Scenario:
@@ -43,15 +58,24 @@ def changed(scenario: Scenario, overrides: Iterable[str], *, trust: bool = False
     require_type("trust", trust, bool)
     remedy = 'give a list of texts, such as ["simulation_duration=5"]'
     texts = listed("overrides", overrides, remedy)
-    tree = to_tree(scenario)
-    before = copy.deepcopy(tree)
-    entries = [entry for entry in tree.values() if isinstance(entry, dict)]
-    trusted = True if trust else {entry["_tag"] for entry in entries if "_tag" in entry}
+    check(scenario)
+    scenario = copy.deepcopy(scenario)
+    walk = Walk(trusted=trust or {tag_of(type(getattr(scenario, name))) for name in CHOICES})
     for override in texts:
-        _apply(tree, override, trusted)
-    # By their texts, since True equals 1.
-    parts = {name: part for name, part in tree.items() if repr(part) != repr(before.get(name))}
-    return from_tree(scenario.name, parts, trusted, scenario)
+        path, value = parse_override(override)
+        if path in CHOICES and isinstance(value, str):
+            value = _swapped(path, value, scenario, walk)
+        top, *keys = path.split(".")
+        known = [name for name in fields_of(Scenario) if name != "name"]
+        if not keys and top not in known:
+            parts = [part for part in known if part != "simulated"]
+            homes = [f"{part}.{top}" for part in parts if hasattr(getattr(scenario, part), top)]
+            require(not homes, "--set", path, f"there is none; did you mean {' or '.join(homes)}?")
+        for key in reversed(keys):
+            value = {key: value}
+        walk.read("", Scenario, {top: value}, scenario)
+    check(resolved(scenario))
+    return scenario
 
 
 def read_mapping(path: Path, option: str, known: tuple[str, ...], remedy: str) -> dict[str, Any]:
@@ -83,6 +107,7 @@ def parse_override(override: str) -> tuple[str, Any]:
     """The path and the value of a change "path=value"; raises ScenarioError."""
     require_override(override, "--set")
     path, _, text = override.partition("=")
+    require("_tag" not in path.split("."), "--set", path, "choose a block by its name, phase=X")
     require(text.strip(), f"--set {path}", "nothing", "give a value after the =")
     return path, parse_plain(text, f"--set {path}", path)
 
@@ -108,34 +133,11 @@ def as_override(path: str, value: Any) -> str:
     return f"{path}={dump_plain(value, path)}"
 
 
-def _apply(tree: Tree, override: str, trusted: Trusted) -> None:
-    """Changes the resolved tree by one "path=value"."""
-    path, value = parse_override(override)
-    *parents, last = path.split(".")
-    require(path != BASE, "--set", override, "run that scenario itself, or name it in a file")
-    require("_tag" not in path.split("."), "--set", path, "choose a block by its name, phase=X")
-    if not parents and path not in tree:
-        homes = [
-            f"{part}.{path}" for part, of in tree.items() if isinstance(of, dict) and path in of
-        ]
-        require(not homes, "--set", path, f"there is none; did you mean {' or '.join(homes)}?")
-    branch: Any = tree
-    for i, key in enumerate(parents):
-        parts = [part for part in branch if part != "_tag"]
-        at = ".".join(parents[: i + 1])
-        if at in _LEFT_OUT:
-            branch.setdefault(key, {})
-            parts.append(key)
-        require_known(key, parts, "--set", path, called=at)
-        require(isinstance(branch[key], dict), "--set", path, f"{at} has no parts; set it whole")
-        branch = branch[key]
-    if path in CHOICES and isinstance(value, str):
-        name = value.removeprefix("!").partition("{")[0].strip()
-        remedy = f"give it without quotes, or the name alone: {name}"
-        require(not value.startswith("!"), path, f"'{value}'", remedy)
-        # Parameters that both blocks have stay as they were.
-        old, new = (config_class_of(path, t, trusted) for t in (tree[path]["_tag"], f"!{value}"))
-        keeps_defaults = path not in BOXES or BOXES[path].swap_keeps_defaults
-        kept = kept_parameters(tree[path], old, new, keeps_defaults)
-        value = {**kept, "_tag": f"!{value}"}
-    branch[last] = value
+def _swapped(box: str, name: str, scenario: Scenario, walk: Walk) -> Tree:
+    """The box's entry with another block, which keeps parameters that both blocks have."""
+    present = getattr(scenario, box)
+    remedy = "give it without quotes, or the name alone"
+    require(not name.startswith("!"), box, f"'{name}'", remedy)
+    new = config_of(box, f"!{name}", CHOICES[box], walk.trusted)
+    keeps_defaults = box not in BOXES or BOXES[box].swap_keeps_defaults
+    return kept_parameters(vars(present), type(present), new, keeps_defaults) | {"_tag": f"!{name}"}

@@ -14,10 +14,10 @@ from drake_nonstop.model.aircraft import CABLE_DIAMETER, AircraftParameters, mak
 from drake_nonstop.model.system import checked_inertia
 from drake_nonstop.planning.formation_program import KINDS
 from drake_nonstop.planning.problem_config import AircraftLimits, check_flight_limits, points
-from drake_nonstop.scenario.commented import commented_fields
+from drake_nonstop.scenario.describe import commented_fields
+from drake_nonstop.scenario.fields import Walk
 from drake_nonstop.scenario.overrides import parse_override
 from drake_nonstop.scenario.schema import check_name
-from drake_nonstop.scenario.tree import filled
 from drake_nonstop.scenario.yaml_text import dump_plain, parse_plain
 from drake_nonstop.validation import (
     StrictFields,
@@ -29,7 +29,6 @@ from drake_nonstop.validation import (
     read_text,
     require,
     require_array,
-    require_fields,
     require_known,
     require_ranges,
     require_seed,
@@ -130,7 +129,7 @@ class DesignRequest(AircraftLimits, _Asked):
         def need(condition: Any, name: str, remedy: str) -> None:
             require(condition, f"request.{name}", getattr(self, name), remedy)
 
-        require_fields("request", self)
+        Walk(reads_trees=False).read("request", DesignRequest, self)
         check_name(self.name)
         need(self.carriers, "carriers", "give numbers of carriers, such as [3, 4]")
         is_some = all(3 <= n <= _MOST_CARRIERS for n in self.carriers)
@@ -207,7 +206,7 @@ def read_request(file: str | Path | None = None, overrides: Sequence[str] = ()) 
         request.aircraft = AircraftParameters()
         remedy = "give a mapping such as {model: rascal_110}"
         require(isinstance(tree["aircraft"], dict), "request.aircraft", tree["aircraft"], remedy)
-    filled("request", tree, request)
+    Walk().read("request", DesignRequest, tree, request)
     request.check()
     return request
 

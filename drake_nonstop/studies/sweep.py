@@ -15,9 +15,8 @@ import numpy as np
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.run.metrics import METRICS, compute_metrics, flattened
 from drake_nonstop.run.preparation import LoopMaker
-from drake_nonstop.scenario.distributions import has_distributions
 from drake_nonstop.scenario.loading import dump_scenario, parse_scenario
-from drake_nonstop.scenario.schema import Scenario, sample
+from drake_nonstop.scenario.schema import Scenario, has_distributions, sample
 from drake_nonstop.scenario.yaml_text import dump_plain
 from drake_nonstop.studies.files import as_path, replacing_file, replacing_files
 from drake_nonstop.studies.journal import Journal, StudyInterrupted, open_journal, settings_of

@@ -16,8 +16,7 @@ from adversary.api import attempt_call
 from adversary.values import paths, resolved, scenario_name
 from adversary.verdicts import ACCEPTED, MISREAD, Case, Verdict
 from drake_nonstop.diagrams.nonstop import BOXES
-from drake_nonstop.scenario.schema import CHOICES, PATTERN
-from drake_nonstop.scenario.tree import block_name
+from drake_nonstop.scenario.choices import CHOICES, PATTERN, block_name
 
 _ALIENS = (
     *("None", "42", "-1", "3.5", "True", "'text'", "''", "b'bytes'", "[]", "()", "{}", "object()"),

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from drake_nonstop.model.aircraft import AircraftParameters, aircraft_names, values_of
+from drake_nonstop.scenario.choices import CHOICES, block_name
+from drake_nonstop.scenario.fields import fields_of
 from drake_nonstop.scenario.loading import load_scenario, scenario_names
-from drake_nonstop.scenario.schema import CHOICES
-from drake_nonstop.scenario.tree import block_name, to_tree
-from drake_nonstop.validation import fields_of
+from drake_nonstop.scenario.overrides import to_tree
 
 # Spellings of numbers and what a reader takes them for; None: it has to be refused.
 SPELLINGS: dict[str, float | None] = {
@@ -194,7 +194,7 @@ def resolved(name: str) -> dict[str, Any]:
     tree["system"]["aircraft"] = aircraft | tree["system"].get("aircraft", {})
     tree["simulated"] = copy.deepcopy(tree["system"]) | tree["simulated"]
     for box in CHOICES:
-        names = [field.name for field in fields_of(type(getattr(scenario, box)))]
+        names = [*fields_of(type(getattr(scenario, box)))]
         tree[box] = dict.fromkeys(names) | tree[box]
     return tree
 
@@ -203,7 +203,7 @@ def block_with_a_field(rng: np.random.Generator) -> tuple[str, str]:
     """A box, and as YAML one of its blocks with a bad or extreme value of a field."""
     found = [(box, config) for box, configs in CHOICES.items() for config in configs]
     box, config = found[rng.integers(len(found))]
-    names = [field.name for field in fields_of(config)]
+    names = [*fields_of(config)]
     if not names:
         return box, f"!{block_name(config)} {drawn_value(rng)}"
     name = str(rng.choice(names))

@@ -21,8 +21,7 @@ from adversary.values import (
 )
 from adversary.verdicts import ACCEPTED, MISREAD, REFUSED, Case, Verdict
 from drake_nonstop.scenario.loading import SCENARIOS, dump_scenario, load_scenario, parse_scenario
-from drake_nonstop.scenario.overrides import changed
-from drake_nonstop.scenario.tree import to_tree
+from drake_nonstop.scenario.overrides import changed, to_tree
 
 _ANY, _REFUSED = "any", "refused"
 # A text, or bytes, and what has to become of it: _ANY, _REFUSED, or a path with its number.

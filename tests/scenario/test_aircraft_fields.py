@@ -12,7 +12,7 @@ from drake_nonstop import (
     parse_scenario,
 )
 from drake_nonstop.model.aircraft import AircraftParameters
-from drake_nonstop.scenario.commented import commented_scenario
+from drake_nonstop.scenario.describe import commented_scenario
 from drake_nonstop.scenario.overrides import changed
 
 FILE = "x: {system: {aircraft: {model: rascal_110, mass: 6.2}}}"
@@ -32,7 +32,7 @@ def test_a_dump_comes_back():
     [
         ("{wing: 2}", "system.aircraft.wing = 2: there is no wing; did you mean wing_span?"),
         ("{mass: '6'}", "system.aircraft.mass = '6': give the number without quotes"),
-        ("rascal_110", "system.aircraft = rascal_110: give a mapping of fields to values"),
+        ("rascal_110", "system.aircraft = rascal_110: give it as AircraftParameters"),
         ("{max_thrust: [1, 2, x]}", "system.aircraft.max_thrust[2] = x: give a number"),
     ],
 )
@@ -54,7 +54,7 @@ def test_numbers_may_be_drawn():
 def test_what_is_no_aircraft_is_not_dumped(owner, value):
     scenario = load_scenario("quintic")
     getattr(scenario, owner).aircraft = value
-    said = rf"^{owner}\.aircraft = .*: give an instance of AircraftParameters, or in YAML"
+    said = rf"^{owner}\.aircraft = .*: give it as AircraftParameters, or in YAML"
     for function in (dump_scenario, make_nonstop):
         with pytest.raises(ScenarioError, match=said):
             function(scenario)

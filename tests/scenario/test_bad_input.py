@@ -6,7 +6,6 @@ seed, which the test's name has.
 
 import dataclasses
 import math
-import os
 import random
 import time
 from collections.abc import Callable
@@ -19,11 +18,8 @@ from helpers import nightly_beyond
 from drake_nonstop import (
     ConstantParameters,
     ConstantParametersConfig,
-    NlpLayer,
     Scenario,
     ScenarioError,
-    ScenarioWarning,
-    SweepSpec,
     SystemParameters,
     ablate,
     dump_scenario,
@@ -37,8 +33,8 @@ from drake_nonstop import (
 )
 from drake_nonstop.diagrams.nonstop import BOXES, replaced
 from drake_nonstop.loop.box import config_class
-from drake_nonstop.scenario.schema import CHOICES
-from drake_nonstop.scenario.tree import to_tree
+from drake_nonstop.scenario.choices import CHOICES
+from drake_nonstop.scenario.overrides import to_tree
 from drake_nonstop.scenario.yaml_text import dump_plain, parse_plain
 from drake_nonstop.validation import StrictFields
 
@@ -199,85 +195,6 @@ def test_any_value_assigned_in_python(seed):
 
 
 # Numbers at the ends of what a float can be, and of what a scenario may hold.
-ENDS = [0.0, -0.0, -1.0, 1e-300, 1e-12, 1e-9, 1e-4, 1e3, 1e9, 1e300, math.inf, math.nan]
-
-
-def extreme(value: Any, draw: random.Random) -> Any:
-    """A value of the same kind at its ends, or of another length."""
-    if isinstance(value, bool) or value is None:
-        return draw.choice([True, False])
-    if isinstance(value, int):
-        return draw.choice([0, -1, 1, 7, 10**6, 10**18])
-    if isinstance(value, float):
-        return draw.choice(ENDS)
-    if isinstance(value, str):
-        return draw.choice(["", "x", "search", "measured", "/dev/zero"])
-    if not value or draw.random() < 0.3:
-        return draw.choice([[], [0.0], [1.0] * 2, [0.5] * 4, [[0.0] * 3] * 4, value * 2])
-    changed = [*value]
-    at = draw.randrange(len(changed))
-    changed[at] = extreme(changed[at], draw)
-    return changed
-
-
-@pytest.mark.filterwarnings("ignore::drake_nonstop.ScenarioWarning")
-@pytest.mark.parametrize("seed", SEEDS)
-def test_extreme_values_build_or_are_said(seed):
-    draw = random.Random(3000 + seed)
-    for _ in range(INPUTS // 12):
-        scenario = load_scenario("line")
-        part, config = draw.choice(CONFIGS)
-        fields = [f.name for f in dataclasses.fields(config) if f.name not in CHOICES] or [""]
-        field = draw.choice(fields)
-        target = dataclasses.replace(config) if part else scenario
-        old = getattr(target, field, None)
-        if part == "simulated":
-            old = getattr(scenario.system, field)
-        is_part = dataclasses.is_dataclass(old) or field == "simulator_config"
-        new = None if is_part else extreme(old, draw)
-
-        def action(part=part, field=field, new=new, target=target, scenario=scenario):
-            if field:
-                setattr(target, field, new)
-            if part:
-                setattr(scenario, part, target)
-            return make_nonstop(scenario)
-
-        checked(action, (part, type(config).__name__, field, new))
-
-
-@pytest.mark.parametrize("seed", SEEDS)
-def test_any_sweep_and_grid(seed, tmp_path):
-    draw = random.Random(4000 + seed)
-    specs = [
-        "seed: 3\nruns: 4\noverrides: [simulation_duration=1]\ngrid:\n  system.load_mass: [1, 2]\n"
-        "draws:\n  system.load_drag: {uniform: [0.1, 1]}\n"
-        "  simulation_duration: {log_uniform: [1, 2]}\n",
-        "runs: 2\n"
-        "draws: {load_disturbance.seed: {seed: true}, simulation_duration: {normal: [5, 0.1]}}\n",
-        "description: x\nvariants:\n  a: [simulation_duration=1]\n"
-        "  b: [simulation_duration=2, phase=PaperPhase]\n",
-        "grid:\n  phase: [PaperPhase, AccumulatedPhase]\n  system.load_mass: [1, 2, 3]\n",
-    ]
-    file = tmp_path / "spec.yaml"
-    for _ in range(INPUTS):
-        text = mutated(draw.choice(specs), draw)
-        file.write_bytes(text.encode("utf-8", errors="surrogatepass"))
-        spec = checked(lambda: read_sweep(file), text)
-        if spec is not None:
-            checked(lambda: spec.run(len(spec) - 1), text)  # noqa: B023
-        checked(lambda: read_grid(file), text)
-
-
-@pytest.mark.parametrize("seed", SEEDS)
-def test_any_sweep_in_python(seed):
-    draw = random.Random(5000 + seed)
-    values = [*OBJECTS, 10**11, {"a": [1]}, {"a": {"uniform": [0, 1]}}, {"a": {"seed": True}}]
-    for _ in range(INPUTS):
-        fields = {f.name: draw.choice(values) for f in dataclasses.fields(SweepSpec)}
-        fields = {name: fields[name] for name in draw.sample([*fields], 3) if name != "source"}
-        given = {"grid": {"system.load_mass": [1.0, np.float64(2)]}} | fields
-        checked(lambda: SweepSpec(**given).run(0), given)  # noqa: B023
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -328,42 +245,6 @@ def test_files_that_are_none_of_a_scenario(content, tmp_path):
         assert checked(lambda: read(path), content[:100]) is None  # noqa: B023
 
 
-@pytest.mark.slow
-def test_values_are_counted():
-    text = "a: {description: [" + "1," * 250_000 + "]}"
-    assert checked(lambda: parse_scenario(text), text[:100]) is None
-
-
-def test_what_is_no_regular_file_is_not_read(tmp_path):
-    pipe, folder, link = (tmp_path / name for name in ("pipe.yaml", "folder.yaml", "zero.yaml"))
-    os.mkfifo(pipe)
-    folder.mkdir()
-    link.symlink_to("/dev/zero")
-    sparse = tmp_path / "sparse.yaml"
-    with sparse.open("wb") as file:
-        file.truncate(10**10)
-    missing = [tmp_path / "no.yaml", tmp_path / ("x" * 300 + ".yaml")]
-    for path in (pipe, folder, link, sparse, *missing):
-        settings = [
-            f"load_trajectory=!SampledTrajectory {{file: '{path}'}}",
-            f"system.load_file={path.with_suffix('.sdf')}",
-        ]
-        for suffix in (".sdf", ".urdf"):
-            if path not in missing:
-                path.with_suffix(suffix).symlink_to(path)
-        actions = [lambda p=path: load_scenario(p), lambda p=path: read_sweep(p)]
-        actions += [lambda p=path: read_grid(p)]
-        actions += [lambda s=s: load_scenario("line", [s]) for s in settings]
-        for action in actions:
-            assert checked(action, path) is None
-
-
-def test_a_file_with_a_byte_order_mark_is_read(tmp_path):
-    path = tmp_path / "mine.yaml"
-    path.write_bytes(b"\xef\xbb\xbfmine: {simulation_duration: 2}\n")
-    assert load_scenario(path).simulation_duration == 2
-
-
 @pytest.mark.parametrize(("part", "config"), CONFIGS, ids=lambda item: str(item)[:40])
 def test_a_field_that_there_is_not_cannot_be_assigned(part, config):
     assert isinstance(config, StrictFields)
@@ -381,7 +262,7 @@ def test_a_field_that_there_is_not_cannot_be_assigned(part, config):
         *(("10", 10), ("+1", 1), ("-0", 0), ("1e3", 1000.0), ("1.", 1.0), (".5", 0.5)),
         *(("true", True), ("null", None), ("~", None), (".inf", math.inf), ("-.Inf", -math.inf)),
         *(("010", "010"), ("0x10", "0x10"), ("1_000", "1_000"), ("yes", "yes"), ("1:30", "1:30")),
-        *(("2024-01-01", "2024-01-01"), ("'5'", "5"), ("=", "="), ("[&a 1, *a]", [1, 1])),
+        *(("2024-01-01", "2024-01-01"), ("'5'", "5"), ("=", "=")),
     ],
 )
 def test_scalars_are_those_of_yaml_1_2(text, value):
@@ -393,16 +274,16 @@ def test_scalars_are_those_of_yaml_1_2(text, value):
 @pytest.mark.parametrize(
     ("setting", "remedy"),
     [
-        ("system.load_mass=010", "give a number in plain digits"),
-        ("system.load_mass='010'", "give a number in plain digits"),
+        ("system.load_mass=010", "give a finite number in plain digits"),
+        ("system.load_mass='010'", "give a finite number in plain digits"),
         ("system.load_mass='10'", "give the number without quotes"),
-        ("system.cable_stiffness=inf", "write .inf"),
+        ("system.cable_stiffness=inf", "or .inf"),
         ("system.load_mass=1e400", "below 1e308"),
         ("optimization_layer.wind=yes", "give true or false"),
-        ("engine=fast", "give auto, diagram or compiled"),
+        ("engine=fast", "give one of auto, diagram, compiled"),
         ("description=5", "give a text, in quotes"),
-        ("phase='!PaperPhase {}'", "give it without quotes, or the name alone: PaperPhase"),
-        ("system=!Foo {}", "take the tag away"),
+        ("phase='!PaperPhase {}'", "give it without quotes, or the name alone"),
+        ("system=!Foo {}", "there is no !Foo"),
         ("simulation_duration=1e8", "give at most"),
     ],
 )
@@ -416,7 +297,7 @@ def test_what_is_assigned_is_checked_before_a_run():
     for value in (math.inf, math.nan, -1, 0, None, "5", [5], np.array([5.0]), 10**400, True):
         scenario.simulation_duration = value
         for action in (make_nonstop, simulate, dump_scenario):
-            with pytest.raises(ScenarioError, match=r"quintic\.simulation_duration = .*: give"):
+            with pytest.raises(ScenarioError, match=r"^simulation_duration = .*: give"):
                 action(scenario)
     for scenario in (None, "quintic", {}, Scenario):
         for action in (simulate, dump_scenario):
@@ -427,7 +308,7 @@ def test_what_is_assigned_is_checked_before_a_run():
 def test_a_file_named_in_python_is_not_ignored():
     scenario = load_scenario("quintic")
     scenario.system.load_file = "load.sdf"
-    with pytest.raises(ScenarioError, match=r"system.load_file = load.sdf: it is read as"):
+    with pytest.raises(ScenarioError, match=r"system.load_file = load.sdf: it is read"):
         make_nonstop(scenario)
 
 
@@ -455,29 +336,6 @@ def test_a_swap_in_python_is_that_of_the_command_line(box):
                 assert getattr(after, box) == getattr(swapped, box)
 
 
-def test_a_run_is_judged_by_the_bound_that_the_scenario_states():
-    scenario = load_scenario("quintic", ["simulation_duration=0.02"])
-    run = simulate(scenario, optimization_layer=ConstantParameters)
-    assert run.scenario.speed_bound == 0.55
-    assert run.steps["speed_bound"][-1] == 0.55
-    assert type(run.scenario.optimization_layer) is ConstantParametersConfig
-    assert type(scenario.optimization_layer).__name__ == "RecedingHorizonOptimizerConfig"
-
-
-class OwnOptimizer(NlpLayer):
-    """A block without a dataclass of parameters beside it."""
-
-
-@pytest.mark.parametrize(
-    "replacement",
-    [lambda model: ConstantParameters(model), ConstantParametersConfig(), OwnOptimizer],
-)
-def test_a_bound_of_the_replacement_itself_is_warned_of(replacement):
-    scenario = load_scenario("quintic", ["simulation_duration=0.02"])
-    with pytest.warns(ScenarioWarning, match="judged by the 0.2 m/s .* bound of 0.55 m/s"):
-        simulate(scenario, optimization_layer=replacement)
-
-
 class _Uniterable:
     def __iter__(self):
         return 3
@@ -501,10 +359,3 @@ def test_an_empty_array_of_overrides_is_no_override():
     assert load_scenario("quintic", np.array([])) == load_scenario("quintic")
     heavier = load_scenario("quintic", np.array(["system.load_mass=1.2"]))
     assert heavier.system.load_mass == 1.2
-
-
-def test_more_carriers_than_fly_are_refused():
-    points = [[math.cos(k), math.sin(k), 0.0] for k in range(101)]
-    for owner in ("system", "simulated"):
-        with pytest.raises(ScenarioError, match=f"{owner}.attachments = 101 points: give at most"):
-            parse_scenario(f"mine: {{{owner}: {{attachments: {points}}}}}")

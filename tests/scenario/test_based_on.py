@@ -25,7 +25,7 @@ def test_parts_are_merged_field_by_field_and_so_is_the_same_block():
       system: {load_mass: 1.2}
       pattern:  # nothing of it changes
       load_trajectory: {move_time: 8.0}
-      optimization_layer: !RecedingHorizonOptimizer {tightening: 0.03}
+      optimization_layer: {tightening: 0.03}
     """
     overrides = [
         "description=with more mass",
@@ -66,14 +66,17 @@ def test_the_resolved_scenario_stands_alone():
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("x: {based_on: quintik}", r"x\.based_on = quintik: give a \.yaml file or one of"),
-        ("x: {based_on: 3}", r"x\.based_on = 3: give a scenario's name"),
-        ("x: {based_on: [line]}", r"x\.based_on = \['line'\]: give a scenario's name"),
-        ("x: {based_on: gone.yaml}", r"x\.based_on = gone\.yaml: give a file that can be read"),
-        ("x: {based_on: line, duraton: 3}", r"x\.duraton = 3: there is no duraton"),
-        ("x: {based_onn: line}", r"x\.based_onn = line: .*did you mean based_on\?"),
-        ("x: {based_on: line, system: 3}", "system = 3: give a mapping"),
-        ("x: {based_on: line, phase: !Nothing {}}", "phase = !Nothing: give one of"),
+        (
+            "x: {based_on: quintik}",
+            r"^based_on = quintik: .*did you mean quintic\?",
+        ),
+        ("x: {based_on: 3}", r"^based_on = 3: give a scenario's name"),
+        ("x: {based_on: [line]}", r"^based_on = \['line'\]: give a scenario's name"),
+        ("x: {based_on: gone.yaml}", r"^based_on = gone\.yaml: give a file that can be read"),
+        ("x: {based_on: line, duraton: 3}", r"^duraton = 3: there is no duraton"),
+        ("x: {based_onn: line}", r"^based_onn = line: .*did you mean based_on\?"),
+        ("x: {based_on: line, system: 3}", "system = 3: give it as SystemParameters"),
+        ("x: {based_on: line, phase: !Nothing {}}", "phase = !Nothing: there is no"),
     ],
 )
 def test_a_base_that_cannot_be_used_is_told(text, message):
@@ -88,7 +91,7 @@ def test_files_based_on_each_other_are_refused(tmp_path):
         with pytest.raises(ScenarioError, match=r"based_on = .*: it is based on this scenario"):
             load_scenario(tmp_path / name)
     (tmp_path / "c.yaml").write_text("c: {based_on: c.yaml}")
-    with pytest.raises(ScenarioError, match=r"c\.based_on = c\.yaml: it is based on this"):
+    with pytest.raises(ScenarioError, match=r"^based_on = c\.yaml: it is based on this"):
         load_scenario(tmp_path / "c.yaml")
 
 

@@ -1,13 +1,10 @@
 """What `drake-nonstop blocks` tells, compared with the code that it tells of."""
 
 import dataclasses
-import typing
-from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
 from helpers import regular, sizes_of
-from pydrake.systems.framework import LeafSystem
 
 from drake_nonstop.cli.main import main
 from drake_nonstop.diagrams.nonstop import BOXES
@@ -15,6 +12,7 @@ from drake_nonstop.mechanics.internal_force import even_phases, hamiltonian_cycl
 from drake_nonstop.model.aircraft import AircraftParameters
 from drake_nonstop.model.pattern import LinearPatternConfig
 from drake_nonstop.model.system import Model, SystemParameters
+from drake_nonstop.scenario.choices import CHOICES, PATTERNS
 from drake_nonstop.scenario.describe import box_names, describe, parameters
 from drake_nonstop.scenario.loading import parse_scenario
 from drake_nonstop.scenario.schema import Scenario
@@ -27,15 +25,7 @@ def boxes():
     return {name: describe(name) for name in box_names()}
 
 
-def pattern_configs():
-    annotation = typing.get_type_hints(Scenario)["pattern"]
-    return typing.get_args(annotation) or (annotation,)
-
-
-CONFIGS = [
-    *(config for box in BOXES.values() for config in box.configs),
-    *pattern_configs(),
-]
+CONFIGS = [config for configs in CHOICES.values() for config in configs]
 configs = pytest.mark.parametrize("config", CONFIGS, ids=lambda config: config.__name__)
 
 
@@ -51,55 +41,11 @@ def test_parameters_are_the_fields_of_the_config_with_their_defaults(config):
     found = parameters(config)
     default = config()
     assert [parameter.name for parameter in found] == [f.name for f in dataclasses.fields(config)]
-    (field_name,) = [
-        name for name, box in typing.get_type_hints(Scenario).items() if config in _options(box)
-    ]
+    field_name = next(name for name, configs in CHOICES.items() if config in configs)
     tag = config.__name__.removesuffix("Config")
     entry = ", ".join(f"{parameter.name}: {parameter.default}" for parameter in found)
     scenario = parse_scenario(f"check: {{{field_name}: !{tag} {{{entry}}}}}")
     assert getattr(scenario, field_name) == default
-
-
-def _options(annotation):
-    return typing.get_args(annotation) or (annotation,)
-
-
-@dataclass(kw_only=True)
-class BaseConfig:
-    inherited: float = 1.0  # N, from the base
-    changed: float = 1.0  # m, in the base
-
-
-@dataclass(kw_only=True)
-class ExampleConfig(BaseConfig):
-    # not a comment on the field, which stands further down
-
-    length: float = 0.5  # m, unstretched
-    gains: list[float] = field(  # N/m
-        default_factory=lambda: [1.0, 2.0]  # of each axis
-    )
-    # What stands above a field
-    # is about it, too.
-    file: str = ""
-    mass: float = 1e-3  # kg # 2
-    # The carriers' own.
-    mark: str = "# no comment"  # a text
-    silent: float = float("inf")
-    changed: float = 2.0  # rad
-
-
-def test_comments_on_the_lines_of_a_field_and_above_it_are_its_meaning():
-    found = {p.name: (p.type, p.default, p.meaning) for p in parameters(ExampleConfig)}
-    assert found == {
-        "inherited": ("float", "1.0", "N, from the base"),
-        "changed": ("float", "2.0", "rad"),
-        "length": ("float", "0.5", "m, unstretched"),
-        "gains": ("list[float]", "[1.0, 2.0]", "N/m of each axis"),
-        "file": ("str", "''", "What stands above a field is about it, too."),
-        "mass": ("float", "0.001", "kg # 2"),
-        "mark": ("str", "'# no comment'", "a text; The carriers' own."),
-        "silent": ("float", ".inf", ""),
-    }
 
 
 @pytest.mark.slow
@@ -109,7 +55,7 @@ def test_every_box_and_block_is_listed_with_the_default_first(boxes):
         choices = boxes[name].choices
         assert [choice.name for choice in choices] == [block.__name__ for block in box.variants]
         assert {port.name: port.layout for port in boxes[name].signals} == box.signals
-    names = [config.__name__.removesuffix("Config") for config in pattern_configs()]
+    names = [config.__name__.removesuffix("Config") for config in PATTERNS]
     assert [choice.name for choice in boxes["pattern"].choices] == names
     for box in boxes.values():
         default = type(getattr(Scenario(), box.name)).__name__
@@ -154,10 +100,10 @@ def test_every_port_is_listed_with_its_size_whatever_n_and_m_are(boxes, n, m):
 
 
 def test_unknown_box_is_told_the_boxes(capsys):
-    with pytest.raises(ScenarioError, match=r"^box = plant: give one of load_trajectory, .*tern$"):
+    with pytest.raises(ScenarioError, match=r"^box = plant: .*did you mean load_plant\?"):
         describe("plant")
     assert main(["blocks", "plant"]) == 2
-    assert capsys.readouterr().err.startswith("drake-nonstop: box = plant: give one of load_")
+    assert capsys.readouterr().err.startswith("drake-nonstop: box = plant: there is no plant")
 
 
 def test_one_box_is_shown_alone(capsys):
@@ -197,76 +143,3 @@ def test_one_box_is_shown_alone(capsys):
         '    speed_bound  float | str  0.2  m/s, ε; reported, not enforced; also "1.4 V_s"\n'
     )
     assert "load_plant" not in shown
-
-
-@pytest.mark.slow
-def test_all_boxes_are_shown_in_lines_that_fit(capsys, boxes):
-    assert main(["blocks"]) == 0
-    shown = capsys.readouterr().out
-    lines = shown.splitlines()
-    assert max(map(len, lines)) <= 100
-    assert not any(line != line.rstrip() for line in lines)
-    words = " ".join(shown.split())
-    for box in boxes.values():
-        assert any(line.split(" -> ")[0] == box.name for line in lines)
-        for choice in box.choices:
-            assert f"  {choice.name}" in [line.removesuffix(" (default)") for line in lines]
-            assert choice.summary in words
-            for parameter in choice.parameters:
-                row = f"{parameter.name} {parameter.type} {parameter.default} {parameter.meaning}"
-                assert " ".join(row.split()) in words
-
-
-@dataclass(kw_only=True)
-class ParticularConfig:
-    routes_through_all_of_the_waypoints: list[list[float]] = field(
-        default_factory=lambda: [[0.0, 0.0, 1.0]] * 2
-    )  # m, in W
-    file: str = ""  # a file that must be given
-
-
-class Particular(LeafSystem):
-    """Stands for a block whose defaults make none."""
-
-    def __init__(self, model, config=None):
-        super().__init__()
-        raise ScenarioError("phase.file = '': give a file")
-
-
-class Particularly(LeafSystem):
-    """Has ports that the figure does not know."""
-
-    def __init__(self, model, config=None):
-        super().__init__()
-        self.DeclareVectorInputPort("mode", 5)
-        self.DeclareVectorOutputPort("phase", 2, lambda context, output: None)
-
-
-@dataclass(kw_only=True)
-class ParticularlyConfig:
-    pass
-
-
-def test_blocks_that_are_out_of_the_ordinary_are_shown_too(monkeypatch, capsys):
-    box = dataclasses.replace(BOXES["phase"], variants=(Particular, Particularly))
-    monkeypatch.setitem(BOXES, "phase", box)
-    assert main(["blocks", "phase"]) == 0
-    assert capsys.readouterr().out.partition("\n\n")[2] == (
-        "phase -> phase (2); optional planned (8)\n"
-        "    phase = angle (1) rad, θ; slope (1) s, ∂θ/∂ξ\n"
-        "    planned = angle (1) rad, θ; frequency (1) rad/s, ξ; amplitude (1) N, A; "
-        "frequency_rate (1)\n"
-        "              rad/s², ξ̇; amplitude_rate (1) N/s, Ȧ; frequency_second_rate (1) rad/s³, ξ̈;\n"
-        "              amplitude_second_rate (1) N/s², Ä; amplitude_third_rate (1) N/s³, A⃛\n\n"
-        "  Particular (default)\n"
-        "    Stands for a block whose defaults make none.\n"
-        "    not with its defaults: phase.file = '': give a file\n"
-        "    routes_through_all_of_the_waypoints  list[list[float]]  "
-        "[[0.0, 0.0, 1.0], [0.0, 0.0, 1.0]]\n"
-        "                                 m, in W\n"
-        "    file  str                ''  a file that must be given\n\n"
-        "  Particularly\n"
-        "    Has ports that the figure does not know.\n"
-        "    in   mode (5)\n"
-        "    out  phase (2)\n"
-    )

@@ -28,7 +28,7 @@ from drake_nonstop import (
     load_scenario,
     parse_scenario,
 )
-from drake_nonstop.scenario.commented import commented_scenario
+from drake_nonstop.scenario.describe import commented_scenario
 from drake_nonstop.scenario.distributions import draw
 from drake_nonstop.scenario.overrides import changed
 
@@ -186,8 +186,6 @@ class TestPython:
             assert again != scenario
 
     def test_typed_yaml_is_for_numbers(self, scenario):
-        with pytest.raises(ScenarioError, match="write it with dump_scenario"):
-            yaml_dump_typed(scenario)
         sampled = scenario.sampled()
         assert yaml_load_typed(schema=Scenario, data=yaml_dump_typed(sampled)) == sampled
 
@@ -234,8 +232,11 @@ class TestBadInput:
             (["phase=!Uniform {min: 0, max: 1}"], "a number or a list of numbers only"),
             (["system=!Uniform {min: 0, max: 1}"], "a number or a list of numbers only"),
             (["random_seed=!Uniform {min: 0, max: 1}"], "give the whole number to draw with"),
-            (["random_seed=4294967296"], "random_seed = 4294967296: give 0 to 4294967295"),
-            (["simulator_config.accuracy=!Uniform {min: 0, max: 1}"], "SimulatorConfig takes none"),
+            (
+                ["random_seed=4294967296"],
+                "give a whole number from 0 to 4294967295",
+            ),
+            (["simulator_config.accuracy=!Uniform {min: 0, max: 1}"], "give a plain float"),
         ],
     )
     def test_one_clear_sentence(self, overrides, words):

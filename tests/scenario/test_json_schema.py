@@ -8,8 +8,7 @@ import yaml
 
 import drake_nonstop.diagrams
 from drake_nonstop.cli.main import main
-from drake_nonstop.scenario.commented import commented_scenario
-from drake_nonstop.scenario.json_schema import custom_tags, scenario_schema
+from drake_nonstop.scenario.describe import commented_scenario, custom_tags, scenario_schema
 from drake_nonstop.scenario.loading import load_scenario, scenario_names
 
 FOLDER = Path(drake_nonstop.diagrams.__file__).parent / "scenarios"

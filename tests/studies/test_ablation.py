@@ -332,7 +332,7 @@ def test_table_page_and_terminal_show_the_metrics_of_the_folders(compared):
 def test_a_variant_that_cannot_be_built_is_reported_and_spoils_nothing(compared):
     folder, code, shown = compared
     assert code == ending.FAILED
-    message = "Nope (unbuildable): phase = !Nope: give one of"
+    message = "Nope (unbuildable): phase = !Nope: there is no !Nope"
     assert message in shown
     assert message in (folder / "table.md").read_text()
     assert message in (folder / "index.html").read_text()
@@ -427,7 +427,7 @@ def test_changes_are_marked_as_better_or_worse(tmp_path):
             "paper",
         ),
         (["--swap", "PaperPhase"], "--swap = PaperPhase: give BOX=BLOCK"),
-        (["--swap", "phase=Nope"], "phase = !Nope: give one of"),
+        (["--swap", "phase=Nope"], "phase = !Nope: there is no !Nope"),
         (["--swap", "phase=my_blocks.Mine"], "--trust"),
         (["--swap", "phase=no_such_module_here.Mine", "--trust"], "cannot be imported"),
     ],
