@@ -197,6 +197,26 @@ PLACES: dict[str, Place] = {name: box.place for name, box in BOXES.items()} | {
     SAMPLE_AND_HOLD: Place(1, 2, 1, Kind.ADDITION),
 }
 
+# The paper's symbols of signals, for the drawing; _ lowers what follows.
+SYMBOLS = {
+    "reference": "p_Ld, R_Ld",
+    "load_state": "p_L, R_L",
+    "measured_load_state": "p_L, R_L",
+    "wrench": "w_d",
+    "wrench_rate": "ẇ_d",
+    "tracking_error": "e",
+    "parameters": "ξ, A",
+    "plan": "ξ(t), A(t)",
+    "planned": "ξ, A",
+    "internal_force": "λ",
+    "desired_cable_forces": "f_d",
+    "desired_cable_force_rates": "ḟ_d",
+    "carrier_reference": "p_Rd",
+    "carrier_state": "p_R",
+    "cable_forces": "f",
+    "tensions": "T",
+}
+
 # The figure's wires, to be read. They follow from the names of the ports; a test checks this list
 # against what is built. Where the scenario has a control period, a `sample_and_hold` stands in
 # front of the controllers: of `measured_load_state`, `reference` and `reference_higher_rates`.

@@ -60,15 +60,36 @@ def on_post_page(output: str, page: Any, config: Any) -> str:
     return output
 
 
+# Where the page on the theory has the equations of boxes.
+EQUATIONS = {
+    "load_feedback": "estimates",
+    "wrench_controller": "the-desired-wrench",
+    "optimization_layer": "plans-over-a-horizon",
+    "phase": "the-pattern",
+    "internal_force": "the-pattern",
+    "force_distribution": "the-grasp-matrix-and-internal-forces",
+    "carrier_trajectory": "where-carriers-are",
+    "carrier_controller": "the-carriers-own-loop",
+    "carrier_dynamics": "the-carriers-own-loop",
+    "cables": "what-a-cable-pulls-with",
+    "wind": "wind",
+    "wind_estimator": "an-estimate-of-the-wind",
+    "load_plant": "how-the-load-moves",
+}
+
+
 def figure_page() -> str:
-    """The figure as it is drawn from the built diagram; each box leads to its blocks."""
+    """The figure as it is drawn from the built diagram; each box leads to its equations."""
     drawing = draw_diagram(make_nonstop(drake_nonstop.load_scenario("quintic")))
     drawing = drawing[drawing.index("<svg") :]
 
     def linked(match: re.Match[str]) -> str:
         name = match[2]
-        hold = "reference/package_blocks.html#drake_nonstop.blocks.sample_and_hold.SampleAndHold"
-        place = f"blocks.html#{name}" if name in BOXES else hold
+        place = "reference/package_blocks.html#drake_nonstop.blocks.sample_and_hold.SampleAndHold"
+        if name in EQUATIONS:
+            place = f"theory.html#{EQUATIONS[name]}"
+        elif name in BOXES:  # it has none
+            place = f"blocks.html#{name}"
         return f'<a href="{place}">{match[0]}</a>'
 
     drawing = re.sub(r'(<g [^>]*data-block="([^"]+)".*?</g>)', linked, drawing, flags=re.DOTALL)
@@ -86,7 +107,8 @@ def figure_page() -> str:
             "# The figure, box by box",
             "",
             "The control figure, drawn from the diagram that is built. Each box is a Drake system",
-            "with named ports, and a link to what it can be.",
+            "with named ports, and a link to its equations; wires have the names of signals and",
+            "the paper's symbols. The table below has links to what a box can be.",
             "",
             f'<div class="figure" markdown="0">{drawing}</div>',
             "",

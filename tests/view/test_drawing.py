@@ -7,7 +7,7 @@ import pytest
 from helpers import nightly_beyond
 from pydrake.systems.framework import Diagram, DiagramBuilder, LeafSystem
 
-from drake_nonstop.diagrams.nonstop import PLACES, make_nonstop
+from drake_nonstop.diagrams.nonstop import PLACES, SIGNALS, SYMBOLS, make_nonstop
 from drake_nonstop.scenario.loading import SCENARIOS as SCENARIO_FILES
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.systems import wiring
@@ -105,7 +105,7 @@ class Picture:
             signal = group.get("data-signal")
             if signal is None:
                 continue
-            self.labels[signal] = " ".join(text.text or "" for text in group.iter(f"{SVG}text"))
+            self.labels[signal] = " ".join(map(_words, group.iter(f"{SVG}text")))
             paths = list(group.iter(f"{SVG}path"))
             self.nets[signal] = [_points(path.get("d", "")) for path in paths]
             for path, points in zip(paths, self.nets[signal], strict=True):
@@ -115,6 +115,10 @@ class Picture:
 
     def segments(self, net: str) -> list[tuple[Point, Point]]:
         return [segment for points in self.nets[net] for segment in pairwise(points)]
+
+
+def _words(text: ElementTree.Element) -> str:
+    return "".join(text.itertext())
 
 
 def _points(data: str) -> list[Point]:
@@ -135,7 +139,7 @@ def _rectangle(group: ElementTree.Element) -> tuple[float, float, float, float]:
 def _text_rectangle(text: ElementTree.Element) -> tuple[float, float, float, float]:
     size = FONT_SIZES[text.get("class", "")]
     x, y = float(text.get("x", 0)), float(text.get("y", 0))
-    half = 0.25 * size * len(text.text or "")
+    half = 0.25 * size * len(_words(text))
     return x - half, y - 0.72 * size, x + half, y
 
 
@@ -194,8 +198,14 @@ def test_every_signal_is_named_once(picture: Picture):
     for system in picture.diagram.GetSystems():
         for port in wiring.output_names(system):
             label = picture.labels.pop(f"{system.get_name()}.{port}")
-            assert label == port.replace("_", " ")
+            symbol = SYMBOLS.get(port.removeprefix("held_"), "")
+            assert label == f"{port.replace('_', ' ')} {symbol.replace('_', '')}".strip()
     assert not picture.labels
+
+
+def test_symbols_are_those_of_signals():
+    assert set(SYMBOLS) <= set(SIGNALS)
+    assert '<tspan class="index" dy="3">d</tspan>' in picture_of("sampled").text
 
 
 def test_wires_lead_from_their_source_to_their_target(picture: Picture):
