@@ -1,36 +1,18 @@
 """Requests for `design` drawn at random, each from a seed.
 
-`python tests/drawn_designs.py FIRST COUNT --journal FILE` designs for the seeds, flies what is
-found, and looks beside what is refused. Interrupted, the same command goes on from there.
+`python tests/drawn_designs.py FIRST COUNT` designs for the seeds, and flies what is found.
 """
 
 import argparse
-import dataclasses
-import json
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from drake_nonstop import compute_metrics, simulate
-from drake_nonstop.planning.formation_program import (
-    KINDS,
-    FormationProgram,
-    FormationVariables,
-)
-from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.planning.formation_program import KINDS
 from drake_nonstop.studies.design_request import DesignRequest, read_request
-from drake_nonstop.studies.designed_formation import (
-    DesignedFormation,
-    Refusal,
-    design_task,
-    flight_of,
-    reserve_of,
-)
-from drake_nonstop.studies.formation_search import design_one
-
-LARGE_BANK = math.radians(20)
+from drake_nonstop.studies.formation_search import DesignedFormation, design_one
 
 # Of the aircraft, what suits their size: attachments' radius, drag, cables and separation.
 SIZES = {
@@ -104,185 +86,39 @@ def draw_odd(seed: int) -> list[str]:
     return [f"carriers=[{rng.integers(3, 7)}]", f"kinds=[{kind}]", "starts=1", *odd]
 
 
-def flown_beside_printed(formation: DesignedFormation) -> dict[str, Any]:
-    """The outcome of a flight, and each extreme as flown and as printed."""
-    flown, printed = fly(formation.scenario), formation.flight
-    return {
-        "outcome": flown["outcome"],
-        "saturated": flown["saturated"],
-        "error": flown["error"],
-        "C_L": (flown["C_L"], printed.ranges.lift_share[1]),
-        "bank": (flown["bank"], printed.bank),
-        "thrust_min": (flown["thrust_min"], printed.ranges.thrust[0]),
-        "thrust_max": (flown["thrust_max"], printed.ranges.thrust[1]),
-        "apart": (flown["apart"], formation.distances[0]),
-    }
+def beyond(formation: DesignedFormation, metrics: dict[str, Any]) -> dict[str, float]:
+    """How far each extreme of a flight is beyond the printed one; negative where it is within.
 
-
-def fly(scenario: Scenario) -> dict[str, Any]:
-    """What a flight needed of its aircraft."""
-    metrics = compute_metrics(simulate(scenario))
-    flown = metrics["aircraft"]
-    return {
-        "outcome": metrics["outcome"],
-        "saturated": flown["saturated_share"],
-        "error": metrics["load"]["position_error_max_m"],
-        "C_L": flown["lift_share_max"],
-        "bank": flown["bank_max_rad"],
-        "thrust_min": flown["thrust_min_N"],
-        "thrust_max": flown["thrust_max_N"],
-        "apart": metrics["carriers"]["separation_min_m"],
-    }
-
-
-def beyond(flown: dict[str, Any]) -> dict[str, float]:
-    """How far each extreme is beyond the printed one; negative where it is within.
-
-    Of C_L and thrust as shares of the printed one, the thrust's of its largest; bank in rad, over
-    that of a bank that is larger than 20 degrees as its share.
+    Of C_L as a share of the printed one, and of thrust of the largest.
     """
-    (lift, c), (bank, b), (least, t_min), (most, t_max) = (
-        flown[name] for name in ("C_L", "bank", "thrust_min", "thrust_max")
-    )
-    size = max(abs(t_min), abs(t_max))
+    flown, printed = metrics["aircraft"], formation.extremes
+    least, most = printed["thrust_N"]
     return {
-        "C_L": lift / c - 1,
-        "bank": (bank - b) / max(b, LARGE_BANK),
-        "thrust_min": (t_min - least) / size,
-        "thrust_max": (most - t_max) / size,
+        "C_L": flown["lift_share_max"] / printed["lift"][1] - 1,
+        "thrust_min": (least - flown["thrust_min_N"]) / most,
+        "thrust_max": (flown["thrust_max_N"] - most) / most,
     }
-
-
-def neighbours_that_fly(
-    request: DesignRequest, refusal: Refusal, count: int, share: float = 0.05
-) -> tuple[float, int]:
-    """The largest reserve of formations beside a refusal's best, and how many keep all margins.
-
-    Its forces, rate and cables are changed by up to the share, each by its own, within the
-    request's cables. Their margins are those of the exact inverse at all instants of the way.
-
-    Args:
-        request: what is refused.
-        refusal: of one kind.
-        count: of formations.
-        share: 0.05: 5 %.
-    """
-    rng = np.random.default_rng([2021, count])
-    motions = design_task(request, refusal.carriers)
-    resting = motions.with_motions(1)
-    program = FormationProgram(motions, refusal.kind, refusal.phase_turns)
-    best, kept = -math.inf, 0
-    own = np.array(refusal.variables)
-    for _ in range(count):
-        values = own.copy()
-        values[:6] *= 1 + rng.uniform(-share, share, 6)
-        values[5] = np.clip(values[5], *request.cable_length)
-        if refusal.carriers == 3:
-            values[2] = values[1]
-        x = FormationVariables(*map(float, values))
-        reserve = math.inf
-        least = min(best, 0.999)  # below, one more is not looked at any further
-        for task in (resting, motions):
-            if reserve > least:
-                needed = flight_of(task, refusal.kind, x, phases=24)
-                reserve = min(reserve, reserve_of(task, needed))
-        if reserve > least:
-            reserve = min(reserve, float(program.rows(values)[0].min()))
-        best = max(best, reserve)
-        kept += reserve >= 1
-    return best, kept
 
 
 def main() -> None:
-    """Designs and flies what the journal does not have yet; then looks beside what is refused."""
+    """Prints a line for each formation, as flown, and for each refusal."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("first", type=int)
     parser.add_argument("count", type=int)
-    parser.add_argument("--journal", type=Path, required=True)
-    parser.add_argument("--neighbours", type=int, default=2000, help="of each refused kind")
-    parser.add_argument("--refused", type=int, default=10, help="requests that are looked beside")
     given = parser.parse_args()
-    seeds = range(given.first, given.first + given.count)
-    rows = _read(given.journal)
-    with given.journal.open("a") as file:
-
-        def record(row: dict[str, Any]) -> None:
-            rows.append(row)
-            file.write(json.dumps(row) + "\n")
-            file.flush()
-
-        for seed in seeds:
-            for kind in KINDS:
-                if not any((r["seed"], r["kind"]) == (seed, kind) for r in rows):
-                    record(_of_one(seed, kind))
-        refused = [r for r in rows if r["refusal"] and r["seed"] in seeds]
-        for seed in sorted({row["seed"] for row in refused})[: given.refused]:
-            for row in [row for row in refused if row["seed"] == seed and "beside" not in row]:
-                refusal = Refusal(**row["refusal"])
-                refusal = dataclasses.replace(
-                    refusal, variables=FormationVariables(*refusal.variables)
-                )
-                if refusal.reserve < 1:
-                    row["beside"] = neighbours_that_fly(draw(seed), refusal, given.neighbours)
-                    file.write(json.dumps(row) + "\n")
-                    file.flush()
-    print(summary([row for row in rows if row["seed"] in seeds]))
-
-
-def _read(journal: Path) -> list[dict[str, Any]]:
-    """The rows, each the last of its seed and kind."""
-    rows = {}
-    if journal.exists():
-        for line in journal.read_text().splitlines():
-            row = json.loads(line)
-            rows[row["seed"], row["kind"]] = row
-    return list(rows.values())
-
-
-def _of_one(seed: int, kind: str) -> dict[str, Any]:
-    """Of a seed and a kind: the flights of what is found, or the refusal."""
-    request = draw(seed)
-    (carriers,) = request.carriers
-    row: dict[str, Any] = {"seed": seed, "kind": kind, "refusal": None, "flights": []}
-    for item in design_one(request, carriers, kind):
-        if isinstance(item, DesignedFormation):
-            about = {"length": item.variables.cable_length, "reserve": item.reserve}
-            row["flights"].append({**about, **flown_beside_printed(item)})
-        else:
-            row["refusal"] = vars(item)
-    return row
-
-
-def summary(rows: list[dict[str, Any]]) -> str:
-    """What was flown and refused, and the farthest that an extreme is beyond the printed one."""
-    flights = [(row, flown) for row in rows for flown in row["flights"]]
-    lines = [
-        f"{len({row['seed'] for row in rows})} requests, {len(rows)} kinds: "
-        f"{len(flights)} formations of {sum(bool(row['flights']) for row in rows)} kinds, "
-        f"{sum(bool(row['refusal']) for row in rows)} kinds refused",
-    ]
-    within = 0
-    for row, flown in flights:
-        off = beyond(flown)
-        is_within = flown["outcome"] == "ok" and max(off.values()) <= 0.02
-        within += is_within
-        if not is_within:
-            words = [f"{name} {value:+.1%}" for name, value in off.items()]
-            about = f"seed {row['seed']} {row['kind']} cables {flown['length']:.0f} m"
-            lines.append(f"  {about}: {flown['outcome']}, {', '.join(words)}")
-    lines.append(f"{within} of {len(flights)} flights are within what was printed, to 2 %")
-    if flights:
-        found = [beyond(flown) for _, flown in flights]
-        for name in found[0]:
-            values = [off[name] for off in found]
-            lines.append(f"{name} beyond the printed: {min(values):+.2%} to {max(values):+.2%}")
-    for row in rows:
-        if "beside" in row:
-            best, kept = row["beside"]
-            own = row["refusal"]["reserve"]
-            about = f"seed {row['seed']} {row['kind']}: reserve {own:.3f}, beside it {best:.3f}"
-            lines.append(f"{about}, {kept} keep the margins")
-    return "\n".join(lines)
+    for seed in range(given.first, given.first + given.count):
+        request = draw(seed)
+        for kind in KINDS:
+            for item in design_one(request, *request.carriers, kind):
+                text = f"seed {seed}, {item.name}, {item.reserve:.2f} of the margins: "
+                if isinstance(item, DesignedFormation):
+                    metrics = compute_metrics(simulate(item.scenario))
+                    off = beyond(item, metrics).items()
+                    words = [f"{name} {value:+.1%}" for name, value in off]
+                    text += f"{metrics['outcome']}, {', '.join(words)}"
+                else:
+                    text += item.why
+                print(text, flush=True)
 
 
 if __name__ == "__main__":

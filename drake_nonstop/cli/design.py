@@ -1,28 +1,13 @@
 """`drake-nonstop design`: formations of aircraft for a load, and scenarios that fly them."""
 
 import argparse
-import contextlib
 import os
 from pathlib import Path
 
 from drake_nonstop.cli.arguments import Commands, add_changes
 from drake_nonstop.cli.ending import BAD_INPUT, FAILED
-from drake_nonstop.scenario.loading import dump_scenario
-from drake_nonstop.studies.files import (
-    read_regular,
-    replacing_file,
-    replacing_files,
-    require_writable,
-    write_json,
-)
-from drake_nonstop.studies.journal import StudyInterrupted
-from drake_nonstop.studies.results_folder import first_free
-from drake_nonstop.view.figure_style import require_drawing
-from drake_nonstop.view.progress import TaskProgress
 
 _REQUEST, _DATA, _FIGURE = "request.yaml", "design.json", "pareto.png"
-# Of the search for one kind and number, on one core, by cables.
-_LONGEST = {"straight": "a minute", "lumped": "several minutes"}
 _MOST = 100  # formations, of 10 numbers of carriers
 
 
@@ -57,28 +42,41 @@ def add_to(commands: Commands) -> None:
 
 
 def _design(options: argparse.Namespace) -> int:
-    # Imported here: other commands need none of it.
+    from drake_nonstop.scenario.loading import dump_scenario
     from drake_nonstop.studies import design
-    from drake_nonstop.studies.design_figures import make_pareto_figure
-    from drake_nonstop.studies.design_request import commented_request, dump_request, read_request
+    from drake_nonstop.studies.design_request import dump_request, read_request
+    from drake_nonstop.studies.files import (
+        read_regular,
+        replacing_file,
+        replacing_files,
+        require_writable,
+        write_json,
+    )
+    from drake_nonstop.studies.journal import StudyInterrupted
     from drake_nonstop.studies.processes import deferred_signals
+    from drake_nonstop.studies.results_folder import first_free
+    from drake_nonstop.view.figure_style import require_drawing
+    from drake_nonstop.view.progress import TaskProgress
 
     request = read_request(options.request, options.set)
-    if options.print_request:
-        print(commented_request(request), end="")
-        return 0
     text = dump_request(request)
+    if options.print_request:
+        print(text, end="")
+        return 0
     require_drawing()
+
+    def is_of_request(folder: Path) -> bool:
+        file = folder / _REQUEST
+        return not os.path.lexists(file) or read_regular(file) == text.encode()
+
     place = Path("out") / "design" / request.name
-    folder: Path = options.out or first_free(place, lambda folder: _is_of(folder, text))
-    scenarios = [f"{request.name}_{k + 1}.yaml" for k in range(_MOST)]
-    files = (_REQUEST, _DATA, _FIGURE, *scenarios)
+    folder: Path = options.out or first_free(place, is_of_request)
+    files = (_REQUEST, _DATA, _FIGURE, *(f"{request.name}_{k + 1}.yaml" for k in range(_MOST)))
     require_writable(folder, files)
     count = len(request.carriers) * len(request.kinds)
-    at_a_time, longest = min(count, os.cpu_count() or 1), _LONGEST[request.cables]
     print(
-        f"{count} kinds and numbers of carriers, {at_a_time} at a time, up to {longest} each: "
-        "formations are optimized, then flown",
+        f"{count} kinds and numbers of carriers, {min(count, os.cpu_count() or 1)} at a time, up "
+        "to a minute each, several with lumped cables: formations are optimized, then flown",
         flush=True,
     )
     stopped = None
@@ -92,10 +90,10 @@ def _design(options: argparse.Namespace) -> int:
         of_stopped = Path(f"{folder}_stopped")  # not over what a whole search has found
         folder = first_free(folder, lambda place: not (place / _DATA).exists(), of_stopped)
         require_writable(folder, files)
-    print(design.design_table(found))
+    print(found)
     with deferred_signals(), replacing_files(folder, files) as new:
         (new / _REQUEST).write_text(text, encoding="utf-8")
-        write_json(new / _DATA, design.design_dictionary(found))
+        write_json(new / _DATA, found.dictionary)
         for formation in found.formations:
             path = new / f"{formation.scenario.name}.yaml"
             path.write_text(dump_scenario(formation.scenario), encoding="utf-8")
@@ -105,14 +103,5 @@ def _design(options: argparse.Namespace) -> int:
     print(f"results: {folder}", flush=True)
     if found.formations:  # after the results: drawing takes longer, and may be interrupted
         with replacing_file(folder / _FIGURE) as file:
-            make_pareto_figure(found).savefig(file, dpi=300)
+            design.make_pareto_figure(found).savefig(file, dpi=300)
     return 0 if found.formations else FAILED
-
-
-def _is_of(folder: Path, text: str) -> bool:
-    """Whether a folder has no results, or those of a request of this text."""
-    if not os.path.lexists(folder / _REQUEST):
-        return True
-    with contextlib.suppress(OSError, ValueError):
-        return read_regular(folder / _REQUEST).decode() == text
-    return False

@@ -2,13 +2,12 @@
 
 One program for both kinds: orbits that lean, above a load that does not turn, and level ones of
 carriers that turn with the load. What the aircraft need is the exact inverse of their dynamics at
-phases of the orbit, at every carrier, in the wind and with the load's velocity and acceleration;
-it is traced once, with exact gradients.
+phases of the orbit, at every carrier, in the wind and with the load's velocity and acceleration.
+One function has it of numbers, at many phases at once, and of symbols, with exact gradients.
 """
 
 import dataclasses
 import functools
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -19,6 +18,7 @@ from pydrake.solvers import MathematicalProgram, SnoptSolver, SolverOptions
 
 from drake_nonstop.mechanics.aircraft import (
     Aircraft,
+    FlightNeeds,
     drawn_power,
     flight_needs,
     needed_force,
@@ -27,21 +27,14 @@ from drake_nonstop.mechanics.aircraft import (
     thrust_limits,
 )
 from drake_nonstop.mechanics.cable import positive_part
-from drake_nonstop.mechanics.formation_orbit import (
-    CarriedLoad,
-    FormationShape,
-    carrier_orbit,
-)
+from drake_nonstop.mechanics.formation_orbit import CarriedLoad, FormationShape, carrier_orbit
 from drake_nonstop.mechanics.planned_orbit import OrbitMotion
 from drake_nonstop.model.system import diameter_of
 from drake_nonstop.planning.limits import Limit
 from drake_nonstop.planning.nonlinear_program import evaluated
 from drake_nonstop.systems.tracing import TracedFunction
 
-LEANING, CO_ROTATING = "leaning", "co_rotating"
-KINDS = (LEANING, CO_ROTATING)
-# Of the airspeed that is left in gusts, over the least one.
-LIFT_IN_GUSTS, AIRSPEED_IN_GUSTS = "airspeed in gusts / that of C_L", "airspeed in gusts / least"
+KINDS = LEANING, CO_ROTATING = "leaning", "co_rotating"
 
 
 class FormationVariables(NamedTuple):
@@ -60,7 +53,6 @@ class FormationVariables(NamedTuple):
 
 
 _SIZE = len(FormationVariables._fields)
-_MOTION_SIZE = 12  # of a `LoadMotion`
 
 
 class LoadMotion(NamedTuple):
@@ -71,35 +63,26 @@ class LoadMotion(NamedTuple):
     jerk: NDArray = np.zeros(3)  # (3,), m/s³, with its cube
     snap: NDArray = np.zeros(3)  # (3,), m/s⁴, with its fourth power
 
-    def at(self, speed: Any) -> "LoadMotion":
-        """That of a largest speed in m/s."""
-        square = speed * speed
-        return LoadMotion(
-            speed * self.velocity,
-            square * self.acceleration,
-            square * speed * self.jerk,
-            square * square * self.snap,
+
+class Margin(NamedTuple):
+    """A limit of a quantity, and how far from it a formation is asked to stay."""
+
+    quantity: str  # of those that `FormationProgram` has
+    words: str
+    side: int  # 1: the limit is the least value, -1: the largest
+    limit: float
+    size: float  # of the margin, in the limit's unit
+
+    def kept(self, value: Any) -> Any:
+        """The share of the margin that a value keeps: 1 all of it, 0 at the limit."""
+        return self.side * (value - self.limit) / self.size
+
+    def sentence(self, share: float, wanted: float = 1.0) -> str:
+        """The value that keeps so much of the margin, beside the one that keeps what is wanted."""
+        value, bound = (self.limit + self.side * part * self.size for part in (share, wanted))
+        return (
+            f"{self.words} {value:.3g} ({'at least' if self.side > 0 else 'at most'} {bound:.3g})"
         )
-
-
-class FlightMargins(NamedTuple):
-    """Bounds of what aircraft need, each to one side."""
-
-    lift_share: float  # of C_Lmax, at most
-    speed_share: float  # of the stall speed, at least
-    bank: float  # rad, at most
-    climb: float  # rad, at most
-    thrust_reserve: float  # of the range of thrust at that airspeed, at least, at either end
-
-
-class DesignLimits(NamedTuple):
-    """Beyond which a formation cannot be flown, and where it is to stay."""
-
-    own: FlightMargins
-    wanted: FlightMargins
-    carrier_distance: float  # of the reach
-    separation: float  # m, of carriers
-    asked: tuple[tuple[Limit, float], ...] = ()  # rows of the table of limits, with their values
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,8 +93,12 @@ class FormationTask:
         aircraft: of any cable length.
         load: of any mass.
         wind: the wind's direction (3,), of length 1.
-        motions: of the load, at rest among them.
-        limits: and margins.
+        motions: of the load where it matters most, at rest among them.
+        way: motions of the load all along its way.
+        margins: of what the aircraft need.
+        asked: rows of the table of limits that hold beside, with their values.
+        separation: m, of carriers, at least.
+        carrier_distance: of the reach, below which two carriers collide.
         gust: m/s, along the flight, which may take so much of an airspeed before the aircraft's
             answer; lift and airspeed are then within their own limits.
         cable_safety: breaking load over the largest tension; 0: the diameter is the aircraft's.
@@ -122,21 +109,21 @@ class FormationTask:
     load: CarriedLoad
     wind: NDArray
     motions: tuple[LoadMotion, ...]
-    limits: DesignLimits
+    way: tuple[LoadMotion, ...]
+    margins: tuple[Margin, ...]
+    asked: tuple[tuple[Limit, float], ...] = ()
+    separation: float
+    carrier_distance: float
     gust: float = 0.0
     cable_safety: float = 0.0
     cable_density: float = 0.0
 
-    def with_motions(self, count: int) -> "FormationTask":
-        """The same with the first motions only."""
-        return dataclasses.replace(self, motions=self.motions[:count])
-
     def angles(self, kind: str, phases: int) -> NDArray:
-        """The azimuths of all carriers, and then their phases, at phases of a turn."""
+        """The azimuths of all carriers, and their phases (2, k), at phases of a turn."""
         turn, places = (2 * np.pi * np.arange(k) / k for k in (phases, self.load.carriers))
         if kind != LEANING:
-            return np.concatenate([turn, np.zeros(phases)])
-        return np.concatenate([np.repeat(places, phases), np.tile(turn, len(places))])
+            return np.stack([turn, np.zeros(phases)])
+        return np.stack([np.repeat(places, phases), np.tile(turn, len(places))])
 
     def share(self, x: FormationVariables) -> Any:
         """f₀, N."""
@@ -152,7 +139,7 @@ class FormationTask:
         if self.cable_safety > 0:
             load = self.load
             fastest, steepest = (
-                max(float(np.linalg.norm(motion[order])) for motion in self.motions)
+                max(float(np.linalg.norm(motion[order])) for motion in self.way)
                 for order in range(2)
             )
             moved = x.mass * steepest * x.speed * x.speed
@@ -163,7 +150,7 @@ class FormationTask:
         return self.aircraft._replace(cable_length=x.cable_length, cable_diameter=diameter)
 
     def built(self, x: FormationVariables) -> "FormationTask":
-        """The task of the cables that a formation has, whatever becomes of it."""
+        """The task with the cables that a formation has, whatever becomes of its forces."""
         return dataclasses.replace(self, aircraft=self.flown_by(x), cable_safety=0.0)
 
     def needed_force(self, aircraft: Aircraft, motion: OrbitMotion) -> NDArray:
@@ -177,23 +164,21 @@ class FormationTask:
         return needed_force(aircraft, motion.accelerations, motion.forces + of_cable)
 
     def orbit(
-        self, kind: str, x: FormationVariables, angles: NDArray, load_motion: LoadMotion
+        self, kind: str, x: FormationVariables, angles: NDArray, motion: LoadMotion
     ) -> OrbitMotion:
-        """The motion (k, 3) of carriers at [azimuths, phases] (2k,), of numbers or symbols.
-
-        Of variables that are numbers or arrays (1,), and a load that moves at their speed.
-        """
+        """The motion (k, 3) of carriers at azimuths and phases (2, k), of numbers or symbols."""
         share, nothing = self.share(x), 0 * x.mass
         sizes = [*(share * size for size in x[:4]), x.frequency, nothing, x.cable_length]
         if kind != LEANING:
             sizes[1:6] = [nothing] * 4 + [x.frequency]
-        velocity, acceleration, jerk, snap = load_motion
-        azimuths, phases = np.split(angles, 2)
+        velocity, acceleration, jerk, snap = (
+            x.speed**order * rate for order, rate in enumerate(motion, 1)
+        )
         return carrier_orbit(
             FormationShape(*sizes),
             self.load._replace(mass=x.mass),
-            azimuths,
-            phases,
+            angles[0],
+            angles[1],
             air_velocity=velocity - x.wind * self.wind,
             acceleration=acceleration,
             jerk=jerk,
@@ -203,10 +188,10 @@ class FormationTask:
 
 # Of a distance that is asked for, below it, and of a run's limit, above it: a whole margin.
 _SEPARATION_MARGIN, _REACH_MARGIN = 0.2, 0.1
-ASKED_MARGIN = 0.1  # likewise, of a limit that is asked for
+_ASKED_MARGIN = 0.1  # likewise, of a limit that is asked for, and of what gusts leave
 _LEAST_SHARE = 0.3  # of f₀, that a cable always carries
 _LARGEST_ANGLE = 0.55  # rad, of attack; a command stays at 0.6
-_FINE = 24  # phases of a turn
+_COARSE, _FINE = 24, 90  # phases of a turn, of the program and of a formation that it finds
 _LIKELY = 3.0  # of a reserve: a row farther from it hardly matters
 _ROUNDS = 4  # of adding rows that do
 _TOLERANCE = 2e-3  # of a reserve
@@ -217,7 +202,7 @@ _LEAST = 1e-18  # m², beside a squared distance that may vanish
 class FormationProgram:
     """The program of a task, a kind of formation and a κ.
 
-    The rows are the margins over what is asked of each: 1 where it is kept, 0 at the limit. They
+    The rows are the shares of the margins that are kept: 1 where all is, 0 at the limit. They
     are those of all carriers at phases of a turn, of the load's motions, and of all pairs of
     carriers where the load rests in still air.
 
@@ -228,56 +213,49 @@ class FormationProgram:
         phases: of a turn.
 
     Attributes:
-        row_names: (m,), of the quantities.
+        margins: what the rows are of, those of pairs last.
     """
 
     def __init__(
-        self, task: FormationTask, kind: str, phase_turns: int = 0, *, phases: int = _FINE
+        self, task: FormationTask, kind: str, phase_turns: int = 0, *, phases: int = _COARSE
     ):
         self.task, self.kind, self.phase_turns = task, kind, phase_turns
-        own, wanted = task.limits.own, task.limits.wanted
-        margins = FlightMargins(*(abs(a - b) for a, b in zip(own, wanted, strict=True)))
-        climb = math.sin(own.climb)
-        climb_margin = climb - math.sin(wanted.climb)
-        # Of each quantity its name, the side of its limit, the limit, and the margin from it.
-        self._limits = [
-            ("lift", -1, own.lift_share, margins.lift_share),
-            ("airspeed", 1, own.speed_share, margins.speed_share),
-            ("bank", -1, own.bank, margins.bank),
-            ("bank", 1, -own.bank, margins.bank),
-            ("climb", -1, climb, climb_margin),
-            ("climb", 1, -climb, climb_margin),
-            ("thrust_above", 1, own.thrust_reserve, margins.thrust_reserve),
-            ("thrust_below", 1, own.thrust_reserve, margins.thrust_reserve),
-            ("share", 1, 0.0, _LEAST_SHARE),
+        margins = [
+            *task.margins,
+            Margin("share", "least force of a cable / f0", 1, 0, _LEAST_SHARE),
         ]
-        asked = [limit.words for limit, _ in task.limits.asked for _ in range(limit.margin_count)]
-        in_gusts = [LIFT_IN_GUSTS, AIRSPEED_IN_GUSTS] if task.gust > 0 else []
-        names = [*(name for name, *_ in self._limits), *asked, *in_gusts]
-        self._of_carrier = self._traced(self._carrier_rows, [2, _MOTION_SIZE])
+        for limit, value in task.asked:
+            size = _ASKED_MARGIN * value
+            margin = Margin("", limit.words, limit.side, value - limit.side * size, size)
+            margins += limit.margin_count * [margin]
+        if task.gust > 0:
+            for quantity in ("lift", "airspeed"):
+                words = f"{quantity} in gusts, of its limit"
+                margins.append(Margin(quantity, words, 1, 1 - _ASKED_MARGIN, _ASKED_MARGIN))
+        size = _SEPARATION_MARGIN * task.separation
+        self.margins = (
+            *margins,
+            Margin("", "carriers apart, m,", 1, task.separation - size, size),
+            Margin("", "carriers apart / the least of their reach", 1, 1.0, _REACH_MARGIN),
+            Margin("", "crossing of cables", 1, 0.0, _CROSSING_MARGIN),
+        )
+        self._of_carrier = self._traced(self._carrier_rows, [2, 12])
         self._of_pair = self._traced(self._pair_rows, [4])
         n = task.load.carriers
-        turn, places = (2 * np.pi * np.arange(k) / k for k in (_FINE, n))
-        pairs = task.angles(kind, phases).reshape(2, -1).T
-        self._samples = [
-            (angles, np.concatenate(motion)) for motion in task.motions for angles in pairs
-        ]
-        self._per_motion = len(pairs)
+        turn, places = (2 * np.pi * np.arange(k) / k for k in (_COARSE, n))
+        angles = task.angles(kind, phases).T
+        self._samples = [(pair, np.concatenate(each)) for each in task.motions for pair in angles]
+        self._per_motion = len(angles)
         self._neighbours = [
             (np.array([0.0, step, angle, angle + phase_turns * step]),)
             for step in places[1 : n // 2 + 1]
             for angle in (turn if kind == LEANING else turn[:1])
         ]
-        apart = np.repeat(["apart", "apart_reach", "cables"], len(self._neighbours))
-        self.row_names: NDArray = np.concatenate([np.repeat(names, len(self._samples)), apart])
 
     def _traced(self, function: Callable, sizes: list[int]) -> TracedFunction:
         """One of the two functions below, with its Jacobian by the variables."""
-        task, limits = self.task, self.task.limits
-        asked = [(limit.field, value) for limit, value in limits.asked]
-        motions = task.motions if task.cable_safety > 0 else ()
-        of_task = task.aircraft, task.load, task.wind, task.gust, task.cable_safety
         # The search tries speeds of km/s, too: any finite number will do.
+        asked = [(limit.field, value) for limit, value in self.task.asked]
         return TracedFunction(
             function,
             [_SIZE, *sizes],
@@ -285,19 +263,18 @@ class FormationProgram:
             largest=1e100,
             jacobian_of=0,
             key=(
-                *(function.__name__, self.kind, *of_task, task.cable_density, motions),
-                *(limits._replace(asked=()), asked),
+                *(function.__name__, self.kind, asked),
+                dataclasses.replace(self.task, asked=(), motions=()),
             ),
         )
 
-    def _carrier_rows(self, values: NDArray, angles: NDArray, motion: NDArray) -> NDArray:
-        """The rows of one carrier, and its power, W, at [azimuth, phase] and a `LoadMotion`."""
-        x = _variables(values)
-        moved = LoadMotion(*(motion[i : i + 3] for i in range(0, _MOTION_SIZE, 3)))
+    def quantities(
+        self, x: FormationVariables, angles: NDArray, motion: LoadMotion
+    ) -> tuple[FlightNeeds, dict[str, Any]]:
+        """What carriers at azimuths and phases (2, k) need, and its quantities (k,), by name."""
         aircraft = self.task.flown_by(x)
-        orbit = self.task.orbit(self.kind, x, angles, moved.at(x.speed))
-        velocity = orbit.velocities
-        force = self.task.needed_force(aircraft, orbit)
+        orbit = self.task.orbit(self.kind, x, angles, motion)
+        velocity, force = orbit.velocities, self.task.needed_force(aircraft, orbit)
         needed = flight_needs(aircraft, force, velocity)
         airspeed, thrust = needed.airspeed, needed.thrust
         least, most = thrust_limits(aircraft, airspeed)
@@ -306,7 +283,7 @@ class FormationProgram:
         across = np.sqrt((force * force).sum(axis=-1) - along * along + 1e-9)
         most_lift = aircraft.lift_at_zero_angle + aircraft.lift_slope * _LARGEST_ANGLE
         beyond = positive_part(across / pressure_force(aircraft, airspeed) - most_lift)
-        quantities = {
+        return needed, {
             "lift": (needed.lift + beyond) / aircraft.max_lift,
             "airspeed": airspeed / stall_speed(aircraft),
             "bank": needed.bank,
@@ -314,21 +291,34 @@ class FormationProgram:
             "thrust_above": (most - thrust) / (most - least),
             "thrust_below": (thrust - least) / (most - least),
             "share": orbit.forces[:, 2] / self.task.share(x),
+            "power": drawn_power(aircraft, thrust, airspeed),
         }
-        rows = [
-            side * (quantities[name] - limit) / margin for name, side, limit, margin in self._limits
-        ]
-        for limit, value in self.task.limits.asked:
+
+    def rows_of_carriers(
+        self, x: FormationVariables, angles: NDArray, motion: LoadMotion
+    ) -> tuple[list[Any], Any]:
+        """The rows (k,) of carriers, in the order of `margins`, and their power (k,), W."""
+        task = self.task
+        needed, found = self.quantities(x, angles, motion)
+        count = len(task.margins) + 1
+        rows = [margin.kept(found[margin.quantity]) for margin in self.margins[:count]]
+        for limit, value in task.asked:
             # Margins of squares: by a share of the limit they change by twice of that.
-            margins = limit.margins(aircraft, needed, value)
-            rows += [1 + margin / (2 * ASKED_MARGIN) for margin in margins]
-        if self.task.gust > 0:
-            own = self.task.limits.own
-            left = 1 - self.task.gust / airspeed  # of the airspeed
-            lift = np.sqrt(positive_part(quantities["lift"]) / own.lift_share + 1e-6)
-            shares = left / lift, left * quantities["airspeed"] / own.speed_share
-            rows += [1 + (share - 1) / ASKED_MARGIN for share in shares]
-        return np.concatenate([*rows, drawn_power(aircraft, thrust, airspeed)])
+            margins = limit.margins(task.flown_by(x), needed, value)
+            rows += [1 + margin / (2 * _ASKED_MARGIN) for margin in margins]
+        if task.gust > 0:
+            own = {margin.quantity: margin.limit for margin in task.margins}
+            left = 1 - task.gust / needed.airspeed  # of the airspeed
+            lift = np.sqrt(positive_part(found["lift"]) / own["lift"] + 1e-6)
+            shares = left / lift, left * found["airspeed"] / own["airspeed"]
+            rows += [1 + (share - 1) / _ASKED_MARGIN for share in shares]
+        return rows, found["power"]
+
+    def _carrier_rows(self, values: NDArray, angles: NDArray, motion: NDArray) -> NDArray:
+        """The rows of one carrier, and its power, W, at [azimuth, phase] and a `LoadMotion`."""
+        moved = LoadMotion(*(motion[i : i + 3] for i in range(0, 12, 3)))
+        rows, power = self.rows_of_carriers(_variables(values), angles.reshape(2, 1), moved)
+        return np.concatenate([*rows, power])
 
     def _pair_rows(self, values: NDArray, angles: NDArray) -> NDArray:
         """The rows of two carriers, and their distance, m, above a load at rest in still air.
@@ -339,9 +329,9 @@ class FormationProgram:
         half the distance of their attachments; with u·d = -|d| they meet.
         """
         x = _variables(values)._replace(wind=np.zeros(1))
-        task, limits = self.task, self.task.limits
-        places = task.orbit(self.kind, x, angles, LoadMotion(*np.zeros((4, 3)))).positions
-        ends = task.load.radius * np.stack([np.cos(angles[:2]), np.sin(angles[:2])], axis=1)
+        radius, rest = self.task.load.radius, LoadMotion(*np.zeros((4, 3)))
+        places = self.task.orbit(self.kind, x, angles.reshape(2, 2), rest).positions
+        ends = radius * np.stack([np.cos(angles[:2]), np.sin(angles[:2])], axis=1)
         level = places[:, :2]
         leans = (level - ends) / places[:, 2:]
         gap = np.concatenate([level[0] - level[1], places[0, 2:] - places[1, 2:]])
@@ -349,15 +339,11 @@ class FormationProgram:
         way, lean = ends[0] - ends[1], leans[0] - leans[1]
         way = way / np.sqrt((way * way).sum(keepdims=True))
         size = np.sqrt((lean * lean).sum(keepdims=True) + 1e-8)
-        reach = limits.carrier_distance * (task.load.radius + x.cable_length)
-        return np.concatenate(
-            [
-                1 + (distance / limits.separation - 1) / _SEPARATION_MARGIN,
-                (distance / reach - 1) / _REACH_MARGIN,
-                ((way * lean).sum(keepdims=True) + _CROSSING * size) / _CROSSING_MARGIN,
-                distance,
-            ]
-        )
+        reach = self.task.carrier_distance * (radius + x.cable_length)
+        crossing = (way * lean).sum(keepdims=True) + _CROSSING * size
+        found = distance, distance / reach, crossing
+        rows = [margin.kept(each) for margin, each in zip(self.margins[-3:], found, strict=True)]
+        return np.concatenate([*rows, distance])
 
     def rows(self, values: NDArray) -> tuple[NDArray, NDArray, float, NDArray]:
         """The rows (m,), their gradients (m, 10), one aircraft's mean power, W, and its (10,)."""
@@ -373,13 +359,27 @@ class FormationProgram:
             power_gradient[at_rest].mean(axis=0),
         )
 
-    def separations(self, values: NDArray) -> NDArray:
-        """The distances (p,), m, of pairs above a load at rest in still air."""
-        return _evaluated(self._of_pair, values, self._neighbours)[0][-1]
+    def separation(self, values: NDArray) -> float:
+        """The least distance, m, of two carriers above a load at rest in still air."""
+        return float(_evaluated(self._of_pair, values, self._neighbours)[0][-1].min())
 
-    def closest_row(self, values: NDArray) -> str:
-        """The name of the quantity that is the closest to its limit."""
-        return str(self.row_names[np.argmin(self.rows(values)[0])])
+    def on_way(self, values: NDArray, phases: int = _FINE) -> NDArray:
+        """The least of each of the `margins` (r,), at fine phases all along the load's way."""
+        x, angles = FormationVariables(*values), self.task.angles(self.kind, phases)
+        found = [self.rows_of_carriers(x, angles, motion)[0] for motion in self.task.way]
+        beside = _evaluated(self._of_pair, values, self._neighbours)[0][:-1].min(axis=1)
+        return np.concatenate([np.min(found, axis=(0, 2)), beside])
+
+    def extremes(self, values: NDArray, phases: int = _FINE) -> dict[str, tuple[float, float]]:
+        """The least and the largest of each quantity, airspeed and thrust on the way, by name."""
+        x, angles = FormationVariables(*values), self.task.angles(self.kind, phases)
+        columns: dict[str, list[NDArray]] = {}
+        for motion in self.task.way:
+            needed, found = self.quantities(x, angles, motion)
+            found |= {"airspeed_m_s": needed.airspeed, "thrust_N": needed.thrust}
+            for name, column in found.items():
+                columns.setdefault(name, []).append(column)
+        return {name: (float(np.min(c)), float(np.max(c))) for name, c in columns.items()}
 
     def solve(
         self,

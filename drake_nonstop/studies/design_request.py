@@ -18,27 +18,20 @@ from drake_nonstop.scenario.describe import commented_fields
 from drake_nonstop.scenario.fields import Walk
 from drake_nonstop.scenario.overrides import parse_override
 from drake_nonstop.scenario.schema import check_name
-from drake_nonstop.scenario.yaml_text import dump_plain, parse_plain
+from drake_nonstop.scenario.yaml_text import parse_plain
 from drake_nonstop.validation import (
     StrictFields,
     checked,
     fulfilling,
-    non_negative,
     one_of,
-    positive,
     read_text,
     require,
     require_array,
-    require_known,
-    require_ranges,
     require_seed,
     vector,
 )
 
 GRAVITY = 9.81  # m/s²
-_CABLES = (1.0, 5000.0)  # m
-_WAY_TIMES = (1.0, 36000.0)  # s, the way's length by the largest speed
-_MOST_CARRIERS = 12
 _LIMITS = FlightEnvelope()
 MARGIN, POWER = "margin", "power"
 STRAIGHT, LUMPED = "straight", "lumped"
@@ -62,7 +55,6 @@ def _below(default: float, limit: float) -> Any:
 @dataclass(kw_only=True)
 class _Asked(StrictFields):
     name: str = "formation"  # of the scenarios that are made
-    description: str = ""
     aircraft: AircraftParameters = field(
         default_factory=lambda: AircraftParameters(model="rascal_110")
     )
@@ -86,8 +78,9 @@ class _Asked(StrictFields):
     gust: float = checked(0.0, _within(0.0, 20.0, "m/s"))  # m/s, standard deviation of gusts
     # m, of the load
     displacement: list[float] = vector([50.0, 0.0, 0.0], "m, in W", _within(0.0, 1e6, "m"))
-    speed: float = non_negative(1.25)  # m/s, the load's largest on the way; 0: it rests
-    separation: float = positive(12.0)  # m, of any two carriers, at least
+    # m/s, the load's largest on the way; 0: it rests
+    speed: float = checked(1.25, _within(0.0, 1e3, "m/s"))
+    separation: float = checked(12.0, _within(1e-3, 1e4, "m"))  # m, of any two carriers, at least
     # of C_Lmax, at most; less than where a controller saturates
     lift_share: float = _below(0.8, _LIMITS.lift_share)
     # of the stall speed, at least; more than where thrust is added
@@ -131,32 +124,21 @@ class DesignRequest(AircraftLimits, _Asked):
 
         Walk(reads_trees=False).read("request", DesignRequest, self)
         check_name(self.name)
-        need(self.carriers, "carriers", "give numbers of carriers, such as [3, 4]")
-        is_some = all(3 <= n <= _MOST_CARRIERS for n in self.carriers)
-        need(is_some, "carriers", f"give numbers from 3 to {_MOST_CARRIERS}")
-        need(self.kinds, "kinds", f"give some of {', '.join(KINDS)}")
-        for kind in self.kinds:
-            require_known(kind, KINDS, "request.kinds", self.kinds)
-        for name in ("carriers", "kinds"):
+        for name, usable, remedy in (
+            ("carriers", range(3, 13), "give numbers from 3 to 12, each once, such as [3, 4]"),
+            ("kinds", KINDS, f"give some of {', '.join(KINDS)}, each once"),
+        ):
             values = getattr(self, name)
-            need(len(set(values)) == len(values), name, "give each of them once")
-        require_ranges("request", self)
-        way = np.array(self.displacement, float)
+            need(values and {*values} <= {*usable} and len({*values}) == len(values), name, remedy)
         short, long = require_array("request.cable_length", self.cable_length, [2], "m, in order")
-        remedy = "give the least and the largest, above zero, in this order"
-        need(0 < short <= long, "cable_length", remedy)
-        least, most = _CABLES
-        is_usable = least <= short and long <= most
-        need(is_usable, "cable_length", f"give lengths from {least:g} to {most:g} m")
+        remedy = "give the least and the largest, from 1 to 5000 m, in this order"
+        need(1 <= short <= long <= 5000, "cable_length", remedy)
         reach = 2 * (self.load_radius + long)
         remedy = f"give at most {reach:.3g}, twice the reach of the longest cable"
         need(self.separation <= reach, "separation", remedy)
-        remedy = "give a way other than none, or speed = 0 for a load that rests"
-        need(np.any(way) or self.speed == 0, "displacement", remedy)
-        if self.speed > 0:
-            slow, fast = (float(np.linalg.norm(way)) / time for time in _WAY_TIMES[::-1])
-            remedy = f"give {slow:.2g} to {fast:.2g}, for the length of the way, or 0 for none"
-            need(slow <= self.speed <= fast, "speed", remedy)
+        way = float(np.linalg.norm(self.displacement))
+        remedy = f"give {way / 36000:.2g} to {way:.2g}, for the length of the way, or 0 for none"
+        need(self.speed == 0 or way / 36000 <= self.speed <= way, "speed", remedy)
         checked_inertia("request.load_inertia", self.inertia)
         aircraft = make_aircraft(
             self.aircraft,
@@ -176,11 +158,6 @@ class DesignRequest(AircraftLimits, _Asked):
         flat = self.load_mass * self.load_radius**2 / 4
         return np.diag([flat, flat, 2 * flat]).tolist()
 
-    @property
-    def aircraft_name(self) -> str:
-        """Name of the aircraft in sentences."""
-        return self.aircraft.model or "aircraft of its own"
-
 
 def read_request(file: str | Path | None = None, overrides: Sequence[str] = ()) -> DesignRequest:
     """The request in a YAML file, or the default one, with changes "path=value".
@@ -194,45 +171,29 @@ def read_request(file: str | Path | None = None, overrides: Sequence[str] = ()) 
     tree: dict[str, Any] = {}
     if file is not None:
         path = Path(file)
-        require(path.suffix in (".yaml", ".yml"), "REQUEST", file, "give a .yaml file")
         content = parse_plain(read_text(path, "REQUEST"), path.name)
         is_mapping = content is None or (isinstance(content, dict) and "_tag" not in content)
         require(is_mapping, path.name, content, "give a mapping of fields to values")
         tree = {"name": path.stem} | (content or {})
     for override in overrides:
-        _apply(tree, override)
+        path_of, value = parse_override(override)
+        owner, dot, part = path_of.partition(".")
+        if dot:
+            given = tree.get(owner) or {}
+            usable = owner == "aircraft" and isinstance(given, dict)
+            require(usable, "--set", path_of, "give a field, or aircraft.FIELD")
+            value = given | {part: value}
+        tree[owner] = value
     request = DesignRequest()
-    if "aircraft" in tree:
-        request.aircraft = AircraftParameters()
-        remedy = "give a mapping such as {model: rascal_110}"
-        require(isinstance(tree["aircraft"], dict), "request.aircraft", tree["aircraft"], remedy)
     Walk().read("request", DesignRequest, tree, request)
     request.check()
     return request
 
 
-def _apply(tree: dict[str, Any], override: str) -> None:
-    path, value = parse_override(override)
-    owner, dot, field = path.partition(".")
-    if dot:
-        require(owner == "aircraft", "--set", path, "give a field, or aircraft.FIELD")
-        tree = tree.setdefault(owner, {"model": "rascal_110"})
-        require(isinstance(tree, dict), "--set", path, f"{owner} has no parts; set it whole")
-    tree[field or path] = value
-
-
 def dump_request(request: DesignRequest) -> str:
-    """The request as YAML with every field that it gives, which `read_request` reads."""
-    return "".join(f"{key}: {dump_plain(value)}\n" for key, value in _tree(request).items())
-
-
-def commented_request(request: DesignRequest) -> str:
-    """The request as YAML with the unit and meaning of every field."""
+    """The request as YAML, with the unit and meaning of every field, which `read_request` reads."""
+    tree = {k: v for k, v in vars(request).items() if v is not None}
+    tree["aircraft"] = {k: v for k, v in vars(request.aircraft).items() if v is not None}
     about = (inspect.getdoc(DesignRequest) or "").splitlines()
     lines = [*(f"# {text}".rstrip() for text in about)]
-    return "\n".join([*lines, *commented_fields(0, _tree(request), DesignRequest), ""])
-
-
-def _tree(request: DesignRequest) -> dict[str, Any]:
-    given = {k: v for k, v in vars(request).items() if v is not None}
-    return given | {"aircraft": {k: v for k, v in vars(request.aircraft).items() if v is not None}}
+    return "\n".join([*lines, *commented_fields(0, tree, DesignRequest), ""])

@@ -19,7 +19,7 @@ from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.studies import design
 from drake_nonstop.studies.design import Design
 from drake_nonstop.studies.design_request import read_request
-from drake_nonstop.studies.designed_formation import Refusal
+from drake_nonstop.studies.formation_search import Refusal
 
 SMALL = ["carriers=[3]", "kinds=[co_rotating]", "cable_length=[60, 60]", "starts=1"]
 
@@ -78,7 +78,7 @@ def test_what_cannot_be_is_said_and_another_request_has_a_folder_of_its_own(
         carriers=3,
         phase_turns=1,
         variables=FormationVariables(*np.ones(9), reserve=-1.0),
-        missed="bank",
+        why="it banks",
         remedy="less",
     )
 
@@ -88,8 +88,8 @@ def test_what_cannot_be_is_said_and_another_request_has_a_folder_of_its_own(
     monkeypatch.setattr(design, "design", none)
     assert main(["design", "--set", *SMALL]) == FAILED
     shown = capsys.readouterr().out
-    assert shown.startswith("1 kinds and numbers of carriers, 1 at a time, up to a minute each: ")
-    assert "3 leaning, misses bank; give less" in shown
+    assert shown.startswith("1 kinds and numbers of carriers, 1 at a time, up to a minute each")
+    assert "3 leaning, is at -1 of them: it banks; give less" in shown
     assert "results: out/design/formation_2" in shown
     assert (other / "request.yaml").read_text() == "load_mass: 1.0\n"
     assert not (tmp_path / "out" / "design" / "formation_2" / "pareto.png").exists()
@@ -97,16 +97,16 @@ def test_what_cannot_be_is_said_and_another_request_has_a_folder_of_its_own(
 
 def test_ctrl_c_while_files_are_written_keeps_them(tmp_path, capsys, monkeypatch):
     scenario = dataclasses.replace(load_scenario("aircraft_rest"), name="formation_1")
-    formation = SimpleNamespace(scenario=scenario)
-    monkeypatch.setattr(
-        design,
-        "design",
-        lambda request, _: Design(request=request, formations=(formation,), refusals=()),
-    )
-    monkeypatch.setattr(design, "design_table", lambda found: "")
-    monkeypatch.setattr(
-        design, "design_dictionary", lambda found: {"end": signal.raise_signal(signal.SIGINT)}
-    )
+
+    class Found:
+        formations = (SimpleNamespace(scenario=scenario),)
+        verdict = ""
+
+        @property
+        def dictionary(self):
+            return {"end": signal.raise_signal(signal.SIGINT)}
+
+    monkeypatch.setattr(design, "design", lambda request, _: Found())
     assert main(["design", "--out", str(tmp_path), "--set", *SMALL]) == INTERRUPTED
     names = {path.name for path in tmp_path.iterdir()}
     assert names == {"request.yaml", "design.json", "formation_1.yaml"}
@@ -116,8 +116,7 @@ def test_ctrl_c_while_files_are_written_keeps_them(tmp_path, capsys, monkeypatch
     ("arguments", "sentence"),
     [
         (["none.yaml"], "REQUEST = none.yaml: give a file that can be read"),
-        (["none.txt"], "REQUEST = none.txt: give a .yaml file"),
-        (["--set", "speed=-1"], "request.speed = -1.0: give a finite number"),
+        (["--set", "speed=-1"], "request.speed = -1.0: give 0 to 1000 m/s"),
     ],
 )
 def test_bad_input_is_refused_before_anything_is_written(

@@ -13,23 +13,25 @@ from drake_nonstop.planning.formation_program import (
     CO_ROTATING,
     KINDS,
     LEANING,
-    DesignLimits,
-    FlightMargins,
     FormationProgram,
     FormationTask,
     FormationVariables,
     LoadMotion,
+    Margin,
 )
 from drake_nonstop.planning.limits import Of, limits_of
-from drake_nonstop.studies.designed_formation import formation_needs
 
 GRAVITY, MASS, N, RADIUS = 9.81, 10.0, 4, 1.5
 X = np.eye(3)[0]
-LIMITS = DesignLimits(
-    own=FlightMargins(0.9, 1.2, math.radians(50), math.radians(30), 0.0),
-    wanted=FlightMargins(0.8, 1.25, math.radians(50) - 0.1, math.radians(30) - 0.05, 0.1),
-    carrier_distance=0.05,
-    separation=8.0,
+MARGINS = (
+    Margin("lift", "lift", -1, 0.9, 0.1),
+    Margin("airspeed", "airspeed", 1, 1.2, 0.05),
+    Margin("bank", "bank", -1, math.radians(50), 0.1),
+    Margin("bank", "bank", 1, -math.radians(50), 0.1),
+    Margin("climb", "climb", -1, 0.5, 0.05),
+    Margin("climb", "climb", 1, -0.5, 0.05),
+    Margin("thrust_above", "thrust_above", 1, 0.0, 0.1),
+    Margin("thrust_below", "thrust_below", 1, 0.0, 0.1),
 )
 # All limits of aircraft that can be asked for, where the needs are on their way to them.
 EVERY = tuple((limit, 0.6 * min(limit.largest, 30.0)) for limit in limits_of(Of.FLIGHT))
@@ -37,31 +39,34 @@ EVERY = tuple((limit, 0.6 * min(limit.largest, 30.0)) for limit in limits_of(Of.
 STRAIGHT = {"lift_at_zero_angle": 0.0, "lift_slope": 1e9}
 
 
-def task(*motions, **aircraft):
+def task(*motions, asked=(), **aircraft):
     parameters = AircraftParameters(model="rascal_110", **aircraft)
+    motions = (LoadMotion(0 * X, 0 * X), *motions)
     return FormationTask(
         aircraft=make_aircraft(parameters, cable_length=100.0, gravity=GRAVITY),
         load=CarriedLoad(MASS, 0.6, GRAVITY, N, RADIUS, 0.0),
         wind=X,
-        motions=(LoadMotion(0 * X, 0 * X), *motions),
-        limits=LIMITS,
+        motions=motions,
+        way=motions,
+        margins=MARGINS,
+        asked=asked,
+        separation=8.0,
+        carrier_distance=0.05,
     )
 
 
-def needs_at(given, kind, values, phases):
-    (found,) = formation_needs(given, kind, FormationVariables(*values), phases)
-    return found
+def needs_at(given, kind, values, phases, motion=0):
+    program, x = FormationProgram(given, kind, 2), FormationVariables(*values)
+    return program.quantities(x, given.angles(kind, phases), given.way[motion])
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("limits", [LIMITS, LIMITS._replace(asked=EVERY)], ids=["own", "asked"])
-def test_gradients_are_central_differences(kind, limits):
-    moved = LoadMotion(X, 0.2 * X, 0.1 * X, -0.05 * X)
-    given = dataclasses.replace(task(moved), limits=limits)
+@pytest.mark.parametrize("asked", [(), EVERY], ids=["own", "asked"])
+def test_gradients_are_central_differences(kind, asked):
+    given = task(LoadMotion(X, 0.2 * X, 0.1 * X, -0.05 * X), asked=asked)
     program = FormationProgram(given, kind, 2, phases=3)
     point = np.array([0.3, 0.15, 0.2, 0.1, 0.6, 150.0, 10.0, 2.0, 1.2, 0.5])
-    rows, gradients, _, power_gradient = program.rows(point)
-    assert len(rows) == len(program.row_names)
+    _, gradients, _, power_gradient = program.rows(point)
     for i in range(len(point) - 1):
         step = 1e-5 * max(1.0, point[i])
         ends = [program.rows(point + sign * step * np.eye(10)[i]) for sign in (1, -1)]
@@ -71,38 +76,48 @@ def test_gradients_are_central_differences(kind, limits):
         assert power_gradient[i] == pytest.approx(expected, rel=1e-4, abs=1e-3)
 
 
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("gust", [0.0, 1.0])
+def test_the_least_rows_are_those_of_numbers_at_many_phases_at_once(kind, gust):
+    motion = LoadMotion(X, 0.2 * X, 0.1 * X, -0.05 * X)
+    given = dataclasses.replace(task(motion, asked=EVERY), gust=gust)
+    program = FormationProgram(given, kind, 2, phases=8)
+    values = np.array([0.3, 0.15, 0.2, 0.1, 0.6, 150.0, 10.0, 2.0, 1.2, 0.5])
+    rows = program.rows(values)[0]
+    assert rows.min() == pytest.approx(program.on_way(values, phases=8).min(), rel=1e-9)
+
+
 @pytest.mark.parametrize(("limit", "value"), EVERY, ids=lambda each: getattr(each, "field", ""))
 def test_a_limit_that_is_asked_for_is_a_row_of_one_at_the_limit(limit, value):
-    given = dataclasses.replace(task(), limits=LIMITS._replace(asked=((limit, value),)))
-    program, values = FormationProgram(given, CO_ROTATING, phases=4), [1.2, 0, 0, 0, 0.4, 60.0]
-    values += [MASS, 0.0, 0.0, 0.0]
-    needs = needs_at(given, CO_ROTATING, values, 4)
+    given = task(asked=((limit, value),))
+    values = [1.2, 0, 0, 0, 0.4, 60.0, MASS, 0.0, 0.0, 0.0]
+    program = FormationProgram(given, CO_ROTATING, phases=4)
+    needs, _ = needs_at(given, CO_ROTATING, values, 4)
     margins = limit.margins(given.aircraft._replace(cable_length=60.0), needs, value)
-    rows = program.rows(np.array(values))[0]
-    asked = rows[program.row_names == limit.words][-4 * limit.margin_count :]
-    np.testing.assert_allclose(asked, 1 + np.ravel(margins) / 0.2, rtol=1e-9, atol=1e-9)
+    rows, _ = program.rows_of_carriers(
+        FormationVariables(*values), given.angles(CO_ROTATING, 4), given.motions[0]
+    )
+    np.testing.assert_allclose(rows[9:], 1 + np.array(margins) / 0.2, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_rows_are_the_distances_to_the_limits_over_their_margins(kind):
-    moved = LoadMotion(X, 0.2 * X, 0.1 * X, -0.05 * X)
-    given = dataclasses.replace(task(), motions=(moved,))
+    given = task(LoadMotion(X, 0.2 * X, 0.1 * X, -0.05 * X))
     values = [0.3, 0.15, 0.2, 0.1, 0.6, 150.0, 10.0, 2.0, 1.2, 0.5]
     if kind == CO_ROTATING:
         values[1:4] = [0.0, 0.0, 0.0]
-    needs = needs_at(given, kind, values, 3)
+    needs, found = needs_at(given, kind, values, 3, motion=1)
     plane = given.aircraft._replace(cable_length=150.0)
     least, most = thrust_limits(plane, needs.airspeed)
-    program = FormationProgram(given, kind, 2, phases=3)
-    rows = program.rows(np.array(values))[0]
     for name, expected in (
-        ("lift", (0.9 - needs.lift / plane.max_lift) / 0.1),
-        ("airspeed", (needs.airspeed / stall_speed(plane) - 1.2) / 0.05),
-        ("thrust_above", (most - needs.thrust) / (most - least) / 0.1),
-        ("thrust_below", (needs.thrust - least) / (most - least) / 0.1),
+        ("lift", needs.lift / plane.max_lift),
+        ("airspeed", needs.airspeed / stall_speed(plane)),
+        ("thrust_above", (most - needs.thrust) / (most - least)),
+        ("thrust_below", (needs.thrust - least) / (most - least)),
     ):
-        found = rows[program.row_names == name]
-        np.testing.assert_allclose(np.sort(found), np.sort(expected), rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(found[name], expected, rtol=1e-9, atol=1e-9)
+    assert Margin("lift", "C_L", -1, 0.9, 0.1).kept(0.85) == pytest.approx(0.5)
+    assert Margin("lift", "C_L", -1, 0.9, 0.1).sentence(0.5) == "C_L 0.85 (at most 0.8)"
 
 
 def closed_form(plane, outward, rate, length):
@@ -123,19 +138,14 @@ def closed_form(plane, outward, rate, length):
 def test_co_rotating_circles_are_those_of_the_closed_form():
     given = task(**STRAIGHT)
     values = [1.2, 0, 0, 0, 0.4, 60.0, MASS, 0.0, 0.0, 0.0]
-    program, found = (
-        FormationProgram(given, CO_ROTATING, phases=5),
-        needs_at(given, CO_ROTATING, values, 5),
-    )
+    program = FormationProgram(given, CO_ROTATING, phases=5)
+    found, _ = needs_at(given, CO_ROTATING, values, 5)
     lift, bank, thrust, speed, apart = closed_form(given.aircraft, 1.2, 0.4, 60.0)
     np.testing.assert_allclose(found.lift, lift, rtol=1e-6)
     np.testing.assert_allclose(np.abs(found.bank), abs(bank), rtol=1e-6)
     np.testing.assert_allclose(found.thrust, thrust, rtol=1e-6)
     np.testing.assert_allclose(found.airspeed, speed, rtol=1e-9)
-    distances = program.separations(np.array(values))
-    assert distances.min() == pytest.approx(apart, rel=1e-9)
-    opposite = math.sqrt(2) * apart  # of four carriers on a circle
-    assert distances.max() == pytest.approx(opposite, rel=1e-9)
+    assert program.separation(np.array(values)) == pytest.approx(apart, rel=1e-9)
 
 
 def test_leaning_circles_are_those_of_the_closed_form():
@@ -144,7 +154,7 @@ def test_leaning_circles_are_those_of_the_closed_form():
     lean, half_cone, rate, length = 0.3, 0.2, 0.9, 60.0
     size = math.tan(half_cone) / math.cos(lean)
     values = [math.tan(lean), size * math.cos(lean), size, size * math.sin(lean), rate, length]
-    found = needs_at(given, LEANING, [*values, MASS, 0.0, 0.0, 0.0], 64)
+    found, _ = needs_at(given, LEANING, [*values, MASS, 0.0, 0.0, 0.0], 64)
     speed = rate * length * math.sin(half_cone)
     np.testing.assert_allclose(found.airspeed, speed, rtol=1e-9)
     assert np.max(np.abs(found.climb)) == pytest.approx(lean, rel=1e-9)
