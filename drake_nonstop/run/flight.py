@@ -5,7 +5,6 @@ import dataclasses
 import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from pydrake.systems.analysis import (
@@ -14,16 +13,16 @@ from pydrake.systems.analysis import (
     Simulator,
     SimulatorConfig,
 )
-from pydrake.systems.framework import Context, Diagram
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem
 
 from drake_nonstop.diagrams.nonstop import make_nonstop, replaced
 from drake_nonstop.loop.start import PlantStates, set_equilibrium
-from drake_nonstop.run.built_loop import BuiltLoop, Viewer
+from drake_nonstop.loop.step import with_largest_step
 from drake_nonstop.run.compiled_run import (
+    NOT_COMPILED,
     CompiledRun,
-    Flying,
-    compiled_loop_of,
-    tell_not_compiled,
+    reason_not_compiled,
+    recorded_loop,
 )
 from drake_nonstop.run.interruption import ALL, Interruption
 from drake_nonstop.run.monitor import EndingBlocks, Monitor
@@ -31,11 +30,12 @@ from drake_nonstop.run.preparation import (
     LoopMaker,
     cause_of_divergence,
     check_simulation,
-    stable_config,
+    loop_of,
     warn_of_other_bound,
 )
 from drake_nonstop.run.recording import (
     RUN_SIGNALS,
+    LogSignals,
     RecordingError,
     require_room,
 )
@@ -45,40 +45,17 @@ from drake_nonstop.scenario.schema import COMPILED, DIAGRAM, ENGINES, Scenario, 
 from drake_nonstop.systems.diagnosis import raising_block, source_of_fault
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
 from drake_nonstop.systems.wiring import loop_in
-from drake_nonstop.validation import ScenarioError, ScenarioWarning, one_line, require
+from drake_nonstop.validation import (
+    ScenarioError,
+    ScenarioWarning,
+    called,
+    one_line,
+    require,
+    warn_user,
+)
 
-
-@dataclass(frozen=True, kw_only=True)
-class Request:
-    """Request to `simulate`; the fields are its arguments.
-
-    Raises:
-        ScenarioError: one of them is none.
-    """
-
-    scenario: Scenario
-    progress: Callable[[float], None] | None = None
-    viewers: Sequence[Viewer] = ()
-    after_step: Callable[[Simulator, Diagram], StepAction] | None = None
-    make_loop: LoopMaker = make_nonstop
-    engine: str | None = None
-    flights: int = 1  # runs like it that are to be flown; not one of the arguments
-    replacements: dict[str, Any] = dataclasses.field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        check(self.scenario)
-        require_engine(self.engine)
-        remedy = "give a function that takes a scenario and returns a Diagram, such as make_nonstop"
-        require(callable(self.make_loop), "make_loop", self.make_loop, remedy)
-        remedy = "give a list of functions, such as [show_in(meshcat)]"
-        require(isinstance(self.viewers, (list, tuple)), "viewers", self.viewers, remedy)
-        for viewer in self.viewers:
-            require(callable(viewer), "viewers", viewer, remedy)
-
-    @property
-    def asked_engine(self) -> str:
-        """The engine in place of the scenario's, or that."""
-        return self.engine or self.scenario.engine
+# Adds a system beside the loop's diagram, which the builder has already, and returns it.
+Viewer = Callable[[DiagramBuilder, Diagram, Scenario], LeafSystem]
 
 
 def require_engine(engine: str | None) -> None:
@@ -88,154 +65,182 @@ def require_engine(engine: str | None) -> None:
 
 
 class Flight:
-    """One flight of a request's loop.
+    """A run in the making, stage by stage.
+
+    It is built here; `prepare` finds its start and its step; `compiled_run.fly_together` flies what
+    a compiled loop can; `finish` has Drake's Simulator fly the rest, and returns what was recorded.
+    What ends a stage goes through `kept`.
+
+    Args:
+        interruption: what Ctrl-C leaves.
+        scenario, ...: as of `simulate`.
+        flights: runs like it that are to be flown.
 
     Attributes:
         scenario: with the configs of the replacements, and with drawn numbers.
         nonstop: the loop's diagram.
         engine: the one that flies it, as in `Run`.
         context: of the diagram around the loop.
-        monitor: what happens after its steps.
+        compiled: what the compiled engine flies of it: one, or none.
 
     Raises:
         ScenarioError: the loop cannot be built.
     """
 
-    def __init__(self, request: Request, interruption: Interruption):
-        self._request, self._interruption = request, interruption
-        self._is_second = interruption.collect is not None  # of a run that is there already
-        self._replacements: dict[str, Any] = {}
-        scenario, _ = drawn(request.scenario)  # which the request has checked
-        self._stated_bound = scenario.speed_bound
-        if request.replacements:
-            scenario, self._replacements = replaced(request.scenario, request.replacements)
-            scenario = scenario.sampled()
-        self.scenario = scenario
-        check_simulation(scenario)
-        made = request.make_loop, scenario, self._replacements
-        self._loop = BuiltLoop(*made, request.viewers)
-        self.nonstop = nonstop = self._loop.nonstop
-        self._logs, self._visualizers = self._loop.logs, self._loop.visualizers
-        self._simulator = Simulator(self._loop.diagram)
+    def __init__(
+        self,
+        interruption: Interruption,
+        scenario: Scenario,
+        *,
+        progress: Callable[[float], None] | None = None,
+        viewers: Sequence[Viewer] = (),
+        after_step: Callable[[Simulator, Diagram], StepAction] | None = None,
+        make_loop: LoopMaker | None = None,
+        engine: str | None = None,
+        flights: int = 1,
+        **replacements: Any,
+    ):
+        check(scenario)
+        require_engine(engine)
+        remedy = "give a function that takes a scenario and returns a Diagram, such as make_nonstop"
+        require(make_loop is None or callable(make_loop), "make_loop", make_loop, remedy)
+        remedy = "give a list of functions, such as [show_in(meshcat)]"
+        require(isinstance(viewers, (list, tuple)), "viewers", viewers, remedy)
+        for viewer in viewers:
+            require(callable(viewer), "viewers", viewer, remedy)
+        self._interruption, self._flights = interruption, flights
+        own, _ = drawn(scenario)
+        self._stated_bound, self._replacements = own.speed_bound, dict[str, Any]()
+        if replacements:
+            own, self._replacements = replaced(scenario, replacements)
+            own = own.sampled()
+        self.scenario, self._asked_engine = own, engine or own.engine
+        check_simulation(own)
+        self.nonstop = loop_of(make_loop or make_nonstop, own, self._replacements)
+        if make_loop is not None:
+            self._replacements = {"make_loop": make_loop, **self._replacements}
+        builder = DiagramBuilder()
+        builder.AddSystem(self.nonstop)
+        self._logs = LogSignals(builder, self.nonstop, uses_files=True)
+        remedy = "give functions that take the builder, the loop's diagram and the scenario"
+        self._visualizers = [
+            called("viewers", remedy, viewer, builder, self.nonstop, own) for viewer in viewers
+        ]
+        self._simulator = Simulator(builder.Build())
         self.context = self._simulator.get_mutable_context()
-        self._ending = EndingBlocks(loop_in(nonstop, RUN_SIGNALS), self.context)
-        self.monitor = Monitor(
+        self._ending = EndingBlocks(loop_in(self.nonstop, RUN_SIGNALS), self.context)
+        self._monitor = Monitor(
             self._simulator,
-            nonstop,
+            self.nonstop,
             interruption,
-            progress=request.progress,
-            after_step=request.after_step,
+            progress=progress,
+            after_step=after_step,
             ending=self._ending,
         )
+        given = {"viewers": viewers, "after_step": after_step}
+        self._steering = [name for name, value in given.items() if value]
         self._start = time.perf_counter()
-        self.engine = DIAGRAM
+        self.engine, self.compiled = DIAGRAM, list[CompiledRun]()
 
     @property
-    def loop_context(self) -> Context:
-        """The loop's own."""
+    def _loop_context(self) -> Context:
         return self.nonstop.GetMyMutableContextFromRoot(self.context)
 
-    def prepare(self) -> SimulatorConfig:
-        """Sets the equilibrium and warns of what a user may not expect; the integrator's config."""
-        request, scenario, nonstop = self._request, self.scenario, self.nonstop
+    def prepare(self) -> None:
+        """Sets the equilibrium and the integrator's step, and makes the compiled loop.
+
+        Where there is none the run's `engine` says why, and so does a ScenarioWarning where
+        `compiled` was asked for.
+        """
+        scenario, nonstop = self.scenario, self.nonstop
         self._interruption.check()  # and again after what takes long
-        set_equilibrium(nonstop, self.loop_context)
+        set_equilibrium(nonstop, self._loop_context)
         self._interruption.check()
-        PlantStates(nonstop).declare_defaults(self.loop_context)
-        warn_of_other_bound(nonstop, self.loop_context, self._stated_bound)
-        if not self._is_second:  # it has been said
-            warn_of_angles(scenario)
-        config = stable_config(scenario, nonstop, self.loop_context)
-        if request.after_step is None:  # which may end a run of any duration
+        PlantStates(nonstop).declare_defaults(self._loop_context)
+        warn_of_other_bound(nonstop, self._loop_context, self._stated_bound)
+        warn_of_angles(scenario)
+        config = with_largest_step(scenario.simulator_config, nonstop, self._loop_context)
+        if "after_step" not in self._steering:  # which may end a run of any duration
             require_room(self._logs.sizes, dataclasses.replace(scenario, simulator_config=config))
         ApplySimulatorConfig(config, self._simulator)
         self._interruption.check()
-        return config
-
-    def fly(self, config: SimulatorConfig) -> Flying[None]:
-        """Flies to the end, the compiled engine what it can, Drake's Simulator the rest.
-
-        Where the diagram is simulated instead, the run's `engine` says why, and so does a
-        ScenarioWarning where `compiled` was asked for.
-        """
-        engine = self._request.asked_engine
-        compiled = self._compiled(config, engine) if engine != DIAGRAM else None
-        self._interruption.check()
-        self._simulator.set_monitor(self.monitor)
+        if self._asked_engine != DIAGRAM:
+            self._compile(config)
+            self._interruption.check()
         self._start = time.perf_counter()
-        if not self._is_second:
-            self._interruption.collect = lambda: self.run(self._interrupted)
-        try:
-            duration = self.scenario.simulation_duration
-            is_begun = compiled is not None and (yield from compiled.fly(duration, self.monitor))
-            if compiled is not None and compiled.failure:
-                tell_not_compiled(compiled.failure, engine)
+
+    def _compile(self, config: SimulatorConfig) -> None:
+        scenario, logs, period = self.scenario, self._logs, self.scenario.control_period
+        reason = reason_not_compiled(scenario, logs, config, self._steering)
+        if reason:
+            self._tell_not_compiled(f"{reason};")
+            self.engine = f"{DIAGRAM}: {reason}"
+            return
+        duration = scenario.simulation_duration
+        loop = recorded_loop(logs, config, period, compiles=None)
+        loop.prepare(int(duration / period), self._flights)
+        run = CompiledRun(loop, logs, self.context, self._ending, self._monitor, duration)
+        self.engine, self.compiled = f"{COMPILED}: {run.evaluator}", [run]
+
+    def _tell_not_compiled(self, reason: str) -> None:
+        if self._asked_engine == COMPILED:
+            warn_user(f"{NOT_COMPILED}: {reason} the diagram is simulated instead")
+
+    def finish(self) -> Run:
+        """Flies what no compiled loop has flown by Drake's Simulator; the run."""
+        is_begun = False
+        for compiled in self.compiled:
+            if compiled.error is not None:
+                raise compiled.error
+            is_begun = compiled.is_begun
+            if compiled.failure:
+                self._tell_not_compiled(compiled.failure)
                 self.engine += f", {DIAGRAM}: {compiled.failure}"
-            elif not is_begun and compiled is not None:
+            elif not is_begun:
                 self.engine = f"{DIAGRAM}: shorter than a sample of the controllers"
+        self._simulator.set_monitor(self._monitor)
+        try:
             if not (is_begun and self._is_over):
                 parameters = InitializeParams(suppress_initialization_events=is_begun)
                 self._simulator.Initialize(parameters)
-                if not self.monitor.has_ended:
-                    self._simulator.AdvanceTo(duration)
+                if not self._monitor.has_ended:
+                    self._simulator.AdvanceTo(self.scenario.simulation_duration)
             for visualizer in self._visualizers:  # the last step may have been skipped
                 visualizer.ForcedPublish(visualizer.GetMyContextFromRoot(self.context))
         finally:
             self._simulator.clear_monitor()  # each would keep the other alive
-
-    def _compiled(self, config: SimulatorConfig, engine: str) -> CompiledRun | None:
-        """The compiled engine; None: it cannot fly this."""
-        request = self._request
-        given = {"viewers": request.viewers, "after_step": request.after_step}
-        steering = [name for name, value in given.items() if value]
-        flights = self._request.flights
-        loop = compiled_loop_of(self.scenario, self._logs, config, steering, flights)
-        if isinstance(loop, str):
-            tell_not_compiled(f"{loop};", engine)
-            self.engine = f"{DIAGRAM}: {loop}"
-            return None
-        compiled = CompiledRun(loop, self._logs, self.context, self._ending)
-        self.engine = f"{COMPILED}: {compiled.evaluator}"
-        return compiled
-
-    @property
-    def _is_cut(self) -> bool:
-        return self.monitor.has_ended or self._interruption.number > 0
+        return self._run(self._early_end)
 
     @property
     def _is_over(self) -> bool:
-        return self._is_cut or self.context.get_time() >= self.scenario.simulation_duration
+        is_cut = self._monitor.has_ended or self._interruption.number > 0
+        return is_cut or self.context.get_time() >= self.scenario.simulation_duration
 
-    def run(self, stopped: str = "") -> Run:
+    def _run(self, stopped: str) -> Run:
         """The part that has been flown, and what has stopped it."""
         self._interruption.patience = ALL  # nothing may come between a run and who keeps it
-        make_loop = self._request.make_loop
-        own = {} if make_loop is make_nonstop else {"make_loop": make_loop}
         return Run.from_logs(
             self._logs,
             self.context,
             self.scenario,
             step=self._simulator.get_integrator().get_maximum_step_size(),
-            wall_time=time.perf_counter() - self._start - self.monitor.waited,
+            wall_time=time.perf_counter() - self._start - self._monitor.waited,
             engine=self.engine,
             stopped=stopped,
-            replacements=own | self._replacements,
+            replacements=self._replacements,
         )
 
     @property
-    def early_end(self) -> str | None:
-        """Reason for an early end, "" a block's own decision; None: there is none."""
+    def _early_end(self) -> str:
+        """Reason for an early end; "": there is none, or it is a block's own decision."""
         if self._interruption.number:
             return self._interrupted
-        if self.monitor.has_ended:
-            return ""
-        if self.context.get_time() < self.scenario.simulation_duration:
-            return f"the run was ended{self._now}"
-        return None
+        is_early = self.context.get_time() < self.scenario.simulation_duration
+        return f"the run was ended{self._now}" if is_early and not self._monitor.has_ended else ""
 
     @property
     def _interrupted(self) -> str:
-        return f"the run was interrupted at t = {self.monitor.time:.4f} s"
+        return f"the run was interrupted at t = {self._monitor.time:.4f} s"
 
     @property
     def _now(self) -> str:
@@ -243,7 +248,7 @@ class Flight:
 
     def _stopped(self, cause: str) -> RunStopped:
         message = f"the run {cause}"
-        return RunStopped(message, self.run(message))
+        return RunStopped(message, self._run(message))
 
     @contextlib.contextmanager
     def kept(self) -> Iterator[None]:
@@ -254,14 +259,15 @@ class Flight:
             RunInterrupted: Ctrl-C.
             ScenarioError: it cannot begin.
         """
+        is_collecting = self._interruption.collect is None
+        if is_collecting:
+            self._interruption.collect = lambda: self._run(self._interrupted)
         try:
             yield
-        except GeneratorExit:  # nothing waits for it any more
-            raise
         except KeyboardInterrupt:
-            raise RunInterrupted(self.run(self._interrupted)) from None
+            raise RunInterrupted(self._run(self._interrupted)) from None
         except NotFiniteError as error:
-            source = source_of_fault(error, self.nonstop, self.loop_context)
+            source = source_of_fault(error, self.nonstop, self._loop_context)
             cause = cause_of_divergence(self.nonstop)
             raise self._stopped(
                 f"diverged{self._now}: {source} made a value that is not finite, or beyond "
@@ -271,14 +277,14 @@ class Flight:
             raise self._stopped(f"stopped{self._now}: {error}") from None
         except BaseException as error:  # such as the SystemExit of a block
             if self._interruption.number:  # which may have become another error in C++
-                raise RunInterrupted(self.run(self._interrupted)) from None
+                raise RunInterrupted(self._run(self._interrupted)) from None
             if isinstance(error, ScenarioError) and self.context.get_time() == 0:
                 raise
             raise self._stopped(
                 f"stopped{self._now}: {raising_block(error)}{one_line(error)}"
             ) from error
         finally:
-            if not self._is_second:
+            if is_collecting:
                 self._interruption.collect = None
 
 

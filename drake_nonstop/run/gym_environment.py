@@ -15,6 +15,7 @@ from pydrake.systems.primitives import ConstantVectorSource, Multiplexer
 
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.loop.start import set_equilibrium
+from drake_nonstop.loop.step import with_largest_step
 from drake_nonstop.mechanics.signals import (
     LOAD_REFERENCE_SIZE,
     LOAD_STATE_SIZE,
@@ -25,7 +26,6 @@ from drake_nonstop.mechanics.signals import (
 )
 from drake_nonstop.model.system import Model
 from drake_nonstop.run.monitor import EndingBlocks
-from drake_nonstop.run.preparation import stable_config
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.systems.compiled_flight import sample_times
 from drake_nonstop.systems.tracing import NotFiniteError
@@ -91,7 +91,9 @@ class NonstopEnv(DrakeGymEnv):
         self.action_port.FixValue(context, self._resting)
         set_equilibrium(self._loop, self._loop.GetMyMutableContextFromRoot(context))
         if self._config is None:
-            self._config = stable_config(self._scenario, simulator.get_system(), context)
+            self._config = with_largest_step(
+                self._scenario.simulator_config, simulator.get_system(), context
+            )
             ApplySimulatorConfig(self._config, simulator)
         simulator.Initialize()
         self._is_reset, self._steps = True, 0

@@ -17,11 +17,11 @@ from pydrake.common import RandomGenerator
 
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.loop.start import set_equilibrium
+from drake_nonstop.loop.step import with_largest_step
 from drake_nonstop.mechanics.signals import WRENCH_SIZE
 from drake_nonstop.model.block import Block
 from drake_nonstop.run import gym_environment as single
 from drake_nonstop.run.monitor import EndingBlocks
-from drake_nonstop.run.preparation import stable_config
 from drake_nonstop.scenario.schema import Scenario, sample
 from drake_nonstop.systems.compiled_flight import Advance, CompiledFlight, advance_together
 from drake_nonstop.systems.compiled_loop import CompiledLoop
@@ -90,7 +90,7 @@ class _Start:
         shown = (*dict.fromkeys([*single.OBSERVED, *ends]),)
         signals, steps = ((), shown) if ends else (shown, ())  # any step may be the last one
         set_equilibrium(nonstop, context)
-        config = stable_config(scenario, nonstop, context)
+        config = with_largest_step(scenario.simulator_config, nonstop, context)
         self.loop = CompiledLoop(nonstop, config, period, signals=signals, step_signals=steps)
         first = self.loop.parameter_names.index(f"{_HOLDER}.action[0]")
         self.action = slice(first, first + len(resting))

@@ -8,9 +8,10 @@ from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 from pydrake.systems.framework import DiagramBuilder, System
 
 from drake_nonstop.diagrams.nonstop import make_nonstop, replaced
+from drake_nonstop.loop.step import with_largest_step
 from drake_nonstop.model.system import Model
 from drake_nonstop.run.monitor import SampleInstants
-from drake_nonstop.run.preparation import check_simulation, stable_config
+from drake_nonstop.run.preparation import check_simulation
 from drake_nonstop.run.recording import control_period_of
 from drake_nonstop.scenario.schema import Scenario, sample
 from drake_nonstop.systems.wiring import output_names
@@ -47,7 +48,7 @@ def make_simulator(
     scenario, _ = sample(scenario, generator)
     check_simulation(scenario)
     nonstop = make_nonstop(scenario, **replacements)
-    config = stable_config(scenario, nonstop, nonstop.CreateDefaultContext())
+    config = with_largest_step(scenario.simulator_config, nonstop, nonstop.CreateDefaultContext())
     builder = DiagramBuilder()
     builder.AddSystem(nonstop)
     builder.AddNamedSystem("sample_instants", SampleInstants(control_period_of(nonstop)))

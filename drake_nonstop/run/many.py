@@ -1,29 +1,19 @@
 """Many scenarios to runs: several fly at a time, side by side in one loop where they share it."""
 
-import contextlib
-import math
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
-from drake_nonstop.run.compiled_run import Flying
-from drake_nonstop.run.flight import Request, require_engine
+from drake_nonstop.run.compiled_run import fly_together
+from drake_nonstop.run.flight import Flight, require_engine
 from drake_nonstop.run.interruption import Interruption, current_interruption
-from drake_nonstop.run.recording import MEMORY_LIMIT, least_size
 from drake_nonstop.run.run import Run, RunsInterrupted
-from drake_nonstop.run.simulate import simulating
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.systems.compiled_flight import Advance, CompiledFlight, advance_together
 from drake_nonstop.systems.native import asking
-from drake_nonstop.validation import listed, require, warn_user
+from drake_nonstop.validation import listed, require
 
-_MOST = 16  # flights at a time
-_SHARE = 0.5  # of the free memory, that their signals may take
-_LOOP = 5e6  # bytes that a flight takes besides
-_COPIES = 2  # of the signals of a run: as they are recorded, and in its arrays
+_AT_A_TIME = 16  # flights
 
 
 def simulate_many(
@@ -44,8 +34,7 @@ def simulate_many(
         progress: called with the share of the runs that have ended, as each does.
 
     Raises:
-        ScenarioError: `scenarios` is no list, `progress` no function, or there is no such
-            engine.
+        ScenarioError: `scenarios` is no list, `progress` no function, or there is no such engine.
         RunsInterrupted: Ctrl-C; carries the runs that have ended.
     """
     scenarios = listed("scenarios", scenarios, "give a list of them")
@@ -53,57 +42,15 @@ def simulate_many(
     require(progress is None or callable(progress), "progress", progress, remedy)
     require_engine(engine)
     outcomes: list[Any] = [None] * len(scenarios)
-    arguments: dict[str, Any] = {"engine": engine}
-    ended = 0
     try:
-        for k, outcome, _ in fly_many([{"scenario": each} | arguments for each in scenarios]):
-            outcomes[k], ended = outcome, ended + 1
+        given = [{"scenario": each, "engine": engine} for each in scenarios]
+        for ended, (k, outcome, _) in enumerate(fly_many(given), 1):
+            outcomes[k] = outcome
             if progress is not None:
                 progress(ended / len(scenarios))
     except KeyboardInterrupt:
         raise RunsInterrupted(outcomes) from None
     return outcomes
-
-
-@dataclass(eq=False)
-class _Flyer:
-    """One of several runs that fly.
-
-    Attributes:
-        number: of the run.
-        flying: the run, which asks for samples of its flight.
-        check: raises where the user has interrupted, also while a compiler runs.
-        is_recording: whether warnings are kept.
-        told: warnings, where it `is_recording`.
-        asked: what it waits for, while it has no outcome.
-        outcome: the run, or what it has raised; a KeyboardInterrupt: it is left out.
-    """
-
-    number: int
-    flying: Flying[Run]
-    check: Callable[[], None]
-    is_recording: bool
-    told: list[str] = field(default_factory=list)
-    asked: tuple[CompiledFlight, int] = field(init=False)
-    outcome: Run | BaseException | None = None
-
-    def go_on(self, advance: Advance | None) -> None:
-        """Gives it what it waits for; it then has an outcome, or waits for more."""
-        kept: Any = warnings.catch_warnings(record=True) if self.is_recording else nullcontext([])
-        with asking(self.check), kept as told:
-            if self.is_recording:
-                warnings.simplefilter("always")
-            try:
-                self.asked = next(self.flying) if advance is None else self.flying.send(advance)
-            except StopIteration as end:
-                self.outcome = end.value
-            except (
-                Exception,
-                SystemExit,
-                KeyboardInterrupt,
-            ) as error:  # whatever the user's own blocks may raise
-                self.outcome = error
-        self.told += [str(warning.message) for warning in told or ()]
 
 
 def fly_many(
@@ -120,68 +67,71 @@ def fly_many(
     Raises:
         KeyboardInterrupt: Ctrl-C; runs that have not ended are left out.
     """
-    waiting = iter(range(len(arguments)))
-    most = min(_MOST, len(arguments))
-    flyers: list[_Flyer] = []
     with current_interruption() as interruption, interruption.patient(1):
-        is_cut = False
-        while not (is_cut or interruption.number):
-            while len(flyers) < most and not interruption.number:
-                number = next(waiting, None)
-                if number is None:
-                    break
-                given = arguments[number]
-                flyer = _Flyer(
-                    number, _flying(given, len(arguments)), interruption.check, is_recording
-                )
-                flyer.go_on(None)
-                flyers.append(flyer)
-                if flyer.outcome is None:
-                    most = _flights_at_a_time(most, given["scenario"])
-            if not flyers:
-                return
-            going = [flyer for flyer in flyers if flyer.outcome is None]
-            flights, samples = [each.asked[0] for each in going], [each.asked[1] for each in going]
-            for flyer, advance in zip(going, advance_together(flights, samples), strict=True):
-                flyer.go_on(advance)
-            ended, flyers = flyers, [flyer for flyer in going if flyer.outcome is None]
-            for flyer in ended:
-                is_error = isinstance(flyer.outcome, Exception)
-                if isinstance(flyer.outcome, KeyboardInterrupt) or (
-                    is_error and interruption.count > 1  # one that went through C++
-                ):
-                    is_cut = True
-                elif flyer.outcome is not None:
-                    yield flyer.number, flyer.outcome, flyer.told
-    raise KeyboardInterrupt
+        for first in range(0, len(arguments), _AT_A_TIME):
+            batch = [
+                _Lane(given, len(arguments), is_recording, interruption)
+                for given in arguments[first : first + _AT_A_TIME]
+            ]
+            for lane in batch:
+                lane.go_on(lane.begin)
+            compiled = [each for lane in batch if lane.flight for each in lane.flight.compiled]
+            fly_together(compiled, interruption.check)
+            for number, lane in enumerate(batch, first):
+                if lane.outcome is None:
+                    lane.go_on(lane.finish)
+                assert lane.outcome is not None
+                yield number, lane.outcome, lane.told
+                lane.flight = lane.outcome = None
 
 
-def _flying(given: dict[str, Any], flights: int) -> Flying[Run]:
-    """A run by the arguments of `simulate` that are given; no signal ends it before its time."""
-    own = {k: v for k, v in given.items() if k in Request.__dataclass_fields__}
-    others = {k: v for k, v in given.items() if k not in own}
-    return (
-        yield from simulating(Request(replacements=others, flights=flights, **own), Interruption())
-    )
+class _Lane:
+    """One of several runs that fly; no signal ends it before its time.
 
+    Attributes:
+        flight: of it; None: it has none, or ended.
+        outcome: the run, or what it has raised; None: it flies.
+        told: warnings, where they are recorded.
+    """
 
-def _flights_at_a_time(most: int, scenario: Scenario) -> int:
-    """The number of flights, `most` or less, for which there is memory; tells where it is less."""
-    free = free_memory()
-    size = _LOOP + _COPIES * min(MEMORY_LIMIT, 2 * least_size(scenario))
-    number = min(most, max(1, int(_SHARE * free / size)))
-    if number < most:
-        warn_user(
-            f"memory = {free / 1e6:.0f} MB are free: {number} of the runs fly at a time, in place "
-            f"of {most}; the results are the same"
-        )
-    return number
+    def __init__(
+        self, given: dict[str, Any], count: int, is_recording: bool, interruption: Interruption
+    ):
+        self._given, self._count = given, count
+        self._is_recording, self._interruption = is_recording, interruption
+        self.flight: Flight | None = None
+        self.outcome: Run | BaseException | None = None
+        self.told: list[str] = []
 
+    def begin(self) -> None:
+        """Builds and prepares it."""
+        flight = Flight(Interruption(), **self._given, flights=self._count)
+        with flight.kept():
+            flight.prepare()
+        self.flight = flight
 
-def free_memory() -> float:
-    """Bytes that the system has left, without what it can drop; inf where it does not tell."""
-    with contextlib.suppress(OSError):
-        for line in Path("/proc/meminfo").read_text().splitlines():
-            if line.startswith("MemAvailable:"):
-                return 1024 * float(line.split()[1])
-    return math.inf
+    def finish(self) -> Run:
+        """The run, with what the compiled loop has left."""
+        assert self.flight is not None
+        with self.flight.kept():
+            return self.flight.finish()
+
+    def go_on(self, stage: Callable[[], Run | None]) -> None:
+        """Passes through a stage, and has an outcome where it ends it.
+
+        Raises:
+            KeyboardInterrupt: Ctrl-C.
+        """
+        check = self._interruption.check
+        check()
+        kept: Any = warnings.catch_warnings(record=True)
+        with asking(check), kept if self._is_recording else nullcontext([]) as told:
+            if self._is_recording:
+                warnings.simplefilter("always")
+            try:
+                self.outcome = stage()
+            except (Exception, SystemExit) as error:  # whatever the user's own blocks may raise
+                if self._interruption.count > 1:  # a KeyboardInterrupt that went through C++
+                    raise KeyboardInterrupt from None
+                self.outcome, self.flight = error, None
+        self.told += [str(warning.message) for warning in told or ()]

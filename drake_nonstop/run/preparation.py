@@ -4,11 +4,10 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from pydrake.systems.analysis import GetIntegrationSchemes, SimulatorConfig
+from pydrake.systems.analysis import GetIntegrationSchemes
 from pydrake.systems.framework import Context, Diagram
 
 from drake_nonstop.diagrams.nonstop import make_nonstop
-from drake_nonstop.loop.step import with_largest_step
 from drake_nonstop.run.recording import RUN_SIGNALS
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.systems.block import LOOP
@@ -51,11 +50,6 @@ def check_simulation(scenario: Scenario) -> None:
         f"give one of {', '.join(schemes)}",
     )
     require_ranges("scene", scenario.scene)
-
-
-def stable_config(scenario: Scenario, nonstop: Diagram, context: Context) -> SimulatorConfig:
-    """The scenario's `simulator_config` as of `with_largest_step`."""
-    return with_largest_step(scenario.simulator_config, nonstop, context)
 
 
 _FOUR_DIGITS: Any = {"float_kind": "{:.4g}".format}

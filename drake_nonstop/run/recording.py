@@ -1,14 +1,11 @@
 """Which signals of a run are recorded, and what records them while it goes on."""
 
-import contextlib
 import math
 import os
 import shutil
 import tempfile
-from array import array
 from collections.abc import Mapping
-from functools import partial
-from typing import Any
+from typing import IO, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,7 +45,8 @@ from drake_nonstop.systems.wiring import (
 )
 from drake_nonstop.validation import ScenarioError, require
 
-MEMORY_LIMIT = 32e6  # bytes of signals in memory; with more of them all go to files
+MEMORY_LIMIT = 32e6  # bytes of a table in memory; with more of them it goes to a file
+_FIRST_ROWS = 16  # that there is room for
 STEP_TIME = "time"  # the name of the steps' times
 
 # What the metrics judge by the step, and where the optimization layer's updates show.
@@ -76,161 +74,138 @@ RUN_SIGNALS = {
 DOUBLE = 8  # bytes
 
 Sizes = tuple[dict[str, int], dict[str, int]]  # of what is recorded: signals, and at every step
-_nameless_file = partial(tempfile.TemporaryFile, buffering=0)
 
 
 class RecordingError(RuntimeError):
     """The temporary folder cannot take the signals of a run."""
 
 
-class SignalRows:
-    """Values of some ports and their times; the first may be in a file.
+class Rows:
+    """A table of times and values that grows, in memory, or beyond a limit in a file mapped to it.
 
     The file has no name: it is gone with the last array that is mapped to it, and with the process,
     however that ends.
 
     Args:
-        sizes: of the ports, by their names.
-
-    Attributes:
-        last_time: of the rows, s.
+        sizes: of what the values are, by their names.
+        limit: bytes in memory.
     """
 
     TIMES = ""  # no port has this name
 
-    def __init__(self, sizes: Mapping[str, int]):
-        self._sizes = {self.TIMES: 1, **sizes}
-        self._width = sum(sizes.values())
+    def __init__(self, sizes: Mapping[str, int], limit: float):
+        self._sizes, self._limit = {self.TIMES: 1, **sizes}, limit
         self._clear()
 
     def _clear(self) -> None:
-        self._times, self._values = array("d"), array("d")  # of the rows in memory
-        self._file: Any = None
-        self._stored = 0  # rows in the file
-        self.last_time = -math.inf
+        self._table = np.zeros((_FIRST_ROWS, sum(self._sizes.values())))
+        self._file: IO[bytes] | None = None
+        self._count = 0
+
+    @property
+    def last_time(self) -> float:
+        """Of the rows, s."""
+        return float(self._table[self._count - 1, 0]) if self._count else -math.inf
 
     def add(self, times: NDArray, values: NDArray) -> None:
         """Adds times (k,), s, and their values (k, size).
 
         A row at the time of the last one replaces it; at one before that another flight begins.
+        There is room for them.
         """
         if not len(times):
             return
         if times[0] < self.last_time:
             self._clear()
-        elif times[0] == self.last_time and self._times:
-            del self._times[-1:], self._values[-self._width :]
-        elif times[0] == self.last_time:
-            self._stored -= 1  # it is in the file, where the next is written over it
-        self.last_time = float(times[-1])
-        self._times.frombytes(times.tobytes())
-        self._values.frombytes(values.tobytes())
+        first = self._count - int(times[0] == self.last_time)
+        end = first + len(times)
+        self._table[first:end, 0], self._table[first:end, 1:] = times, values
+        self._count = end
 
-    def __len__(self) -> int:
-        return self._stored + len(self._times)
-
-    @property
-    def memory(self) -> int:
-        """Bytes of the rows in memory."""
-        return DOUBLE * (len(self._times) + len(self._values))
-
-    def _in_memory(self) -> NDArray:
-        """The rows in memory (k, 1 + size), each with its time in front."""
-        values = np.array(self._values).reshape(-1, self._width)
-        return np.column_stack([np.array(self._times), values])
-
-    def columns(self) -> dict[str, NDArray]:
-        """The rows, (rows, size) of each port and (rows,) of the times, which come first.
-
-        Of rows in the file they are mapped to memory, and cannot be written to.
-        """
-        if self._file is not None:
-            with contextlib.suppress(OSError):  # what the file cannot take stays in memory
-                self.store()
-        rows = self._in_memory()
-        if self._file is None:
-            parts = {name: part.copy() for name, part in by_name(self._sizes, rows).items()}
-        else:
-            mapped = np.memmap(self._file, float, "r", shape=(self._stored, 1 + self._width))
-            whole = np.concatenate([mapped, rows]) if len(rows) else np.asarray(mapped)
-            parts = by_name(self._sizes, whole)
-        return parts | {self.TIMES: parts[self.TIMES][:, 0]}
-
-    def store(self) -> None:
-        """Moves the rows in memory to the file.
+    def make_room(self, count: int) -> None:
+        """Makes room for so many rows more.
 
         Raises:
-            OSError: it has no room for the next ones, or, the first time, for these, which stay in
-                memory then.
+            RecordingError: the temporary folder has none.
         """
-        rows = self._in_memory()
+        if self._count + count <= len(self._table):
+            return
+        shape = max(self._count + count, 2 * len(self._table)), self._table.shape[1]
+        size, flown = DOUBLE * math.prod(shape), self._table[: self._count]
+        if self._file is None and size <= self._limit:
+            self._table = np.zeros(shape)
+            self._table[: self._count] = flown
+            return
+        try:
+            file = self._file or tempfile.TemporaryFile()  # noqa: SIM115 - it stays open
+            _reserve(file, size)  # no full disk comes between the next rows and the file
+        except OSError as error:
+            raise RecordingError(
+                f"the temporary folder {tempfile.gettempdir()} cannot take the signals "
+                f"({error.strerror}): set TMPDIR to a folder with more room, or give a "
+                "shorter simulation_duration"
+            ) from None
+        self._table = np.memmap(file, float, "r+", shape=shape)
         if self._file is None:
-            self._file = _nameless_file()
-        self._file.seek(self._stored * DOUBLE * (1 + self._width))
-        self._write(rows.tobytes())
-        self._stored += len(rows)
-        del self._times[:], self._values[:]
-        # Room for as many and more, so that no full disk comes between the next ones and the file.
-        if hasattr(os, "posix_fallocate"):
-            os.posix_fallocate(self._file.fileno(), self._file.tell(), 2 * rows.nbytes)
-        else:  # macOS
-            self._write(bytes(2 * rows.nbytes))
+            self._table[: self._count] = flown
+        self._file = file
 
-    def _write(self, content: bytes) -> None:
-        while content:
-            content = content[self._file.write(content) :]
+    def columns(self) -> dict[str, NDArray]:
+        """The rows, (rows, size) by each name and (rows,) of the times: views to be read only."""
+        rows = self._table[: self._count]
+        rows = rows.copy() if self._file is None else np.asarray(rows)
+        rows.flags.writeable = False
+        parts = by_name(self._sizes, rows)
+        return parts | {self.TIMES: parts[self.TIMES][:, 0]}
 
 
-class LoggedRows:
-    """Log of a context: `samples` of all signals, and a few at all `steps`.
+def _reserve(file: IO[bytes], size: int) -> None:
+    """Has a file take so many bytes of the disk; raises OSError where it has no room."""
+    if hasattr(os, "posix_fallocate"):
+        os.posix_fallocate(file.fileno(), 0, size)
+    else:  # macOS
+        file.seek(0, os.SEEK_END)
+        file.write(bytes(size - file.tell()))
+        file.flush()
 
-    Args:
-        sampled: the sizes of all signals, by their names.
-        stepped: those of the few.
-        limit: bytes in memory; with more of them all go to files.
-    """
 
-    def __init__(self, sampled: Mapping[str, int], stepped: Mapping[str, int], limit: float):
-        self.samples, self.steps = SignalRows(sampled), SignalRows(stepped)
-        self._limit = limit
+class Logged(NamedTuple):
+    """Log of a context: `samples` of all signals, and a few at all `steps`."""
+
+    samples: Rows
+    steps: Rows
 
     def add(self, times: NDArray, samples: NDArray, step_times: NDArray, steps: NDArray) -> None:
         """Adds samples (k, size) at times (k,), s, and steps (j, size) at theirs.
 
         Raises:
-            RecordingError: the temporary folder cannot take them.
+            RecordingError: the temporary folder has no room for them; none are added.
         """
+        self.samples.make_room(len(times))
+        self.steps.make_room(len(step_times))
         self.samples.add(times, samples)
         self.steps.add(step_times, steps)
-        if self.samples.memory + self.steps.memory > self._limit:
-            try:
-                self.samples.store()
-                self.steps.store()
-            except OSError as error:
-                raise RecordingError(
-                    f"the temporary folder {tempfile.gettempdir()} cannot take the signals "
-                    f"({error.strerror}): set TMPDIR to a folder with more room, or give a "
-                    "shorter simulation_duration"
-                ) from None
 
 
 class _Log(LeafBlock):
-    """The `LoggedRows` of each context, with the start and the first step to each instant.
+    """What is `Logged` of each context, with the start and the first step to each instant.
 
     Args:
-        sizes: of the samples and of the steps, and the limit, as of `LoggedRows`.
+        sizes: of the samples and of the steps.
+        limit: as of `Rows`.
     """
 
-    def __init__(self, *sizes: Any):
+    def __init__(self, sizes: Sizes, limit: float):
         super().__init__()
         self._samples, self._steps = (
             self.DeclareVectorInputPort(name, sum(part.values()))
-            for name, part in zip(("samples", "steps"), sizes, strict=False)
+            for name, part in zip(("samples", "steps"), sizes, strict=True)
         )
         self._rows = self.DeclareCacheEntry(
             description="rows",
             value_producer=ValueProducer(
-                allocate=lambda: AbstractValue.Make(LoggedRows(*sizes)), calc=ValueProducer.NoopCalc
+                allocate=lambda: AbstractValue.Make(Logged(*(Rows(part, limit) for part in sizes))),
+                calc=ValueProducer.NoopCalc,
             ),
             prerequisites_of_calc={self.nothing_ticket()},
         ).cache_index()
@@ -248,13 +223,13 @@ class _Log(LeafBlock):
         samples = self._samples.Eval(context) if is_sample else times
         rows.add(times[: int(is_sample)], samples, times, self._steps.Eval(context))
 
-    def rows(self, context: Context) -> LoggedRows:
+    def rows(self, context: Context) -> Logged:
         """Values in a context of the whole diagram."""
         return self._in(self.GetMyContextFromRoot(context))
 
-    def _in(self, context: Context) -> LoggedRows:
+    def _in(self, context: Context) -> Logged:
         entry = self.get_cache_entry(self._rows).get_mutable_cache_entry_value(context)
-        rows: LoggedRows = entry.GetMutableValueOrThrow()
+        rows: Logged = entry.GetMutableValueOrThrow()
         return rows
 
 
@@ -281,7 +256,7 @@ class LogSignals:
         self.sampled, self.stepped = [*sampled], [*stepped]
         names, self.entries = _names_and_entries(nonstop, sampled)
         self.sizes = _sizes(names, sampled, stepped)
-        log = _Log(*self.sizes, MEMORY_LIMIT if uses_files else math.inf)
+        log = _Log(self.sizes, MEMORY_LIMIT if uses_files else math.inf)
         self._log = builder.AddSystem(log)
         # One input for all of them, since one for each would slow every step down.
         for i, ports in enumerate((sampled.values(), stepped.values())):
@@ -314,7 +289,7 @@ class LogSignals:
             nonstop.set_name(LOOP)  # which errors look for, and not where it is in memory
         return LogSignals(builder, nonstop)
 
-    def rows(self, context: Context) -> LoggedRows:
+    def rows(self, context: Context) -> Logged:
         """Log of a context of the whole diagram."""
         return self._log.rows(context)
 
@@ -335,11 +310,11 @@ class LogSignals:
                 "diagram with the logs, such as simulator.get_context()"
             ) from None
         samples, steps = rows.samples.columns(), rows.steps.columns()
-        times = samples.pop(SignalRows.TIMES)
+        times = samples.pop(Rows.TIMES)
         # Without the rounding of the events' times.
         instants = SIGNAL_PERIOD * np.round(times / SIGNAL_PERIOD)
         times = np.where(at_instant(times), instants, times)
-        return times, samples, {STEP_TIME: steps.pop(SignalRows.TIMES), **steps}
+        return times, samples, {STEP_TIME: steps.pop(Rows.TIMES), **steps}
 
 
 def control_period_of(nonstop: Diagram) -> float:

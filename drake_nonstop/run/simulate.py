@@ -6,11 +6,9 @@ from typing import Any
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Diagram
 
-from drake_nonstop.diagrams.nonstop import make_nonstop
-from drake_nonstop.run.built_loop import Viewer
-from drake_nonstop.run.compiled_run import Flying, flown_alone
-from drake_nonstop.run.flight import Flight, Request
-from drake_nonstop.run.interruption import Interruption, current_interruption
+from drake_nonstop.run.compiled_run import fly_together
+from drake_nonstop.run.flight import Flight, Viewer
+from drake_nonstop.run.interruption import current_interruption
 from drake_nonstop.run.preparation import LoopMaker
 from drake_nonstop.run.run import Run, RunInterrupted, RunStopped, StepAction
 from drake_nonstop.scenario.schema import Scenario
@@ -57,26 +55,26 @@ def simulate(
             there.
         RunInterrupted: Ctrl-C; carries the run up to there.
     """
-    request = Request(
-        scenario=scenario,
-        progress=progress,
-        viewers=viewers,
-        after_step=after_step,
-        make_loop=make_nonstop if make_loop is None else make_loop,
-        engine=engine,
-        replacements=replacements,
-    )
-    return _simulated(request)
-
-
-def _simulated(request: Request) -> Run:
     with (
         current_interruption() as interruption,
         interruption.patient(1),
         asking(interruption.check),
     ):
         try:
-            run = flown_alone(simulating(request, interruption))
+            flight = Flight(
+                interruption,
+                scenario,
+                progress=progress,
+                viewers=viewers,
+                after_step=after_step,
+                make_loop=make_loop,
+                engine=engine,
+                **replacements,
+            )
+            with flight.kept():
+                flight.prepare()
+                fly_together(flight.compiled)
+                run = flight.finish()
         except RunStopped:
             raise
         except Exception:
@@ -86,11 +84,3 @@ def _simulated(request: Request) -> Run:
     if interruption.number:
         raise RunInterrupted(run)
     return run
-
-
-def simulating(request: Request, interruption: Interruption) -> Flying[Run]:
-    """The run of a request as `simulate` makes it, whose flight may be one of several."""
-    flight = Flight(request, interruption)
-    with flight.kept():
-        yield from flight.fly(flight.prepare())
-    return flight.run(flight.early_end or "")

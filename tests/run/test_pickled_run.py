@@ -6,7 +6,6 @@ from concurrent.futures import ProcessPoolExecutor
 import numpy as np
 import pytest
 
-import drake_nonstop
 from drake_nonstop import (
     Run,
     RunInterrupted,
@@ -83,9 +82,3 @@ def test_a_run_draws_its_figures_and_its_signals():
         with pytest.raises(ScenarioError) as caught:
             run.plot(*names)
         assert words in str(caught.value)
-
-
-def test_the_package_lists_no_names_of_its_imports():
-    names = dir(drake_nonstop)
-    assert not {"Any", "TYPE_CHECKING", "importlib"} & set(names)
-    assert {"simulate", "Run", "__version__"} <= set(names)
