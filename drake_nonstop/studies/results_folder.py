@@ -255,5 +255,8 @@ def _write_picture(run: Run, item: str, look: FigureLook, file: BinaryIO) -> Non
         file.write(record_replay(run).encode())
     else:
         name, _, kind = Path(item).name.partition(".")
-        quick = {"pil_kwargs": {"compress_level": 1}} if kind == "png" else {}
-        make_figure(run, name, look).savefig(file, format=kind, **quick)
+        figure = make_figure(run, name, look)
+        if kind == "png":
+            file.write(figure.png())
+        else:
+            figure.savefig(file, format=kind)

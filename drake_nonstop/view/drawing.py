@@ -50,7 +50,7 @@ LINE_HEIGHT = 1.1  # of the size of a font
 LABEL_CHARACTERS = 13  # in one line
 NARROW, WIDE = set("fijlrt I,"), set("mwMW")
 FREE_LANES = 3  # in front of an input, where no other wire turns
-LANES = 12  # between boxes, of which those without a wire are removed
+LANES = 8  # between boxes, of which those without a wire are removed
 BEND_COST, CROSSING_COST, BRANCH_COST = 5, 9, 2  # units of length
 
 CORNER_RADIUS = 5  # px
@@ -77,7 +77,6 @@ Subsystem = tuple[str, str, tuple[str, ...]]  # its name, its class and its outp
 Node = tuple[int, int]
 Pixel = Callable[[Node], Node]  # where a node is, in px
 ACROSS, DOWN = 0, 1
-Owners = tuple[dict[Node, str], dict[Node, str]]  # by direction, which signal's wire is at a node
 
 
 @dataclass
@@ -265,18 +264,20 @@ class _Grid:
         self._across, self._down = across, down
         self._lanes = across.lanes
         self._signals = [signal for box in boxes for signal in box.outputs]
-        self._reserved: dict[Node, str] = {}  # the signal that may run across there; "": none
+        across_at: dict[Node, str] = {}  # the signal that may run across there; "": none
         for box in boxes:
             labels = [signal.source[1] - signal.label_height for signal in box.outputs]
             rows = range(min([box.top, *labels]) - 1, box.top + box.height + 2)
             edges = box.left, box.left + BOX_WIDTH
-            self._reserved |= dict.fromkeys(itertools.product(edges, rows), "")
+            across_at |= dict.fromkeys(itertools.product(edges, rows), "")
         stems = [(self._stem(each.source, each.flow), each) for each in self._signals]
         for box in boxes:
             for wire, signal in box.inputs.items():
                 stems.append((self._stem(signal.sinks[wire], -box.place.flow, FREE_LANES), signal))
         for stem, signal in stems:
-            self._reserved |= dict.fromkeys(stem, signal.name)
+            across_at |= dict.fromkeys(stem, signal.name)
+        # By direction, the signal that alone may run so at a node.
+        self._owners: tuple[dict[Node, str], dict[Node, str]] = (across_at, {})
         rows_used = down.lanes | {stem[0][1] for stem, _ in stems}
         self._next = [_neighbours(across.positions), _neighbours(sorted(rows_used))]
 
@@ -287,45 +288,35 @@ class _Grid:
         return stem[: lanes + next(k for k, node in enumerate(stem) if node[0] in self._lanes)]
 
     def route(self) -> None:
-        """Routes the wires of all signals, short ones first; a second time around all others."""
-        ordered = sorted(
-            self._signals,
-            key=lambda s: max((_far(s.source, x) for x in s.sinks.values()), default=0),
-        )
-        for signal in 2 * ordered:
-            self._route(signal)
+        """Routes the wires of all signals, short ones first, around those that are there."""
 
-    def _route(self, signal: _Signal) -> None:
-        """Routes the wires of a signal anew, around those of all others."""
-        signal.paths = {}
-        owners: Owners = dict(self._reserved), {}
-        for other in self._signals:
-            for path in other.paths.values():
+        def extent(signal: _Signal) -> int:
+            return max((_far(signal.source, sink) for sink in signal.sinks.values()), default=0)
+
+        for signal in sorted(self._signals, key=extent):
+            stem = self._stem(signal.source, signal.flow)
+            starts = [(0, stem[-1], ACROSS)]
+            for wire, sink in sorted(signal.sinks.items(), key=lambda w: _far(w[1], signal.source)):
+                path = self._cheapest_path(signal.name, starts, sink)
+                if not signal.paths:
+                    path, starts = stem[:-1] + path, []
+                signal.paths[wire] = path
+                lanes = [node for node in path if node[0] in self._lanes]
+                starts += [(BRANCH_COST, node, turn) for node in lanes for turn in (ACROSS, DOWN)]
                 for a, b in pairwise(path):
-                    owners[_direction(a, b)].update({a: other.name, b: other.name})
-        stem = self._stem(signal.source, signal.flow)
-        starts = [(0, stem[-1], ACROSS)]
-        for wire, sink in sorted(
-            signal.sinks.items(), key=lambda item: _far(item[1], signal.source)
-        ):
-            path = self._cheapest_path(signal.name, starts, sink, owners)
-            if not signal.paths:
-                path, starts = stem[:-1] + path, []
-            signal.paths[wire] = path
-            lanes = [node for node in path if node[0] in self._lanes]
-            starts += [(BRANCH_COST, node, turn) for node in lanes for turn in (ACROSS, DOWN)]
+                    self._owners[_direction(a, b)].update({a: signal.name, b: signal.name})
 
     def _cheapest_path(
         self,
         name: str,
         starts: list[tuple[int, Node, int]],
         sink: Node,
-        owners: Owners,
     ) -> list[Node]:
         """The cheapest path by the A* algorithm.
 
         A state is a node and the direction of the wire there.
         """
+        owners = self._owners
         queue = [(cost + _far(node, sink), cost, node, turn) for cost, node, turn in starts]
         heapq.heapify(queue)
         costs = {(node, turn): cost for cost, node, turn in starts}

@@ -6,6 +6,7 @@ and runs without figures do not need it.
 
 from __future__ import annotations
 
+import functools
 import math
 import os
 import re
@@ -62,7 +63,8 @@ class FigureLook(NamedTuple):
         require(is_width, "width", self.width, f"give {' or '.join(WIDTHS)}")
         with matplotlib.rc_context():
             try:
-                matplotlib.style.use(["default", _SHEET, self.style or {}])
+                dict.update(matplotlib.rcParams, _sheet())
+                matplotlib.style.use(self.style or {})
             except (OSError, TypeError, ValueError):
                 remedy = "give a file or one of `matplotlib.style.available`, such as ggplot"
                 require(False, "style", self.style, remedy)
@@ -72,6 +74,18 @@ class FigureLook(NamedTuple):
             width, height = matplotlib.rcParams["figure.figsize"]
             matplotlib.rcParams["figure.figsize"] = WIDTHS.get(self.width or "", width), height
             yield
+
+
+@functools.cache
+def _sheet() -> dict[str, Any]:
+    """The settings of Matplotlib's default style with paper.mplstyle over them."""
+    import matplotlib.style
+
+    with matplotlib.rc_context():
+        matplotlib.style.use(["default", _SHEET])
+        settings = dict(matplotlib.rcParams.copy())
+    del settings["backend"]
+    return settings
 
 
 def require_drawing() -> None:
