@@ -114,7 +114,7 @@ from drake_nonstop.run.make_gym_env import (
     make_gym_env as make_gym_env,
     make_gym_vec_env as make_gym_vec_env,
 )
-from drake_nonstop.analysis.limit import RunOutcome as RunOutcome
+from drake_nonstop.run.outcome import RunOutcome as RunOutcome
 from drake_nonstop.analysis.aircraft_margins import aircraft_margins as aircraft_margins
 
 # Compared, designed.

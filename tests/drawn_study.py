@@ -13,24 +13,18 @@ import hashlib
 import math
 import sys
 import warnings
-from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from drawn_growth import measured_growth, measured_rate
 from drawn_tasks import aircraft_task, carriers_task
 from numpy.typing import NDArray
 
 import drake_nonstop
-from drake_nonstop.analysis.formation import find_formation
-from drake_nonstop.analysis.limit import RunOutcome
-from drake_nonstop.analysis.speed_check import check_speeds
-from drake_nonstop.analysis.task import task_of
 from drake_nonstop.mechanics.signals import SIGNAL_PERIOD, Parameters, PlannedParameters
-from drake_nonstop.run.outcome import LIMITS
+from drake_nonstop.run.outcome import LIMITS, RunOutcome
 from drake_nonstop.run.run import Run
 from drake_nonstop.run.run_quantities import RunQuantities
 from drake_nonstop.scenario.overrides import changed
@@ -86,8 +80,6 @@ _JUDGED_BY = {"carriers": _KEPT, "aircraft": (*_KEPT, RunOutcome.COLLISION)}
 
 Figures = dict[str, Any]  # of a flight
 _NO_MARGIN = "needs faster orbits"  # of a warning that no margin suffices
-_UNSTABLE = 0.05  # 1/s, a growth at rest that shows within a flight
-_CHECK = "check"  # in the place of a variant: what is known of the tasks beforehand
 _RESULT = {"ending": str, "outcome": str, "message": str, "figures": dict}
 
 
@@ -140,39 +132,6 @@ def _wrong(run: RunQuantities, outcomes: Collection[RunOutcome]) -> dict[RunOutc
     return found
 
 
-def check(tasks: str, seed: int, condition: str, overrides: Sequence[str]) -> dict[str, Any]:
-    """What is known of a task before it is flown: "sound", "infeasible" or "unstable".
-
-    An infeasible one has no plan that keeps the bound from any of several starts, whose least
-    speeds are among the figures. Of an unstable one the growth of a disturbance of 1 mm is
-    measured: at rest, as a rate in 1/s, where the formation is unstable there; or else on the way,
-    as the logarithm of how many times it grows. Both are predicted, too, of a controller without
-    samples and of the sampled one.
-    """
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ScenarioWarning)
-        scenario = scenario_of(tasks, seed, condition, overrides)
-        task = task_of(scenario)
-        speeds = check_speeds(task)
-        formation = find_formation(task, speeds.plan)
-        figures: Figures = {"least": speeds.least, "starts": list(speeds.starts)}
-        at_rest = formation.at_rest
-        figures |= {"rate_at_rest": at_rest.rate, "growth": formation.growth}
-        figures |= {
-            "sampled_rate_at_rest": formation.sampled_rate,
-            "sampled_growth": formation.sampled.growth,
-        }
-        outcome = "sound" if speeds.is_feasible else "infeasible"
-        if not formation.is_stable:
-            outcome = "unstable"
-            if np.nanmax([at_rest.rate, formation.sampled_rate]) > _UNSTABLE:
-                figures["measured_rate_at_rest"] = measured_rate(scenario)
-            else:
-                figures["measured_growth"] = measured_growth(scenario)
-    message = ", ".join(f"{name} {value}" for name, value in figures.items())
-    return {"ending": COMPLETED, "outcome": outcome, "message": message, "figures": figures}
-
-
 def figures_of(run: Run) -> Figures:
     """The figures of a run by their names; all but wall times repeat to the bit.
 
@@ -215,10 +174,6 @@ def _without_run(ending: str, message: str) -> dict[str, Any]:
     return {"ending": ending, "outcome": "", "message": message, "figures": {}}
 
 
-def _result(is_check: bool, *arguments: Any) -> dict[str, Any]:
-    return (check if is_check else fly)(*arguments)
-
-
 def study(
     tasks: str,
     seeds: Sequence[int],
@@ -254,9 +209,9 @@ def study(
         keys = [(seed, name) for seed in seeds for name in variants]
         with TaskProgress() as progress:
             run_all(
-                _result,
+                fly,
                 keys,
-                lambda key: (key[1] == _CHECK, tasks, key[0], condition, variants[key[1]]),
+                lambda key: (tasks, key[0], condition, variants[key[1]]),
                 lambda key, result: journals[key[1]].record(key[0], result),
                 lambda key, error: _without_run(FAILED, error),
                 done={key for key in keys if key[0] in journals[key[1]]},
@@ -272,7 +227,7 @@ def _code() -> str:
     """A name of the sources that results depend on."""
     here, package = Path(__file__), Path(drake_nonstop.__file__).parent
     files = [*package.rglob("*.py"), *(package / "diagrams").rglob("*.py")]
-    own = [here, *map(here.with_name, ("drawn_tasks.py", "drawn_growth.py"))]
+    own = [here, here.with_name("drawn_tasks.py")]
     return hashlib.sha256(
         b"".join(file.read_bytes() for file in [*sorted(files), *own])
     ).hexdigest()
@@ -363,19 +318,13 @@ def table(results: Mapping[str, Sequence[dict[str, Any]]]) -> str:
     return "\n".join(lines)
 
 
-def _is_unsound(result: dict[str, Any]) -> bool:
-    return result["outcome"] != "sound"
-
-
-def failures(
-    results: Mapping[str, Sequence[dict[str, Any]]], seeds: Sequence[int], good: str = "ok"
-) -> list[str]:
-    """A line for each result whose outcome is another."""
+def failures(results: Mapping[str, Sequence[dict[str, Any]]], seeds: Sequence[int]) -> list[str]:
+    """A line for each result whose outcome is not ok."""
     return [
         f"{name}, seed {seed}: {result['outcome'] or result['ending']}: {result['message']}"
         for name, of_variant in results.items()
         for seed, result in zip(seeds, of_variant, strict=True)
-        if result["outcome"] != good
+        if result["outcome"] != "ok"
     ]
 
 
@@ -389,18 +338,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--condition", choices=CONDITIONS, default="none", help="(none)")
     parser.add_argument("--set", nargs="+", default=[], metavar="PATH=VALUE", help="for all")
     parser.add_argument("--out", type=Path, metavar="DIR", help="(out/drawn/TASKS_CONDITION)")
-    parser.add_argument("--check", action="store_true", help="what is known beforehand, too")
     parser.add_argument("--restart", action="store_true", help="drop what DIR has")
     parser.add_argument("--serial", action="store_true", help="in this process")
     options = parser.parse_args(arguments)
     seeds = range(options.first, options.first + options.count)
-    variants = [*options.variants, *([_CHECK] if options.check else [])]
     folder = options.out or Path(f"out/drawn/{options.tasks}_{options.condition}")
     try:
         results = study(
             options.tasks,
             seeds,
-            {name: [*VARIANTS.get(name, []), *options.set] for name in variants},
+            {name: [*VARIANTS.get(name, []), *options.set] for name in options.variants},
             folder,
             condition=options.condition,
             restart=options.restart,
@@ -412,7 +359,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except ScenarioError as error:
         print(error, file=sys.stderr)
         return 2
-    checked = results.pop(_CHECK, [])
     shown = table(results)
     for name, found in results.items():
         told = [result for result in found if result["figures"].get("margin_left_out")]
@@ -420,17 +366,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
             wrong = sum(result["outcome"] != "ok" for result in told)
             shown += f"\n\n{name}: {len(told)} told that no margin suffices, {wrong} of them not ok"
     lines = failures(results, seeds)
-    if checked:
-        counts = Counter(result["outcome"] or result["ending"] for result in checked)
-        shown += f"\n\nbeforehand: {', '.join(f'{n} {name}' for name, n in counts.items())}"
-        unsound = {k for k, result in zip(seeds, checked, strict=True) if _is_unsound(result)}
-        sound = {
-            name: [r for k, r in zip(seeds, found, strict=True) if k not in unsound]
-            for name, found in results.items()
-        }
-        if unsound and len(unsound) < len(seeds):
-            shown += f"\n\nThe sound ones:\n\n{table(sound)}"
-        lines += failures({_CHECK: checked}, seeds, good="sound")
     print(shown)
     (folder / "table.md").write_text(f"{shown}\n", encoding="utf-8")
     (folder / "failures.txt").write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")

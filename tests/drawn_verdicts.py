@@ -1,13 +1,13 @@
-"""What `check` says of drawn tasks beside what becomes of their flights.
+"""What `check` says of drawn tasks beside what becomes of their flights in other seeds.
 
 `python tests/drawn_verdicts.py --count 300` prints the table of verdict against outcome and lists
-the contradictions; Ctrl-C stops it, and the same command goes on from there.
+the contradictions; Ctrl-C stops it, and the same command goes on from there. With `--kind errors`
+each task states an error: noise, a wrong model, a wind or a delay.
 """
 
 import argparse
 import sys
 import warnings
-from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -16,23 +16,21 @@ import numpy as np
 from drawn_study import _code
 from drawn_tasks import GRAVITY, aircraft_task, attachments_of, loaded
 
-from drake_nonstop.analysis.limit import RunOutcome
-from drake_nonstop.analysis.task_check import check_task
-from drake_nonstop.run.outcome import Judgement, judge
-from drake_nonstop.run.run_quantities import RunQuantities
+from drake_nonstop.analysis.flights import fly
+from drake_nonstop.analysis.stated_errors import is_random, with_seed
+from drake_nonstop.analysis.verdict import check_scenario
+from drake_nonstop.run.outcome import RunOutcome
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.studies.journal import StudyInterrupted, open_journal, settings_of
-from drake_nonstop.studies.run_all import FAILED, SerialExecutor, attempts, run_all
-from drake_nonstop.systems.block import release
+from drake_nonstop.studies.run_all import FAILED, SerialExecutor, run_all
 from drake_nonstop.validation import ScenarioError, ScenarioWarning
 from drake_nonstop.view.progress import TaskProgress
 
-SOUND, CANNOT, UNKNOWN = "sound", "cannot", "unknown"
+OK, CANNOT, MIXED, REFUSED = RunOutcome.OK.value, "cannot", "mixed", "refused"
 _AIRCRAFT = 5  # one task in so many is flown by aircraft
-# `check` judges all but these.
-_NOT_JUDGED = (RunOutcome.OK, RunOutcome.UNCONVERGED)
-_RESULT = {"verdict": str, "said": list, "outcome": str, "reasons": list}
+_OTHER, _OTHERS = 100, 3  # the first of the other seeds, and how many
+_RESULT = {"verdict": str, "said": list, "outcomes": list}
 
 
 def task_of_seed(seed: int) -> Scenario:
@@ -118,77 +116,97 @@ def _tagged(name: str, values: dict[str, Any]) -> str:
     return f"!{name} {{{', '.join(f'{key}: {value}' for key, value in values.items())}}}"
 
 
-def verdict_of(scenario: Scenario) -> tuple[str, list[str]]:
-    """What is said of a task beforehand, and the sentences; a refusal is "cannot".
+def with_errors(seed: int) -> Scenario:
+    """The task of a seed with an error that its controllers do not know of, and that it states."""
+    rng, task = np.random.default_rng([36, seed]), task_of_seed(seed)
+    size = float(np.exp(rng.uniform(np.log(0.01), np.log(1.0))))  # of a large error
+    period = task.control_period
+    system, scale = task.system, float(np.max(task.system.cable_length))
+    if task.system.aircraft is not None:
+        velocity = np.append(rng.uniform(-1, 1, 2).round(2), 0.0).tolist()
+        gust = f"{{velocity: {velocity}, gust: {size:.4f}}}"
+        observer = ("KnownWind {}", "WindObserver {}")[int(rng.integers(2))]
+        errors = [
+            [f"wind=!GustyWind {gust}", f"wind_estimator=!{observer}"],
+            [f"wind=!SteadyWind {{velocity: [{size:.4f}, 0.0, 0.0]}}", "wind_estimator=!NoWind {}"],
+            [f"simulated.load_mass={system.load_mass * (1 + 0.5 * size):.4f}"],
+            [f"simulated.cable_length={scale * (1 + 0.02 * size):.4f}"],
+        ]
+    else:
+        noise = 0.01 * size * scale
+        noises = (
+            f"position_noise: {noise:.6f}, velocity_noise: {4 * noise:.6f}, "
+            f"orientation_noise: {noise:.6f}, angular_velocity_noise: {4 * noise:.6f}"
+        )
+        places = np.array(system.attachments) + 0.1 * size * rng.normal(size=3) * [1, 1, 0]
+        delay = period * int(rng.integers(1, 5))
+        wind = f"!GustyWind {{velocity: [{4 * size:.4f}, 0.0, 0.0], load_gust: {size:.4f}}}"
+        errors = [
+            [f"load_feedback=!NoisyFeedback {{{noises}, period: {period}}}"],
+            [f"load_feedback=!EstimatedFeedback {{{noises}, period: {period}}}"],
+            [f"simulated.attachments={places.round(4).tolist()}"],
+            [f"simulated.load_mass={system.load_mass * (1 + 0.5 * size):.4f}"],
+            [f"load_feedback=!NoisyFeedback {{delay: {delay:g}, period: {period}}}"],
+            [f"wind={wind}"],
+        ]
+    return changed(task, errors[int(rng.integers(len(errors)))])
 
-    Nothing is tried that may help. "Unknown" is what `check` says a flight alone tells, and what it
-    says of loops that it does not know.
+
+TASKS = {"exact": task_of_seed, "errors": with_errors}
+
+
+def looked_at(kind: str, seed: int) -> dict[str, Any]:
+    """The verdict on a task and the outcomes of its flights in other seeds, as in `_RESULT`.
+
+    Nothing is tried that may help.
     """
-    try:
-        found = check_task(scenario, tries_remedies=False)
-    except ScenarioError as error:
-        return CANNOT, [f"refused: {error}"]
-    said = [*found.verdicts]
-    if found.is_in_doubt:
-        return UNKNOWN, said
-    if not found.is_sound:
-        return CANNOT, said
-    is_known = found.flight is not None or np.isfinite(found.formation.sampled.growth)
-    return SOUND if is_known else UNKNOWN, said
-
-
-def outcome_of(scenario: Scenario) -> Judgement:
-    """What becomes of the flight; one that could not be built has stopped."""
-    _, tried = next(attempts([(scenario, {})]))
-    if tried.run is None:
-        return Judgement(outcome=RunOutcome.STOPPED, reasons=(tried.message,))
-    judged = judge(RunQuantities(tried.run))
-    release(tried.run.diagram)
-    return judged
-
-
-def looked_at(seed: int) -> dict[str, Any]:
-    """The verdict on a task and the outcome of its flight, of the fields of `_RESULT`."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ScenarioWarning)
-        scenario = task_of_seed(seed)
-        verdict, said = verdict_of(scenario)
-        judged = outcome_of(scenario)
-    return {
-        "verdict": verdict,
-        "said": said,
-        "outcome": judged.outcome.value,
-        "reasons": [*judged.reasons],
-    }
+        scenario = TASKS[kind](seed)
+        try:
+            found = check_scenario(scenario, tries_remedies=False)
+        except ScenarioError as error:
+            return {"verdict": REFUSED, "said": [str(error)], "outcomes": []}
+        seeds = range(_OTHER, _OTHER + _OTHERS) if is_random(scenario) else [0]
+        flown = fly([("", with_seed(scenario, k)) for k in seeds])
+    outcomes = [flight.outcome.value for flight in found.flights]
+    verdict = CANNOT if OK not in outcomes else OK if set(outcomes) == {OK} else MIXED
+    if verdict != MIXED and found.narrow:
+        verdict = f"{verdict}, narrow"
+    others = [flight.outcome.value for flight in flown]
+    return {"verdict": verdict, "said": [*found.verdicts], "outcomes": others}
 
 
 def contradicts(result: dict[str, Any]) -> bool:
-    """Whether a verdict and an outcome cannot both be true."""
-    if result["verdict"] == CANNOT:
-        return result["outcome"] == RunOutcome.OK.value
-    return result["verdict"] == SOUND and result["outcome"] not in _NOT_JUDGED
+    """Whether a flight in another seed ends well against a verdict, or ill against it.
+
+    Flights of which some end well and some do not promise neither.
+    """
+    verdict = result["verdict"].partition(",")[0]
+    is_ok = [outcome == OK for outcome in result["outcomes"]]
+    return any(is_ok) if verdict == CANNOT else verdict == OK and not all(is_ok)
 
 
 def table(results: Sequence[dict[str, Any]]) -> str:
-    """Verdicts against outcomes in Markdown."""
-    counts = Counter((result["verdict"], result["outcome"]) for result in results)
-    outcomes = sorted({outcome for _, outcome in counts})
-    lines = [f"| verdict | {' | '.join(outcomes)} |", f"| --- {'| --- ' * len(outcomes)}|"]
-    for verdict in (SOUND, CANNOT, UNKNOWN):
-        cells = [str(counts[verdict, outcome]) for outcome in outcomes]
-        lines.append(f"| {verdict} | {' | '.join(cells)} |")
+    """How many flights in other seeds end well, by the verdict, in Markdown."""
+    lines = ["| verdict | tasks | other flights | of them ok | contradicted |", "| --- " * 5 + "|"]
+    for verdict in sorted({result["verdict"] for result in results}):
+        some = [result for result in results if result["verdict"] == verdict]
+        flown = [outcome for result in some for outcome in result["outcomes"]]
+        wrong = sum(map(contradicts, some))
+        lines.append(f"| {verdict} | {len(some)} | {len(flown)} | {flown.count(OK)} | {wrong} |")
     return "\n".join(lines)
 
 
 def study(
-    seeds: Sequence[int], folder: Path, *, restart: bool = False, is_serial: bool = False
+    kind: str, seeds: Sequence[int], folder: Path, *, restart: bool = False, is_serial: bool = False
 ) -> list[dict[str, Any]]:
     """The results in the order of the seeds; the folder has what is done.
 
     Raises:
         StudyInterrupted: Ctrl-C; what is done stays.
     """
-    settings = settings_of("drawn verdicts", _code(), Path(__file__).read_text(), str(seeds))
+    settings = settings_of("drawn verdicts", kind, _code(), Path(__file__).read_text(), str(seeds))
     with (
         open_journal(folder, settings, seeds, _RESULT, restart=restart, what="tasks") as journal,
         TaskProgress() as progress,
@@ -196,9 +214,9 @@ def study(
         run_all(
             looked_at,
             seeds,
-            lambda seed: (seed,),
+            lambda seed: (kind, seed),
             journal.record,
-            lambda seed, error: {"verdict": "", "said": [], "outcome": FAILED, "reasons": [error]},
+            lambda seed, error: {"verdict": FAILED, "said": [error], "outcomes": []},
             done=journal,
             executor=SerialExecutor() if is_serial else None,
             what="checking and flying",
@@ -210,23 +228,26 @@ def study(
 def main(arguments: Sequence[str] | None = None) -> int:
     """Checks, flies and prints; 1 where a verdict is contradicted, 130 where it was interrupted."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--kind", choices=TASKS, default="exact", help="(exact)")
     parser.add_argument("--first", type=int, default=0, metavar="SEED", help="(0)")
     parser.add_argument("--count", type=int, default=20, metavar="N", help="tasks (20)")
-    parser.add_argument("--out", type=Path, default=Path("out/drawn/verdicts"), metavar="DIR")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="(out/drawn/verdicts_KIND)")
     parser.add_argument("--restart", action="store_true", help="drop what DIR has")
     parser.add_argument("--serial", action="store_true", help="in this process")
     options = parser.parse_args(arguments)
     seeds = range(options.first, options.first + options.count)
+    folder = options.out or Path(f"out/drawn/verdicts_{options.kind}")
+    kind, restart, is_serial = options.kind, options.restart, options.serial
     try:
-        results = study(seeds, options.out, restart=options.restart, is_serial=options.serial)
+        results = study(kind, seeds, folder, restart=restart, is_serial=is_serial)
     except StudyInterrupted as interrupt:
         print(interrupt, file=sys.stderr)
         return 130
     print(table(results))
     wrong = [(k, r) for k, r in zip(seeds, results, strict=True) if contradicts(r)]
     for seed, result in wrong:
-        print(f"seed {seed}: {result['verdict']}, but {result['outcome']}")
-        print("".join(f"    {text}\n" for text in (*result["said"], *result["reasons"])), end="")
+        print(f"seed {seed}: {result['verdict']}, but {', '.join(result['outcomes'])}")
+        print("".join(f"    {text}\n" for text in result["said"]), end="")
     return 1 if wrong else 0
 
 

@@ -8,8 +8,8 @@ import pytest
 from fleet import BY_BOTH_ENGINES, DRAWN, FLEET, Fleet, flown, scenario_of
 
 from drake_nonstop import compute_metrics, load_scenario
-from drake_nonstop.analysis.limit import RunOutcome
 from drake_nonstop.diagrams.nonstop import BOXES
+from drake_nonstop.run.outcome import RunOutcome
 from drake_nonstop.scenario.choices import PATTERNS
 from drake_nonstop.scenario.schema import DIAGRAM
 

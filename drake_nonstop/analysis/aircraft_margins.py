@@ -17,13 +17,9 @@ from drake_nonstop.analysis.flight_envelope import (
     ROWS,
     BowedCables,
     FlightEnvelope,
-    FlightMargin,
-    FlightRanges,
-    LimitAlong,
     flight_envelope_of,
     limits_along,
 )
-from drake_nonstop.analysis.separations import segment_distances
 from drake_nonstop.analysis.task import task_at
 from drake_nonstop.diagrams.nonstop import make_nonstop, replaced
 from drake_nonstop.mechanics.aircraft import (
@@ -35,9 +31,11 @@ from drake_nonstop.mechanics.aircraft import (
     thrust_power,
 )
 from drake_nonstop.mechanics.bowed_orbit import BowedMotion, CableShape
+from drake_nonstop.mechanics.distances import segment_distances
 from drake_nonstop.mechanics.rigid_load import STILL_AIR
 from drake_nonstop.mechanics.signals import LoadReference, Parameters, constant_plan
 from drake_nonstop.model.system import Model
+from drake_nonstop.planning.margins import FlightRanges, LimitAlong, Margin
 from drake_nonstop.scenario.schema import Scenario, check
 from drake_nonstop.validation import require
 
@@ -79,7 +77,7 @@ class AircraftMargins:
     """
 
     scenario: str
-    margins: tuple[FlightMargin, ...]
+    margins: tuple[Margin, ...]
     turn: float
     phases: NDArray
     needs: FlightNeeds
@@ -97,7 +95,7 @@ class AircraftMargins:
     possible_wind: float | None = None
 
     @property
-    def missed(self) -> tuple[FlightMargin, ...]:
+    def missed(self) -> tuple[Margin, ...]:
         """The margins of the limits that are not kept."""
         return tuple(margin for margin in self.margins if not margin.is_kept)
 
@@ -150,19 +148,12 @@ def aircraft_margins(scenario: Scenario, **replacements: Any) -> AircraftMargins
 
 def margins_table(found: AircraftMargins) -> str:
     """A line for each quantity that has a limit, and others, for a terminal."""
-    rows = [("quantity", "value", "limit", "margin", "phase", "carrier")]
+    rows = [("quantity", "value", "limit", "margin", "where")]
     for margin in found.margins:
-        sign = "<=" if margin.is_upper else ">="
-        rows.append(
-            (
-                margin.name,
-                margin.shown(margin.value),
-                f"{sign} {margin.shown(margin.limit)}",
-                margin.shown(margin.margin) + ("" if margin.is_kept else " !"),
-                f"{math.degrees(margin.phase):.1f} deg",
-                " and ".join(map(str, margin.carriers)),
-            )
-        )
+        sign = ">=" if margin.is_least else "<="
+        value, limit, left = map(margin.shown, (margin.value, margin.limit, margin.margin))
+        is_missed = "" if margin.is_kept else " !"
+        rows.append((margin.name, value, f"{sign} {limit}", f"{left}{is_missed}", margin.place))
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
     told = [*found.ranges.lines, (found.cables.name, found.cables.text)]
@@ -212,7 +203,7 @@ def aircraft_margins_for(
         believed=task.carried,
         wind=task.air.mean,
         limits=flight_envelope_of(scenario),
-        shape=task.response.references.shape,
+        shape=task.references.shape,
         name=scenario.name,
     )
 
@@ -295,12 +286,11 @@ class _Orbit:
         self.limits = limits
 
     def at(
-        self, phases: NDArray, wind: NDArray
+        self, times: NDArray, wind: NDArray
     ) -> tuple[FlightNeeds, list[LimitAlong], NDArray, BowedMotion | None]:
-        """Needs at phases (k,), rad, all that has limits, forces on the load, N, and the bow."""
+        """Needs at times (k,), s, all that has limits, forces on the load, N, and the bow."""
         model = self.model
         frequency, amplitude = self._parameters
-        times = phases / self.rate
         carriers = resting_carriers(
             self.believed,
             model,
@@ -316,10 +306,10 @@ class _Orbit:
         needs = carriers.needs(motion, bowed)
         places = (motion if bowed is None else bowed.motion).positions
         ends = carriers.terms.motion.attached(self.believed.attachments).rates[0]
-        of_each = limits_along(self.aircraft, needs, self.limits, phases)
-        return needs, [*of_each, *self._of_pairs(places, ends, phases)], motion.forces, bowed
+        of_each = limits_along(self.aircraft, needs, self.limits, times)
+        return needs, [*of_each, *self._of_pairs(places, ends, times)], motion.forces, bowed
 
-    def _of_pairs(self, places: NDArray, ends: NDArray, phases: NDArray) -> Iterator[LimitAlong]:
+    def _of_pairs(self, places: NDArray, ends: NDArray, times: NDArray) -> Iterator[LimitAlong]:
         """The distances of carriers at `places` (k, n, 3), m, and of their cables from `ends`."""
         model, own = self.model, self.model.attachments
         reach = np.linalg.norm(own, axis=1).max() + np.max(model.cable_length)
@@ -332,32 +322,30 @@ class _Orbit:
             (_CARRIERS_APART, carriers, self.limits.carrier_distance * reach),
             (_CABLES_APART, cables, self.limits.cable_distance * apart),
         ):
-            yield LimitAlong(row, limits, phases, distances)
+            yield LimitAlong(row, limits, times, distances)
 
 
 def _margins(orbit: _Orbit, wind: NDArray, name: str) -> AircraftMargins:
     """The margins in a wind, whatever they are."""
-    count = _INSTANTS * orbit.turns
-    phases = 2 * np.pi / _INSTANTS * np.arange(count)
-    needs, quantities, forces, bowed = orbit.at(phases, wind)
-    margins = [quantity.worst_margin() for quantity in quantities]
+    turn = 2 * math.pi * orbit.turns / orbit.rate
+    times = np.linspace(0, turn, _INSTANTS * orbit.turns, endpoint=False)
+    needs, quantities, forces, bowed = orbit.at(times, wind)
+    margins = [quantity.margin for quantity in quantities]
     *_, carriers, cables = (quantity.values.min(axis=1) for quantity in quantities)
-    step = phases[1]
+    step = times[1]
     for _ in range(_REFINEMENTS):
         step /= _PARTS
         around = step * np.arange(1 - _PARTS, _PARTS)
-        near = np.unique([margin.phase + around for margin in margins])
+        near = np.unique([margin.when + around for margin in margins])
         _, quantities, *_ = orbit.at(near, wind)
-        found = [quantity.worst_margin() for quantity in quantities]
+        found = [quantity.margin for quantity in quantities]
         margins = [min(pair, key=lambda m: m.margin) for pair in zip(margins, found, strict=True)]
     aircraft = orbit.aircraft
     return AircraftMargins(
         scenario=name,
-        margins=tuple(
-            dataclasses.replace(m, phase=m.phase % (2 * math.pi * orbit.turns)) for m in margins
-        ),
-        turn=2 * math.pi * orbit.turns / orbit.rate,
-        phases=phases,
+        margins=tuple(margin._replace(when=margin.when % turn) for margin in margins),
+        turn=turn,
+        phases=orbit.rate * times,
         needs=needs,
         thrust_limits=thrust_limits(aircraft, needs.airspeed),
         ranges=FlightRanges.of(aircraft, needs),

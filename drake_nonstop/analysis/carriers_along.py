@@ -1,4 +1,4 @@
-"""The motion of carriers above their load, along a plan or at rest, and what aircraft need."""
+"""The motion of carriers above a load at rest, and what aircraft need."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -7,7 +7,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.analysis.task import Task
 from drake_nonstop.mechanics.aircraft import FlightNeeds, flown_aircraft
 from drake_nonstop.mechanics.bowed_orbit import BowedMotion, CableShape, bowed_motion
 from drake_nonstop.mechanics.cable import forces_under_other_wrench, wrenches_of
@@ -26,7 +25,7 @@ from drake_nonstop.mechanics.signals import (
 )
 from drake_nonstop.mechanics.wrench import feedforward_wrench
 from drake_nonstop.model.system import Model
-from drake_nonstop.planning.carriers import motion_above, orbit_terms
+from drake_nonstop.planning.carriers import motion_above
 
 
 class CarriersAlong(NamedTuple):
@@ -110,21 +109,6 @@ class CarriersAlong(NamedTuple):
         )
         pulls = found.motion.forces - found.at_load + straight.forces
         return found._replace(motion=found.motion._replace(forces=pulls))
-
-
-def carriers_along(task: Task, times: NDArray) -> CarriersAlong:
-    """Returns a task's carriers at times (k,), s, in the mean wind."""
-    winds = np.array([task.wind_at(time) for time in times])
-    references = np.array([task.reference(time) for time in times])
-    return CarriersAlong.of(
-        task.carried,
-        task.flown,
-        references,
-        winds,
-        winds,
-        task.response.references.shape,
-        lambda model, load: orbit_terms(model, references, winds, load),
-    )
 
 
 def resting_carriers(

@@ -3,7 +3,6 @@
 import dataclasses
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import combinations
 from typing import Any, NamedTuple
 
@@ -15,14 +14,13 @@ from drake_nonstop.blocks.lumped_cables import material_of
 from drake_nonstop.mechanics.aircraft import (
     Aircraft,
     FlightNeeds,
-    airspeed_over_loaded_stall,
     stall_speed,
     thrust_limits,
-    thrust_share,
 )
 from drake_nonstop.mechanics.bowed_orbit import BowedMotion
 from drake_nonstop.model.system import Model
-from drake_nonstop.planning.limits import LIMITS, Limit, Of
+from drake_nonstop.planning.limits import LIMITS
+from drake_nonstop.planning.margins import LimitAlong
 from drake_nonstop.scenario.run_limits import RunLimits
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.validation import finite
@@ -34,158 +32,6 @@ ROWS = {limit.name: limit for limit in LIMITS}
 _AIRSPEED = dataclasses.replace(ROWS["lift"], words="airspeed / stall speed", is_least=True)
 _MOST_THRUST = dataclasses.replace(ROWS["thrust"], words="thrust", unit="N")
 _LEAST_THRUST = dataclasses.replace(_MOST_THRUST, is_least=True)
-
-
-@dataclass(frozen=True, kw_only=True)
-class FlightMargin:
-    """One quantity where it is closest to its limit, or farthest beyond.
-
-    Attributes:
-        name: of the quantity.
-        unit: of `value` and `limit`; "" for a share.
-        value: of the quantity.
-        limit: of the quantity there.
-        is_upper: whether the limit is the largest value; if not, it is the least.
-        phase: rad, where on the orbit.
-        carriers: which one, or which two, from 1 on.
-    """
-
-    name: str
-    unit: str
-    value: float
-    limit: float
-    is_upper: bool
-    phase: float
-    carriers: tuple[int, ...]
-
-    @property
-    def margin(self) -> float:
-        """From the value to the limit; negative where it is beyond."""
-        return self.limit - self.value if self.is_upper else self.value - self.limit
-
-    @property
-    def is_kept(self) -> bool:
-        """Whether the value is within the limit."""
-        return self.margin >= 0
-
-    def shown(self, value: float) -> str:
-        """A value of the quantity with its unit, for a sentence or a table."""
-        if self.unit == "rad":
-            return f"{math.degrees(value):.1f} deg"
-        return f"{value:.{1 if self.unit else 2}f} {self.unit}".rstrip()
-
-    @property
-    def dictionary(self) -> dict[str, Any]:
-        """All of it for a JSON file."""
-        return {
-            "name": self.name,
-            "unit": self.unit,
-            "value": self.value,
-            "limit": self.limit,
-            "limit_is": "upper" if self.is_upper else "lower",
-            "margin": self.margin,
-            "phase_rad": self.phase,
-            "carriers": list(self.carriers),
-        }
-
-    @property
-    def sentence(self) -> str:
-        """The value beside its limit."""
-        bound = "at most" if self.is_upper else "at least"
-        return f"{self.name} {self.shown(self.value)} ({bound} {self.shown(self.limit)})"
-
-
-class LimitAlong(NamedTuple):
-    """A limit, and what it holds for at k instants."""
-
-    limit: Limit
-    stated: Any  # a number, or an array that broadcasts to the values
-    times: NDArray  # (k,), s; phases in rad where the instants are those of an orbit
-    values: NDArray  # (k, c), in the limit's unit, of carriers, cables or pairs of carriers
-
-    @property
-    def left(self) -> NDArray:
-        """From the values to the limit (k, c); negative beyond it."""
-        return self.limit.side * (self.values - self.stated)
-
-    @property
-    def place(self) -> tuple[int, int]:
-        """The instant and the column of the least that is left; of equal ones the first."""
-        instant, column = np.unravel_index(np.argmin(self.left.round(9)), self.values.shape)
-        return int(instant), int(column)
-
-    @property
-    def worst(self) -> float:
-        """The value that is the closest to the limit, or the farthest beyond it."""
-        return float(self.values[self.place])
-
-    @property
-    def time(self) -> float:
-        """When that is, s."""
-        return float(self.times[self.place[0]])
-
-    @property
-    def carriers(self) -> tuple[int, ...]:
-        """Of which carrier or cable, or which two, from 1 on."""
-        column, count = self.place[1], self.values.shape[1]
-        if self.limit.of is not Of.SEPARATION:
-            return (column + 1,)
-        n = round((1 + np.sqrt(1 + 8 * count)) / 2)
-        return tuple(int(numbers[column]) + 1 for numbers in np.triu_indices(n, 1))
-
-    def worst_margin(self, phases: NDArray | None = None) -> FlightMargin:
-        """The margin there, at phases (k,) in rad of the instants; None: they are `times`."""
-        instant, _ = place = self.place
-        return FlightMargin(
-            name=self.limit.words,
-            unit=self.limit.unit,
-            value=float(self.values[place]),
-            limit=float(np.broadcast_to(self.stated, self.values.shape)[place]),
-            is_upper=not self.limit.is_least,
-            phase=float((self.times if phases is None else phases)[instant]),
-            carriers=self.carriers,
-        )
-
-    @property
-    def margin(self) -> float:
-        """From the worst value to the limit, of the limit; negative where it is beyond."""
-        return self.limit.side * (self.worst - self.stated) / self.stated
-
-    @property
-    def is_kept(self) -> bool:
-        """Whether all values are within the limit."""
-        return self.margin >= 0
-
-    @property
-    def is_in_doubt(self) -> bool:
-        """Whether it is missed by so little that the layer may keep it."""
-        return -_NEARLY < self.margin < 0
-
-    @property
-    def where(self) -> str:
-        """Such as "t = 5.30 s, carrier 2"."""
-        what = "cable" if self.limit.of is Of.TENSION else "carrier"
-        if len(self.carriers) > 1:
-            what = "carriers"
-        return f"t = {self.time:.2f} s, {what} {' and '.join(map(str, self.carriers))}"
-
-    def shown(self, value: float) -> str:
-        """A value with its unit."""
-        return f"{value:.4g} {self.limit.unit}".rstrip()
-
-    @property
-    def dictionary(self) -> dict[str, Any]:
-        """All but the values over time, for a JSON file."""
-        return {
-            "field": self.limit.field,
-            "unit": self.limit.unit,
-            "limit": self.stated,
-            "limit_is": "lower" if self.limit.is_least else "upper",
-            "value": self.worst,
-            "is_kept": self.is_kept,
-            "time_s": self.time,
-            "carriers": list(self.carriers),
-        }
 
 
 class BowedCables(NamedTuple):
@@ -355,65 +201,3 @@ def limits_along(
 
 def _range(values: NDArray) -> tuple[float, float]:
     return float(np.min(values)), float(np.max(values))
-
-
-class FlightRanges(NamedTuple):
-    """The least and the largest of what aircraft need, over all of them and all instants."""
-
-    lift_share: tuple[float, float]  # of C_Lmax
-    airspeed: tuple[float, float]  # m/s
-    over_stall: tuple[float, float]  # of the airspeed, over the stall speed without a cable
-    over_loaded_stall: tuple[float, float]  # over the one with cable and bank
-    bank: tuple[float, float]  # rad
-    climb: tuple[float, float]  # rad
-    thrust: tuple[float, float]  # N
-    thrust_share: tuple[float, float]  # of the largest one at that airspeed
-
-    @classmethod
-    def of(cls, aircraft: Aircraft, needs: FlightNeeds) -> "FlightRanges":
-        """Returns the ranges of needs (k, n), in a plan or in a run."""
-        lift, airspeed, thrust = needs.lift, needs.airspeed, needs.thrust
-        return cls(
-            lift_share=_range(lift / aircraft.max_lift),
-            airspeed=_range(airspeed),
-            over_stall=_range(airspeed / stall_speed(aircraft)),
-            over_loaded_stall=_range(airspeed_over_loaded_stall(aircraft, airspeed, lift, thrust)),
-            bank=_range(needs.bank),
-            climb=_range(needs.climb),
-            thrust=_range(thrust),
-            thrust_share=_range(thrust_share(aircraft, thrust, airspeed)),
-        )
-
-    @property
-    def lines(self) -> list[tuple[str, str]]:
-        """A name and a text for each line of a table."""
-        degrees = [math.degrees(angle) for angle in self.bank]
-        (least, most), (share, most_share) = self.thrust, self.thrust_share
-        return [
-            (
-                "airspeed",
-                f"{self.airspeed[0]:.1f} to {self.airspeed[1]:.1f} m/s, at least "
-                f"{self.over_stall[0]:.2f} of the stall speed, and "
-                f"{self.over_loaded_stall[0]:.2f} of that with cable and bank",
-            ),
-            (
-                "thrust",
-                f"{least:.1f} to {most:.1f} N, {100 * share:.0f} to {100 * most_share:.0f} % of "
-                "the largest",
-            ),
-            ("bank", f"{degrees[0]:.1f} to {degrees[1]:.1f} deg"),
-        ]
-
-    @property
-    def dictionary(self) -> dict[str, Any]:
-        """The same for a JSON file."""
-        return {
-            "lift_share": list(self.lift_share),
-            "airspeed_m_s": list(self.airspeed),
-            "airspeed_over_stall": list(self.over_stall),
-            "airspeed_over_loaded_stall": list(self.over_loaded_stall),
-            "bank_rad": list(self.bank),
-            "climb_rad": list(self.climb),
-            "thrust_N": list(self.thrust),
-            "thrust_share": list(self.thrust_share),
-        }

@@ -1,22 +1,16 @@
-"""`drake-nonstop check`: whether a scenario's task can be flown, before it is."""
+"""`drake-nonstop check`: flies what a scenario states, and tells what comes of it."""
 
 import argparse
 from pathlib import Path
 
-from drake_nonstop.analysis.aircraft_margins import (
-    aircraft_margins_for,
-    margins_dictionary,
-    margins_table,
-)
-from drake_nonstop.analysis.task_check import check_task, task_dictionary, task_table
+from drake_nonstop.analysis.aircraft_margins import margins_table
+from drake_nonstop.analysis.verdict import SEEDS, check_scenario, flights_of
 from drake_nonstop.cli.arguments import Commands, add_scenario, read_scenario
 from drake_nonstop.cli.ending import BAD_INPUT, FAILED
-from drake_nonstop.run.make_simulator import make_simulator
 from drake_nonstop.scenario.fields import warn_of_angles
 from drake_nonstop.scenario.loading import dump_scenario
 from drake_nonstop.studies.files import replacing_files, require_writable, write_json
 from drake_nonstop.studies.results_folder import default_folder, require_no_other_run
-from drake_nonstop.systems.block import LOOP
 from drake_nonstop.view.figure_style import require_drawing
 from drake_nonstop.view.progress import TaskProgress
 from drake_nonstop.view.task_figures import (
@@ -33,60 +27,49 @@ def add_to(commands: Commands) -> None:
     """Adds the subcommand."""
     parser = commands.add_parser(
         "check",
-        help="whether a task can be flown: its speed bound, its formation, its aircraft",
-        description="Looks for a plan of xi and A that keeps the speed bound and the limits of the "
-        "layer over the whole task, tells whether the formation is stable, at rest and on its way, "
-        "and whether aircraft can fly the orbit of the resting load; of what fails it tries what "
-        "helps. Takes seconds, or a minute where something fails.",
-        epilog=f"Exit codes: 0 where the task is sound, {FAILED} where it is not, "
+        help="fly what a scenario states, in several seeds: margins, and what would help",
+        description="Flies the scenario as it states, in several seeds where it has noise, gusts "
+        "or distributions, and once without the errors that it states. Prints the outcome, the "
+        "margins to each limit with their spread over the seeds, and, where a flight is not ok, "
+        "changes with which all flights are, each of which was flown.",
+        epilog=f"Exit codes: 0 where all flights are ok, {FAILED} where one is not, "
         f"{BAD_INPUT} for bad input.",
     )
     parser.set_defaults(action=_check)
     add_scenario(parser, "out/check/NAME")
+    about = f"flights of a scenario with random numbers ({SEEDS})"
+    parser.add_argument("--seeds", type=int, default=SEEDS, metavar="N", help=about)
 
 
 def _check(options: argparse.Namespace) -> int:
     scenario = read_scenario(options)
+    count = len(flights_of(scenario, options.seeds))
+    flights = "a flight" if count == 1 else f"{count} flights"
+    print(f"check {scenario.name}: {flights} of {scenario.simulation_duration:g} s", flush=True)
     warn_of_angles(scenario)
     require_drawing()
     folder = options.out or default_folder(Path("out") / "check" / scenario.name, scenario)
     require_no_other_run(folder, scenario)
-    loop = make_simulator(scenario).get_system().GetSubsystemByName(LOOP)
-    aircraft = None
-    if scenario.system.aircraft is not None:
-        start = loop.CreateDefaultContext()
-        aircraft = aircraft_margins_for(scenario.sampled(), loop, start)
     with TaskProgress() as progress:
-        found = check_task(scenario, loop, progress=progress)
-    report = {
-        "scenario": scenario.name,
-        "is_sound": found.is_sound,
-        "is_in_doubt": found.is_in_doubt,
-    }
+        found = check_scenario(scenario, seeds=options.seeds, progress=progress)
     figures = {_TASK: make_check_figure(found)}
-    if aircraft is not None:
-        report |= margins_dictionary(aircraft)
-        report["is_sound"] = found.is_sound and aircraft.is_flyable
-        figures[_AIRCRAFT] = make_aircraft_margins_figure(aircraft)
-    if found.speeds.limits:
-        title = f"{scenario.name}: limits of the layer, dashed, along the plan"
-        figures[_LIMITS] = make_limits_figure(found.speeds.limits, title)
-    report |= task_dictionary(found)
+    if found.aircraft is not None:
+        figures[_AIRCRAFT] = make_aircraft_margins_figure(found.aircraft)
+    history = found.worst.history
+    if history is not None and history.limits:
+        title = f"{scenario.name}: limits of the layer, dashed, as flown"
+        figures[_LIMITS] = make_limits_figure(history.limits, title)
     files = (_SCENARIO, _DATA, *figures)
     require_writable(folder, files)
     with replacing_files(folder, files) as new:
         (new / _SCENARIO).write_text(dump_scenario(scenario), encoding="utf-8")
-        write_json(new / _DATA, report)
+        write_json(new / _DATA, found.dictionary)
         for name, figure in figures.items():
             figure.savefig(new / name, dpi=150)
-    print(task_table(found))
-    for verdict in found.verdicts:
-        print(verdict)
-    flown = found.flight or aircraft
-    if flown is not None and flown.cables.warning:
-        print(flown.cables.warning)
-    if aircraft is not None:
-        print(margins_table(aircraft))
-        print(aircraft.verdict)
-    print(f"results: {folder}")
-    return 0 if report["is_sound"] else FAILED
+    print(found.table)
+    if found.aircraft is not None:
+        print(f"\n{margins_table(found.aircraft)}")
+        if found.aircraft.cables.warning:
+            print(found.aircraft.cables.warning)
+    print("", *found.verdicts, f"results: {folder}", sep="\n")
+    return 0 if found.is_ok else FAILED

@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from drake_nonstop.analysis.limit import RunOutcome
 from drake_nonstop.cli.arguments import Commands, add_look, add_scenario, read_scenario
 from drake_nonstop.cli.ending import (
     BAD_INPUT,
@@ -23,6 +22,7 @@ from drake_nonstop.cli.ending import (
 )
 from drake_nonstop.run.interruption import ALL, current_interruption
 from drake_nonstop.run.metrics import in_brief, metrics_table
+from drake_nonstop.run.outcome import RunOutcome
 from drake_nonstop.run.recording import least_size
 from drake_nonstop.run.run import Run, RunInterrupted, RunStopped
 from drake_nonstop.run.run_quantities import automatic_gains

@@ -4,6 +4,7 @@ import argparse
 import dataclasses
 from pathlib import Path
 
+from drake_nonstop.analysis.stability import Stability, linearize
 from drake_nonstop.cli.arguments import (
     Commands,
     add_study,
@@ -27,7 +28,6 @@ from drake_nonstop.studies.figures import make_margins_figure, make_robustness_f
 from drake_nonstop.studies.files import require_writable, write_json
 from drake_nonstop.studies.robustness import robustness, robustness_settings, robustness_table
 from drake_nonstop.studies.run_all import COMPLETED, DIVERGED, Progress, SerialExecutor
-from drake_nonstop.studies.stability import Stability, linearize
 from drake_nonstop.studies.stability_ranges import Margin, find_margins, margins_settings
 from drake_nonstop.studies.sweep import sweep, sweep_settings
 from drake_nonstop.studies.sweep_spec import read_sweep

@@ -1,23 +1,45 @@
-"""Outcome of a run with the reasons, and its warnings.
+"""Outcome of a run with the reasons, its margins, and its warnings.
 
 `LIMITS` has a row for each limit of a scenario that a run is held against; those that a layer is
 asked for are the rows of `planning.limits`.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from enum import Enum
 from functools import partial
+from operator import attrgetter
+from typing import Any
 
 import numpy as np
 
-from drake_nonstop.analysis.limit import DISTANCE_LIMITS, Limit, RunOutcome
 from drake_nonstop.mechanics.aircraft import stall_speed
 from drake_nonstop.model.system import breaking_load
 from drake_nonstop.planning.limits import LIMITS as ASKED
+from drake_nonstop.planning.margins import Margin
 from drake_nonstop.planning.measured_margin import LARGEST_SHARE
 from drake_nonstop.run.run_quantities import RunQuantities
+from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.validation import is_number
 
 _ROUNDING = 1e-3  # of a limit that a block aims at, by which it may be missed
+_DECIMALS = 9  # of a quantity that is shown
+
+
+class RunOutcome(str, Enum):
+    """Outcomes of a run, the worst first."""
+
+    STOPPED = "stopped"  # it diverged, a block failed, or it was ended before its time
+    STALLED = "stalled"  # an aircraft's wing stalled
+    CABLE_BROKEN = "cable_broken"  # a cable pulled with more than its breaking load
+    LOAD_LOST = "load_lost"  # the load did not follow its reference
+    COLLISION = "collision"  # carriers or cables came too close to each other, or to an obstacle
+    CABLES_SLACK = "cables_slack"
+    BOUND_MISSED = "bound_missed"  # a carrier was below ε
+    LIMIT_MISSED = "limit_missed"  # another limit that a block was asked for was not kept
+    UNCONVERGED = "unconverged"  # the integrator's step does not resolve the results
+    OK = "ok"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,8 +50,78 @@ class Judgement:
     reasons: tuple[str, ...] = ()
 
 
+@dataclass(frozen=True, kw_only=True)
+class RunLimit:
+    """A limit of a scenario: what it bounds, and what is said of a run beyond it."""
+
+    path: str  # in the scenario; one without such a field, or without a number there, has no limit
+    sentence: str | Callable[[Any], str]  # with {} for the quantity; or what makes it of a run
+    unit: str
+    measure: Callable[[Any], float | None]  # of a run's quantities; None: unknown
+    share_of: Callable[[Any], float] = lambda run: 1.0  # what the limit is a share of
+    whole: str = ""  # the name of that
+    is_least: bool = False  # a lower limit
+    tolerance: float = 0.0  # of the limit
+    outcome: RunOutcome | None = None  # of a run beyond it; None: a warning only
+    default: float | None = None  # as stated, where the scenario leaves it open
+    aircraft_default: float | None = None  # of runs of aircraft, in `unit`
+
+    def margin(self, run: RunQuantities) -> Margin | None:
+        """The run's value beside the limit; None: there is no limit, or the value is unknown."""
+        _, limit = self._limit_of(run)
+        value = None if limit is None else self.measure(run)
+        if limit is None or value is None:
+            return None
+        name = self.path.rpartition(".")[2].replace("_", " ")
+        return Margin(name, value, limit, self.unit, self.is_least)
+
+    def complaint(self, run: RunQuantities) -> str | None:
+        """The sentence about a run beyond the limit; None for a run within it."""
+        margin = self.margin(run)
+        if margin is None:
+            return None
+        limit = margin.limit
+        beyond = self.tolerance * abs(limit) if math.isfinite(limit) else 0.0
+        if margin.margin >= -beyond:
+            return None
+        shown, bound = _told_apart(margin.value, limit)
+        unit = f" {self.unit}" if self.unit else ""
+        sentence = self.sentence if isinstance(self.sentence, str) else self.sentence(run)
+        sentence = sentence.format(f"{shown}{unit}")
+        stated, _ = self._limit_of(run)
+        is_share = self.whole and stated is not None and math.isfinite(limit)
+        share = f"{stated:g} of {self.whole}, " if is_share else ""
+        return f"{sentence} ({self.path}: {share}{bound}{unit})"
+
+    def _limit_of(self, run: Any) -> tuple[float | None, float | None]:
+        """The limit as stated, None where it is that of aircraft, and in `unit`; None: no limit."""
+        stated = self._stated_in(run.scenario)
+        if stated is None and self.aircraft_default is not None and run.has_aircraft:
+            return None, self.aircraft_default
+        if stated is None:
+            stated = self.default
+        return stated, None if stated is None else stated * self.share_of(run)
+
+    def _stated_in(self, scenario: Scenario) -> float | None:
+        try:
+            value = attrgetter(self.path)(scenario)
+        except AttributeError:
+            return None
+        return value if is_number(value) or value == math.inf else None
+
+
+def _told_apart(value: float, limit: float) -> tuple[str, str]:
+    """Both numbers, in three digits or as many as tell them apart."""
+    value = round(value, _DECIMALS)
+    for digits in range(3, 17):
+        texts = f"{value:.{digits}g}", f"{limit:.{digits}g}"
+        if texts[0] != texts[1]:
+            break
+    return texts
+
+
 LIMITS = (
-    Limit(
+    RunLimit(
         path="limits.position_error",
         outcome=RunOutcome.LOAD_LOST,
         sentence="the load was {} from its reference",
@@ -40,7 +132,7 @@ LIMITS = (
         default=0.2,
         aircraft_default=1.0,
     ),
-    Limit(
+    RunLimit(
         path="limits.orientation_error",
         outcome=RunOutcome.LOAD_LOST,
         sentence="the load was turned by {} from its reference",
@@ -49,22 +141,49 @@ LIMITS = (
         default=0.8,
         aircraft_default=math.radians(15.0),
     ),
-    *DISTANCE_LIMITS,
-    Limit(
+    RunLimit(
+        path="limits.carrier_distance",
+        outcome=RunOutcome.COLLISION,
+        sentence="two carriers came within {} of each other",
+        unit="m",
+        measure=lambda run: run.carrier_separation,
+        share_of=lambda run: run.reach,
+        whole="the reach",
+        is_least=True,
+    ),
+    RunLimit(
+        path="limits.cable_distance",
+        outcome=RunOutcome.COLLISION,
+        sentence="two cables came within {} of each other",
+        unit="m",
+        measure=lambda run: run.closest_cables_for_attachments[0],
+        share_of=lambda run: run.closest_cables_for_attachments[1],
+        whole="the distance of their attachments",
+        is_least=True,
+    ),
+    RunLimit(
+        path="limits.clearance",
+        outcome=RunOutcome.COLLISION,
+        sentence=lambda run: run.approaches[0].sentence,
+        unit="m",
+        measure=lambda run: run.obstacle_distance(),
+        is_least=True,
+    ),
+    RunLimit(
         path="limits.slack_time",
         outcome=RunOutcome.CABLES_SLACK,
         sentence="a cable was slack for {}",
         unit="s",
         measure=lambda run: run.slack_time,
     ),
-    Limit(
+    RunLimit(
         path="limits.time_below_bound",
         outcome=RunOutcome.BOUND_MISSED,
         sentence="a carrier was below the bound for {}",
         unit="s",
         measure=lambda run: run.time_below_bound,
     ),
-    Limit(
+    RunLimit(
         path="limits.saturated_share",
         outcome=RunOutcome.LIMIT_MISSED,
         sentence="commands of aircraft were at their limits for {} of the time",
@@ -73,19 +192,19 @@ LIMITS = (
         share_of=lambda run: 100.0,
         whole="it",
     ),
-    Limit(
+    RunLimit(
         path="limits.speed",
         sentence="not plausible: a carrier flew at {}",
         unit="m/s",
         measure=lambda run: float(np.max(run.speeds)),
     ),
-    Limit(
+    RunLimit(
         path="limits.acceleration",
         sentence="not plausible: a carrier was accelerated by {}",
         unit="m/s²",
         measure=lambda run: run.turns[0],
     ),
-    Limit(
+    RunLimit(
         path="limits.tension",
         sentence="not plausible: a cable's tension rose to {}",
         unit="N",
@@ -95,7 +214,7 @@ LIMITS = (
     ),
     # What blocks are asked for. They command it; what is simulated follows with an error.
     *(
-        Limit(
+        RunLimit(
             path=f"optimization_layer.{asked.field}",
             outcome=RunOutcome.LIMIT_MISSED,
             sentence=asked.sentence,
@@ -106,7 +225,7 @@ LIMITS = (
         )
         for asked in ASKED
     ),
-    Limit(
+    RunLimit(
         path="carrier_dynamics.max_acceleration",
         sentence="a carrier was asked for an acceleration of {}",
         unit="m/s²",
@@ -148,6 +267,36 @@ def judge(run: RunQuantities) -> Judgement:
     wrong.sort(key=lambda item: severity.index(item[0]))
     worst = wrong[0][0] if wrong else RunOutcome.OK
     return Judgement(outcome=worst, reasons=tuple(sentence for _, sentence in wrong))
+
+
+def find_margins(run: RunQuantities) -> list[Margin]:
+    """The run's margins to all that decides its outcome."""
+    margins = [
+        margin
+        for limit in LIMITS
+        if limit.outcome is not None
+        and (margin := limit.margin(run)) is not None
+        and math.isfinite(margin.limit)
+        and (margin.limit > 0 or limit.path == "limits.clearance")
+    ]
+    for errors, name in ((run.position_error, "position"), (run.orientation_error, "orientation")):
+        when = float(run.run.time[np.argmax(errors)])
+        margins = [m._replace(when=when) if m.name == f"{name} error" else m for m in margins]
+    time = run.time
+    if np.any(run.speed_bounds > 0) and run.scenario.limits.time_below_bound == 0:
+        speeds, bounds = run.bounded_speeds, run.speed_bounds[:, None]
+        shares = np.divide(speeds, bounds, out=np.full(speeds.shape, np.inf), where=bounds > 0)
+        margins.append(Margin.along("speed / bound", shares, 1.0, time, is_least=True))
+    of_cables: dict[str, Any] = {"of": "cable", "unit": "N"}
+    if run.scenario.limits.slack_time == 0:
+        margins.append(Margin.along("tension", run.tensions, 0.0, time, is_least=True, **of_cables))
+    breaks = np.broadcast_to(breaking_load(run.system), run.tensions.shape[1])
+    if np.any(np.isfinite(breaks)):
+        margins.append(Margin.along("breaking load", run.tensions, breaks, time, **of_cables))
+    if run.has_aircraft:
+        lift = run.aircraft_state.lift / run.aircraft.max_lift
+        margins.append(Margin.along("C_L / C_Lmax", lift, 1.0, time))
+    return margins
 
 
 def _told(run: RunQuantities) -> str:

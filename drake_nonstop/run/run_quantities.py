@@ -8,14 +8,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.analysis.flight_envelope import FlightRanges, LimitAlong
-from drake_nonstop.analysis.separations import Spacing, laid_apart, least_length
 from drake_nonstop.mechanics.aircraft import (
     Aircraft,
     FlightNeeds,
     is_stalled,
     thrust_power,
 )
+from drake_nonstop.mechanics.distances import least_length
 from drake_nonstop.mechanics.rotation import (
     quaternion_conjugate,
     quaternion_product,
@@ -27,8 +26,10 @@ from drake_nonstop.model.block import AUTO
 from drake_nonstop.model.system import SystemParameters, aircraft_in, breaking_load, overridden
 from drake_nonstop.planning.diagnostics import Diagnostics
 from drake_nonstop.planning.limits import Limit, Of, asked
+from drake_nonstop.planning.margins import FlightRanges, LimitAlong
 from drake_nonstop.run.run import Run
 from drake_nonstop.run.signal_table import UnknownSignalError
+from drake_nonstop.run.spacing import Spacing
 from drake_nonstop.systems.documentation import meanings
 
 # The entries of the signal `diagnostics` that count updates.
@@ -475,6 +476,11 @@ def _load_errors(load_states: NDArray, references: NDArray) -> NDArray:
 def carrier_speeds(carrier_state: NDArray) -> NDArray:
     """Speeds (k, n) in m/s of carrier states (k, 6n)."""
     return _in_chunks(_norms, CarrierStates.view(carrier_state).velocities)
+
+
+def laid_apart(vectors: NDArray) -> NDArray:
+    """The same vectors (…, 3) with their components apart in memory: several times faster."""
+    return np.moveaxis(np.moveaxis(vectors, -1, 0).copy(), 0, -1)
 
 
 def _norms(vectors: NDArray) -> NDArray:

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from drake_nonstop.analysis.aircraft_margins import aircraft_margins
 from drake_nonstop.analysis.flight_envelope import BowedCables, FlightEnvelope
-from drake_nonstop.analysis.limit import RunOutcome
 from drake_nonstop.mechanics.aircraft import stall_speed
 from drake_nonstop.mechanics.formation_orbit import CarriedLoad
 from drake_nonstop.mechanics.signals import LoadState
@@ -32,6 +31,7 @@ from drake_nonstop.planning.formation_program import (
 )
 from drake_nonstop.planning.limits import Of, asked
 from drake_nonstop.run.metrics import compute_metrics
+from drake_nonstop.run.outcome import RunOutcome
 from drake_nonstop.run.run import RunStopped
 from drake_nonstop.run.simulate import simulate
 from drake_nonstop.scenario.loading import load_scenario

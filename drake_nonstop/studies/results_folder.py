@@ -10,8 +10,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from drake_nonstop.analysis.limit import RunOutcome
 from drake_nonstop.run.metrics import compute_metrics, value_at
+from drake_nonstop.run.outcome import RunOutcome
 from drake_nonstop.run.run import Run
 from drake_nonstop.run.stored_run import (
     SCENARIO,

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from drake_nonstop.analysis.limit import RunOutcome
 from drake_nonstop.blocks.load_feedback import EstimatedFeedbackConfig, NoisyFeedbackConfig
 from drake_nonstop.model.system import overridden
 from drake_nonstop.run.metrics import METRICS, Metric, compute_metrics, metric_at
+from drake_nonstop.run.outcome import RunOutcome
 from drake_nonstop.scenario.loading import dump_scenario, parse_scenario
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.scenario.schema import Scenario, sample

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from drake_nonstop.analysis.stability import NEUTRAL, Stability, at_rest, linearize
 from drake_nonstop.blocks.load_feedback import MeasurementConfig, NoisyFeedbackConfig
 from drake_nonstop.model.aircraft import values_of
 from drake_nonstop.model.system import overridden
@@ -17,7 +18,6 @@ from drake_nonstop.scenario.schema import Scenario, sample
 from drake_nonstop.studies.journal import open_journal, settings_of
 from drake_nonstop.studies.processes import require_main
 from drake_nonstop.studies.run_all import Progress, no_progress, run_all
-from drake_nonstop.studies.stability import NEUTRAL, Stability, at_rest, linearize
 from drake_nonstop.systems.tracing import NotFiniteError
 from drake_nonstop.validation import ScenarioError, message_of
 

@@ -1,17 +1,19 @@
-"""Figures of a task that is checked, not flown: feasible set, formation, limits, needs."""
+"""Figures of a scenario that is checked: feasible set, flights, limits, needs of aircraft."""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drake_nonstop.analysis.aircraft_margins import AircraftMargins
-from drake_nonstop.analysis.flight_envelope import LimitAlong
-from drake_nonstop.analysis.speed_check import set_over_time
-from drake_nonstop.analysis.task_check import TaskCheck
+from drake_nonstop.analysis.feasible_parameters import set_over_time
+from drake_nonstop.analysis.task import Task
+from drake_nonstop.analysis.verdict import ScenarioCheck
+from drake_nonstop.planning.margins import LimitAlong
 from drake_nonstop.view.figure_style import (
     COLOURS,
     legend_below,
@@ -27,69 +29,58 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _SET, _OUTSIDE = "#cfe3f2", "#f3d9c8"
-_DOTS = {"marker": "o", "markersize": 3, "linestyle": "solid"}
 
 
-def make_check_figure(found: TaskCheck) -> Figure:
-    """Returns a figure of ξ and A that keep ε, the plan, its speeds and the formation over time."""
-    figure = new_figure((9.0, 9.0))
-    (xi, amplitude), (ratios, growth), (shares, elevations) = figure.subplots(3, 2, sharex=True)
-    speeds, instants = found.speeds, found.formation.instants[1:]
-    for axes, column, label in ((xi, 0, "ξ (rad/s)"), (amplitude, 1, "A (N)")):
-        _draw_set(axes, found, column)
-        plan = speeds.parameters[:, column]
-        axes.plot(speeds.plan_times, plan, color=COLOURS[0], label="plan")
-        axes.axhline(found.task.nominal[column], **limit_style(), label="nominal")
-        axes.set_ylabel(label)
-    xi.legend(fontsize="small")
-    if speeds.speed_bound > 0:
-        plot_each(ratios, speeds.plan_times, speeds.ratios, linestyle="solid")
-        ratios.axhline(1.0, **limit_style())
-        ratios.set_ylim(0, None)
-    ratios.set_ylabel(
-        "v / bound along the plan" if speeds.speed_bound > 0 else "v / bound (there is none)"
-    )
-    times = [instant.time for instant in instants]
-    rates = {"without control": [instant.free.rate for instant in instants]}
-    if all(instant.controlled is not None for instant in instants):
-        rates["with control"] = [instant.rate for instant in instants]
-    for colour, (label, values) in zip(COLOURS[1::-1], rates.items(), strict=False):
-        growth.plot(times, values, color=colour, label=label, **_DOTS)
-    growth.axhline(0.0, **limit_style())
-    growth.legend(fontsize="small")
-    growth.set_ylabel("growth of a deviation (1/s)")
-    loads = [instant.loads for instant in instants]
-    for axes, label, each in (
-        (shares, "least share of weight (equal: 1)", [load.shares for load in loads]),
-        (elevations, "least elevation (°)", np.degrees([load.elevations for load in loads])),
+def make_check_figure(found: ScenarioCheck) -> Figure:
+    """Returns a figure of ξ and A that keep ε, those flown, and the flights' speeds and errors."""
+    figure = new_figure((9.0, 6.0))
+    (xi, amplitude), (ratios, errors) = figure.subplots(2, 2, sharex=True)
+    flown = [flight for flight in found.flights if flight.history is not None]
+    if flown:
+        first = flown[0].history
+        assert first is not None
+        for axes, column in ((xi, 0), (amplitude, 1)):
+            if found.task is not None:
+                _draw_set(axes, found.task, (first.times, first.parameters), column)
+    for colour, flight in zip(itertools.cycle(COLOURS), flown, strict=False):
+        history = flight.history
+        assert history is not None
+        own: Any = {"color": colour, "linewidth": 1.0}
+        xi.plot(history.times, history.parameters[:, 0], label=flight.name, **own)
+        amplitude.plot(history.times, history.parameters[:, 1], **own)
+        if np.any(history.speed_bounds > 0):
+            share = history.speeds.min(axis=1) / np.maximum(history.speed_bounds, 1e-12)
+            ratios.plot(history.step_times, share, **own)
+        errors.semilogy(history.times, np.maximum(history.position_error, 1e-9), **own)
+    ratios.axhline(1.0, **limit_style())
+    ratios.set_ylim(0, None)
+    for axes, label in (
+        (xi, "ξ (rad/s)"),
+        (amplitude, "A (N)"),
+        (ratios, "slowest carrier: v / bound"),
+        (errors, "load from its reference (m)"),
     ):
-        plot_each(axes, times, np.asarray(each), "cable", **_DOTS)
-        axes.axhline(0.0, color="black", linewidth=0.5)
         axes.set_ylabel(label)
+        axes.set_xlim(0, found.scenario.simulation_duration)
+    for axes in (ratios, errors):
         axes.set_xlabel("time (s)")
-        axes.set_xlim(0, found.task.duration)
-    legend_below(figure, shares)
-    bound = "bound kept" if speeds.is_feasible else "bound cannot be kept"
-    stable = "formation stable" if found.is_stable else "formation unstable"
-    limits = ", limits cannot be kept" if speeds.missed else ""
-    return titled(figure, f"{found.task.name}: {bound}{limits}, {stable}")
+    legend_below(figure, xi)
+    return titled(figure, f"{found.scenario.name}: {found.outcome.value}")
 
 
-def _draw_set(axes: Axes, found: TaskCheck, column: int) -> None:
-    """Draws where a constant ξ (column 0) or A (1), and the plan's other one, keep the bound.
+def _draw_set(axes: Axes, task: Task, flown: tuple[NDArray, NDArray], column: int) -> None:
+    """Draws where a constant ξ (column 0) or A (1), and the other one as flown, keep the bound.
 
     In this set they keep it at all phases of an orbit. Outside of it a plan may still keep the
     bound at the phases that it flies through.
     """
-    drawn = set_over_time(found.task, found.speeds, column)
+    drawn = set_over_time(task, flown, column)
     if drawn is None:
         return
     for colour, label in ((_SET, "bound kept at all phases"), (_OUTSIDE, "not at all phases")):
         axes.fill_between([], [], color=colour, label=label)
     times, values, ratios = drawn
     axes.contourf(times, values, ratios.T, levels=[0, 1, np.inf], colors=[_OUTSIDE, _SET])
-    lines = axes.contour(times, values, ratios.T, levels=[1.0], colors="black", linewidths=0.6)
-    axes.clabel(lines, fmt={1.0: "bound"}, fontsize="small")
 
 
 def make_limits_figure(limits: Sequence[LimitAlong], title: str = "") -> Figure:

@@ -98,7 +98,7 @@ def test_a_spread_carousel_asks_for_more_than_the_aircraft_have():
     thrust = result.needs.thrust
     assert [thrust.min(), thrust.max()] == pytest.approx([-45, 63], abs=1.2)
     assert result.drawn_power == pytest.approx(result.propulsive_power / 0.65)  # none windmilling
-    assert "C_L / C_Lmax 2.20 (at most 0.90)" in result.verdict
+    assert "C_L / C_Lmax 2.198 (at most 0.9)" in result.verdict
     assert result.possible_wind is None
 
 
@@ -192,7 +192,7 @@ def test_distances_are_held_against_the_limits_of_a_run():
     result = margins(model(F150, 150.0), 0.595, limits=limits)
     assert [m.name for m in result.missed] == ["carriers apart"]
     assert result.missed[0].limit == pytest.approx(0.2 * 151.5)
-    assert len(result.missed[0].carriers) == 2
+    assert result.missed[0].where.count(" and ") == 1
 
 
 def test_a_load_that_turns_about_a_horizontal_axis_has_no_resting_orbit():

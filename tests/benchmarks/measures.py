@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from whole_task_plans import plan_task
 
+from drake_nonstop.analysis.stability import linearize
 from drake_nonstop.analysis.task import task_of
 from drake_nonstop.mechanics.signals import LoadReference, LoadState
 from drake_nonstop.planning.horizon_config import timed
@@ -21,7 +22,6 @@ from drake_nonstop.run.run_quantities import carrier_speeds, load_errors
 from drake_nonstop.run.simulate import simulate
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.studies.stability import linearize
 from drake_nonstop.view.meshcat_server import start_meshcat
 from drake_nonstop.view.nonstop_visualizer import show_in
 

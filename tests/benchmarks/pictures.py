@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from drake_nonstop.analysis.aircraft_margins import aircraft_margins
-from drake_nonstop.analysis.separations import closest_cables, closest_carriers
+from drake_nonstop.mechanics.distances import segment_distances
 from drake_nonstop.mechanics.signals import CarrierStates
 from drake_nonstop.run.run import Run
 from drake_nonstop.run.run_quantities import (
@@ -142,7 +142,10 @@ def _encounters_figure(runs: dict[str, Run]) -> Figure:
     for k, (title, run) in enumerate(runs.items()):
         carriers = CarrierStates.view(run.signal("carrier_state")).positions
         ends = attachment_positions(run, run.signal("load_state"))
-        closest = closest_carriers(carriers), closest_cables(ends, carriers)
+        one, other = np.triu_indices(carriers.shape[1], 1)
+        cables = ends[:, one], carriers[:, one], ends[:, other], carriers[:, other]
+        apart = np.linalg.norm(cables[1] - cables[3], axis=-1), segment_distances(*cables)
+        closest = tuple(distances.min(axis=1) for distances in apart)
         instant = int(np.argmin(np.minimum(*closest)))
         axes = figure.add_subplot(grid[0, k], projection="3d")
         for i in range(carriers.shape[1]):

@@ -20,7 +20,6 @@ from drake_nonstop import (
     set_parameter,
     simulate,
 )
-from drake_nonstop.analysis.limit import RunOutcome
 from drake_nonstop.blocks.carrier_controller import CarrierPidConfig, FixedWingControllerConfig
 from drake_nonstop.blocks.carrier_dynamics import (
     CarrierDynamicsConfig,
@@ -31,6 +30,7 @@ from drake_nonstop.blocks.carrier_dynamics import (
 from drake_nonstop.mechanics.aircraft import FlightStates, air_force
 from drake_nonstop.mechanics.signals import AircraftState
 from drake_nonstop.model.aircraft import AircraftParameters
+from drake_nonstop.run.outcome import RunOutcome
 from drake_nonstop.systems.equation_block import EquationBlock
 from drake_nonstop.systems.equations import Equations
 

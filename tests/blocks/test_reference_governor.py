@@ -16,8 +16,6 @@ from drake_nonstop import (
     parse_scenario,
     simulate,
 )
-from drake_nonstop.analysis.speed_check import check_speeds
-from drake_nonstop.analysis.task import task_of
 from drake_nonstop.blocks.load_trajectory import (
     ConstantVelocityMove,
     ConstantVelocityMoveConfig,
@@ -137,16 +135,6 @@ def test_a_bound_that_is_missed_at_full_speed_is_kept_and_the_load_arrives_late(
     assert governed.signal("load_state")[middle, 4] < without.signal("load_state")[middle, 4] - 0.1
     largest = np.max(np.linalg.norm(governed.signal("tracking_error")[:, 3:6], axis=1))
     assert largest < 4e-5  # without the reference's higher rates 6e-5
-
-
-@pytest.mark.nightly("flights")
-@pytest.mark.slow
-def test_check_looks_at_the_motion_that_the_governor_lets_pass():
-    tasks = [
-        task_of(load_scenario("line_without_optimization", [*FAST_LINE, *o]))
-        for o in ([], [GOVERNED])
-    ]
-    assert [check_speeds(task).is_feasible for task in tasks] == [False, True]
 
 
 def test_a_motion_that_needs_none_is_the_same_to_the_bit():

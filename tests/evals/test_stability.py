@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 
+from drake_nonstop.analysis.stability import at_rest, linearize
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.loop.start import PlantStates, set_equilibrium
 from drake_nonstop.loop.step import with_largest_step
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.scenario.overrides import changed
-from drake_nonstop.studies.stability import at_rest, linearize
 from drake_nonstop.systems.tracing import NotFiniteError
 
 

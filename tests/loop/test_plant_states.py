@@ -30,10 +30,6 @@ from drake_nonstop import (
 from drake_nonstop.loop.start import set_equilibrium
 from drake_nonstop.mechanics.carrier import double_integrator_rate
 from drake_nonstop.mechanics.rigid_load import load_state_rate
-from drake_nonstop.mechanics.rotation import rotate_quaternion
-from drake_nonstop.mechanics.signals import LoadState
-from drake_nonstop.studies.stability import _States, at_rest
-from drake_nonstop.systems.block import set_state_values, state_values
 from drake_nonstop.systems.tracing import NotFiniteError
 from examples import articulated_load, own_physics
 
@@ -399,27 +395,6 @@ def test_a_load_trims_its_further_states():
         context = diagram.CreateDefaultContext()
         Simulator(diagram, context).Initialize()
         assert (np.abs(hinge_rates(diagram, context)).max() < 1e-5) == hangs
-
-
-def test_small_deviations_of_a_mapped_load_are_counted_without_the_norm_of_its_quaternion():
-    resting = at_rest(short(0.1))
-    sizes = {}
-    for name, own in (("ours", {}), ("own", {"load_plant": lambda m: MappedLoad(m, 5)})):
-        diagram = make_nonstop(resting, at_equilibrium=False, **own)
-        context = diagram.CreateDefaultContext()
-        set_equilibrium(diagram, context)
-        deviations = _States(diagram).deviations(context)["load_plant"]
-        sizes[name] = deviations.shape[1]
-        own = diagram.GetMutableSubsystemContext(diagram.GetSubsystemByName("load_plant"), context)
-        before, change = state_values(own), 1e-5 * np.random.default_rng(6).normal(size=12)
-        shown = [diagram.GetOutputPort("load_state").Eval(context)]
-        set_state_values(own, before + deviations[:, :12] @ change)
-        shown.append(diagram.GetOutputPort("load_state").Eval(context))
-        start, end = map(LoadState.view, shown)
-        turned = rotate_quaternion(start.quaternion, change[:3])
-        np.testing.assert_allclose(end.quaternion, turned, rtol=0, atol=1e-8)
-        np.testing.assert_allclose(shown[1][4:] - shown[0][4:], change[3:], atol=1e-8)
-    assert sizes["own"] == sizes["ours"]
 
 
 @pytest.mark.filterwarnings("error")

@@ -6,11 +6,11 @@ import json
 import numpy as np
 from PIL import Image
 
+from drake_nonstop.analysis.stability import Stability
 from drake_nonstop.cli import studies as command
 from drake_nonstop.cli.ending import BAD_INPUT
 from drake_nonstop.cli.main import main
 from drake_nonstop.studies import stability_ranges
-from drake_nonstop.studies.stability import Stability
 from drake_nonstop.validation import ScenarioError
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from drake_nonstop.analysis.obstacle_distances import closest_approach
 from drake_nonstop.mechanics.rounded_box import nearest_to
+from drake_nonstop.run.spacing import closest_approach
 from drake_nonstop.scenario.obstacles import BoxConfig, GroundConfig, SphereConfig
 
 TIMES = np.linspace(0, 3, 7)
