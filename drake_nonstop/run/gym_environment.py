@@ -1,20 +1,26 @@
-"""The loop as an environment of Gymnasium, by Drake's DrakeGymEnv; `make_gym_env` makes it."""
+"""Loops side by side as one environment of Gymnasium's vector API, and one of them alone.
+
+The action is a parameter of a block that stands in the place of the layer or the controller, so
+that the loop has no inputs. `make_gym_vec_env` and `make_gym_env` make the environments.
+"""
 
 import math
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple, cast
 
 import gymnasium
 import numpy as np
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 from pydrake.common import RandomGenerator
-from pydrake.gym import DrakeGymEnv
-from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
-from pydrake.systems.framework import Context, Diagram, DiagramBuilder, EventStatus
-from pydrake.systems.primitives import ConstantVectorSource, Multiplexer
+from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
+from pydrake.systems.framework import Context, EventStatus
 
 from drake_nonstop.diagrams.nonstop import make_nonstop
-from drake_nonstop.loop.start import set_equilibrium
+from drake_nonstop.loop.parameters import set_parameter
+from drake_nonstop.loop.start import copied_context, set_equilibrium
 from drake_nonstop.loop.step import with_largest_step
 from drake_nonstop.mechanics.signals import (
     LOAD_REFERENCE_SIZE,
@@ -24,80 +30,360 @@ from drake_nonstop.mechanics.signals import (
     LoadReference,
     LoadState,
 )
+from drake_nonstop.model.block import Block
 from drake_nonstop.model.system import Model
 from drake_nonstop.run.monitor import EndingBlocks
-from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.systems.compiled_flight import sample_times
+from drake_nonstop.scenario.schema import Scenario, sample
+from drake_nonstop.systems.compiled_flight import (
+    Advance,
+    CompiledFlight,
+    advance_together,
+    sample_times,
+)
+from drake_nonstop.systems.compiled_loop import CompiledLoop, NotCompiledError
 from drake_nonstop.systems.tracing import NotFiniteError
-from drake_nonstop.validation import require
+from drake_nonstop.validation import StrictFields, require, warn_user
 
 PARAMETERS, WRENCH = "parameters", "wrench"  # what may be the action
-_ACTIONS, _OBSERVATIONS = "actions", "observations"
-OBSERVED = ("load_state", "reference", "carrier_state")
-DIVERGED = -1000.0  # the reward
+_OBSERVED = ("load_state", "reference", "carrier_state")
+_DIVERGED = -1000.0  # the reward
 _FARTHEST = 100.0  # cable lengths, of a load or a carrier that is plausible
-IMPLAUSIBLE = (
+_IMPLAUSIBLE = (
     f"the load or a carrier is farther than {_FARTHEST:g} cable lengths from the reference"
 )
 _ROUNDING = 1e-6  # of a bound, or a period
 _TINY = np.finfo(float).tiny
+_HOLDER = "action"  # the name of the block that holds it
+_WORTH_LANES = 4  # flights
+_LARGEST_SEED = 2**32 - 1  # of Drake's RandomGenerator
 
 Reward = Callable[[NDArray, NDArray], float]  # of observation and action
 
 
-class NonstopEnv(DrakeGymEnv):
-    """The loop of a scenario, whose optimization layer or wrench controller is the agent.
+@dataclass(kw_only=True)
+class _HeldAction(StrictFields):
+    action: list[float] = field(default_factory=list)
 
-    See `drake_nonstop.make_gym_env`.
+
+class _HeldParameters(Block):
+    """ξ (rad/s) and A (N) that are a parameter of the context."""
+
+    makes = (PARAMETERS,)
+
+    @staticmethod
+    def equations(*, action: NDArray) -> NDArray:
+        return action
+
+
+class _HeldWrench(Block):
+    """A wrench (N m, N) that is a parameter of the context, held from step to step."""
+
+    makes = (WRENCH, "wrench_rate")
+
+    @staticmethod
+    def equations(*, action: NDArray) -> tuple[NDArray, NDArray]:
+        return action, np.zeros(WRENCH_SIZE)
+
+
+_HOLDERS = {  # of an action, and the boxes in whose places they stand
+    PARAMETERS: (_HeldParameters, "optimization_layer"),
+    WRENCH: (_HeldWrench, "wrench_controller"),
+}
+
+
+class _Flown(NamedTuple):
+    """What an episode has shown at the end of a step."""
+
+    observation: NDArray
+    has_ended: bool  # by a block
+    error: BaseException | None
+
+
+class _Start:
+    """The loop of a scenario without distributions, at the start of an episode.
+
+    Attributes:
+        scenario: of the loop.
+        space: of the actions.
+        loop: the compiled one; None: the diagram flies.
+        reason: why it does.
+        observation: at the equilibrium under the scenario's own action.
     """
 
-    _config: SimulatorConfig | None  # of the integrator; None: not before the first start
+    def __init__(self, scenario: Scenario, action: str, time_step: float):
+        self.scenario, self._time_step = scenario, time_step
+        self._period, (holder, box) = scenario.control_period, _HOLDERS[action]
+        remedy = f"give at least control_period = {self._period:g} s"
+        require(time_step >= self._period, "time_step", time_step, remedy)
+        resting, self.space = _actions_of(scenario, action)
+        held = _HeldAction(action=resting.tolist())
+        blocks: dict[str, Any] = {"extra": {_HOLDER: lambda own: holder(own, held)}}
+        self._nonstop = nonstop = make_nonstop(
+            scenario, at_equilibrium=False, **blocks | {box: None}
+        )
+        self._context = context = nonstop.CreateDefaultContext()
+        self._ending = EndingBlocks(nonstop, context)
+        ends = self._ending.signals
+        shown = (*dict.fromkeys([*_OBSERVED, *ends]),)
+        signals, steps = ((), shown) if ends else (shown, ())  # any step may be the last one
+        set_equilibrium(nonstop, context)
+        self._config = with_largest_step(scenario.simulator_config, nonstop, context)
+        self.loop: CompiledLoop | None = None
+        self.reason = ""
+        self._ports = [nonstop.GetOutputPort(name) for name in _OBSERVED]
+        try:
+            self.loop = CompiledLoop(
+                nonstop, self._config, self._period, signals=signals, step_signals=steps
+            )
+        except NotCompiledError as error:
+            self.reason, self._simulator = str(error), self._simulator_of()
+            self.observation = self.begin(None)
+            return
+        first = self.loop.parameter_names.index(f"{_HOLDER}.action[0]")
+        self._action = slice(first, first + len(resting))
+        flight = self.loop.fly(context)
+        size = sum(port.size() for port in self._ports)
+        self.observation = np.concatenate(flight.start())[:size]
+        self._state = flight.state
+
+    def _simulator_of(self) -> Simulator:
+        """Of the diagram; an end by a block ends its flight."""
+        simulator = Simulator(self._nonstop)
+        ApplySimulatorConfig(self._config, simulator)
+
+        def end_of_run(root: Context) -> EventStatus:
+            if EndingBlocks(self._nonstop, root).end_now():
+                return EventStatus.ReachedTermination(self._nonstop, "over")
+            return EventStatus.DidNothing()
+
+        if self._ending.signals:
+            simulator.set_monitor(end_of_run)
+        return simulator
+
+    def flight(self) -> CompiledFlight | None:
+        """A new flight of the compiled loop; None: there is none."""
+        return None if self.loop is None else self.loop.fly(self._context)
+
+    def begin(self, flight: CompiledFlight | None) -> NDArray:
+        """Sets a flight, or the diagram, to the start; the observation there."""
+        if flight is not None:
+            flight.go_to(0, self._state)
+            return self.observation
+        self._simulator.reset_context(copied_context(self._nonstop, self._context))
+        self._simulator.Initialize()
+        return self._observed()
+
+    def _observed(self) -> NDArray:
+        context = self._simulator.get_context()
+        return np.concatenate([port.Eval(context) for port in self._ports])
+
+    def act(self, flight: CompiledFlight | None, action: NDArray) -> None:
+        """Sets the action from now on."""
+        if flight is not None:
+            flight.set_parameters(self._action, action)
+            return
+        self._simulator.AdvancePendingEvents()  # sampled states step under the last action
+        context = self._simulator.get_mutable_context()
+        set_parameter(self._nonstop, context, f"{_HOLDER}.action", action)
+
+    def samples(self, steps: int) -> int:
+        """The number of samples at the end of so many steps."""
+        return math.floor(steps * self._time_step / self._period + _ROUNDING)
+
+    def fly(self, steps: int) -> _Flown:
+        """Flies the diagram to the end of so many steps."""
+        end = steps * self._time_step
+        if self._period > 0:
+            end = float(sample_times(self.samples(steps), self._period))
+        try:
+            status = self._simulator.AdvanceTo(end)
+        except NotFiniteError as error:
+            return _Flown(self.observation, False, error)
+        has_ended = status.reason() == status.ReturnReason.kReachedTerminationCondition
+        return _Flown(self._observed(), has_ended, None)
+
+    def flown(self, advance: Advance) -> _Flown:
+        """Observation after a flight of the compiled loop."""
+        size = len(self.observation)
+        if advance.error is not None:
+            return _Flown(self.observation, False, advance.error)
+        if not self._ending.signals:
+            return _Flown(advance.signals[-1, :size], False, None)
+        assert self.loop is not None
+        end = self._ending.first_end(self.loop.step_signals, advance.step_signals)
+        row = advance.step_signals[-1 if end is None else end]
+        return _Flown(row[:size], end is not None, None)
+
+
+class NonstopVecEnv(VectorEnv[NDArray, NDArray, NDArray]):
+    """Episodes of a scenario side by side; see `drake_nonstop.make_gym_vec_env`."""
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        n: int,
+        action: str,
+        time_step: float,
+        reward: Reward | None,
+        mode: AutoresetMode,
+    ):
+        self.metadata = {"autoreset_mode": mode}
+        self._waits = mode is AutoresetMode.NEXT_STEP
+        self._is_over = np.zeros(n, bool)  # and begins anew in the next step
+        self.num_envs, self._given, self._reward = n, scenario, reward
+        self._kind = action, time_step
+        sampled, drawn = sample(scenario)
+        self._is_drawn = bool(drawn)
+        start = _Start(sampled, *self._kind)
+        if start.loop is not None and n >= _WORTH_LANES:
+            start.loop.prepare_lanes()
+        elif start.loop is None and n > 1:
+            warn_user(f"{start.reason}; the {n} environments fly one by one, by their diagrams")
+        # A diagram flies one episode at a time.
+        others = n - 1 if start.loop is None and not self._is_drawn else 0
+        self._starts = [start, *(_Start(sampled, *self._kind) for _ in range(others))]
+        self._starts += (n - len(self._starts)) * [start]
+        self._flights = [own.flight() for own in self._starts]
+        self.single_action_space, size = start.space, len(start.observation)
+        self.single_observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float64)
+        self.action_space = batch_space(self.single_action_space, n)
+        self.observation_space = batch_space(self.single_observation_space, n)
+        seeds = [(scenario.random_seed + i) % (_LARGEST_SEED + 1) for i in range(n)]
+        self._generators = [*map(RandomGenerator, seeds)]
+        self._observations, self._steps = np.zeros((n, size)), np.zeros(n, int)
+        self._numbers = np.ones((3, n))  # cable's length, m, ε, m/s, and duration, s
+        self._is_reset = False
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: Any = None
+    ) -> tuple[NDArray, dict[str, Any]]:
+        """Starts all episodes, as single environments do with a seed for each.
+
+        A number is the first one's seed, and each exceeds the one before by 1. Where the scenario's
+        fields hold distributions, their numbers are drawn anew, by the seed, or, without one, after
+        those that were drawn last. Nothing else is random.
+
+        Raises:
+            ScenarioError: a seed cannot be used, there are options, or a scenario that was drawn
+                cannot be built.
+        """
+        require(not options, "options", options, "leave them out, there are none")
+        n, given = self.num_envs, cast(Any, seed)
+        if isinstance(given, np.ndarray | np.integer):
+            given = given.tolist()  # plain numbers
+        seeds: Any = [*range(given, given + n)] if type(given) is int else given or n * [None]
+        is_right = isinstance(seeds, Sequence) and len(seeds) == n
+        remedy = f"give a whole number from 0 to {_LARGEST_SEED}, or {n} of them, or None"
+        for own in seeds if is_right else []:
+            is_right &= own is None or (type(own) is int and 0 <= own <= _LARGEST_SEED)
+        require(is_right, "seed", seed, remedy)
+        super().reset(seed=seeds[0])
+        for i, own in enumerate(seeds):
+            if own is not None:
+                self._generators[i] = RandomGenerator(own)
+            self._begin(i)
+        self._is_reset, self._is_over = True, np.zeros(n, bool)
+        return self._observations.copy(), {}
+
+    def _begin(self, i: int) -> None:
+        """Starts an episode of one environment."""
+        if self._is_drawn:
+            own = _Start(self._given.sampled(self._generators[i]), *self._kind)
+            self._starts[i], self._flights[i] = own, own.flight()
+        scenario = self._starts[i].scenario
+        length, duration = np.max(scenario.system.cable_length), scenario.simulation_duration
+        self._numbers[:, i] = length, scenario.speed_bound, duration
+        self._steps[i] = 0
+        self._observations[i] = self._starts[i].begin(self._flights[i])
+
+    def step(self, actions: NDArray) -> tuple[NDArray, NDArray, NDArray, NDArray, dict[str, Any]]:
+        """Flies each episode on under its action, a row of `actions` (n, k), as a single one does.
+
+        One that is over begins anew at once: its row of the observations (n, size) is the first one
+        then, and the infos have `final_obs` and `final_info`. With `NEXT_STEP` it does so in the
+        next step, whose action and reward do not count for it. After a divergence the last
+        observation is that before it.
+
+        Raises:
+            ScenarioError: an action is not in the action space, the environment has not been
+                reset, or a reward is no number.
+        """
+        require(self._is_reset, "step", "before reset", "call reset() first")
+        values = _as_actions(actions, self.single_action_space, self.num_envs)
+        self._is_reset = False  # until all are flown
+        observations, infos = self._observations, dict[str, Any]()
+        going = np.flatnonzero(~self._is_over).tolist()
+        self._steps[going] += 1
+        has_ended, messages = np.zeros(self.num_envs, bool), dict[int, dict[str, str]]()
+        for i, flown in self._flown(going, values).items():
+            if flown.error is not None and not isinstance(flown.error, NotFiniteError):
+                raise flown.error
+            if flown.error is not None:
+                messages[i] = {"message": str(flown.error)}
+            elif _is_implausible(flown.observation, self._numbers[0, i]):
+                messages[i] = {"message": _IMPLAUSIBLE}
+            else:
+                observations[i] = flown.observation
+            has_ended[i] = flown.has_ended or i in messages
+        rewards = np.where(self._is_over, 0.0, _DIVERGED)
+        at = sorted(set(going) - set(messages))
+        if at:
+            rewards[at] = self._rewards(at, values)
+        is_late = self._steps * self._kind[1] >= self._numbers[2] - 1e-9
+        is_truncated = ~has_ended & ~self._is_over & is_late
+        for i in np.flatnonzero(self._is_over).tolist():
+            self._begin(i)
+        ends = has_ended | is_truncated
+        self._is_over = ends & self._waits
+        for i in np.flatnonzero(ends).tolist():
+            info: dict[str, Any] = messages.get(i, {})
+            if not self._waits:
+                info = {"final_obs": observations[i].copy(), "final_info": info}
+                self._begin(i)
+            infos = self._add_info(infos, info, i)
+        self._is_reset = True
+        return observations.copy(), rewards, has_ended, is_truncated, infos
+
+    def _flown(self, going: list[int], actions: NDArray) -> dict[int, _Flown]:
+        """Flies the episodes that go on to the ends of their steps, side by side or by diagrams."""
+        for i in going:
+            self._starts[i].act(self._flights[i], actions[i])
+        lanes = {i: flight for i in going if (flight := self._flights[i]) is not None}
+        counts = [
+            self._starts[i].samples(self._steps[i]) - self._starts[i].samples(self._steps[i] - 1)
+            for i in lanes
+        ]
+        advances = advance_together([*lanes.values()], counts) if lanes else []
+        found = {i: self._starts[i].flown(each) for i, each in zip(lanes, advances, strict=True)}
+        for i in going:
+            if i not in lanes:
+                found[i] = self._starts[i].fly(self._steps[i])
+        return found
+
+    def _rewards(self, at: list[int], actions: NDArray) -> Any:
+        """Rewards of some environments, after their actions among all (n, k)."""
+        if self._reward is None:
+            return _default_reward(self._observations[at], *self._numbers[:2, at])
+        pairs = zip(self._observations[at], actions[at], strict=True)
+        return [_checked_reward(self._reward(*pair)) for pair in pairs]
+
+
+class NonstopEnv(gymnasium.Env[NDArray, NDArray]):
+    """One lane of `NonstopVecEnv`; see `drake_nonstop.make_gym_env`."""
 
     def __init__(self, scenario: Scenario, action: str, time_step: float, reward: Reward | None):
-        self._given, self._action = scenario, action
-        simulator, actions = self._simulator_of(scenario.sampled())
-        self._judge = reward or self._default_reward
-        self._is_reset = False
-        size = observation_size(self._scenario)
-        super().__init__(
-            simulator=simulator,
-            time_step=time_step,
-            action_space=actions,
-            observation_space=gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float64),
-            reward=lambda system, context: 0.0,
-            action_port_id=_ACTIONS,
-            observation_port_id=_OBSERVATIONS,
-        )
-        self._given_step = time_step
+        mode = AutoresetMode.NEXT_STEP
+        self._lane = NonstopVecEnv(scenario, 1, action, time_step, reward, mode)
+        self.action_space = self._lane.single_action_space
+        self.observation_space = self._lane.single_observation_space
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray, dict[str, Any]]:
-        """Starts at the equilibrium under the scenario's own action.
-
-        Where the scenario's fields hold distributions, their numbers are drawn anew, by the seed,
-        or, without one, after those that were drawn last. Nothing else is random.
-        """
-        gymnasium.Env.reset(self, seed=seed)
-        require(not options, "options", options, "leave them out, there are none")
-        if seed is not None:
-            self.generator = RandomGenerator(seed)
-        if self._given.sampled() is not self._given:  # it holds distributions
-            self.simulator, _ = self._simulator_of(self._given.sampled(self.generator))
-            self._setup()
-        simulator = self.simulator
-        simulator.reset_context(simulator.get_system().CreateDefaultContext())
-        context = simulator.get_mutable_context()
-        self.action_port.FixValue(context, self._resting)
-        set_equilibrium(self._loop, self._loop.GetMyMutableContextFromRoot(context))
-        if self._config is None:
-            self._config = with_largest_step(
-                self._scenario.simulator_config, simulator.get_system(), context
-            )
-            ApplySimulatorConfig(self._config, simulator)
-        simulator.Initialize()
-        self._is_reset, self._steps = True, 0
-        return self._observation(), {}
+        """Starts at the equilibrium under the scenario's own action; as of `NonstopVecEnv`."""
+        super().reset(seed=seed)
+        observations, info = self._lane.reset(seed=seed, options=options)
+        return observations[0], info
 
     def step(self, action: NDArray) -> tuple[NDArray, float, bool, bool, dict[str, Any]]:
         """Flies on under an action, to the last sample at or before the end of the `time_step`.
@@ -111,64 +397,13 @@ class NonstopEnv(DrakeGymEnv):
             ScenarioError: the action is not in the action space, the environment has not been
                 reset, or the reward is no number.
         """
-        require(self._is_reset, "step", "before reset", "call reset() first")
-        values = as_actions(action, self.action_space)
-        before = self._observation()
-        # To the bit at a sample of the controllers: else some of their updates would come before
-        # the observation, and others after it.
-        period, self._steps = self._scenario.control_period, self._steps + 1
-        end = self._steps * self._given_step
-        at_sample = sample_times(samples_until(end, period), period) if period > 0 else end
-        end_of_step = at_sample if self._given_step >= period else end
-        self.time_step = end_of_step - self.simulator.get_context().get_time()
-        try:
-            self.simulator.AdvancePendingEvents()  # sampled states step under the last action
-            observation, _, terminated, truncated, info = super().step(values)
-        except NotFiniteError as error:
-            return before, DIVERGED, True, False, {"message": str(error)}
-        if is_implausible(observation, np.max(self._scenario.system.cable_length)):
-            return before, DIVERGED, True, False, {"message": IMPLAUSIBLE}
-        is_over = end >= self._scenario.simulation_duration - 1e-9
-        reward = checked_reward(self._judge(observation, values))
-        return observation.copy(), reward, bool(terminated), bool(truncated or is_over), info
-
-    def _simulator_of(self, scenario: Scenario) -> tuple[Simulator, gymnasium.spaces.Box]:
-        """A simulator of the loop of a scenario without distributions, which is flown from now.
-
-        And the space of its actions.
-        """
-        self._scenario = scenario
-        self._resting, actions = actions_of(scenario, self._action)
-        diagram, self._loop = _diagram(scenario, self._action)
-        simulator = Simulator(diagram)
-        self._config = None
-
-        def end_of_run(root: Context) -> EventStatus:
-            if EndingBlocks(self._loop, root).end_now():
-                return EventStatus.ReachedTermination(self._loop, "over")
-            return EventStatus.DidNothing()
-
-        if EndingBlocks(self._loop, simulator.get_context()).signals:
-            simulator.set_monitor(end_of_run)
-        return simulator, actions
-
-    def _observation(self) -> NDArray:
-        values: NDArray = self.observation_port.Eval(self.simulator.get_context())
-        return values.copy()
-
-    def _default_reward(self, observation: NDArray, action: NDArray) -> float:
-        scenario = self._scenario
-        return float(
-            default_reward(observation, np.max(scenario.system.cable_length), scenario.speed_bound)
-        )
+        values = _as_actions(action, self.action_space)
+        shown, rewards, ends, cuts, infos = self._lane.step(values[None])
+        info = {"message": infos["message"][0]} if "message" in infos else {}
+        return shown[0], float(rewards[0]), bool(ends[0]), bool(cuts[0]), info
 
 
-def observation_size(scenario: Scenario) -> int:
-    """The number of entries of an observation."""
-    return LOAD_STATE_SIZE + LOAD_REFERENCE_SIZE + 6 * len(scenario.system.attachments)
-
-
-def default_reward(observations: NDArray, length: Any, bound: Any) -> NDArray:
+def _default_reward(observations: NDArray, length: Any, bound: Any) -> NDArray:
     """Minus the load's error by the cable's length, and what the slowest carrier lacks of ε.
 
     Of observations (..., size), lengths in m and bounds in m/s, numbers or arrays (...); 0 is none.
@@ -181,17 +416,16 @@ def default_reward(observations: NDArray, length: Any, bound: Any) -> NDArray:
     return rewards
 
 
-def is_implausible(observations: NDArray, length: Any) -> NDArray:
-    """Whether load or carriers are farther than 100 cable lengths from the load's reference, (...).
+def _is_implausible(observation: NDArray, length: float) -> bool:
+    """Whether load or carriers are farther than 100 cable lengths (m) from the load's reference.
 
-    Of observations (..., size) and lengths in m, a number or an array (...). No action that a task
-    needs leads there, and a loop that diverges goes on from there until its numbers are too large.
+    No action that a task needs leads there, and a loop that diverges goes on from there until its
+    numbers are too large.
     """
-    load, reference, carriers = _views(observations)
-    bodies = np.concatenate([load.position[..., None, :], carriers.positions], axis=-2)
-    away = np.linalg.norm(bodies - reference.position[..., None, :], axis=-1).max(axis=-1)
-    found: NDArray = away > _FARTHEST * length
-    return found
+    load, reference, carriers = _views(observation)
+    bodies = np.concatenate([load.position[None], carriers.positions])
+    away = np.linalg.norm(bodies - reference.position, axis=-1)
+    return bool(away.max() > _FARTHEST * length)
 
 
 def _views(observations: NDArray) -> tuple[LoadState, LoadReference, CarrierStates]:
@@ -201,19 +435,14 @@ def _views(observations: NDArray) -> tuple[LoadState, LoadReference, CarrierStat
     return LoadState.view(load), LoadReference.view(reference), CarrierStates.view(carriers)
 
 
-def checked_reward(reward: Any) -> float:
+def _checked_reward(reward: Any) -> float:
     """A reward as a number; raises ScenarioError where it is none."""
     remedy = "return a finite number from the function"
     require(np.ndim(reward) == 0 and np.isfinite(reward), "reward", reward, remedy)
     return float(reward)
 
 
-def samples_until(time: float, period: float) -> int:
-    """The number of the controllers' last sample at or before a time, of a period, both in s."""
-    return math.floor(time / period + _ROUNDING)
-
-
-def as_actions(actions: Any, space: gymnasium.spaces.Box, *lead: int) -> NDArray:
+def _as_actions(actions: Any, space: gymnasium.spaces.Box, *lead: int) -> NDArray:
     """Actions (*lead, k) as floats; raises ScenarioError where they are not in the space (k,)."""
     try:
         values = np.asarray(actions, dtype=float)
@@ -230,28 +459,7 @@ def as_actions(actions: Any, space: gymnasium.spaces.Box, *lead: int) -> NDArray
     return np.clip(values, space.low, space.high)
 
 
-def _diagram(scenario: Scenario, action: str) -> tuple[Diagram, Diagram]:
-    """A diagram with the ports of the environment, and the loop inside of it."""
-    if action == PARAMETERS:
-        loop = make_nonstop(scenario, optimization_layer=None, inputs=[PARAMETERS])
-    else:
-        inputs = [WRENCH, "wrench_rate"]
-        loop = make_nonstop(scenario, wrench_controller=None, inputs=inputs)
-    builder = DiagramBuilder()
-    builder.AddSystem(loop)
-    builder.ExportInput(loop.GetInputPort(action), _ACTIONS)
-    if action == WRENCH:  # which is held from step to step
-        rate = builder.AddSystem(ConstantVectorSource(np.zeros(WRENCH_SIZE)))
-        builder.Connect(rate.get_output_port(), loop.GetInputPort("wrench_rate"))
-    sizes = [loop.GetOutputPort(name).size() for name in OBSERVED]
-    observed = builder.AddSystem(Multiplexer(sizes))
-    for i, name in enumerate(OBSERVED):
-        builder.Connect(loop.GetOutputPort(name), observed.get_input_port(i))
-    builder.ExportOutput(observed.get_output_port(), _OBSERVATIONS)
-    return builder.Build(), loop
-
-
-def actions_of(scenario: Scenario, action: str) -> tuple[NDArray, gymnasium.spaces.Box]:
+def _actions_of(scenario: Scenario, action: str) -> tuple[NDArray, gymnasium.spaces.Box]:
     """The scenario's own action, and the space of all.
 
     That is the layer's initial ξ and A within its bounds, or the wrench that carries the weight

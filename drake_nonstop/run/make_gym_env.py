@@ -1,6 +1,5 @@
 """The loop of a scenario as an environment of Gymnasium."""
 
-import functools
 from typing import TYPE_CHECKING, Any
 
 from drake_nonstop.scenario.schema import Scenario, check
@@ -10,14 +9,12 @@ from drake_nonstop.validation import (
     require_known,
     require_positive,
     require_whole,
-    warn_user,
 )
 
 if TYPE_CHECKING:
-    from gymnasium.vector import AutoresetMode, SyncVectorEnv
+    from gymnasium.vector import AutoresetMode
 
-    from drake_nonstop.run.gym_environment import NonstopEnv, Reward
-    from drake_nonstop.run.gym_vector_environment import NonstopVecEnv
+    from drake_nonstop.run.gym_environment import NonstopEnv, NonstopVecEnv, Reward
 
 _NAMES = ("parameters", "wrench")
 _MOST = 100_000  # environments
@@ -36,15 +33,17 @@ def make_gym_env(
     the signal dictionary. Episodes begin at the equilibrium, are truncated at the scenario's
     `simulation_duration`, and are terminated by a divergence or where a block ends the run. Load or
     carriers farther than 100 cable lengths from the load's reference count as a divergence. The
-    integrator's step is that of `with_largest_step`.
+    integrator's step is that of `with_largest_step`. The compiled loop flies, or the diagram where
+    it cannot be compiled.
 
     Args:
         scenario: what is flown; where fields hold distributions, each episode draws numbers anew.
         action: "parameters": ξ (rad/s) and A (N) in place of the optimization layer, within its
             bounds; "wrench": torque (N m) and force (N) on the load in place of the wrench
             controller, held for a step.
-        time_step: s, of an action; each step ends at the controllers' last sample at or before its
-            end, so that one that is no multiple of `control_period` takes a sample more at times.
+        time_step: s, of an action, at least the scenario's `control_period`; each step ends at the
+            controllers' last sample at or before its end, so that one that is no multiple of
+            `control_period` takes a sample more at times.
         reward: of the observation after a step and the action; None: minus the load's position
             error by the cable's length, and minus the share that the slowest carrier lacks of ε.
 
@@ -66,19 +65,18 @@ def make_gym_vec_env(
     time_step: float = 0.1,
     reward: "Reward | None" = None,
     autoreset_mode: "AutoresetMode | str" = "SameStep",
-) -> "NonstopVecEnv | SyncVectorEnv":
+) -> "NonstopVecEnv":
     """As many environments as of `make_gym_env` side by side, by Gymnasium's vector API.
 
-    Their episodes are flights of compiled loops, and equal those of single environments to
-    rounding; of a loop that cannot be compiled they are single environments one after the other,
-    in Gymnasium's `SyncVectorEnv`, with a warning. `reset` takes a seed, which those of further
-    environments exceed by 1, or one for each.
+    Their episodes are flights of a compiled loop, and equal those of single environments; a loop
+    that cannot be compiled flies by diagrams, one after the other, with a warning. `reset` takes a
+    seed, which those of further environments exceed by 1, or one for each.
 
     Args:
         scenario: what is flown. The loop's C is compiled, in seconds, unless the cache has it.
         n: the number of environments.
         action: as of `make_gym_env`.
-        time_step: as of `make_gym_env`, at least the scenario's `control_period`.
+        time_step: as of `make_gym_env`.
         reward: as of `make_gym_env`, of one environment.
         autoreset_mode: "SameStep": an episode that is over begins anew in the same step, with
             `final_obs` and `final_info` in the infos; "NextStep": in the next one.
@@ -88,21 +86,13 @@ def make_gym_vec_env(
     """
     _check("make_gym_vec_env", scenario, action, time_step, reward)
     require_whole("n", n, 1, _MOST)
-    from gymnasium.vector import AutoresetMode, SyncVectorEnv
+    from gymnasium.vector import AutoresetMode
 
-    from drake_nonstop.run.gym_vector_environment import NonstopVecEnv
-    from drake_nonstop.systems.compiled_loop import NotCompiledError
+    from drake_nonstop.run.gym_environment import NonstopVecEnv
 
     mode = getattr(autoreset_mode, "value", autoreset_mode)
     require_known(mode, ["SameStep", "NextStep"], "autoreset_mode", mode)
-    try:
-        return NonstopVecEnv(scenario, n, action, time_step, reward, AutoresetMode(mode))
-    except NotCompiledError as error:
-        warn_user(f"{error}; the {n} environments fly one by one, by their diagrams")
-    single = functools.partial(
-        make_gym_env, scenario, action=action, time_step=time_step, reward=reward
-    )
-    return SyncVectorEnv([single] * n, autoreset_mode=AutoresetMode(mode))
+    return NonstopVecEnv(scenario, n, action, time_step, reward, AutoresetMode(mode))
 
 
 def _check(name: str, scenario: Scenario, action: str, time_step: float, reward: Any) -> None:

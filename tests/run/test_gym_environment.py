@@ -91,7 +91,7 @@ def test_the_step_is_that_of_simulate_where_the_loop_needs_a_shorter_one(is_vect
 
 
 def test_slow_carriers_cost_reward_and_a_reward_may_be_given():
-    slow = load_scenario("quintic", BRIEF)
+    slow = load_scenario("quintic", ["simulation_duration=0.6"])
     env = make_gym_env(slow)
     env.reset()
     low = env.action_space.low

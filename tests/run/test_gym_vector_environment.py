@@ -99,24 +99,6 @@ def test_a_stall_ends_an_episode():
     assert ends == [(False, False)] * 7 + [(True, False)]
 
 
-@pytest.mark.nightly("engines")
-def test_a_stall_ends_its_own_episode_alone():
-    scenario = load_scenario("aircraft_transfer")
-    env, single = (
-        make_gym_vec_env(scenario, 2, time_step=0.2),
-        make_gym_env(scenario, time_step=0.2),
-    )
-    single.reset()
-    env.reset()
-    low, high = single.action_space.low, single.action_space.high
-    for _ in range(8):
-        shown, expected = env.step([low, (low + high) / 2]), single.step(low)
-    assert shown[2].tolist() == [True, False]
-    assert not shown[3].any()
-    assert shown[1][0] == pytest.approx(expected[1], abs=1e-9)
-    np.testing.assert_allclose(shown[4]["final_obs"][0], expected[0], rtol=0, atol=1e-9)
-
-
 def test_it_is_a_vector_environment(three):
     from gymnasium.vector import AutoresetMode, VectorEnv
     from gymnasium.wrappers.vector import RecordEpisodeStatistics
@@ -222,18 +204,24 @@ def test_what_cannot_be_used_is_refused(n, arguments, said):
         make_gym_vec_env(load_scenario("quintic"), n, **arguments)
 
 
-def test_a_loop_that_is_not_compiled_flies_by_its_diagram():
-    scenario = load_scenario(
-        "quintic", ["simulation_duration=0.2", "load_plant=MultibodyLoadPlant"]
+def test_a_loop_that_is_not_compiled_flies_by_its_diagram_as_the_other_is_compiled():
+    scenario, compiled = (
+        load_scenario("quintic", ["simulation_duration=0.2", *own])
+        for own in (["load_plant=MultibodyLoadPlant"], [])
     )
     with pytest.warns(ScenarioWarning, match="load_plant = MultibodyLoadPlant.*; the 2 environm"):
         envs = make_gym_vec_env(scenario, 2)
-    single, action = make_gym_env(scenario), np.array([2.0, 1.2])
-    single.reset(seed=3)
-    envs.reset(seed=3)
+    single, other = make_gym_env(scenario), make_gym_env(compiled)
+    action = np.array([2.0, 1.3])
+    for each in (single, envs, other):
+        each.reset(seed=3)
     for _ in range(2):
-        observation, *_ = single.step(action)
-        _, _, _, truncated, infos = envs.step(np.stack([action, action]))
+        observation, *judged, _ = single.step(action)
+        _, rewards, _, truncated, infos = envs.step(np.stack([action, action]))
+        expected = other.step(action)[:4]
+        np.testing.assert_allclose(observation, expected[0], rtol=0, atol=1e-6)
+        np.testing.assert_allclose(judged, expected[1:], rtol=0, atol=1e-6)
+        np.testing.assert_allclose(rewards, judged[0], rtol=0, atol=1e-12)
     assert truncated.all()
     np.testing.assert_array_equal(np.stack(infos["final_obs"]), np.stack([observation] * 2))
 
