@@ -30,37 +30,11 @@ class FollowingCamera:
 
 
 class LiveCanvas:
-    """A Meshcat as a canvas: changes are seen at once, and recorded while the Meshcat records.
+    """A Meshcat as a canvas: changes are seen at once."""
 
-    The paths of the scene's objects begin with `root`.
-    """
-
-    def __init__(self, meshcat: Meshcat, root: str = ROOT):
+    def __init__(self, meshcat: Meshcat):
         self._meshcat = meshcat
-        self._root = root
         self._painted: dict[str, tuple[float, ...]] = {}
-        self._recording: RecordingCanvas | None = None
-        self._animation: MeshcatAnimation | None = None  # the Meshcat's, when last set a time
-
-    def set_time(self, time: float) -> bool:
-        """Tells the time in s of what comes next; returns whether a recording begins with it."""
-        self._animation = self._meshcat.get_mutable_recording()
-        if not _is_recording(self._meshcat, self._root):
-            self._recording = None
-            return False
-        begins = self._recording is None or self._recording.animation is not self._animation
-        if begins:
-            self._recording = RecordingCanvas(self._animation)
-        assert self._recording is not None
-        self._recording.frame = self._animation.frame(time)
-        return begins
-
-    def lacks_frame(self, time: float) -> bool:
-        """Whether a recording has no frame of that time in s yet, or may have begun since."""
-        animation = self._meshcat.get_mutable_recording()
-        if self._recording is None:
-            return animation is not self._animation  # a recording that starts has a new one
-        return animation.frame(time) > self._recording.frame
 
     def follow(self, position: NDArray, camera: FollowingCamera) -> None:
         """Moves the camera as the reference moved from the camera's origin to a position (3,)."""
@@ -70,8 +44,6 @@ class LiveCanvas:
 
     def place(self, path: str, pose: NDArray, length: float = 1.0) -> None:
         """Puts an object at a pose (4, 4), scaled by `length` along its own z axis."""
-        if self._recording is not None:
-            self._recording.place(path, pose, length)
         if length != 1.0:
             pose = pose.copy()
             pose[:3, 2] *= length
@@ -83,10 +55,6 @@ class LiveCanvas:
         With `fades`, the opacity of a recording may change gradually from the previous one. There
         is no command to Meshcat where nothing changes.
         """
-        if self._recording is not None:
-            self._recording.paint(path, colour, opacity, fades=fades)
-            # Of a material that is opaque at the end Meshcat plays back no other opacity.
-            opacity = min(opacity, 0.999)
         rgba = *colour, opacity
         if self._painted.get(path) != rgba:
             self._painted[path] = rgba
@@ -159,20 +127,6 @@ class RecordingCanvas:
 
 # What a scene moves its objects on: a Meshcat that is watched, or a recording.
 Canvas: TypeAlias = LiveCanvas | RecordingCanvas
-
-
-def _is_recording(meshcat: Meshcat, path: str) -> bool:
-    """Whether a Meshcat records, which it does not tell.
-
-    A property that its recording has with another type is refused, only while it records. That
-    of the object at `path` has no effect there.
-    """
-    meshcat.get_mutable_recording().SetProperty(0, path, "renderOrder", False)
-    try:
-        meshcat.SetProperty(path, "renderOrder", 0.0, time_in_recording=0.0)
-    except RuntimeError:
-        return True
-    return False
 
 
 def look(meshcat: Meshcat, eye: NDArray, target: NDArray, background: Colour) -> None:

@@ -15,12 +15,11 @@ from drake_nonstop.scenario.obstacles import Obstacle
 from drake_nonstop.scenario.scene_config import SceneConfig
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.systems.block import LeafBlock
-from drake_nonstop.validation import is_number, require
 from drake_nonstop.view.bodies import Snapshot, signal_sizes
-from drake_nonstop.view.canvas import ROOT, LiveCanvas
+from drake_nonstop.view.canvas import LiveCanvas
 from drake_nonstop.view.scene import Scene
 
-FRAME_RATE = 30.0  # 1/s of wall time
+FRAME_TIME = 1 / 30  # s of wall time
 _PATH_SAMPLES = 100
 
 
@@ -33,26 +32,18 @@ class NonstopVisualizer(LeafBlock):
     An instant with a value that is not finite is not shown, and a diagram converted to
     AutoDiffXd or Expression shows nothing. See `Scene` for what is drawn.
 
-    While the Meshcat records (`meshcat.StartRecording()`), each step that begins a frame of the
-    recording is shown as well, and all that is shown is recorded; trails then begin with the
-    recording, and the camera stands still. `meshcat.PublishRecording()` plays it back.
-
     Args:
         system: the load, attachments and cables that are shown.
-        meshcat: the Meshcat to show them in, in place of those of another visualizer of the path.
+        meshcat: the Meshcat to show them in, in place of those of another visualizer.
         config: colours and sizes.
         obstacles: of the scenario.
         reference_path: (k, 3) in m, future positions of the reference, which the camera will have
             in view; without it the camera is set for the start.
         speed_bound: ε in m/s, where that port is not connected.
-        frame_rate: the most frames per second of wall time.
         nodes: of each cable, which have a `cable_state`; 0: cables are straight.
-        path: what the objects' paths in the Meshcat begin with. With another one than the
-            default, as the second of two loops in one Meshcat needs it, the camera, its light, the
-            background and the grid are left as they are.
 
     Raises:
-        ScenarioError: a field of the config, the frame rate or the path is out of range.
+        ScenarioError: a field of the config is out of range.
     """
 
     reads = (
@@ -70,24 +61,14 @@ class NonstopVisualizer(LeafBlock):
         obstacles: Sequence[Obstacle] = (),
         reference_path: NDArray | None = None,
         speed_bound: float = 0.0,
-        frame_rate: float = FRAME_RATE,
         nodes: int = 0,
-        path: str = ROOT,
     ):
         super().__init__()
-        require(
-            is_number(frame_rate) and frame_rate > 0,
-            "visualizer.frame_rate",
-            frame_rate,
-            "give a finite number greater than zero",
-        )
-        self.scene = Scene(system, config, obstacles, nodes=nodes, root=path)
+        self.scene = Scene(system, config, obstacles, nodes=nodes)
         self._meshcat = meshcat
-        self._path = path
         self._reference_path = reference_path
         self._default_speed_bound = speed_bound
-        self._frame_time = 1 / frame_rate
-        self._canvas = LiveCanvas(meshcat, path)
+        self._canvas = LiveCanvas(meshcat)
         self._last_time = math.inf  # s, of the instant shown
         self._next_frame = -math.inf  # s of wall time, when it is due
         reads = self.reads if nodes else self.reads[:-1]
@@ -105,9 +86,6 @@ class NonstopVisualizer(LeafBlock):
         nonstop: Diagram,
         scenario: Scenario,
         meshcat: Meshcat,
-        *,
-        frame_rate: float = FRAME_RATE,
-        path: str = ROOT,
     ) -> "NonstopVisualizer":
         """Adds a visualizer beside the loop of a scenario, connected by the signals' names.
 
@@ -117,8 +95,6 @@ class NonstopVisualizer(LeafBlock):
                 those that may be left unconnected may be missing.
             scenario: what is shown, and its colours and sizes.
             meshcat: the Meshcat to show it in.
-            frame_rate: see the class.
-            path: see the class.
 
         Raises:
             ScenarioError: as the class.
@@ -133,9 +109,7 @@ class NonstopVisualizer(LeafBlock):
                 obstacles=scenario.obstacles,
                 reference_path=_reference_path(nonstop, scenario.simulation_duration),
                 speed_bound=scenario.speed_bound,
-                frame_rate=frame_rate,
                 nodes=size // (6 * len(scenario.system.attachments)),
-                path=path,
             )
         )
         for name, port in visualizer._ports.items():
@@ -144,12 +118,7 @@ class NonstopVisualizer(LeafBlock):
         return visualizer
 
     def _publish(self, context: Context) -> EventStatus:
-        now = context.get_time()
-        if (
-            time.perf_counter() >= self._next_frame
-            or now < self._last_time
-            or self._canvas.lacks_frame(now)
-        ):
+        if time.perf_counter() >= self._next_frame or context.get_time() < self._last_time:
             return self._show(context)
         return EventStatus.DidNothing()
 
@@ -163,36 +132,29 @@ class NonstopVisualizer(LeafBlock):
         snapshot = Snapshot.from_signals(context.get_time(), **given)
         if not snapshot.is_finite:  # the block at fault raises the error
             return EventStatus.DidNothing()
-        is_new_run = snapshot.time < self._last_time
-        if is_new_run:
+        if snapshot.time < self._last_time:  # a new run
             self.scene.draw(self._meshcat)
-            self._canvas = LiveCanvas(self._meshcat, self._path)
-        begins_recording = self._canvas.set_time(snapshot.time)
-        if begins_recording:
-            self.scene.restart_trails()
-        if self._path == ROOT and (is_new_run or begins_recording):
+            self._canvas = LiveCanvas(self._meshcat)
             path = self._reference_path
             path = snapshot.reference_position[None] if path is None else path
-            self.scene.set_stage(self._meshcat, path, may_follow=not begins_recording)
+            self.scene.set_stage(self._meshcat, path)
         self._last_time = snapshot.time
         # Counted from when this frame was due, so that a short delay does not lower the rate.
         now = time.perf_counter()
-        is_late = now - self._next_frame > self._frame_time
-        self._next_frame = (now if is_late else self._next_frame) + self._frame_time
+        is_late = now - self._next_frame > FRAME_TIME
+        self._next_frame = (now if is_late else self._next_frame) + FRAME_TIME
         self._meshcat.SetSimulationTime(snapshot.time)
         self.scene.show(self._canvas, snapshot)
         return EventStatus.Succeeded()
 
 
 def show_in(
-    meshcat: Meshcat, *, frame_rate: float = FRAME_RATE, path: str = ROOT
+    meshcat: Meshcat,
 ) -> Callable[[DiagramBuilder, Diagram, Scenario], NonstopVisualizer]:
     """A viewer for `simulate` that shows the run in a Meshcat; see `NonstopVisualizer`."""
 
     def add(builder: DiagramBuilder, nonstop: Diagram, scenario: Scenario) -> NonstopVisualizer:
-        return NonstopVisualizer.AddToBuilder(
-            builder, nonstop, scenario, meshcat, frame_rate=frame_rate, path=path
-        )
+        return NonstopVisualizer.AddToBuilder(builder, nonstop, scenario, meshcat)
 
     return add
 

@@ -1,7 +1,6 @@
 """The objects of a run in Meshcat: load, reference, cables, carriers and trails."""
 
 import itertools
-import re
 from collections.abc import Sequence
 
 import numpy as np
@@ -16,7 +15,7 @@ from drake_nonstop.mechanics.signals import AircraftState
 from drake_nonstop.model.system import Model, SystemParameters, aircraft_in
 from drake_nonstop.scenario.obstacles import GroundConfig, Obstacle
 from drake_nonstop.scenario.scene_config import SceneConfig
-from drake_nonstop.validation import require, require_ranges
+from drake_nonstop.validation import require_ranges
 from drake_nonstop.view.bodies import (
     SMALL,
     X_AXIS,
@@ -42,7 +41,6 @@ _GOAL_BAR_RATIO = 0.4  # to the load's bars, which hide the goal's once the load
 _FLOWN_RATIO, _DESIRED_RATIO = 0.5, 3.0  # to trails' radius: the desired path encloses the flown
 _PATH_POINTS = 300
 _MARK_RADIUS = 0.42  # of the wing span
-_MESHCATS_OWN = "Background", "Lights", "Grid", "Axes", "Cameras"  # first parts of paths
 _TRAIL_OPACITIES = 8  # different ones, of a trail's pieces
 COLOURED_FROM = 0.5  # of the stall, where wings begin to change their colour
 _LEAST_WIND = 0.05  # m/s, that is shown
@@ -80,10 +78,9 @@ class Scene:
         config: colours and sizes.
         obstacles: of the scenario.
         nodes: of each cable, which a snapshot's `cable_state` has; 0: cables are straight.
-        root: what the objects' paths in Meshcat begin with.
 
     Raises:
-        ScenarioError: a field of the config is out of range, or the root is no path for a scene.
+        ScenarioError: a field of the config is out of range.
     """
 
     def __init__(
@@ -93,13 +90,7 @@ class Scene:
         obstacles: Sequence[Obstacle] = (),
         *,
         nodes: int = 0,
-        root: str = ROOT,
     ):
-        is_path = isinstance(root, str) and re.fullmatch(r"(/[\w.-]+)+", root)
-        is_free = is_path and root.split("/")[1] not in _MESHCATS_OWN
-        remedy = f"give a path such as {ROOT}_2, below none of /{', /'.join(_MESHCATS_OWN)}"
-        require(is_free, "visualizer.path", root, remedy)
-        self._root = root
         self.config = config or SceneConfig()
         require_ranges("scene", self.config)
         self._obstacles = obstacles
@@ -137,10 +128,6 @@ class Scene:
     def _reset(self) -> None:
         """Starts without earlier headings and trails."""
         self._headings = np.tile(X_AXIS, (self._n, 1))
-        self.restart_trails()
-
-    def restart_trails(self) -> None:
-        """Has the trails begin at the next instant that is shown."""
         self._trail_ends: NDArray | None = None  # (1 + n, 3), m, starts of the next pieces
         self._trail_start = 0.0  # s, of the next pieces
         self._trail_length = 0  # pieces, with those that have faded
@@ -148,7 +135,7 @@ class Scene:
     def draw(self, meshcat: Meshcat) -> None:
         """Makes the objects in a Meshcat and removes those of an earlier scene there."""
         self._reset()
-        config, root = self.config, self._root
+        config, root = self.config, ROOT
         bar, span = self.bar_radius, self.wing_span
         translucent = Rgba(*rgb(config.reference_colour), config.reference_opacity)
         meshcat.Delete(root)
@@ -189,34 +176,26 @@ class Scene:
             ("desired", desired, _DESIRED_RATIO * thin, Rgba(*reference, config.reference_opacity)),
         ):
             chosen = np.linspace(0, len(path) - 1, min(len(path), _PATH_POINTS)).astype(int)
-            meshcat.SetTriangleMesh(f"{self._root}/paths/{name}", *tube(path[chosen], radius), rgba)
+            meshcat.SetTriangleMesh(f"{ROOT}/paths/{name}", *tube(path[chosen], radius), rgba)
         parts = load_parts(self._attachments, _GOAL_BAR_RATIO * self.bar_radius)
-        _draw(meshcat, f"{self._root}/goal", parts, Rgba(*reference))
+        _draw(meshcat, f"{ROOT}/goal", parts, Rgba(*reference))
         (goal,) = stack_poses(rotation_matrix(end.reference_quaternion), desired[-1:])
-        meshcat.SetTransform(f"{self._root}/goal", goal)
+        meshcat.SetTransform(f"{ROOT}/goal", goal)
 
-    def set_stage(
-        self,
-        meshcat: Meshcat,
-        path: NDArray,
-        carriers: NDArray | None = None,
-        *,
-        may_follow: bool = True,
-    ) -> None:
+    def set_stage(self, meshcat: Meshcat, path: NDArray, carriers: NDArray | None = None) -> None:
         """Sets a plain background, a camera that sees everything, its light and a grid below.
 
-        Along a long path the camera follows the reference where it may; else it stands still.
+        Along a long path the camera follows the reference; else it stands still.
 
         Args:
             meshcat: the Meshcat to set.
             path: (k, 3), m, positions of the load's reference.
             carriers: (k, n, 3), m, at the same instants, where they are known. Those far from
                 the load may be out of view.
-            may_follow: whether the camera may move.
         """
         if carriers is None:
             carriers = path[:, None] + self.reach * _SIX_DIRECTIONS[:5]  # all but straight below
-        follows = may_follow and np.ptp(path, axis=0).max() > _FOLLOWING_EXTENT * self.reach
+        follows = np.ptp(path, axis=0).max() > _FOLLOWING_EXTENT * self.reach
         apart = np.linalg.norm(carriers - path[:, None], axis=2)
         at = np.nonzero(apart < _FARTHEST_CARRIER * self.reach)
         radius = _MARK_RADIUS * self.wing_span
@@ -247,8 +226,8 @@ class Scene:
         quaternions = np.array([snapshot.load_quaternion, snapshot.reference_quaternion])
         positions = np.array([snapshot.load_position, snapshot.reference_position])
         X_WL, X_WR = stack_poses(rotation_matrix(quaternions), positions)
-        canvas.place(f"{self._root}/load", X_WL)
-        canvas.place(f"{self._root}/reference", X_WR)
+        canvas.place(f"{ROOT}/load", X_WL)
+        canvas.place(f"{ROOT}/reference", X_WR)
         if self._camera is not None:
             canvas.follow(snapshot.reference_position, self._camera)
         p_WA = self._attachments @ X_WL[:3, :3].T + X_WL[:3, 3]
@@ -267,17 +246,17 @@ class Scene:
         if self._aircraft is not None and snapshot.aircraft_state is not None:
             state = AircraftState.view(snapshot.aircraft_state)
             for i, share in enumerate(stall_shares(self._aircraft, state).tolist()):
-                canvas.paint(f"{self._root}/carriers/{i}/wing", self.wing_colour(share), 1.0)
+                canvas.paint(f"{ROOT}/carriers/{i}/wing", self.wing_colour(share), 1.0)
             winds = np.zeros(3) if snapshot.wind is None else snapshot.wind
             at_load = snapshot.load_wind
             at_load = winds.reshape(-1, 3).mean(axis=0) if at_load is None else at_load
             self._show_wind(canvas, snapshot.reference_position, at_load)
         carriers = stack_poses(rotations, p_WC)
         for i, speed in enumerate(speeds.tolist()):
-            canvas.place(f"{self._root}/carriers/{i}", carriers[i])
+            canvas.place(f"{ROOT}/carriers/{i}", carriers[i])
             if self._aircraft is None:
                 colour = self.mark_colour(speed, snapshot.speed_bound)
-                canvas.paint(f"{self._root}/carriers/{i}/mark", colour, self.config.mark_opacity)
+                canvas.paint(f"{ROOT}/carriers/{i}/mark", colour, self.config.mark_opacity)
         self._extend_trails(canvas, snapshot.time, np.vstack([snapshot.load_position, p_WC]))
 
     @property
@@ -287,7 +266,7 @@ class Scene:
 
     def _cable_paths(self, i: int) -> list[str]:
         """The paths of a cable's pieces, from the load on."""
-        path = f"{self._root}/cables/{i}"
+        path = f"{ROOT}/cables/{i}"
         return [path] if self.pieces == 1 else [f"{path}/{k}" for k in range(self.pieces)]
 
     def _show_cables(self, canvas: Canvas, attachments: NDArray, snapshot: Snapshot) -> None:
@@ -329,7 +308,7 @@ class Scene:
         (shaft, head), _ = cylinder_poses(np.array([start, tip]), np.array([end, end]))
         head[:3, 3] = tip  # from which Meshcat's cone widens along z
         for part, pose, scale in (("shaft", shaft, max(length, SMALL)), ("head", head, 1.0)):
-            path = f"{self._root}/wind/{part}"
+            path = f"{ROOT}/wind/{part}"
             canvas.place(path, pose, scale)
             canvas.paint(path, self._wind_colour, 1.0 if speed > _LEAST_WIND else 0.0)
 
@@ -340,14 +319,14 @@ class Scene:
             self._trail_ends, self._trail_start = bodies.copy(), time
             for body, colour in enumerate(self._trail_colours):
                 for piece in range(pieces):
-                    canvas.paint(f"{self._root}/trails/{body}/{piece}", colour, 0.0)
+                    canvas.paint(f"{ROOT}/trails/{body}/{piece}", colour, 0.0)
             return
         if time < self._trail_start + self.piece_time - 1e-9:
             return
         newest = self._trail_length
         poses, lengths = cylinder_poses(self._trail_ends, bodies)
         for body, colour in enumerate(self._trail_colours):
-            trail = f"{self._root}/trails/{body}"
+            trail = f"{ROOT}/trails/{body}"
             canvas.place(f"{trail}/{newest % pieces}", poses[body], lengths[body])
             for age, opacity in self._trail_opacities.items():
                 if age <= newest:

@@ -17,6 +17,7 @@ from drake_nonstop.view.replay import record_replay
 
 FRAME_RATE, SIZE = 20.0, (640, 480)  # 1/s of the video; pixels
 _MOST_RATE = {"gif": 50.0, "mp4": 120.0}  # 1/s; browsers slow down faster GIFs
+_MOST_PICTURES = 10_000
 _PALETTE_FRAMES = 6  # whose colours a GIF has
 
 _PREPARE = """(has_strip) => {
@@ -82,7 +83,8 @@ def record_video(
     require_positive("speed", speed)
     require_positive("frame_rate", frame_rate)
     most = _MOST_RATE[kind]
-    require(frame_rate <= most, "frame_rate", frame_rate, f"give at most {most:g} for {kind}")
+    remedy = f"give 1 to {most:g} pictures per s for {kind}"
+    require(1 <= frame_rate <= most, "frame_rate", frame_rate, remedy)
     for name, pixels in zip(("width", "height"), size, strict=True):
         require_whole(name, pixels, 64, 4096)
         require(kind == "gif" or pixels % 2 == 0, name, pixels, "give an even number for an mp4")
@@ -92,6 +94,9 @@ def record_video(
     span = f"give times from {first:g} s to {last:g} s, which the run has"
     require(first <= start < last, "start", start, span)
     require(start < stop <= last, "stop", stop, f"{span}, later than the start")
+    count = (stop - start) * frame_rate / speed
+    remedy = f"give at least {speed * count / _MOST_PICTURES:.3g}, for {_MOST_PICTURES} pictures"
+    require(count <= _MOST_PICTURES, "speed", speed, remedy)
     encode = encode_gif if kind == "gif" else encode_mp4
     if kind == "mp4":
         _find_ffmpeg()
