@@ -50,6 +50,7 @@ LINE_HEIGHT = 1.1  # of the size of a font
 LABEL_CHARACTERS = 13  # in one line
 NARROW, WIDE = set("fijlrt I,"), set("mwMW")
 FREE_LANES = 3  # in front of an input, where no other wire turns
+MOST_TRIES = 8
 LANES = 8  # between boxes, of which those without a wire are removed
 BEND_COST, CROSSING_COST, BRANCH_COST = 5, 9, 2  # units of length
 
@@ -174,9 +175,15 @@ def draw_diagram(diagram: Diagram) -> str:
 @functools.lru_cache(maxsize=32)  # most runs of a process have the same diagram
 def _drawn(title: str, subsystems: tuple[Subsystem, ...], wires: tuple[str, ...]) -> str:
     boxes = _boxes(subsystems, wires)
-    grid = _place(boxes)
-    grid.route()
-    return _svg(title, boxes, *grid.pixels())
+    urgent: list[str] = []  # signals that had no way, which are routed before all others
+    while True:
+        grid = _place(boxes, LANES + 2 * len(urgent))
+        stuck = grid.route(urgent)
+        if stuck is None:
+            return _svg(title, boxes, *grid.pixels())
+        urgent.insert(0, stuck)
+        if urgent.count(stuck) > MOST_TRIES:
+            raise RuntimeError(f"{stuck} of {title} cannot be drawn: it has no way between boxes")
 
 
 def _boxes(subsystems: tuple[Subsystem, ...], wires: tuple[str, ...]) -> list[_Box]:
@@ -202,9 +209,9 @@ def _boxes(subsystems: tuple[Subsystem, ...], wires: tuple[str, ...]) -> list[_B
     return list(boxes.values())
 
 
-def _place(boxes: list[_Box]) -> "_Grid":
-    """Puts the boxes and their ports in columns and rows with lanes between them."""
-    across, down = _Axis(), _Axis()
+def _place(boxes: list[_Box], lanes: int) -> "_Grid":
+    """Puts the boxes and their ports in columns and rows with that many lanes between them."""
+    across, down = _Axis(lanes), _Axis(lanes)
     for column in sorted({box.place.column for box in boxes}):
         members = [box for box in boxes if box.place.column == column]
         rooms = [_label_room(members, flow) for flow in (-1, 1)]
@@ -226,7 +233,8 @@ def _place(boxes: list[_Box]) -> "_Grid":
 class _Axis:
     """Positions across or down: the edges of what stands there, and the lanes between."""
 
-    def __init__(self) -> None:
+    def __init__(self, lanes: int) -> None:
+        self._lanes = lanes
         self.positions: list[int] = []
         self.parts: dict[int, int] = {}  # from edge to edge
         self.end = 0
@@ -236,8 +244,8 @@ class _Axis:
         """Adds what has parts of these lengths at the end, and lanes behind it."""
         edges = [*dict.fromkeys(itertools.accumulate(lengths, initial=self.end))]
         self.parts |= dict(pairwise(edges))
-        self.positions += [*edges, *range(edges[-1] + 1, edges[-1] + 1 + LANES)]
-        self.end = edges[-1] + 1 + LANES
+        self.positions += [*edges, *range(edges[-1] + 1, edges[-1] + 1 + self._lanes)]
+        self.end = edges[-1] + 1 + self._lanes
 
     @property
     def lanes(self) -> set[int]:
@@ -287,17 +295,25 @@ class _Grid:
         stem = [(place, port[1]) for place in places[places.index(port[0]) :]]
         return stem[: lanes + next(k for k, node in enumerate(stem) if node[0] in self._lanes)]
 
-    def route(self) -> None:
-        """Routes the wires of all signals, short ones first, around those that are there."""
+    def route(self, urgent: Sequence[str]) -> str | None:
+        """Routes the wires of all signals around those that are there: urgent and short ones first.
 
-        def extent(signal: _Signal) -> int:
-            return max((_far(signal.source, sink) for sink in signal.sinks.values()), default=0)
+        Returns:
+            The name of a signal that has no way, if there is one.
+        """
 
-        for signal in sorted(self._signals, key=extent):
+        def order(signal: _Signal) -> tuple[int, int]:
+            far = max((_far(signal.source, sink) for sink in signal.sinks.values()), default=0)
+            return (urgent.index(signal.name) if signal.name in urgent else len(urgent)), far
+
+        for signal in sorted(self._signals, key=order):
+            signal.paths = {}
             stem = self._stem(signal.source, signal.flow)
             starts = [(0, stem[-1], ACROSS)]
             for wire, sink in sorted(signal.sinks.items(), key=lambda w: _far(w[1], signal.source)):
                 path = self._cheapest_path(signal.name, starts, sink)
+                if not path:
+                    return signal.name
                 if not signal.paths:
                     path, starts = stem[:-1] + path, []
                 signal.paths[wire] = path
@@ -305,6 +321,7 @@ class _Grid:
                 starts += [(BRANCH_COST, node, turn) for node in lanes for turn in (ACROSS, DOWN)]
                 for a, b in pairwise(path):
                     self._owners[_direction(a, b)].update({a: signal.name, b: signal.name})
+        return None
 
     def _cheapest_path(
         self,
@@ -312,7 +329,7 @@ class _Grid:
         starts: list[tuple[int, Node, int]],
         sink: Node,
     ) -> list[Node]:
-        """The cheapest path by the A* algorithm.
+        """The cheapest path by the A* algorithm; empty: there is none.
 
         A state is a node and the direction of the wire there.
         """
@@ -352,7 +369,7 @@ class _Grid:
                         heapq.heappush(
                             queue, (further + _far(onto, sink), further, onto, direction)
                         )
-        raise RuntimeError(f"{name} cannot be drawn: its wires do not fit between the boxes")
+        return []
 
     def pixels(self) -> tuple[dict[int, int], dict[int, int]]:
         """Columns and rows in px, without the lanes that no wire runs along."""

@@ -17,6 +17,7 @@ SVG = "{http://www.w3.org/2000/svg}"
 FONT_SIZES = {"name": 13, "class": 11, "wire-label": 12, "unread-label": 12}
 SCENARIOS = {
     "sampled": ("quintic", []),
+    "cables_with_nodes": ("aircraft_rest_cables", []),
     "continuous": ("quintic", ["control_period=0"]),
     "printed_phase": ("paper_line", []),
     "open_loop": ("static_hold_open_loop", []),
@@ -166,7 +167,9 @@ def touch(a: tuple[Point, Point], b: tuple[Point, Point]) -> bool:
 
 
 PICTURES = nightly_beyond(
-    2, "studies", dict.fromkeys(["sampled", "labels", "extra_blocks", *SCENARIOS])
+    3,
+    "studies",
+    dict.fromkeys(["sampled", "labels", "cables_with_nodes", "extra_blocks", *SCENARIOS]),
 )
 
 
