@@ -39,7 +39,8 @@ def compute_metrics(run: Run) -> dict[str, Any]:
     that a block's NaN ended. The group `aircraft` is that of the simulated
     aircraft, see `RunQuantities`, and is missing where there are none, as is the group `obstacles`,
     and `bowed_cables` where cables have no nodes; other tensions are those at the load.
-    `outcome` is a `RunOutcome`, `reasons` and `warnings` are sentences.
+    `outcome` is a `RunOutcome`, `reasons` and `warnings` are sentences. A run that stopped before
+    its first sample has these, and no values.
     """
     quantities = RunQuantities(run)
     values: dict[str, Any] = {"scenario": run.scenario.name, "is_steered": run.is_steered}
@@ -48,6 +49,7 @@ def compute_metrics(run: Run) -> dict[str, Any]:
         "bowed_cables": quantities.has_nodes,
         "obstacles": run.scenario.obstacles,
     }
+    is_flown = len(run.time) > 0
     absent = [group for group, has_any in is_there.items() if not has_any]
     for metric in METRICS:
         *groups, name = metric.path.split(".")
@@ -56,7 +58,10 @@ def compute_metrics(run: Run) -> dict[str, Any]:
         group = values
         for key in groups:
             group = group.setdefault(key, {})
-        group[name] = finite(metric.measure(quantities))
+        if is_flown or metric.is_of_nothing:
+            group[name] = finite(metric.measure(quantities))
+        else:
+            group[name] = [] if metric.is_list else None
     if run.half_step is not None:
         values["half_step"] = run.half_step
     # None is found where own code has changed sys.path.
@@ -143,6 +148,11 @@ class Metric(NamedTuple):
         """The label with the unit, such as "mean position error (mm)"."""
         label, unit, *_ = self.quantity
         return f"{label} ({unit})" if unit else label
+
+    @property
+    def is_of_nothing(self) -> bool:
+        """Whether it is measured of a run without samples, too."""
+        return self.path in ("outcome", "reasons", "simulator.step_s", "engine")
 
     @property
     def may_be_left_out(self) -> bool:

@@ -237,6 +237,8 @@ LIMITS = (
 
 def judge(run: RunQuantities) -> Judgement:
     """The outcome of a run, the worst of all that is wrong with it, and all reasons."""
+    if not len(run.time):
+        return Judgement(outcome=RunOutcome.STOPPED, reasons=(run.run.stopped,))
     wrong = [
         (limit.outcome, sentence)
         for limit in LIMITS

@@ -12,6 +12,7 @@ from drake_nonstop.validation import ScenarioError, require_installed
 
 if TYPE_CHECKING:
     import pandas
+    import xarray
 
 
 @dataclass(kw_only=True)
@@ -56,12 +57,17 @@ class SignalTable:
         Raises:
             UnknownSignalError: there is no such signal.
         """
-        found = {"time [s]": self.time}
-        chosen_signals = [signals] if isinstance(signals, str) else signals
-        for name, chosen in map(self._chosen, chosen_signals or self.signals):
-            values = self.signals[name]
-            found |= {entry.label: values[:, column] for column, entry in chosen}
-        return found
+        chosen = self._selected(signals)
+        return {"time [s]": self.time} | {entry.label: values for entry, values in chosen}
+
+    def _selected(self, signals: Sequence[str]) -> list[tuple[Entry, NDArray]]:
+        """What the columns of signals are, as of `columns`, with their values (samples,)."""
+        names = [signals] if isinstance(signals, str) else signals or self.signals
+        return [
+            (entry, self.signals[name][:, column])
+            for name, chosen in map(self._chosen, names)
+            for column, entry in chosen
+        ]
 
     def _chosen(self, signal: str) -> tuple[str, list[tuple[int, Entry]]]:
         """The name of a signal, and those of its columns that are asked for."""
@@ -87,18 +93,36 @@ class SignalTable:
 
         Raises:
             UnknownSignalError: there is no such signal.
-            ScenarioError: pandas is not installed.
         """
-        require_installed("to_pandas", pandas="pandas")
         import pandas
 
-        columns = self.columns(signals)
-        index = pandas.Index(columns.pop("time [s]"), name="time [s]")
-        frame = pandas.DataFrame(columns, index=index)
-        every = [entry for name in self.signals for entry in self.entries.get(name, ())]
-        frame.attrs["units"] = {e.label: e.unit for e in every if e.label in columns}
-        frame.attrs["frames"] = {e.label: e.frame for e in every if e.label in columns}
+        chosen = self._selected(signals)
+        columns = {entry.label: values for entry, values in chosen}
+        frame = pandas.DataFrame(columns, index=pandas.Index(self.time, name="time [s]"))
+        frame.attrs["units"] = {entry.label: entry.unit for entry, _ in chosen}
+        frame.attrs["frames"] = {entry.label: entry.frame for entry, _ in chosen}
         return frame
+
+    def to_xarray(self, signals: Sequence[str] = ()) -> "xarray.Dataset":
+        """The signals as a dataset of xarray: a variable of the time for each column.
+
+        Each has the "units" and the "frame" among its attributes.
+
+        Args:
+            signals: as of `columns`.
+
+        Raises:
+            UnknownSignalError: there is no such signal.
+            ScenarioError: xarray is not installed.
+        """
+        require_installed("to_xarray", xarray="drake-nonstop[xarray]")
+        import xarray
+
+        variables = {
+            entry.name: ("time", values, {"units": entry.unit, "frame": entry.frame})
+            for entry, values in self._selected(signals)
+        }
+        return xarray.Dataset(variables, {"time": ("time", self.time, {"units": "s"})})
 
 
 class UnknownSignalError(ScenarioError, KeyError):

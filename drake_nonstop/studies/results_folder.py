@@ -16,9 +16,8 @@ from drake_nonstop.run.run import Run
 from drake_nonstop.run.stored_run import (
     SCENARIO,
     SIGNALS,
-    STEPS,
+    VARYING,
     write_signals,
-    write_steps,
 )
 from drake_nonstop.scenario.loading import dump_scenario
 from drake_nonstop.scenario.schema import Scenario
@@ -41,7 +40,7 @@ from drake_nonstop.view.replay import record_replay
 from drake_nonstop.view.run_figures import FIGURE_NAMES, figure_names, make_figure
 
 _METRICS = "metrics.json"
-_DATA = (SCENARIO, _METRICS, SIGNALS, STEPS)
+_DATA = (SCENARIO, _METRICS, SIGNALS)
 _OWN_CODE = "own_code"  # in metrics.json, beside the versions of packages
 
 _DIAGRAM, _REPLAY = "diagram.svg", "replay.html"
@@ -142,7 +141,7 @@ def write_results(
 ) -> dict[str, Any]:
     """Writes a run's results to the folder and returns its metrics.
 
-    scenario.yaml (resolved), metrics.json, signals.npz and steps.npz replace all of the earlier
+    scenario.yaml (resolved), metrics.json and signals.npz replace all of the earlier
     results once they are written; diagram.svg, replay.html and figures/ follow, one by one.
     Earlier ones that show the same flight stay until then. `Run.load` reads the run back.
 
@@ -180,7 +179,6 @@ def write_data(run: Run, folder: Path | str, own_code: str | None = None) -> dic
         (new / SCENARIO).write_text(scenario, encoding="utf-8")
         write_json(new / _METRICS, metrics)
         write_signals(new / SIGNALS, run)
-        write_steps(new / STEPS, run)
         is_other = _flight_in(folder) != _flight_in(new)
     if is_other:
         _remove(folder, _PICTURES)
@@ -196,7 +194,8 @@ def _flight_in(folder: Path) -> object:
     """Key of the data in a folder that pictures show: equal for equal flights only."""
     try:
         with open_regular(folder / SIGNALS) as file, zipfile.ZipFile(file) as archive:
-            signals = [(item.filename, item.file_size, item.CRC) for item in archive.infolist()]
+            items = [item for item in archive.infolist() if item.filename not in VARYING]
+            signals = [(item.filename, item.file_size, item.CRC) for item in items]
         return read_regular(folder / SCENARIO), signals
     except (OSError, ValueError, zipfile.BadZipFile):
         return None

@@ -12,7 +12,7 @@ import numpy as np
 from adversary.verdicts import LEFTOVER, LOST_WORK, Verdict
 
 # What was flown, different in any two runs with different settings; pictures can be made again.
-FILES = "scenario.yaml", "metrics.json", "signals.npz", "steps.npz"
+FILES = "scenario.yaml", "metrics.json", "signals.npz"
 
 
 @functools.cache

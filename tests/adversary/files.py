@@ -179,7 +179,6 @@ def _written(rng: np.random.Generator, folder: Path) -> tuple[list[str], str]:
             "scenario.yaml",
             "metrics.json",
             "signals.npz",
-            "steps.npz",
             "diagram.svg",
             "replay.html",
             "figures",

@@ -68,7 +68,7 @@ def test_results_do_not_depend_on_what_is_printed(tmp_path, redirections, code, 
     assert "Traceback" not in done.stderr
     assert len(done.stderr.splitlines()) <= 1
     names = {path.name for path in (tmp_path / "out" / "static_hold_open_loop").iterdir()}
-    assert names == {"scenario.yaml", "metrics.json", "signals.npz", "steps.npz", "diagram.svg"}
+    assert names == {"scenario.yaml", "metrics.json", "signals.npz", "diagram.svg"}
 
 
 @pytest.mark.nightly("processes")

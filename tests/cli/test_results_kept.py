@@ -133,7 +133,6 @@ def test_an_interrupt_while_writing_keeps_the_pictures_of_an_equal_run(tmp_path,
             "scenario.yaml",
             "metrics.json",
             "signals.npz",
-            "steps.npz",
         }  # others would not show it
         assert {path.name for path in contents(folder)} == names
     (folder / "replay.html").write_text("shows it")

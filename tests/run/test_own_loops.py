@@ -127,7 +127,7 @@ def test_a_run_of_logs_is_written_whole(tmp_path, monkeypatch):
     assert metrics["wall_s"] is metrics["real_time_factor"] is None
     assert json.loads((tmp_path / "metrics.json").read_text())["outcome"] == metrics["outcome"]
     written = {path.name for path in tmp_path.iterdir()}
-    assert written >= {"replay.html", "diagram.svg", "signals.npz", "steps.npz", "scenario.yaml"}
+    assert written >= {"replay.html", "diagram.svg", "signals.npz", "scenario.yaml"}
 
 
 def test_each_context_has_its_logs_and_the_last_flight_counts(scenario, shipped):

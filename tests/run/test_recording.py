@@ -154,7 +154,7 @@ def test_a_stored_run_is_the_same_run(temporary, tmp_path):
     for part in ("load", "carriers", "cables"):
         assert metrics[part] == compute_metrics(expected)[part]
     with np.load(tmp_path / "out" / "signals.npz") as written:
-        assert list(written) == ["time", "entries", *expected.signals]
+        assert set(written) >= {"time", "entries", *expected.signals}
         for name, values in expected.signals.items():
             assert written[name].tobytes() == values.tobytes()
     with pytest.raises(ValueError, match="read-only"):

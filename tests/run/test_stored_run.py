@@ -66,7 +66,7 @@ def test_it_is_as_if_it_had_just_flown(stored):
 def test_it_is_written_again_to_the_bit(stored, tmp_path):
     _, folder = stored
     write_results(Run.load(folder), tmp_path, figures=False, replay=False)
-    for name in ("scenario.yaml", "metrics.json", "signals.npz", "steps.npz"):
+    for name in ("scenario.yaml", "metrics.json", "signals.npz"):
         assert (tmp_path / name).read_bytes() == (folder / name).read_bytes(), name
 
 
@@ -163,6 +163,38 @@ def test_columns_and_frames_have_units(stored):
         run.columns(["load_state.speed"])
 
 
+def test_a_dataset_has_units_as_attributes(stored):
+    pytest.importorskip("xarray")
+    run, _ = stored
+    data = run.to_xarray(["load_state.velocity", "tensions"])
+    assert [*data] == [
+        *(f"load_state.velocity.{axis}" for axis in "xyz"),
+        *(f"tensions.{k}" for k in (1, 2, 3, 4)),
+    ]
+    assert data["load_state.velocity.x"].attrs == {"units": "m/s", "frame": "W"}
+    np.testing.assert_array_equal(data["tensions.2"], run.signal("tensions")[:, 1])
+    np.testing.assert_array_equal(data["time"], run.time)
+
+
+def test_without_xarray_its_extra_is_named(stored, monkeypatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(ScenarioError, match=r"pip install 'drake-nonstop\[xarray\]'"):
+        stored[0].to_xarray()
+
+
+def test_a_run_that_stopped_at_once_has_an_outcome_and_no_values():
+    run = dataclasses.replace(simulate(load_scenario("quintic", [*BRIEF, CONSTANT])), stopped="it")
+    nothing = {
+        "time": run.time[:0],
+        "signals": {name: values[:0] for name, values in run.signals.items()},
+        "steps": {name: values[:0] for name, values in run.steps.items()},
+    }
+    metrics = compute_metrics(dataclasses.replace(run, **nothing))
+    assert (metrics["outcome"], metrics["reasons"], metrics["warnings"]) == ("stopped", ["it"], [])
+    assert metrics["carriers"]["speed_min_m_s"] is None
+    assert metrics_table(metrics)
+
+
 def test_a_run_is_shown_in_one_line(stored):
     assert repr(stored[0]) == "<Run of quintic: 0.2 s, 28 signals>"
     stopped = dataclasses.replace(stored[0], stopped="the run diverged")
@@ -178,7 +210,7 @@ def copied(stored, tmp_path):
 
 
 def test_what_is_no_run_is_refused(copied):
-    for name in ("scenario.yaml", "signals.npz", "steps.npz"):
+    for name in ("scenario.yaml", "signals.npz"):
         content = (copied / name).read_bytes()
         (copied / name).write_bytes(b"nothing")
         with pytest.raises(ScenarioError, match=rf"^{name}, run = \S+ .* give |fly its"):
@@ -216,52 +248,31 @@ def _narrower(name):
     return damage
 
 
-def _of_steps(chosen):
-    """Some of the steps only."""
-
-    def damage(arrays):
-        kept = {name: values[chosen] for name, values in arrays.items() if name != "run"}
-        arrays.update(kept)
-
-    return damage
-
-
 @pytest.mark.parametrize(
-    ("file", "damage", "part"),
+    ("damage", "part"),
     [
-        ("signals.npz", _without("time"), "time"),
-        ("signals.npz", _with("time", lambda time: time[:0]), "time"),
-        ("signals.npz", _with("time", lambda time: time[::-1]), "time"),
-        ("signals.npz", _with("time", lambda time: np.where(time > 0.1, np.nan, time)), "time"),
-        ("signals.npz", _without("entries"), "entries"),
-        ("signals.npz", _with("entries", lambda rows: rows[:-1]), r"entries of \S+"),
-        ("signals.npz", _with("entries", lambda rows: np.arange(3.0)), "entries"),
-        ("signals.npz", _with("time", lambda time: time[:-2]), r"\w+\.\w+"),
-        ("signals.npz", _with("load_plant.load_state", np.ravel), "load_plant.load_state"),
-        ("signals.npz", _with("cables.tensions", lambda v: v.astype(str)), "cables.tensions"),
-        ("signals.npz", _without("cables.tensions"), "cables.tensions"),
-        ("signals.npz", _narrower("load_plant.load_state"), "load_plant.load_state"),
-        ("signals.npz", _narrower("cables.tensions"), "carrier_dynamics.carrier_state"),
-        ("signals.npz", _narrower("internal_force.internal_force"), "internal_force.*"),
-        ("steps.npz", _without("run"), "run"),
-        ("steps.npz", _without("carrier_state"), "carrier_state"),
-        ("steps.npz", _without("load_state"), "load_state"),
-        ("steps.npz", _with("time", lambda time: time[1:]), r"\w+"),
-        ("steps.npz", _with("time", lambda time: time + 1e-4), "time"),
-        ("steps.npz", _of_steps(slice(None, None, -1)), "time"),
-        ("steps.npz", _of_steps([0, 1, -1]), "time"),
-        ("steps.npz", _with("carrier_state", lambda v: v[:, :18]), "carrier_state"),
-        ("steps.npz", _with("carrier_state", lambda v: v[:, :-1]), "carrier_state"),
-        ("steps.npz", _with("speed_bound", lambda v: v[:, :0]), "speed_bound"),
-        ("steps.npz", _facts(unresolved=None), "run"),
-        ("steps.npz", _facts(unresolved=[7]), "run"),
-        ("steps.npz", _facts(wall_time="fast"), "run"),
-        ("steps.npz", _facts(step=-0.01), "run.step"),
-        ("steps.npz", _facts(step=np.nan), "run.step"),
-        ("steps.npz", _with("run", lambda text: np.array("7")), "run"),
+        (_without("time"), "time"),
+        (_with("time", lambda time: time[:0]), "time"),
+        (_with("time", lambda time: np.where(time > 0.1, np.nan, time)), "time"),
+        (_without("entries"), "entries"),
+        (_with("entries", lambda rows: rows[:-1]), r"entries of \S+"),
+        (_with("entries", lambda rows: np.arange(3.0)), "entries"),
+        (_with("time", lambda time: time[:-2]), r"\w+\.\w+"),
+        (_with("load_plant.load_state", np.ravel), "load_plant.load_state"),
+        (_without("cables.tensions"), "cables.tensions"),
+        (_narrower("load_plant.load_state"), "load_plant.load_state"),
+        (_narrower("internal_force.internal_force"), "internal_force.*"),
+        (_without("run"), "run"),
+        (_without("steps/carrier_state"), "carrier_state"),
+        (_with("steps/time", lambda time: time[1:]), r"\w+"),
+        (_with("steps/carrier_state", lambda v: v[:, :18]), "carrier_state"),
+        (_facts(unresolved=[7]), "run"),
+        (_facts(wall_time="fast"), "run"),
+        (_facts(step=-0.01), "run.step"),
     ],
 )
-def test_a_damaged_part_is_named(file, damage, part, copied):
+def test_a_damaged_part_is_named(damage, part, copied):
+    file = "signals.npz"
     with np.load(copied / file) as archive:
         arrays = dict(archive)
     damage(arrays)
@@ -274,7 +285,9 @@ def test_the_parts_of_two_runs_do_not_go_together(copied):
     scenario = load_scenario("quintic", [*BRIEF, CONSTANT])
     scenario.system.attachments = regular(3).tolist()
     (copied / "scenario.yaml").write_text(dump_scenario(scenario))
-    with pytest.raises(ScenarioError, match=r"^carrier_state in steps.npz, .* 24 columns, not 18 "):
+    with pytest.raises(
+        ScenarioError, match=r"carrier_state in signals.npz, .* 24 columns, not 18 "
+    ):
         Run.load(copied)
 
 
@@ -293,9 +306,9 @@ SPOILT = [("flip", range(16)), ("cut", range(8)), ("flip", range(16, 400))]
 
 
 @pytest.mark.parametrize(("kind", "seeds"), nightly_beyond(2, "adversary", SPOILT))
-@pytest.mark.parametrize("name", ["signals.npz", "steps.npz"])
-def test_a_spoilt_archive_is_read_whole_or_refused(name, kind, seeds, stored, copied, capsys):
+def test_a_spoilt_archive_is_read_whole_or_refused(kind, seeds, stored, copied, capsys):
     _, folder = stored
+    name = "signals.npz"
     content = (folder / name).read_bytes()
     whole = read_arrays(folder / name)
     for seed in seeds:
@@ -306,12 +319,7 @@ def test_a_spoilt_archive_is_read_whole_or_refused(name, kind, seeds, stored, co
             with pytest.raises(ScenarioError, match=rf"^{name}, run = \S+: it cannot be read \("):
                 Run.load(copied)
             if seed % 20 == 0:
-                command = [
-                    "export",
-                    str(copied),
-                    "--to",
-                    "csv" if name == "signals.npz" else "mcap",
-                ]
+                command = ["export", str(copied), "--to", "csv"]
                 assert main(command) == BAD_INPUT
                 assert capsys.readouterr().err.count("\n") == 1
         else:

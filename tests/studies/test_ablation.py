@@ -40,7 +40,7 @@ from drake_nonstop.systems.block import LeafBlock
 from drake_nonstop.validation import ScenarioError
 
 PLOTS = {"position_error.png", "slowest_speed.png", "tension_min.png"}
-RUN = {"scenario.yaml", "metrics.json", "signals.npz", "steps.npz", "diagram.svg", "replay.html"}
+RUN = {"scenario.yaml", "metrics.json", "signals.npz", "diagram.svg", "replay.html"}
 
 
 def written(tmp_path, text):
