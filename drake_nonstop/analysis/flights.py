@@ -3,7 +3,7 @@
 import math
 import warnings
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from drake_nonstop.run.many import simulate_many
 from drake_nonstop.run.outcome import RunOutcome, find_margins, judge
 from drake_nonstop.run.run import Run
 from drake_nonstop.run.run_quantities import RunQuantities
+from drake_nonstop.run.simulate import simulate
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.systems.block import release
 from drake_nonstop.validation import ScenarioWarning, message_of
@@ -91,7 +92,10 @@ def fly(
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ScenarioWarning)
-        runs = simulate_many([scenario for _, scenario in scenarios], progress=progress)
+        if len(scenarios) == 1:
+            runs: list[Any] = [_flown(scenarios[0][1], progress)]
+        else:
+            runs = simulate_many([scenario for _, scenario in scenarios], progress=progress)
     found = []
     for (name, scenario), run in zip(scenarios, runs, strict=True):
         run = getattr(run, "run", run)  # of one that stopped
@@ -103,6 +107,15 @@ def fly(
         else:
             found.append(CheckedFlight(name, scenario, RunOutcome.STOPPED, (message_of(run),)))
     return found
+
+
+def _flown(scenario: Scenario, progress: Callable[[float], None]) -> Run | Exception:
+    """The flight of one scenario, which tells its progress on the way."""
+    duration = scenario.simulation_duration
+    try:
+        return simulate(scenario, progress=lambda time: progress(min(1.0, time / duration)))
+    except Exception as error:  # whatever the user's own blocks may raise
+        return error
 
 
 def _checked(name: str, run: Run) -> CheckedFlight:

@@ -21,7 +21,7 @@ from drake_nonstop.validation import ScenarioError
 _FACTORS = (1.2, 1.5, 2.5)  # of quantities that are changed, one after the other
 _EASED = (0.98, 0.9, 0.7)  # of a bound that is missed, what is asked for instead
 _MOST = 3  # remedies that are told
-_LEAST_TIME = 3.0  # s, of trials; or as long as the flights took
+_LEAST_TIME = 3.0  # s of the processor, of trials; or as long as the flights took
 _SMALL = 0.01  # of a formation's width, by which its centre may be off
 
 _LOST = (RunOutcome.LOAD_LOST, RunOutcome.STOPPED)
@@ -241,14 +241,14 @@ def find_remedies(
 ) -> tuple[list[Remedy], int]:
     """The first changes with which all flights are ok, each flown, and how many were tried.
 
-    A change is tried on the worst flight, up to a turn after the last limit that it missed, and
+    A change is tried on the worst flight, up to a turn after the first limit that it missed, and
     what helps there on all flights. New ones are tried for as long as the flights took, and for
-    three seconds at least.
+    three seconds at least; those are not flown that would take twice what is left.
 
     Args:
         flights: of the scenarios.
         scenarios: that were flown.
-        took: s, all flights together.
+        took: s of the processor, all flights together.
         progress: called with the share of the time for trials that is over.
     """
     severity = list(RunOutcome).index
@@ -258,10 +258,10 @@ def find_remedies(
     proposals = itertools.chain.from_iterable(itertools.zip_longest(*families))
     end, whole = _end_of_trials(failed), failed.scenario.simulation_duration
     each, budget = took / len(flights) * end / whole, max(_LEAST_TIME, took)
-    start, tried = time.perf_counter(), 0
+    start, tried = time.process_time(), 0
     found: list[Remedy] = []
     waiting = iter([proposal for proposal in proposals if proposal])
-    while len(found) < _MOST and (left := budget - (time.perf_counter() - start)) > 0:
+    while len(found) < _MOST and (left := budget - (time.process_time() - start)) > 0:
         progress(1 - left / budget)
         count = min(8, max(1, int(left / max(each, 1e-3) / 2)))
         some = [*itertools.islice(waiting, count)]
@@ -272,6 +272,8 @@ def find_remedies(
         for said in helped:
             if len(found) == _MOST or any(_same_fields(said, other.overrides) for other in found):
                 continue
+            if took / 2 > budget - (time.process_time() - start):
+                break
             made = [_changed(scenario, said) for scenario in scenarios]
             all_flights = fly([("", each) for each in made if each is not None])
             if all(flight.is_ok for flight in all_flights):
@@ -316,13 +318,15 @@ def _shortened(scenario: Scenario, duration: float) -> Scenario:
 
 
 def _end_of_trials(failed: _Failed) -> float:
-    """A turn after the last limit that the flight missed, s; its end where that is not known."""
+    """A turn after the first limit that the flight missed, s; its end where that is not known."""
     duration = failed.scenario.simulation_duration
-    missed = [each.when for each in failed.flight.margins if not each.is_kept]
+    missed = [
+        each.when for each in failed.flight.margins if not each.is_kept and math.isfinite(each.when)
+    ]
     frequency = getattr(failed.scenario.optimization_layer, "frequency", 0.0)
-    if not missed or not np.all(np.isfinite(missed)) or not frequency:
+    if not missed or not frequency:
         return duration
-    return min(duration, max(missed) + 2 * math.pi / frequency)
+    return min(duration, min(missed) + 2 * math.pi / frequency)
 
 
 def _rounded(value: float, side: int) -> float:

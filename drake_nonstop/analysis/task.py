@@ -12,7 +12,7 @@ from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.loop.assembly import models_of
 from drake_nonstop.mechanics.reference_preview import ReferencePreview
 from drake_nonstop.mechanics.rigid_load import STILL_AIR
-from drake_nonstop.model.descriptions import CarrierReferences, Wind, described, described_air
+from drake_nonstop.model.descriptions import WIND, CarrierReferences, Wind, described
 from drake_nonstop.model.system import Model, given_fields
 from drake_nonstop.planning.horizon_config import HorizonConfig, timed
 from drake_nonstop.planning.problem_config import LimitsConfig, with_fields_of
@@ -110,7 +110,7 @@ def task_at(
     blocks = {block.get_name(): block for block in nonstop.GetSystems()}
     task = _task(scenario, lambda time: reference, blocks)
     limits = dataclasses.replace(task.limits, frequency=frequency, amplitude=amplitude)
-    if described_air(blocks) is None and nonstop.HasOutputPort("load_wind"):
+    if described(blocks.get("wind"), WIND) is None and nonstop.HasOutputPort("load_wind"):
         wind = nonstop.GetOutputPort("load_wind").Eval(context)
         task = dataclasses.replace(task, air=Wind(wind.copy()))
     return dataclasses.replace(task, limits=limits)
@@ -132,7 +132,7 @@ def _task(
         reference=reference,
         duration=scenario.simulation_duration,
         references=described(blocks.get("carrier_trajectory")) or CarrierReferences(None),
-        air=described_air(blocks) or Wind(),
+        air=described(blocks.get("wind"), WIND) or Wind(),
         counts_wind=model.aircraft is not None and getattr(layer, "wind", True),
         horizon=timed(horizon, limits.frequency, scenario.control_period),
     )

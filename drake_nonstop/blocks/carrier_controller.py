@@ -1,6 +1,5 @@
 """The controller half of box "Carrier Controller + Dynamics"."""
 
-import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any, ClassVar
@@ -15,7 +14,6 @@ from drake_nonstop.blocks.fixed_wing_controller import (
 from drake_nonstop.mechanics.carrier import pid_forces
 from drake_nonstop.mechanics.tuning import pid_gains
 from drake_nonstop.model.block import Block
-from drake_nonstop.model.descriptions import CarrierControl
 from drake_nonstop.model.system import Model
 from drake_nonstop.validation import (
     StrictFields,
@@ -99,13 +97,6 @@ class CarrierPid(Block):
     def gains(self) -> dict[str, Any]:
         """The gains that it was made with."""
         return self.gains_of(self.model, self.config)
-
-    def describe_response(self) -> CarrierControl:
-        return CarrierControl(
-            **self.gains,
-            has_feedforward=_ACCELERATION in self.reads,
-            stiffness=getattr(self.config, "position_gain", 0.0) or math.inf,
-        )
 
 
 @dataclass(kw_only=True)

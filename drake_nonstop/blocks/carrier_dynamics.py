@@ -29,7 +29,6 @@ from drake_nonstop.model.block import (
     aircraft_of,
     required_aircraft,
 )
-from drake_nonstop.model.descriptions import CarrierMotion
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.parameters import parameters_in
 from drake_nonstop.systems.requirements import LoopBlocks
@@ -99,9 +98,6 @@ class CarrierDynamics(_Points):
 
     def state(self, model: Model) -> NDArray:
         return model.initial_carrier_state
-
-    def describe_response(self) -> CarrierMotion:
-        return CarrierMotion()
 
 
 @dataclass(kw_only=True)

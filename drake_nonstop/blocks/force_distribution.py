@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.grasp import cable_forces_and_rates
 from drake_nonstop.model.block import Block, BlockParameters
-from drake_nonstop.model.descriptions import PseudoInverse
 from drake_nonstop.model.system import Model
 from drake_nonstop.validation import StrictFields
 
@@ -40,9 +39,6 @@ class CableForceDistribution(Block):
 
     def block_parameters(self, model: Model, config: Any) -> BlockParameters:
         return BlockParameters(model, model.offset_parameter)
-
-    def describe_response(self) -> PseudoInverse:
-        return PseudoInverse()
 
 
 VARIANTS = (CableForceDistribution,)

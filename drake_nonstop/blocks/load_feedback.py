@@ -18,7 +18,7 @@ from drake_nonstop.mechanics.signals import (
     TrackingError,
 )
 from drake_nonstop.model.block import Block, BlockParameters
-from drake_nonstop.model.descriptions import Estimator, LoadMeasurement
+from drake_nonstop.model.descriptions import LoadMeasurement
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import number
 from drake_nonstop.systems.tracing import where
@@ -206,7 +206,7 @@ class NoisyFeedback(Block):
 
     def describe_response(self) -> LoadMeasurement:
         shown = np.ones(TRACKING_ERROR_SIZE) if self.config.measures_attitude else _WITHOUT_ATTITUDE
-        return LoadMeasurement(shown, delay=_delay(self.config) * self.config.period)
+        return LoadMeasurement(shown)
 
 
 def _delay(config: MeasurementConfig) -> int:
@@ -325,10 +325,6 @@ class EstimatedFeedback(NoisyFeedback):
     @classmethod
     def has_state(cls, model: Model, config: MeasurementConfig) -> bool:
         return True
-
-    def describe_response(self) -> LoadMeasurement:
-        estimator = Estimator.of(*self._gains(self.config), self.config.period)
-        return super().describe_response()._replace(estimator=estimator)
 
     @staticmethod
     def _gains(config: EstimatedFeedbackConfig) -> tuple[NDArray, NDArray]:

@@ -18,7 +18,6 @@ from drake_nonstop.blocks import load_trajectory, phase
 from drake_nonstop.blocks.speed_bound_layer import BOX, WIND, PeriodicLayer
 from drake_nonstop.mechanics.planned_orbit import needs_of_motion, orbit_motion, turning_terms
 from drake_nonstop.model.block import BlockParameters, required_aircraft
-from drake_nonstop.model.descriptions import TurnRate
 from drake_nonstop.model.system import Model
 from drake_nonstop.planning.constraints import FEASIBILITY_TOLERANCE, Constraints
 from drake_nonstop.planning.diagnostics import BOUND, Outcome
@@ -255,13 +254,6 @@ class TurnRateOptimizer(PeriodicLayer):
     def block_parameters(self, model: Model, config: Any) -> BlockParameters:
         """The bound, which a context can change."""
         return BlockParameters(model, config=config, own=("speed_bound",))
-
-    def describe_response(self) -> TurnRate:
-        def updated(period: float, rate: float, *signals: NDArray) -> float:
-            bound = float(self.config.speed_bound)
-            return self._solver.solve(bound, rate, *signals, period=period).rate
-
-        return TurnRate(self.config.frequency, self.config.period, updated)
 
     def answer(self, context: Context) -> NDArray:
         """The state after an update."""

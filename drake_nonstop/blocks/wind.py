@@ -142,7 +142,7 @@ class SteadyWind(Block):
 
     def describe_wind(self) -> Wind:
         mean = np.array(self.config.velocity, dtype=float)
-        return Wind(mean, None, self.config.start_time, self.config.rise_time)
+        return Wind(mean, self.config.start_time, self.config.rise_time)
 
 
 def _altitude(default: float) -> Any:
@@ -195,9 +195,6 @@ class GustyWind(SteadyWind):
             "load_wind": ([[config.seed, 0]], *_air(config, "load_", axes)),
         }
         self._samples: dict[str, NDArray] = {}  # as far as they were asked for
-
-    def describe_wind(self) -> Wind:
-        return super().describe_wind()._replace(gust=self.config.gust)
 
     def quantities(self, model: Model) -> Mapping[str, int]:
         return {"wind": WIND_SIZE * model.n, "load_wind": WIND_SIZE}

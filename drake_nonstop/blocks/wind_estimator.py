@@ -60,9 +60,6 @@ class NoWind(Block):
     def equations() -> NDArray:
         return np.zeros(WIND_SIZE)
 
-    def describe_wind_estimate(self) -> NDArray:
-        return np.zeros(WIND_SIZE)
-
 
 @dataclass(kw_only=True)
 class _InstrumentsConfig(StrictFields):

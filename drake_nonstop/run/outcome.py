@@ -25,6 +25,7 @@ from drake_nonstop.validation import is_number
 
 _ROUNDING = 1e-3  # of a limit that a block aims at, by which it may be missed
 _DECIMALS = 9  # of a quantity that is shown
+_TAUT = 1e-6  # N, the least tension of a cable that is not slack
 
 
 class RunOutcome(str, Enum):
@@ -291,7 +292,9 @@ def find_margins(run: RunQuantities) -> list[Margin]:
         margins.append(Margin.along("speed / bound", shares, 1.0, time, is_least=True))
     of_cables: dict[str, Any] = {"of": "cable", "unit": "N"}
     if run.scenario.limits.slack_time == 0:
-        margins.append(Margin.along("tension", run.tensions, 0.0, time, is_least=True, **of_cables))
+        margins.append(
+            Margin.along("tension", run.tensions, _TAUT, time, is_least=True, **of_cables)
+        )
     breaks = np.broadcast_to(breaking_load(run.system), run.tensions.shape[1])
     if np.any(np.isfinite(breaks)):
         margins.append(Margin.along("breaking load", run.tensions, breaks, time, **of_cables))
