@@ -14,8 +14,7 @@ import pytest
 from helpers import nightly_beyond
 
 import drake_nonstop
-from drake_nonstop.cli.main import main
-from drake_nonstop.cli.parser import make_parser
+from drake_nonstop.cli.main import main, make_parser
 
 ROOT = Path(__file__).parent.parent
 EXAMPLES = sorted([*(ROOT / "examples").glob("*.py"), *(ROOT / "examples").glob("*/fly.py")])
@@ -137,12 +136,11 @@ def test_code_of_a_page_runs(page, capsys, monkeypatch, tmp_path):
 @pytest.mark.parametrize("page", [name for name, found in COMMANDS.items() if found])
 def test_commands_of_a_page_are_commands(page):
     """Their arguments are parsed; scenarios that they name are there."""
-    parser = make_parser()
     for block in COMMANDS[page]:
         for line in block.replace("\\\n", " ").splitlines():
             words = shlex.split(line.partition("  #")[0].partition(" > ")[0], comments=True)
             if words[:1] == ["drake-nonstop"]:
-                options = parser.parse_args(words[1:])
+                options = make_parser(words[1]).parse_args(words[1:])
                 named = getattr(options, "scenario", None)
                 if named and Path(named).suffix == "":
                     assert named in drake_nonstop.scenario_names(), line

@@ -2,13 +2,12 @@
 
 import argparse
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
-from drake_nonstop.scenario.loading import load_scenario
-from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.studies.files import replacing_file
-from drake_nonstop.studies.results_folder import default_folder
 from drake_nonstop.view.figure_style import WIDTHS
+
+if TYPE_CHECKING:
+    from drake_nonstop.scenario.schema import Scenario
 
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 
@@ -27,20 +26,9 @@ def add_trust(
     parser.add_argument("--trust", action="store_true", help=about)
 
 
-def add_scenario(
-    parser: argparse.ArgumentParser, folder: str = "out/NAME", default: str | None = None
-) -> None:
-    """Adds the scenario, --out, whose default the help names, --set and --trust.
-
-    Without a `default` a scenario has to be given.
-    """
-    parser.add_argument(
-        "scenario",
-        metavar="NAME|FILE.yaml",
-        nargs=None if default is None else "?",
-        default=default,
-        help=f"a scenario's name or file{'' if default is None else f' ({default})'}",
-    )
+def add_scenario(parser: argparse.ArgumentParser, folder: str = "out/NAME") -> None:
+    """Adds the scenario, --out, whose default the help names, --set and --trust."""
+    parser.add_argument("scenario", metavar="NAME|FILE.yaml", help="a scenario's name or file")
     parser.add_argument("--out", type=Path, metavar="DIR", help=f"results' folder ({folder})")
     add_changes(parser, "--set", "change the scenario: system.load_mass=1.2, phase=PaperPhase")
     add_trust(parser, "let it import blocks of your own, such as phase=my_blocks.MyPhase")
@@ -67,22 +55,28 @@ def study_folder(options: argparse.Namespace, name: str, settings: str) -> Path:
 
     With --restart that folder is taken whatever it holds.
     """
+    from drake_nonstop.studies.results_folder import default_folder
+
     folder: Path = options.default_folder / name
     if options.out or options.restart:
         return options.out or folder
     return default_folder(folder, settings)
 
 
-def read_scenario(options: argparse.Namespace, *, sampled: bool = True) -> Scenario:
+def read_scenario(options: argparse.Namespace, *, sampled: bool = True) -> "Scenario":
     """The scenario that the arguments of `add_scenario` name; raises ScenarioError.
 
     Where it is `sampled`, numbers have been drawn for its distributions.
     """
+    from drake_nonstop.scenario.loading import load_scenario
+
     scenario = load_scenario(options.scenario, options.set, trust=options.trust)
     return scenario.sampled() if sampled else scenario
 
 
 def write_figure(path: Path, figure: Any) -> None:
     """Writes a Matplotlib figure to a file of the format that its name ends in."""
+    from drake_nonstop.studies.files import replacing_file
+
     with replacing_file(path) as file:
         figure.savefig(file, format=path.suffix.removeprefix("."))

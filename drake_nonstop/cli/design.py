@@ -1,4 +1,4 @@
-"""`drake-nonstop design`: formations of aircraft for a load, and scenarios that fly them."""
+"""`drake-nonstop design`: find formations of aircraft for a load, and scenarios that fly."""
 
 import argparse
 import os
@@ -15,7 +15,6 @@ def add_to(commands: Commands) -> None:
     """Adds the subcommand."""
     parser = commands.add_parser(
         "design",
-        help="find formations of aircraft for a load: margins, power, and scenarios that fly",
         description="Looks for formations of aircraft that hold a load, at rest and on a way, in a "
         "wind, with margins to stall, bank and thrust: for each number of carriers and kind of "
         "orbit those of the least power at rising margins. Writes a scenario for each, and a "

@@ -18,8 +18,7 @@ NOT_OK = 3  # a run came to its end with an outcome other than ok
 INTERRUPTED = 130  # the shell's for Ctrl-C
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-_FIRST_GRACE = 1.5  # s, from a first signal that nothing waits for
-_SECOND_GRACE = 1.0  # s, from the second
+_GRACE = 1.0  # s, from the second signal, or from a first one that nothing waits for
 _LAST_GRACE = 0.5  # s, once the sentence is printed
 
 
@@ -30,7 +29,8 @@ def exit_code(number: int) -> int:
 
 def complain(message: str) -> None:
     """Prints a sentence of the command's on the standard error."""
-    print(f"drake-nonstop: {message}", file=sys.stderr, flush=True)
+    with contextlib.suppress(OSError, ValueError):  # it is full, or closed
+        print(f"drake-nonstop: {message}", file=sys.stderr, flush=True)
 
 
 def say_end(interruption: Interruption, rest: str = "") -> int:
@@ -78,11 +78,9 @@ class CommandInterruption(Interruption):
             raise KeyboardInterrupt
 
     def _end(self, rest: str = "") -> NoReturn:
-        with contextlib.suppress(OSError):
-            os.write(2, f"drake-nonstop: {_cause(self.number, rest)}\n".encode())
-        self._exit()
-
-    def _exit(self) -> NoReturn:
+        if not self.is_said:
+            with contextlib.suppress(OSError):
+                os.write(2, f"drake-nonstop: {_cause(self.number, rest)}\n".encode())
         for clean_up in before_end:
             with contextlib.suppress(Exception):
                 clean_up()
@@ -102,23 +100,18 @@ class CommandInterruption(Interruption):
             if select.select([reader], [], [], left)[0]:
                 before = count
                 count += sum(number in SIGNALS for number in os.read(reader, 64))
-                if before < 2 <= count:
-                    end = time.monotonic() + _SECOND_GRACE
-                elif before == 0 and count == 1 and not self.waits:
-                    end = time.monotonic() + _FIRST_GRACE
+                if before < 2 <= count or (before == 0 and count == 1 and not self.waits):
+                    end = time.monotonic() + _GRACE
             elif count > 1 or self._has_raised:
-                self._end_late()
+                break
             else:
                 end = None
-
-    def _end_late(self) -> NoReturn:
         while self.is_writing:
             time.sleep(0.01)
+        rest = ""
         if self.is_said:
             time.sleep(_LAST_GRACE)
-            self._exit()
-        rest, collect, keep = "", self.collect, self.keep
-        if collect is not None and keep is not None:
+        elif (collect := self.collect) is not None and (keep := self.keep) is not None:
             with contextlib.suppress(Exception):
                 rest = keep(collect())
         self._end(rest)

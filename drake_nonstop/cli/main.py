@@ -1,14 +1,19 @@
-"""The command `drake-nonstop`: what becomes of errors and signals.
+"""The command `drake-nonstop`: finds the subcommand, and says what becomes of errors and signals.
 
-The other modules are imported only once signals are handled: pydrake takes a second.
+A subcommand is a module of this folder, whose docstring begins with its name and what it does. Its
+`add_to` adds the parser, with the function that runs it as `action`. Only the module of the command
+that is given is imported, once signals are handled: pydrake takes a second.
 """
 
+import argparse
 import atexit
-import codecs
 import gc
-import locale
+import importlib
 import os
-import resource
+import re
+import sys
+import warnings
+from pathlib import Path
 
 from drake_nonstop.cli.ending import (
     BAD_INPUT,
@@ -19,9 +24,10 @@ from drake_nonstop.cli.ending import (
     handling_signals,
     say_end,
 )
-from drake_nonstop.cli.output import GuardedStream, guarded_output, open_closed_streams
+from drake_nonstop.version import __version__
 
-_LEAST_OPEN_FILES = 32
+_STUDIES = ("design", "stability", "robustness", "ablate", "sweep")  # end in order by themselves
+_HEADING = re.compile(r'"""`drake-nonstop (?P<names>[^:]+): (?P<about>.*?)\.(?:""")?')
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -29,48 +35,71 @@ def main(arguments: list[str] | None = None) -> int:
 
     Without arguments it takes the process's, and ends the process.
     """
-    if arguments is not None:
-        with handling_signals() as interruption, guarded_output() as (out, _):
-            return _finished(_main(arguments, interruption), interruption, out)
-    import drake_nonstop.studies.one_blas_thread  # noqa: F401
-
-    open_closed_streams()
-    with handling_signals() as interruption, guarded_output() as (out, err):
+    with handling_signals() as interruption:
+        if arguments is not None:
+            return _ended(_main(arguments, interruption), interruption)
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # matrices are small, processes several
+        for stream in (sys.stdout, sys.stderr):
+            if stream is not None:  # characters that a terminal does not have are no errors
+                stream.reconfigure(errors="replace")  # type: ignore[union-attr]
         interruption.watch()
         try:
-            code = _main(None, interruption)
+            code = _main(sys.argv[1:], interruption)
         except SystemExit as ended:  # argparse's
             code = int(ended.code or 0)
-        code = _finished(code, interruption, out)
-        err.flush()
+        code = _ended(code, interruption)
         # Python's own end takes half a second with pydrake, in which Ctrl-C is not heard.
         atexit._run_exitfuncs()
         os._exit(code)
 
 
-def _finished(code: int, interruption: CommandInterruption, out: GuardedStream) -> int:
+def _ended(code: int, interruption: CommandInterruption) -> int:
     """The exit code, where the output fails or a signal came too late to change anything."""
-    out.flush()
-    if out.error is not None and not isinstance(out.error, BrokenPipeError):
-        complain(f"the output was not written: {out.error}")
+    try:
+        print(end="", flush=True)
+    except BrokenPipeError:  # such as of `| head`
+        pass
+    except (OSError, ValueError) as error:
+        complain(f"the output was not written: {error}")
+        code = code or FAILED
     if interruption.number and code != exit_code(interruption.number):
         return say_end(interruption)
-    return code or (FAILED if out.error is not None else 0)
+    return code
 
 
-def _main(arguments: list[str] | None, interruption: CommandInterruption) -> int:
-    import warnings
+def commands() -> dict[str, tuple[str, str]]:
+    """The module of each command and what it does, from the first lines of the modules."""
+    found = {}
+    for file in sorted(Path(__file__).parent.glob("*.py")):
+        with file.open(encoding="utf-8") as opened:
+            heading = _HEADING.match(opened.readline())
+        if heading:
+            for name in re.findall(r"[\w-]+(?=`)", heading["names"]):
+                found[name] = file.stem, heading["about"]
+    return found
 
-    open_files, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
-    if 0 <= open_files < _LEAST_OPEN_FILES:  # pydrake would crash
-        remedy = f"allow it more, `ulimit -n {_LEAST_OPEN_FILES}`"
-        complain(f"the process may open {open_files} files at a time: {remedy}")
-        return FAILED
-    if codecs.lookup(locale.getpreferredencoding(False)).name == "ascii":
-        remedy = "set PYTHONUTF8=1, or a locale of UTF-8"
-        complain(f"pydrake cannot be imported in an ASCII locale: {remedy}")
-        return FAILED
-    from drake_nonstop.cli.parser import STUDIES, make_parser
+
+def make_parser(command: str) -> argparse.ArgumentParser:
+    """The parser, with all arguments of one command and the names of the others."""
+    parser = argparse.ArgumentParser(
+        prog="drake-nonstop",
+        description="Simulate carriers that fly a load on cables without ever stopping.",
+    )
+    parser.add_argument("--version", action="version", version=__version__)
+    subparsers = parser.add_subparsers(required=True, metavar="COMMAND", dest="command")
+    every = commands()
+    own = every.get(command, ("", ""))[0]
+    for name, (module, about) in every.items():
+        if module != own:
+            subparsers.add_parser(name, help=about)
+    if own:
+        importlib.import_module(f"drake_nonstop.cli.{own}").add_to(subparsers)
+    return parser
+
+
+def _main(arguments: list[str], interruption: CommandInterruption) -> int:
+    options = make_parser(next(iter(arguments), "")).parse_args(arguments)
+
     from drake_nonstop.run.interruption import ALL
     from drake_nonstop.run.run import RunStopped
     from drake_nonstop.validation import (
@@ -81,10 +110,8 @@ def _main(arguments: list[str] | None, interruption: CommandInterruption) -> int
         show_warning,
     )
 
-    if arguments is None:
-        gc.freeze()  # the collector need not look at what the imports made
-    options = make_parser().parse_args(arguments)
-    interruption.waits = options.command in STUDIES
+    gc.freeze()  # the collector need not look at what the imports made
+    interruption.waits = options.command in _STUDIES
     try:
         try:
             interruption.is_starting = False
@@ -97,21 +124,20 @@ def _main(arguments: list[str] | None, interruption: CommandInterruption) -> int
             interruption.patience = ALL
     except ScenarioError as error:
         message, code = message_of(error).replace("\n", "\\n"), BAD_INPUT
-    except RunStopped as stopped:
-        message, code = str(stopped), FAILED
     except KeyboardInterrupt as interrupted:
-        if interruption.number:
-            return say_end(interruption, message_of(interrupted))
         rest = message_of(interrupted)
-        message = f"stopped by a KeyboardInterrupt in its code{rest and ': '}{rest}"
-        code = FAILED
-    except (OSError, MemoryError, SystemExit) as error:
+        if interruption.number:
+            return say_end(interruption, rest)
+        message, code = f"stopped by a KeyboardInterrupt in its code{rest and ': '}{rest}", FAILED
+    except BrokenPipeError:
+        return 0
+    except (RunStopped, OSError, MemoryError, SystemExit) as error:
         message, code = one_line(error), FAILED
     except Exception:
         if interruption.number == 0:
             raise
-        message = ""  # a KeyboardInterrupt may become another error on its way through C++
-    if interruption.number or not message:
+        message, code = "", FAILED  # a KeyboardInterrupt that became another error in C++
+    if interruption.number:
         return say_end(interruption)
     complain(message)
     return code

@@ -1,4 +1,4 @@
-"""`drake-nonstop run`: runs a scenario and writes its results."""
+"""`drake-nonstop run`: run a scenario and write its results."""
 
 import argparse
 import contextlib
@@ -42,8 +42,6 @@ from drake_nonstop.studies.results_folder import (
 from drake_nonstop.studies.run_all import no_progress
 from drake_nonstop.validation import ScenarioError, one_line, require, show_warning
 from drake_nonstop.view.figure_style import FORMATS, FigureLook
-from drake_nonstop.view.live import run_live
-from drake_nonstop.view.meshcat_server import start_meshcat
 from drake_nonstop.view.progress import RunProgress, TaskProgress
 
 _EXIT_CODES = {RunOutcome.OK: 0, RunOutcome.STOPPED: FAILED}  # NOT_OK for all others
@@ -54,7 +52,6 @@ def add_to(commands: Commands) -> None:
     others = [outcome.value for outcome in RunOutcome if outcome not in _EXIT_CODES]
     parser = commands.add_parser(
         "run",
-        help="run a scenario and write its results",
         epilog=f"Exit codes: 0 where the outcome is ok, {NOT_OK} where it is "
         f"{', '.join(others[:-1])} or {others[-1]}, {FAILED} where the run stopped before its "
         f"time or results, pictures or the output could not be written, {BAD_INPUT} for bad "
@@ -78,7 +75,6 @@ def add_to(commands: Commands) -> None:
         metavar="RATE",
         help="simulated s per s of a live run (1; 0: free)",
     )
-    parser.add_argument("--port", type=int, help="of the live page (any from 7000 that is free)")
     parser.add_argument(
         "--verify-step",
         action="store_true",
@@ -89,35 +85,34 @@ def add_to(commands: Commands) -> None:
 
 def _run(options: argparse.Namespace) -> int:
     scenario = read_scenario(options)
-    for name in ("realtime", "port"):
-        value = getattr(options, name)
-        require(options.live or value is None, f"--{name}", value, "give --live with it")
-    require(
-        not (options.live and options.verify_step),
-        "--verify-step",
-        "--live",
-        "give one of them: a live run may be changed while it goes on",
+    is_usable = options.live or options.realtime is None
+    require(is_usable, "--realtime", options.realtime, "give --live with it")
+    remedy = "give one of them: a live run may be changed while it goes on"
+    require(not (options.live and options.verify_step), "--verify-step", "--live", remedy)
+    rate = 1.0 if options.realtime is None else options.realtime
+    return run_into(
+        options.out or default_folder(Path("out") / scenario.name, scenario),
+        scenario,
+        figures=not options.no_figures and options.figures,
+        replay=not options.no_replay,
+        look=FigureLook(options.style, options.width),
+        verifies_step=options.verify_step,
+        live_rate=rate if options.live else None,
+        is_quiet=options.quiet,
     )
-    folder = options.out or default_folder(Path("out") / scenario.name, scenario)
-    return run_into(folder, scenario, options)
 
 
-# Those of a run without any.
-_NO_OPTIONS = argparse.Namespace(
-    live=False,
-    realtime=None,
-    port=None,
-    style=None,
-    width=None,
-    figures=FORMATS[0],
-    no_figures=False,
-    no_replay=False,
-    verify_step=False,
-    quiet=False,
-)
-
-
-def run_into(folder: Path, scenario: Scenario, options: argparse.Namespace = _NO_OPTIONS) -> int:
+def run_into(
+    folder: Path,
+    scenario: Scenario,
+    *,
+    figures: str | bool = True,
+    replay: bool = True,
+    look: FigureLook = FigureLook(),  # noqa: B008 - it is immutable
+    verifies_step: bool = False,
+    live_rate: float | None = None,
+    is_quiet: bool = False,
+) -> int:
     """Runs a scenario, writes its results and prints its table; returns the exit code.
 
     A new folder is removed where the scenario cannot be run. A run that ends before its time does
@@ -127,85 +122,79 @@ def run_into(folder: Path, scenario: Scenario, options: argparse.Namespace = _NO
     Raises:
         ScenarioError: the scenario cannot be built, or the folder not be written.
     """
-    figures = not options.no_figures and options.figures
-    replay, is_quiet = not options.no_replay, options.quiet
-    look = FigureLook(options.style, options.width)
     if figures:
         with look.applied():
             pass  # they can be drawn
-    is_new = not os.path.lexists(folder)
+    is_new, is_live = not os.path.lexists(folder), live_rate is not None
     own_code = own_code_of(dump_scenario(scenario))  # before somebody edits it
-    code = 0
     progress = None if is_quiet else RunProgress(scenario.name, scenario.simulation_duration)
 
     def runs() -> Iterator[Run]:
-        if not options.live:
+        if live_rate is not None:
+            from drake_nonstop.view.live import run_live
+            from drake_nonstop.view.meshcat_server import start_meshcat
+
+            meshcat = start_meshcat()
+            print(f"watch and steer it at {meshcat.web_url()}", flush=True)
+            yield from run_live(scenario, meshcat, realtime_rate=live_rate, progress=progress)
+        else:
             run = simulate(scenario, progress=progress)
-            if options.verify_step:
-                run = verify_step(run, progress=progress)
-            yield run
-            return
-        meshcat = start_meshcat(options.port)
-        print(f"watch and steer it at {meshcat.web_url()}", flush=True)
-        rate = 1.0 if options.realtime is None else options.realtime
-        yield from run_live(scenario, meshcat, realtime_rate=rate, progress=progress)
+            yield verify_step(run, progress=progress) if verifies_step else run
 
-    def write(run: Run) -> tuple[dict[str, Any], Path, str]:
-        """Writes the results.
-
-        Returns:
-            The metrics, where the results are, and what of them is missing ("": nothing is).
-        """
+    def write(run: Run) -> tuple[dict[str, Any], str, bool]:
+        """Writes the results; returns the metrics, where all is, in words, and if pictures miss."""
         interruption.is_writing = True
         if progress is not None:
             progress.close()
         place = stopped_folder(folder) if run.stopped else folder
-        metrics = _write_somewhere(run, place, own_code)
+        metrics, missing = _write_somewhere(run, place, own_code), ""
         interruption.is_writing = False
-        if interruption.count > 1:
-            return metrics, place, "without pictures"
         try:
-            with TaskProgress() as task, interruption.patient(0):
-                show = no_progress if is_quiet else task
+            interruption.patience = 0
+            if interruption.count > 1:
+                raise KeyboardInterrupt
+            with TaskProgress() as task:
                 kinds: dict[str, Any] = {"figures": figures, "replay": replay, "look": look}
-                write_pictures(run, place, **kinds, progress=show, may_fork=not options.live)
+                show = no_progress if is_quiet else task
+                write_pictures(run, place, **kinds, progress=show, may_fork=not is_live)
         except KeyboardInterrupt:
-            return metrics, place, "without all pictures"
+            missing = ", without all pictures"
         except Exception as error:  # what was flown is kept
-            return metrics, place, f"without all pictures ({one_line(error)})"
-        return metrics, place, ""
+            missing = f", without all pictures ({one_line(error)})"
+        finally:
+            interruption.patience = ALL
+        earlier = "" if place == folder else f"; those of an earlier run stay in {folder}"
+        return metrics, f"{place}{missing}{earlier}", missing != ""
 
     def keep(run: Run) -> str:
-        metrics, place, missing = write(run)
-        said = f"the results up to {metrics['simulated_s']:.3f} s are in {place}"
-        return f"{said}{missing and f', {missing}'}{_unchanged(folder, place)}"
+        metrics, where, _ = write(run)
+        return f"the results up to {metrics['simulated_s']:.3f} s are in {where}"
 
     def remove_new() -> None:
         if is_new:
             with contextlib.suppress(OSError):
                 folder.rmdir()
 
+    code = 0
     with current_interruption() as interruption, interruption.patient(ALL):
         interruption.keep = keep
         try:
             require_writable(folder, RUN_FILES, room=least_size(scenario))
             for run in runs():
-                metrics, place, missing = write(run)
+                metrics, where, is_partial = write(run)
                 if interruption.number:
-                    rest = f"the results are in {place}{missing and f', {missing}'}"
-                    return say_end(interruption, rest + _unchanged(folder, place))
-                outcome = RunOutcome(metrics["outcome"])
-                code = _EXIT_CODES.get(outcome, NOT_OK)
-                if options.live and outcome is RunOutcome.STOPPED:
+                    return say_end(interruption, f"the results are in {where}")
+                code = _EXIT_CODES.get(RunOutcome(metrics["outcome"]), NOT_OK)
+                if is_live and code == FAILED:
                     code = 0  # somebody pressed "stop" in the page
                 if not is_quiet:
-                    _report(metrics, run, f"{place}{_unchanged(folder, place)}")
+                    _report(metrics, run, where)
                 if code != 0:
                     complain(f"{metrics['outcome']}: {in_brief(metrics['reasons'])}")
-                if options.live and not is_quiet:
+                if is_live and not is_quiet:
                     print("while a page is open: restart or stop there; Ctrl-C ends it", flush=True)
-                if missing:
-                    complain(f"the results are in {place}, {missing}")
+                if is_partial:
+                    complain(f"the results are in {where}")
                     return FAILED
             return code
         except ScenarioError:
@@ -230,11 +219,6 @@ def run_into(folder: Path, scenario: Scenario, options: argparse.Namespace = _NO
             interruption.keep = None
             if progress is not None:
                 progress.close()
-
-
-def _unchanged(folder: Path, place: Path) -> str:
-    """The end of a sentence that says where the results are, where that is another folder."""
-    return "" if place == folder else f"; those of an earlier run stay in {folder}"
 
 
 def _write_somewhere(run: Run, folder: Path, own_code: str | None) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""`drake-nonstop list`, `blocks`, `new` and `schema`: what scenarios there are, and can be."""
+"""`drake-nonstop list`, `blocks`, `new` and `schema`: scenarios, and what they can be made of."""
 
 import argparse
 import json
