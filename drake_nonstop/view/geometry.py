@@ -19,7 +19,6 @@ from pydrake.geometry import (
     ProximityProperties,
     RenderLabel,
     Rgba,
-    Role,
     SceneGraph,
     Sphere,
 )
@@ -35,7 +34,7 @@ from drake_nonstop.scenario.schema import Scenario, check
 from drake_nonstop.systems.block import LOOP, DiagramBlock, InnerBlock
 from drake_nonstop.systems.tracing import NotFiniteError
 from drake_nonstop.systems.wiring import output_sizes, require_open
-from drake_nonstop.validation import require, require_array, require_flags, require_type
+from drake_nonstop.validation import require, require_array, require_type
 from drake_nonstop.view.bodies import (
     Colour,
     Part,
@@ -75,8 +74,6 @@ class NonstopGeometry(DiagramBlock):
         scenario: has the system, with what is simulated otherwise, and colours and sizes.
         name: of the geometry's source in the SceneGraph.
         load_file: an SDF or URDF file with the load's shapes; without one it is drawn as bars.
-        proximity: whether the bodies have that role. A MultibodyPlant in the same SceneGraph ends
-            the run at a contact with a body that is not its own, or of two such bodies.
 
     Attributes:
         source: the SourceId of the geometry.
@@ -101,10 +98,8 @@ class NonstopGeometry(DiagramBlock):
         *,
         name: str = LOOP,
         load_file: str | Path = "",
-        proximity: bool = True,
     ):
         super().__init__()
-        require_flags(proximity=proximity)
         require_type("name", name, str)
         remedy = "give the path of an SDF or URDF file"
         require(isinstance(load_file, (str, Path)), "load_file", load_file, remedy)
@@ -128,9 +123,7 @@ class NonstopGeometry(DiagramBlock):
                 if shape.perception_properties() is not None:
                     properties = shape.mutable_perception_properties()
                     properties.UpdateProperty("label", "id", RenderLabel(label))
-                geometry = scene_graph.RegisterGeometry(self.source, frame, shape)
-                if not proximity:
-                    scene_graph.RemoveRole(self.source, geometry, Role.kProximity)
+                scene_graph.RegisterGeometry(self.source, frame, shape)
             return frame
 
         bars = load_parts(attachments, scene.bar_radius)
@@ -221,7 +214,6 @@ def AddGeometry(  # noqa: N802
     scenario: Scenario,
     *,
     load_file: str | Path = "",
-    proximity: bool = True,
 ) -> NonstopGeometry:
     """Adds the bodies of a loop to a SceneGraph, where cameras, queries and viewers see them.
 
@@ -236,7 +228,6 @@ def AddGeometry(  # noqa: N802
         scenario: see `NonstopGeometry`; nothing else of it is used.
         load_file: likewise, such as the one that `system.load_file` named as the scenario was
             loaded.
-        proximity: likewise.
 
     Returns:
         The system that makes the poses; see `NonstopGeometry` for its frames and what is drawn.
@@ -259,9 +250,7 @@ def AddGeometry(  # noqa: N802
         remedy = f"give a loop with {size} values there, for the scenario's {n} attachments"
         require(sizes.get(port) == size, f"loop.{port}", has, remedy)
     name = loop.get_name()
-    geometry = NonstopGeometry(
-        scene_graph, scenario, name=name, load_file=load_file, proximity=proximity
-    )
+    geometry = NonstopGeometry(scene_graph, scenario, name=name, load_file=load_file)
     builder.AddNamedSystem(f"{name}_geometry", geometry)
     for port in ports:
         builder.Connect(loop.GetOutputPort(port), geometry.GetInputPort(port))

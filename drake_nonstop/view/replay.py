@@ -4,6 +4,7 @@ import base64
 import contextlib
 import gzip
 import html
+import itertools
 import math
 import re
 from importlib import resources
@@ -13,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.geometry import MeshcatAnimation
 
-from drake_nonstop.mechanics.signals import POSE_SIZE, SIGNAL_PERIOD, AircraftState, Pose
+from drake_nonstop.mechanics.signals import SIGNAL_PERIOD, AircraftState
 from drake_nonstop.run.run import Run
 from drake_nonstop.run.run_quantities import (
     RunQuantities,
@@ -115,23 +116,17 @@ def _compressed(command: re.Match[str]) -> str:
 def _snapshots(run: Run, frame_rate: float) -> list[Snapshot]:
     """The run at the instants of the frames, up to the first that cannot be shown."""
     frames = np.unique(np.floor(run.time * frame_rate + 1e-6), return_index=True)[1]
-    signals = {"speed_bound": np.full((len(frames), 1), run.scenario.speed_bound)}
+    signals = {"speed_bound": np.full((len(run.time), 1), run.scenario.speed_bound)}
     for name in NonstopVisualizer.reads:
         with contextlib.suppress(UnknownSignalError):
-            signals[name] = run.signal(name)[frames]
-    usable = np.ones(len(frames), dtype=bool)
-    for name, values in signals.items():
-        if name in ("load_state", "reference"):  # of which the pose is shown
-            values = values[:, :POSE_SIZE]
-            usable &= Pose.view(values).quaternion.any(axis=1)
-        usable &= np.isfinite(values).all(axis=1)
-    count = len(frames) if usable.all() else int(usable.argmin())
-    return [
+            signals[name] = run.signal(name)
+    instants = (
         Snapshot.from_signals(
-            run.time[frame], **{name: values[k] for name, values in signals.items()}
+            run.time[frame], **{name: values[frame] for name, values in signals.items()}
         )
-        for k, frame in enumerate(frames[:count])
-    ]
+        for frame in frames
+    )
+    return [*itertools.takewhile(lambda snapshot: snapshot.is_finite, instants)]
 
 
 def legend(scenario: Scenario, *, has_aircraft: bool = False) -> str:

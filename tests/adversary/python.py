@@ -159,7 +159,7 @@ _CALLS = (
     _BUILT + "AddGeometry({}, loop, scene_graph, Scenario())",
     _BUILT + "AddGeometry(builder, {}, {}, Scenario())",
     _BUILT + "AddGeometry(builder, loop, scene_graph, {})",
-    _BUILT + "AddGeometry(builder, loop, scene_graph, Scenario(), load_file={}, proximity={})",
+    _BUILT + "AddGeometry(builder, loop, scene_graph, Scenario(), load_file={})",
     "NonstopGeometry(SceneGraph(), {})",
     "NonstopGeometry(SceneGraph(), Scenario(), name={}, load_file={})",
     _FLOWN + "Run.from_logs(logs, {}, Scenario())",

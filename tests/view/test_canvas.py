@@ -3,11 +3,8 @@
 from collections import defaultdict
 
 import numpy as np
-from pydrake.geometry import MeshcatAnimation
-from scenes import snapshot, system
 
 from drake_nonstop.view.canvas import ROOT, FollowingCamera, LiveCanvas, RecordingCanvas
-from drake_nonstop.view.scene import Scene
 
 
 class KeyFrames:
@@ -56,15 +53,6 @@ def test_a_recording_follows_by_shifting_the_objects():
     keys = recorded([(0, lambda canvas: canvas.follow(np.array([4.0, 0, 0]), camera))], 0)
     assert keys[ROOT, "transform"][0] == [-3, 0, 0]
     assert keys["/Grid", "transform"][0] == [-3, 0, -1]
-
-
-def test_a_recording_can_be_given_to_meshcat():
-    canvas = RecordingCanvas(MeshcatAnimation(25))
-    made = Scene(system())
-    for frame in range(3):
-        canvas.frame = frame
-        made.show(canvas, snapshot(frame / 25))
-    canvas.finish()
 
 
 def test_a_live_canvas_paints_changes_only():

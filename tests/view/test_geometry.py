@@ -1,30 +1,23 @@
 """The loop's bodies in a SceneGraph, as Drake's own queries, cameras and viewers find them."""
 
-import itertools
-
-import msgpack
 import numpy as np
 import pytest
 from aircraft_runs import aircraft_run, instant_of
 from helpers import irregular, rotation, spatial
 from pydrake.geometry import (
-    Box,
     ClippingRange,
     ColorRenderCamera,
     DepthRange,
     DepthRenderCamera,
     MakeRenderEngineVtk,
-    MeshcatVisualizer,
     RenderCameraCore,
     RenderEngineVtkParams,
     Role,
     SceneGraph,
-    Sphere,
 )
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.parsing import Parser
-from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction
-from pydrake.multibody.tree import SpatialInertia
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource, PassThrough
@@ -40,7 +33,6 @@ from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.systems.tracing import NotFiniteError
 from drake_nonstop.validation import ScenarioError
 from drake_nonstop.view.geometry import AddGeometry, NonstopGeometry
-from drake_nonstop.view.meshcat_server import start_meshcat
 from drake_nonstop.view.scene import Scene
 
 CABLE = 0.8  # m
@@ -151,39 +143,6 @@ def add_camera(builder, scene_graph):
     return camera
 
 
-def add_meshcat(builder, scene_graph):
-    meshcat = start_meshcat()
-    MeshcatVisualizer.AddToBuilder(builder, scene_graph, meshcat)
-    return meshcat
-
-
-def test_shapes_that_collide_are_named_after_their_bodies():
-    made = Loop(irregular(3))
-    name = made.scene_graph.model_inspector().GetName
-    geometry = made.geometry
-    for i, (frame, halves) in enumerate(
-        zip(geometry.carrier_frames, geometry.cable_frames, strict=True), 1
-    ):
-        assert name(made.solid(frame)) == f"carrier {i}"
-        assert [name(made.solid(half)) for half in halves] == [f"cable {i}"] * 2
-
-
-@pytest.mark.parametrize("attachments", [irregular(3), spatial(4), spatial(7)])
-def test_distances_between_carriers_are_those_of_their_spheres(attachments):
-    made = Loop(attachments)
-    reach = CABLE + np.linalg.norm(attachments, axis=1).max()
-    diameter = 0.2 * reach
-    spheres = [made.solid(frame) for frame in made.geometry.carrier_frames]
-    for seed in range(5):
-        load, carriers = states(attachments, seed)
-        made.set(load, carriers)
-        positions = CarrierStates.view(carriers).positions
-        for i, k in itertools.combinations(range(len(attachments)), 2):
-            pair = made.query().ComputeSignedDistancePairClosestPoints(spheres[i], spheres[k])
-            expected = np.linalg.norm(positions[i] - positions[k]) - diameter
-            assert pair.distance == pytest.approx(expected, abs=1e-12)
-
-
 @pytest.mark.parametrize("attachments", [irregular(3), spatial(7)])
 def test_poses_are_those_of_the_states(attachments):
     made = Loop(attachments)
@@ -280,23 +239,6 @@ def test_a_camera_sees_load_cables_and_carriers_by_labels_of_their_own():
     assert len(np.unique(picture.reshape(-1, 4), axis=0)) > 10
     # The wing of a carrier that flies level at 0.5 m is 3.5 m below the camera.
     assert np.isclose(depth, 3.5, atol=0.1).sum() > 20
-
-
-def test_drakes_viewer_shows_two_loops_at_their_poses():
-    attachments = irregular(3)
-    made = Loop(attachments, names=("first", "second"), add_viewer=add_meshcat)
-    for which in (0, 1):
-        made.set(*states(attachments, seed=which), which=which)
-    made.diagram.ForcedPublish(made.context)
-    for geometry, name in zip(made.geometries, ("first", "second"), strict=True):
-        for frame, path in (
-            (geometry.load_frame, "load"),
-            (geometry.carrier_frames[2], "carriers/2"),
-            (geometry.cable_frames[1][0], "cables/1/lower"),
-        ):
-            sent = made.seen_by._GetPackedTransform(f"/drake/visualizer/{name}/{path}")
-            matrix = np.reshape(msgpack.unpackb(sent)["matrix"], (4, 4)).T
-            np.testing.assert_allclose(matrix, made.pose(frame).GetAsMatrix4(), atol=1e-12)
 
 
 def test_the_loop_of_a_scenario_is_seen_as_it_flies():
@@ -396,25 +338,6 @@ def test_a_file_of_another_load_is_refused(tmp_path):
         Loop(attachments, load_file=path)
 
 
-def test_a_plant_of_the_users_does_not_mind_bodies_without_proximity():
-    scenario = described(irregular(3))
-    builder = DiagramBuilder()
-    plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=1e-3)
-    body = plant.AddRigidBody("ball", SpatialInertia.SolidSphereWithMass(1.0, 0.5))
-    plant.RegisterCollisionGeometry(
-        body, RigidTransform(), Sphere(0.5), "ball", CoulombFriction(0.5, 0.5)
-    )
-    plant.RegisterVisualGeometry(body, RigidTransform(), Box(1, 1, 1), "box", np.ones(4))
-    plant.Finalize()
-    loop = builder.AddSystem(_ports(load_state=UPRIGHT, carrier_state=np.zeros(18)))
-    geometry = AddGeometry(builder, loop, scene_graph, scenario, proximity=False)
-    inspector = scene_graph.model_inspector()
-    for frame in inspector.FramesForSource(geometry.source):
-        assert inspector.GetGeometries(frame, Role.kProximity) == []
-        assert inspector.GetGeometries(frame, Role.kIllustration) != []
-    Simulator(builder.Build()).AdvanceTo(0.01)
-
-
 def _ports(**values):
     builder = DiagramBuilder()
     for name, value in values.items():
@@ -447,7 +370,6 @@ def test_bad_input_is_told_in_a_sentence():
     refused("loop.carrier_state = 24 values: ", scenario=described(irregular(3)))
     refused("scenario = {}: give a Scenario", scenario={})
     refused("load_file = [0. 0.]: give the path of an SDF", load_file=np.zeros(2))
-    refused("proximity = no: give true or false", proximity="no")
     refused("system.attachments = ", scenario=described([[1.0, 2.0]] * 4))
     AddGeometry(builder, loop, scene_graph, scenario)
     refused("loop = ports: add the geometry of a loop once")

@@ -116,40 +116,9 @@ CONSTRAINTS = ["max_speed=1.3", "min_separation=0.9", "min_tension=2.5"]
 CASES = [("max_speed=1.3", 1.4), *((constraint, 4.0) for constraint in CONSTRAINTS)]
 
 
-@pytest.mark.nightly("flights")
-@pytest.mark.parametrize(("constraint", "duration"), CASES)
-def test_with_other_constraints_the_commands_do_not_jump_either(monkeypatch, constraint, duration):
-    scenario = load_scenario(
-        "quintic", [f"simulation_duration={duration}", f"optimization_layer.{constraint}"]
-    )
-    actions = [
-        (0.1, lambda page: page.SetSliderValue(live.BOUND, 0.0)),
-        (0.6, lambda page: page.SetSliderValue(live.BOUND, 1.5)),
-    ]
-    (run,) = live_runs(scenario, actions, monkeypatch)
-    assert commanded_jumps(run).max() < _JUMP
-    assert run.is_steered
-    bound = run.signal("speed_bound")[-1, 0]
-    tightening = scenario.optimization_layer.tightening
-    highest = 1.3 * (1 - tightening) / (1 + tightening)  # below max_speed, with its margin
-    if "max_speed" in constraint:
-        assert bound == pytest.approx(highest, rel=2e-3)
-    else:
-        assert bound == pytest.approx(1.5, rel=0.03)
-
-
 def test_stop_ends_the_run_and_yields_it(monkeypatch):
     (run,) = live_runs(short(5.0), [(0.3, lambda page: page.press(live.STOP))], monkeypatch)
     assert not run.is_steered
-    assert run.time[-1] == pytest.approx(0.3, abs=0.011)
-
-
-def test_stop_prevails_over_a_restart_at_the_same_instant(monkeypatch):
-    actions = [
-        (0.3, lambda page: page.press(live.RESTART)),
-        (0.3, lambda page: page.press(live.STOP)),
-    ]
-    (run,) = live_runs(short(5.0), actions, monkeypatch)
     assert run.time[-1] == pytest.approx(0.3, abs=0.011)
 
 
@@ -209,18 +178,6 @@ def test_pause_holds_the_time_and_the_pace_is_kept_afterwards(monkeypatch):
     assert run.time[-1] == pytest.approx(1.0)
     assert run.wall_time > 0.9  # s, 1 s of running: the pause is not made up for
     assert run.wall_time < took - (held[-1] - held[1])  # nor counted
-
-
-@pytest.mark.nightly("flights")
-def test_the_pace_can_be_changed(monkeypatch):
-    page = Page()
-    slow = [(0.0, lambda page: page.SetSliderValue(live.RATE, 0.5))]
-    (run,) = live_runs(short(0.4), slow, monkeypatch, page=page, realtime_rate=0.0)
-    assert run.wall_time > 0.75
-    assert {rate for _, _, rate in page.steps} == {0.5}
-    page = Page()
-    live_runs(short(0.4), [], monkeypatch, page=page, realtime_rate=0.0)
-    assert {rate for _, _, rate in page.steps} == {0.0}
 
 
 def test_the_bound_of_constant_parameters_has_a_slider(monkeypatch):

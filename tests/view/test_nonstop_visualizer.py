@@ -78,19 +78,6 @@ def test_a_forced_publish_shows_the_instant(meshcat):
     assert all(a != b for a, b in zip(before[2:], transforms(meshcat)[2:], strict=True))
 
 
-def test_a_new_run_is_drawn_from_its_start(meshcat):
-    simulator, visualizer = beside(short(), meshcat)
-    simulator.Initialize()
-    at_start = transforms(meshcat)
-    simulator.AdvanceTo(0.2)
-    context = visualizer.GetMyContextFromRoot(simulator.get_context())
-    visualizer.ForcedPublish(context)
-    assert transforms(meshcat) != at_start
-    simulator, visualizer = beside(short(), meshcat)
-    simulator.Initialize()
-    assert transforms(meshcat) == at_start
-
-
 def test_the_bound_may_come_from_a_port_or_not_at_all(meshcat):
     bounds = []
     visualizer = NonstopVisualizer(SystemParameters(), meshcat, speed_bound=0.3)

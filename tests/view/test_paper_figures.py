@@ -13,10 +13,7 @@ from drake_nonstop.cli.main import main
 from drake_nonstop.run.run_quantities import load_errors
 from drake_nonstop.view.figure_style import (
     COLOURS,
-    FigureLook,
     fitting_unit,
-    new_figure,
-    plot_each,
 )
 from drake_nonstop.view.path_figures import instants_along, view_beside
 from drake_nonstop.view.run_figures import make_signal_figure
@@ -104,14 +101,6 @@ def test_a_figure_has_no_title_and_takes_a_style_by_name_or_as_a_file(run, tmp_p
         assert line.get_linewidth() == (4 if style == sheet else 1)
         assert figure.get_figwidth() == 7.16
         assert figure.get_suptitle() == figure.axes[0].get_title() == ""
-
-
-def test_the_sheet_has_the_colours_of_all_figures():
-    with FigureLook().applied():
-        assert matplotlib.rcParams["axes.prop_cycle"].by_key()["color"] == list(COLOURS)
-    axes = new_figure((1, 1)).subplots()  # of a study
-    plot_each(axes, [0, 1], np.eye(2))
-    assert [line.get_color() for line in axes.lines] == list(COLOURS[:2])
 
 
 def test_unknown_styles_and_widths_are_refused_before_a_flight(run, tmp_path, capsys, monkeypatch):

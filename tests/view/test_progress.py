@@ -2,11 +2,8 @@
 
 import io
 import re
-import sys
-import warnings
 
 import pytest
-import tqdm
 
 from drake_nonstop.view import progress
 from drake_nonstop.view.progress import RunProgress, TaskProgress
@@ -74,13 +71,3 @@ def test_a_terminal_has_one_line_that_is_written_over(at_once, monkeypatch):
     assert "simulating" in states[1]
     assert "drawing" in states[-1]
     assert "100%" in states[-1]
-
-
-def test_a_bar_starts_no_thread(monkeypatch):
-    monkeypatch.setattr(tqdm.tqdm, "monitor", None)
-    monkeypatch.setattr(sys, "excepthook", None)  # with which Python starts none
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        with TaskProgress() as show:
-            show("simulating", 0.5)
-    assert tqdm.tqdm.monitor is None

@@ -2,7 +2,6 @@
 
 import base64
 import gzip
-import logging
 import re
 
 import numpy as np
@@ -70,10 +69,6 @@ def test_page_shows_all_bodies(n):
     assert paths(record_replay(circling_run(n))) == expected_paths(n)
 
 
-def test_page_of_a_simulated_run_shows_all_bodies(simulated):
-    assert paths(record_replay(simulated)) == expected_paths(4)
-
-
 @pytest.mark.nightly("benchmarks")
 def test_thirty_seconds_of_four_carriers_take_less_than_five_megabytes():
     assert len(record_replay(circling_run(duration=30.0))) < 5 * MEGABYTE
@@ -98,13 +93,6 @@ def test_a_long_replay_has_fewer_frames_and_stays_below_twenty_megabytes(n, monk
     assert slowest[:, 1].argmin() == np.flatnonzero(slowest[:, 0] == 50.03)[0]
 
 
-def test_a_flight_of_minutes_has_fewer_frames(monkeypatch):
-    monkeypatch.setattr(replay, "_MOST_FRAMES", 20)
-    html = record_replay(circling_run(duration=1.99))  # 200 samples
-    assert "a long run: 10 frames per second" in html
-    np.testing.assert_allclose(np.diff(polyline(html, 0)[:, 0]), 0.1)
-
-
 def test_page_compares_the_slowest_carrier_with_the_bound(simulated):
     html = record_replay(simulated)
     frames = slice(None, None, 4)  # 25 Hz of 100
@@ -124,16 +112,6 @@ def test_page_tells_the_least_margin_and_when_it_was(simulated):
     assert float(text[2]) == pytest.approx(simulated.time[speeds.argmin()])
 
 
-def test_the_scale_has_a_few_round_numbers_where_the_values_are(rng):
-    for low, high in [(0.0, 0.0), (3.0, 3.0), *np.sort(rng.lognormal(0, 3, (30, 2)))]:
-        ticks, bottom, top = replay._scale(np.array([low, high]))
-        assert bottom <= low <= high <= top
-        assert 1 <= len(ticks) <= 5
-        assert bottom <= ticks[0] <= ticks[-1] <= top
-        for step in np.diff(ticks):
-            assert step == pytest.approx(float(f"{step:.0e}"), rel=1e-9)  # of one digit
-
-
 def test_page_shows_the_paths_and_the_goal(simulated):
     for part in (b"/nonstop/paths/flown", b"/nonstop/paths/desired", b"/nonstop/goal/bar0"):
         drawn = [text for text in commands(record_replay(simulated)) if part in text]
@@ -150,15 +128,6 @@ def test_name_and_colours_are_escaped_and_shown():
     assert "&lt;b&gt;&amp;" in html
     assert "#123456" in html
     assert re.search(r"#654321,#654321\)\W+/span>obstacle</span>", html)
-
-
-def test_frame_rate_is_at_most_that_of_the_signals():
-    fast, faster = (
-        [content for content in commands(html) if b"set_animation" in content]
-        for html in (record_replay(circling_run(), frame_rate=rate) for rate in (100.0, 1000.0))
-    )
-    assert len(fast) == 1
-    assert fast == faster
 
 
 @pytest.mark.parametrize("samples", [1, 2])
@@ -180,18 +149,6 @@ def test_run_without_a_usable_sample_gives_an_empty_page(simulated, broken):
     run = shortened(simulated, 1)
     run.signal("load_state")[:] = broken
     assert paths(record_replay(run)) == set()
-
-
-def test_recording_leaves_no_trace_in_the_log(caplog):
-    logger = logging.getLogger("drake")
-    level = logger.level
-    logger.setLevel(logging.INFO)
-    try:
-        record_replay(circling_run(duration=0.1))
-        assert logger.level == logging.INFO
-    finally:
-        logger.setLevel(level)
-    assert not caplog.records
 
 
 def test_page_of_aircraft_compares_the_nearest_with_its_stall():
