@@ -1,30 +1,35 @@
 """Forces at points of bodies, as a MultibodyPlant takes them."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydrake.common.value import AbstractValue
-from pydrake.multibody.math import SpatialForce_
-from pydrake.multibody.plant import ExternallyAppliedSpatialForce_
-from pydrake.multibody.tree import BodyIndex, RigidBody
 from pydrake.symbolic import Expression
 from pydrake.systems.framework import Context
 
 from drake_nonstop.systems.block import LeafBlock
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
 
+if TYPE_CHECKING:  # few runs need them
+    from pydrake.multibody.tree import BodyIndex, RigidBody
+
 
 def no_forces(scalar: type) -> AbstractValue:
     """Class of applied spatial forces that a MultibodyPlant of that scalar type takes."""
+    from pydrake.multibody.plant import ExternallyAppliedSpatialForce_
+
     return AbstractValue.Make([ExternallyAppliedSpatialForce_[scalar]()])
 
 
 def applied_force(
-    scalar: type, body: BodyIndex, point: NDArray, torque: NDArray, force: NDArray
+    scalar: type, body: "BodyIndex", point: NDArray, torque: NDArray, force: NDArray
 ) -> Any:
     """A torque (N m) and a force (N), in W, at a point (m) in the frame of a body."""
+    from pydrake.multibody.math import SpatialForce_
+    from pydrake.multibody.plant import ExternallyAppliedSpatialForce_
+
     entry = ExternallyAppliedSpatialForce_[scalar]()
     entry.body_index, entry.p_BoBq_B = body, point
     entry.F_Bq_W = SpatialForce_[scalar](torque, force)
@@ -53,7 +58,7 @@ class PointForces(LeafBlock):
         NotFiniteError: a force is not finite, or is far too large.
     """
 
-    def __init__(self, bodies: Sequence[RigidBody], points: ArrayLike):
+    def __init__(self, bodies: Sequence["RigidBody"], points: ArrayLike):
         super().__init__()
         self._places = [
             (body.index(), point) for body, point in zip(bodies, np.asarray(points), strict=True)
