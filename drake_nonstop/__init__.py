@@ -4,12 +4,11 @@ The public names are those of `drake_nonstop.public`. A name's module is importe
 asked for, so that a command or a script waits for no more of Drake than it needs.
 """
 
-import ast
 import functools
 import importlib
-import importlib.util
+import os
+import re
 import sys
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from drake_nonstop.version import __version__ as __version__
@@ -21,9 +20,11 @@ else:  # what type checkers must not see: with it any name would do
     @functools.cache
     def _modules() -> dict[str, str]:
         """The module of each public name."""
-        tree = ast.parse(Path(__file__).with_name("public.py").read_text(encoding="utf-8"))
-        imports = [node for node in tree.body if isinstance(node, ast.ImportFrom)]
-        return {alias.name: node.module for node in imports for alias in node.names}
+        with open(os.path.join(os.path.dirname(__file__), "public.py"), encoding="utf-8") as file:
+            imports = re.findall(r"(?m)^from (\S+) import (\([^)]*\)|.*)", file.read())
+        return {
+            name: module for module, names in imports for name in re.findall(r" as (\w+)", names)
+        }
 
     def __getattr__(name: str) -> Any:
         """A public name, `__all__`, or a subpackage."""
@@ -34,8 +35,11 @@ else:  # what type checkers must not see: with it any name would do
             if "IPython" in sys.modules:  # which shows runs and scenarios by tables and pictures
                 importlib.import_module(f"{__name__}.view.rich_display")
             return globals().setdefault(name, found)
-        if not name.startswith("_") and importlib.util.find_spec(f"{__name__}.{name}") is not None:
+        try:
             return importlib.import_module(f"{__name__}.{name}")
+        except ModuleNotFoundError as error:
+            if error.name != f"{__name__}.{name}":
+                raise
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
     def __dir__() -> list[str]:

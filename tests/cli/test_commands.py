@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from drake_nonstop.cli import run
-from drake_nonstop.cli.ending import BAD_INPUT, FAILED, NOT_OK
+from drake_nonstop.cli.ending import BAD_INPUT
 from drake_nonstop.cli.main import commands, main
 from drake_nonstop.scenario.loading import dump_scenario, load_scenario, scenario_names
 
@@ -104,43 +104,11 @@ def test_a_run_replaces_all_of_an_earlier_one_and_touches_nothing_else(brief_run
     assert contents(folder / "figures") == {"sketch.png"}
 
 
-@pytest.mark.nightly("flights")
-def test_verified_steps_are_reported(tmp_path, capsys):
-    arguments = ["run", "quintic", "--out", str(tmp_path), "--no-figures", "--no-replay"]
-    assert main([*arguments, "--verify-step", "--set", "simulation_duration=0.3"]) == 0
-    assert "with steps of 2.5 ms no metric moves" in capsys.readouterr().out
-    half_step = json.loads((tmp_path / "metrics.json").read_text())["half_step"]
-    assert half_step == {"step_s": 0.0025, "moved": {}}
-    assert main([*arguments, "--verify-step", "--live"]) == 2
-    assert "--verify-step = --live" in capsys.readouterr().err
-
-
 def test_bad_input_leaves_no_new_folder(tmp_path):
     assert (
         main(["run", "quintic", "--out", str(tmp_path / "a"), "--set", "pattern.phases=[0]"]) == 2
     )
     assert contents(tmp_path) == set()
-
-
-def test_dangerous_metrics_are_warned_of(tmp_path, capsys):
-    overrides = ["--set", "optimization_layer.speed_bound=0.8", "simulation_duration=0.3"]
-    overrides += ["optimization_layer.frequency_bounds=[1, 2.05]"]
-    overrides += ["optimization_layer.amplitude_bounds=[1, 1.25]"]
-    overrides += ["limits.carrier_distance=2", "limits.cable_distance=0.01", "limits.speed=0.1"]
-    assert main(["run", "quintic", "--out", str(tmp_path), *BRIEF[1:], *overrides]) == NOT_OK
-    shown = capsys.readouterr()
-    reasons = (
-        r"collision: two carriers came within \S+ m of each other "
-        r"\(limits\.carrier_distance: [\d.]+ of the reach, 3\.72 m\); "
-        r"a carrier was below the bound for 0\.\d+ s "
-        r"\(limits\.time_below_bound: 0 s\)"
-    )
-    assert re.fullmatch(f"outcome +{reasons}", shown.out.splitlines()[0])
-    assert re.fullmatch(f"drake-nonstop: {reasons}", shown.err.splitlines()[-1])
-    warnings = [s for s in shown.err.splitlines() if s.startswith("warning: ")]
-    assert len(warnings) == 2
-    assert any("no xi and A kept the constraints" in line for line in warnings)
-    assert any(line.endswith(" m/s (limits.speed: 0.1 m/s)") for line in warnings)
 
 
 @pytest.mark.parametrize(
@@ -219,42 +187,11 @@ def test_bad_options_of_a_live_run(options, words, tmp_path, capsys):
     assert not folder.exists()
 
 
-@pytest.mark.nightly("flights")
-def test_warnings_are_errors_output_and_quiet_silences_them(tmp_path, capsys):
-    settings = [
-        "simulation_duration=0.05",
-        "optimization_layer=ConstantParameters",
-        "limits.speed=0.1",
-    ]
-    settings += ["engine=compiled", "load_plant=MultibodyLoadPlant"]
-    arguments = ["run", "line", "--out", str(tmp_path), *BRIEF[1:]]
-    assert main([*arguments, "--set", *settings]) == 0
-    shown = capsys.readouterr()
-    assert "warning: " not in shown.out
-    assert sum(line.startswith("warning: ") for line in shown.err.splitlines()) >= 2
-    assert main([*arguments, "--quiet", "--set", *settings]) == 0
-    assert capsys.readouterr() == ("", "")
-
-
 def test_run_says_all_its_exit_codes(capsys):
     with pytest.raises(SystemExit):
         main(["run", "--help"])
     said = capsys.readouterr().out.split("Exit codes:")[1]
     assert set(re.findall(r"\d+", said)) == {"0", "1", "2", "3", "129", "130", "143"}
-
-
-@pytest.mark.parametrize("said", ["", "1 of 2 variants are done"])
-def test_an_interrupt_that_no_signal_asked_for_is_an_error_of_the_code(
-    tmp_path, capsys, monkeypatch, said
-):
-    def interrupted(*arguments, **options):
-        raise KeyboardInterrupt(*filter(None, [said]))
-
-    monkeypatch.setattr(run, "simulate", interrupted)
-    assert main(["run", "line", "--no-figures", "--out", str(tmp_path)]) == FAILED
-    error = capsys.readouterr().err
-    end = f": {said}" if said else ""
-    assert error == f"drake-nonstop: stopped by a KeyboardInterrupt in its code{end}\n"
 
 
 def test_a_backend_that_matplotlib_does_not_know_is_refused_first(tmp_path):

@@ -14,21 +14,6 @@ from drake_nonstop.run.simulate import simulate
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.studies import results_folder
 
-STEADY = """
-from dataclasses import dataclass
-from pydrake.systems.framework import LeafSystem
-
-@dataclass(kw_only=True)
-class SteadyConfig:
-    speed_bound: float = 0.2
-
-class Steady(LeafSystem):
-    def __init__(self, model, config):
-        super().__init__()
-        self.DeclareVectorOutputPort(
-            "parameters", 2, lambda context, output: output.SetFromVector([1.0, 1.0])
-        )
-"""
 SHORT = ["simulation_duration=0.05", "optimization_layer=ConstantParameters"]
 
 
@@ -99,20 +84,6 @@ def test_in_any_order_what_is_whole_stays(tmp_path, monkeypatch, capsys, end, op
             assert f"{stopped.name}; those of an earlier run stay in " in said
 
 
-def test_a_stopped_run_replaces_only_another(tmp_path, monkeypatch, end):
-    monkeypatch.chdir(tmp_path)
-    brief = ["--no-figures", "--no-replay"]
-    for place in ("a", "a_stopped"):
-        assert end("whole", "--out", place, *brief) == 0
-    (tmp_path / "a_stopped_2").write_text("a file")
-    before = contents(tmp_path)
-    for _ in range(2):
-        end("interrupted", "--out", "a", *brief)
-    after = contents(tmp_path)
-    assert {path: after[path] for path in before} == before
-    assert {path.parts[0] for path in after.keys() - before.keys()} == {"a_stopped_3"}
-
-
 def test_an_interrupt_while_writing_keeps_the_pictures_of_an_equal_run(tmp_path, monkeypatch, end):
     folder = tmp_path / "a"
     assert end("whole", "--out", str(folder), "--no-figures", "--no-replay") == 0
@@ -138,21 +109,3 @@ def test_an_interrupt_while_writing_keeps_the_pictures_of_an_equal_run(tmp_path,
     (folder / "replay.html").write_text("shows it")
     assert end("whole", "--out", str(folder), "--no-figures", "--no-replay") == 0
     assert not (folder / "replay.html").exists()
-
-
-def test_a_run_of_own_code_that_was_edited_is_another(tmp_path, monkeypatch, end):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.syspath_prepend(tmp_path)
-    places = []
-    for source in (STEADY, STEADY, f"{STEADY}# edited", f"{STEADY}# edited", STEADY):
-        (tmp_path / "my_steady.py").write_text(source)
-        before = contents(tmp_path / "out")
-        options = ["--trust", "--no-figures", "--no-replay", "--quiet"]
-        assert end("whole", *options, change=["optimization_layer=my_steady.Steady"]) == 0
-        after = contents(tmp_path / "out")
-        places.append({path.parts[0] for path in after if before.get(path) != after[path]})
-        versions = json.loads((tmp_path / "out" / "line" / "metrics.json").read_text())["versions"]
-        assert len(versions["own_code"]) == 64
-    assert places[2] == {"line_2"}
-    assert "line_2" not in places[1] | places[4]
-    assert {path.parts[0] for path in after} == {"line", "line_2"}

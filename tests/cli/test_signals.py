@@ -1,12 +1,7 @@
-"""Signals at drawn times: one sentence, the shell's exit code, and nothing lost.
-
-SIGNAL_TRIES=200 draws so many times; each takes some seconds. Two signals at the same instant may
-reach a process as one, so that some time is between them.
-"""
+"""Signals: one sentence, the shell's exit code, and nothing lost."""
 
 import json
 import os
-import random
 import re
 import signal
 import subprocess
@@ -19,11 +14,9 @@ from helpers import handle_signals_as_a_shell_does
 
 from drake_nonstop.cli import run as run_command
 from drake_nonstop.cli import scenarios
-from drake_nonstop.cli.ending import handling_signals
 from drake_nonstop.cli.main import main
 from drake_nonstop.run import flight
 
-TRIES = int(os.environ.get("SIGNAL_TRIES", "6"))
 _DATA = {"scenario.yaml", "metrics.json", "signals.npz"}
 _GRACE = 2.0  # s, from the second signal to the end
 
@@ -60,11 +53,6 @@ class Swallows(Spins):
                 time.sleep(0.01)
             except BaseException:
                 pass
-
-class FliesOnConfig(SpinsConfig): pass
-class FliesOn(Spins):
-    def stay(self):
-        pass
 
 """
 
@@ -130,50 +118,6 @@ def flown(folder):
     return metrics["simulated_s"]
 
 
-_DRAWN = {  # commands, and within how many s of their start they are signalled
-    ("list",): 1.5,
-    ("blocks",): 2.0,
-    ("run", "quintic", "--out", "o", "--set", "simulation_duration=3"): 5.0,
-    ("run", "line", "--out", "o", "--no-replay", "--set", "simulation_duration=1000"): 5.0,
-    (
-        "run",
-        "quintic",
-        "--out",
-        "o",
-        "--live",
-        "--no-figures",
-        "--set",
-        "simulation_duration=2",
-    ): 5.0,
-}
-
-
-@pytest.mark.nightly("processes")
-@pytest.mark.parametrize("seed", range(TRIES))
-def test_two_signals_end_every_command_with_one_sentence(start, tmp_path, seed):
-    rng = random.Random(seed)
-    (tmp_path / "replay.html").write_text("")
-    arguments = rng.choice([*_DRAWN])
-    first, gap = rng.uniform(0, _DRAWN[arguments]), rng.choice([0.1, 0.3, 1.0])
-    number = rng.choice([signal.SIGINT, signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-    process = start(*arguments)
-    time.sleep(first)
-    process.send_signal(number)
-    time.sleep(0.1)
-    was_over = process.poll() == 0  # it had done all when the signal came
-    time.sleep(gap - 0.1)
-    process.send_signal(number)
-    code, sentences, took = ended(process)
-    if was_over:
-        assert (code, sentences) == (0, [])
-        return
-    assert code == 128 + number
-    assert len(sentences) == 1
-    assert took < _GRACE
-    if (tmp_path / "o" / "metrics.json").exists():
-        flown(tmp_path / "o")
-
-
 @pytest.mark.nightly("processes")
 @pytest.mark.parametrize("block", ["Spins", "Swallows"])
 def test_a_block_that_never_returns_is_ended_and_what_was_flown_is_kept(start, tmp_path, block):
@@ -209,36 +153,6 @@ def test_a_signal_while_a_run_goes_on_keeps_what_was_flown(tmp_path, monkeypatch
     assert 0 < flown(tmp_path) < 1000
     assert flown(tmp_path) == pytest.approx(float(simulated), abs=6e-4)
     assert {path.name for path in tmp_path.iterdir()} == _DATA | {"diagram.svg"}
-
-
-@pytest.mark.nightly("processes")
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
-def test_one_signal_ends_a_run_in_order(start, tmp_path, number):
-    options = ["--no-figures", "--no-replay", "--out", "o", "--trust", "--set"]
-    options += ["simulation_duration=1000", "phase=stays.FliesOn"]
-    process = start("run", "quintic", *options)
-    wait_for(tmp_path / "there")
-    process.send_signal(number)
-    code, sentences, _ = ended(process)
-    assert code == 128 + number
-    assert len(sentences) == 1
-    assert flown(tmp_path / "o") > 0
-    assert {path.name for path in (tmp_path / "o").iterdir()} == _DATA | {"diagram.svg"}
-
-
-def test_an_ignored_signal_stays_ignored():
-    """As by nohup, or where a shell without jobs starts the command in the background."""
-    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    try:
-        with handling_signals() as interruption:
-            interruption.is_starting, interruption.patience = False, 1
-            os.kill(os.getpid(), signal.SIGHUP)
-            assert interruption.number == 0
-            assert signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
-            os.kill(os.getpid(), signal.SIGTERM)
-            assert interruption.number == signal.SIGTERM
-    finally:
-        signal.signal(signal.SIGHUP, before)
 
 
 def test_a_keyboard_interrupt_that_became_another_error_is_one(monkeypatch, capsys):
