@@ -1,4 +1,4 @@
-"""`drake-nonstop check`: flies what a scenario states, and tells what comes of it."""
+"""`drake-nonstop check`: fly what a scenario states, and tell what comes of it."""
 
 import argparse
 from pathlib import Path

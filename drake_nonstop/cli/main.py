@@ -1,7 +1,7 @@
 """The command `drake-nonstop`: finds the subcommand, and says what becomes of errors and signals.
 
-A subcommand is a module of this folder, whose docstring begins with its name and what it does. Its
-`add_to` adds the parser, with the function that runs it as `action`. Only the module of the command
+A subcommand is a module of this folder, whose docstring has a line with its name and what it does.
+`add_to` adds its parser, with the function that runs it as `action`. Only the module of the command
 that is given is imported, once signals are handled: pydrake takes a second.
 """
 
@@ -27,7 +27,7 @@ from drake_nonstop.cli.ending import (
 from drake_nonstop.version import __version__
 
 _STUDIES = ("design", "stability", "robustness", "ablate", "sweep")  # end in order by themselves
-_HEADING = re.compile(r'"""`drake-nonstop (?P<names>[^:]+): (?P<about>.*?)\.(?:""")?')
+_HEADING = re.compile(r'(?m)^(?:""")?`drake-nonstop (?P<name>[a-z]+)`: (?P<about>.*?)\.?(?:"""|$)')
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -68,15 +68,12 @@ def _ended(code: int, interruption: CommandInterruption) -> int:
 
 
 def commands() -> dict[str, tuple[str, str]]:
-    """The module of each command and what it does, from the first lines of the modules."""
-    found = {}
-    for file in sorted(Path(__file__).parent.glob("*.py")):
-        with file.open(encoding="utf-8") as opened:
-            heading = _HEADING.match(opened.readline())
-        if heading:
-            for name in re.findall(r"[\w-]+(?=`)", heading["names"]):
-                found[name] = file.stem, heading["about"]
-    return found
+    """The module of each command and what it does, from the modules' docstrings."""
+    return {
+        heading["name"]: (file.stem, heading["about"])
+        for file in sorted(Path(__file__).parent.glob("*.py"))
+        for heading in _HEADING.finditer(file.read_text(encoding="utf-8"))
+    }
 
 
 def make_parser(command: str) -> argparse.ArgumentParser:

@@ -1,4 +1,9 @@
-"""`drake-nonstop list`, `blocks`, `new` and `schema`: scenarios, and what they can be made of."""
+"""`drake-nonstop list`: list the scenarios.
+
+`drake-nonstop blocks`: list what each box of the figure can be, with its parameters and ports.
+`drake-nonstop new`: write a scenario file to start from, with every field, unit and meaning.
+`drake-nonstop schema`: write a JSON Schema of scenario files, by which editors check them.
+"""
 
 import argparse
 import json

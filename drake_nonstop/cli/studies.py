@@ -1,4 +1,9 @@
-"""`drake-nonstop stability`, `robustness`, `ablate` and `sweep`: many runs of a scenario."""
+"""`drake-nonstop stability`: Floquet multipliers of the loop around a resting load, and margins.
+
+`drake-nonstop robustness`: errors that the controllers do not know of, one by one.
+`drake-nonstop ablate`: compare variants of a scenario: a table, plots, all replays on one page.
+`drake-nonstop sweep`: many runs over grids and random draws of any fields, in one table.
+"""
 
 import argparse
 import dataclasses

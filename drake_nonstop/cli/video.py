@@ -1,4 +1,4 @@
-"""`drake-nonstop video`: a moving picture of a run."""
+"""`drake-nonstop video`: make a GIF or MP4 of a run."""
 
 import argparse
 import re
