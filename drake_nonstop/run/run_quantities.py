@@ -3,6 +3,8 @@
 import math
 from collections.abc import Callable, Iterator
 from functools import cached_property
+from itertools import combinations
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -29,7 +31,7 @@ from drake_nonstop.planning.limits import Limit, Of, asked
 from drake_nonstop.planning.margins import FlightRanges, LimitAlong
 from drake_nonstop.run.run import Run
 from drake_nonstop.run.signal_table import UnknownSignalError
-from drake_nonstop.run.spacing import Spacing
+from drake_nonstop.run.spacing import Approach, closest_approach, least_cable_distances
 from drake_nonstop.systems.documentation import meanings
 
 # The entries of the signal `diagnostics` that count updates.
@@ -58,7 +60,7 @@ class Break(NamedTuple):
     tension: float  # N
 
 
-class RunQuantities(Spacing):
+class RunQuantities:
     """The quantities of a run that metrics and figures are made from, each computed once.
 
     k is the number of steps of the integrator, n that of the carriers; samples are at 100 Hz. Where
@@ -72,12 +74,12 @@ class RunQuantities(Spacing):
         self.scenario = run.scenario
 
     @cached_property
-    def time(self) -> NDArray:  # type: ignore[override] # is settable
+    def time(self) -> NDArray:
         """The times (k,) of the steps, s."""
         return self.run.steps["time"]
 
     @cached_property
-    def load_positions(self) -> NDArray:  # type: ignore[override] # is settable
+    def load_positions(self) -> NDArray:
         """The load's positions (k, 3) at the steps, m."""
         return Pose.view(self.run.steps["load_state"]).position
 
@@ -418,15 +420,75 @@ class RunQuantities(Spacing):
 
     @property
     def cable_points(self) -> NDArray:
-        """Those of straight cables; nodes between are known at 100 Hz, and linear in between."""
-        ends = super().cable_points
+        """Points that cables are straight between, from the load on, (points, k, n, 3), in W, m.
+
+        Nodes are known at 100 Hz, and linear in between.
+        """
+        ends = self.attachment_positions, self.carrier_positions
         try:
             nodes = np.split(self.run.signal("cable_state"), 2, axis=1)[0]
         except UnknownSignalError:
-            return ends
+            return np.stack(ends)
         columns = [np.interp(self.time, self.run.time, column) for column in nodes.T]
-        positions = np.stack(columns, axis=1).reshape(len(self.time), -1, *ends.shape[2:])
+        positions = np.stack(columns, axis=1).reshape(len(self.time), -1, *ends[0].shape[1:])
         return np.concatenate([ends[:1], positions.swapaxes(0, 1), ends[1:]])
+
+    @cached_property
+    def approaches(self) -> list[Approach]:
+        """How near load, cables and carriers come to each obstacle, the worst first.
+
+        The load is the frame between its attachments and its centre of mass.
+        """
+        if not self.scenario.obstacles:
+            return []
+        corners = np.concatenate([self.attachment_positions, self.load_positions[:, None]], axis=1)
+        edges = corners[:, np.transpose(np.triu_indices(corners.shape[1], 1))]
+        cables = np.stack([self.cable_points[:-1], self.cable_points[1:]], axis=-2)
+        carriers = np.stack(2 * [self.carrier_positions], axis=-2)
+        moved = {"load": edges[:, None], "cable": np.moveaxis(cables, 0, 2)}
+        found = [
+            closest_approach(kind, bodies, self.time, obstacle.name, obstacle.shape())
+            for obstacle in self.scenario.obstacles
+            for kind, bodies in (moved | {"carrier": carriers[:, :, None]}).items()
+        ]
+        return sorted(found, key=attrgetter("order"))
+
+    def obstacle_distance(self, kind: str = "") -> float | None:
+        """The least distance from an obstacle, of bodies of a kind, m; None: there are none."""
+        return min((a.distance for a in self.approaches if kind in ("", a.kind)), default=None)
+
+    @property
+    def reach(self) -> float:
+        """The distance of a carrier from the load, as `RunLimits` has it, m."""
+        radii = np.linalg.norm(self.system.attachments, axis=1)
+        return float(np.max(radii)) + float(np.max(self.system.cable_length))
+
+    @cached_property
+    def carrier_separation(self) -> float:
+        """The least distance of two carriers, m, also between two steps."""
+        positions = self.carrier_positions
+        pairs = combinations(range(positions.shape[1]), 2)
+        return min(least_length(positions[:, i] - positions[:, j]) for i, j in pairs)
+
+    @cached_property
+    def cable_separations(self) -> NDArray:
+        """The least distance of each two cables (pairs,), m, also between two steps."""
+        return least_cable_distances(self.attachment_positions, self.carrier_positions)
+
+    @cached_property
+    def closest_cables_for_attachments(self) -> tuple[float, float]:
+        """The two cables that come closest for where they are attached, m.
+
+        Their least distance and the distance of their attachments, beyond which no two cables
+        can be apart. Cables that are attached at one point are left out.
+        """
+        attachments = np.array(self.system.attachments)
+        apart = np.array([np.linalg.norm(a - b) for a, b in combinations(attachments, 2)])
+        shares = np.divide(
+            self.cable_separations, apart, out=np.full(len(apart), np.inf), where=apart > 0
+        )
+        closest = np.argmin(shares)
+        return float(self.cable_separations[closest]), float(apart[closest])
 
     @cached_property
     def update_counts(self) -> dict[str, float]:

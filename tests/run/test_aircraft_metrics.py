@@ -6,20 +6,12 @@ import numpy as np
 import pytest
 from aircraft_runs import FREQUENCY, aircraft_run
 
-from drake_nonstop import load_scenario
 from drake_nonstop.blocks.optimization_layer import ConstantParametersConfig
 from drake_nonstop.mechanics.signals import AircraftState
 from drake_nonstop.planning.diagnostics import missed_layout
-from drake_nonstop.planning.problem_config import LimitsConfig
 from drake_nonstop.run.metrics import METRICS, compute_metrics, flattened, metrics_table
 from drake_nonstop.run.run_quantities import RunQuantities
-from drake_nonstop.run.signal_table import UnknownSignalError
-from drake_nonstop.run.simulate import simulate
-from drake_nonstop.view.canvas import ROOT
-from drake_nonstop.view.meshcat_server import start_meshcat
-from drake_nonstop.view.nonstop_visualizer import show_in
-from drake_nonstop.view.replay import record_replay
-from drake_nonstop.view.run_figures import FIGURE_NAMES, figure_names, make_figure
+from drake_nonstop.view.run_figures import figure_names
 
 PATHS = {metric.path for metric in METRICS if metric.path.startswith("aircraft.")}
 TURN = 2 * np.pi / FREQUENCY
@@ -125,17 +117,6 @@ def test_shares_are_of_the_simulated_aircraft(run):
     assert light["airspeed_over_stall_min"] == pytest.approx(2 * nominal["airspeed_over_stall_min"])
 
 
-def test_the_table_of_a_run_has_lines_of_aircraft():
-    lines = metrics_table(compute_metrics(aircraft_run(11.0))).splitlines()
-    assert lines[-3:] == [
-        "aircraft                up to 0.561 of the largest lift, airspeed from 13.6 m/s "
-        "(1.62 x stall, 1.33 x stall with cable and bank), bank up to 33.2 deg",
-        "thrust                  4.68 to 23.2 N (13 to 70 % of the largest), commands saturated "
-        "for 0 % of the time",
-        "power of an aircraft    225 W of thrust",
-    ]
-
-
 def test_runs_without_aircraft_have_no_such_group(run):
     assert {path for path in flattened(compute_metrics(run)) if "aircraft" in path} == PATHS
     run.scenario.system.aircraft = None
@@ -144,54 +125,3 @@ def test_runs_without_aircraft_have_no_such_group(run):
     assert "aircraft" not in metrics
     assert "aircraft" not in metrics_table(metrics)
     assert "aircraft" not in figure_names(run)
-
-
-def test_the_figure_shows_each_aircraft_with_its_limits(run):
-    assert figure_names(run) == [name for name in FIGURE_NAMES if name != "limits"]
-    figure = make_figure(run, "aircraft")
-    lift, bank, thrust, airspeed = figure.axes
-    state = AircraftState.view(run.steps["aircraft_state"])
-    for axes, values in (
-        (lift, state.lift / 1.4),
-        (bank, np.degrees(state.bank)),
-        (thrust, state.thrust),
-        (airspeed, state.airspeed / 8.37),
-    ):
-        for line, column in zip(axes.lines, values.T, strict=False):
-            np.testing.assert_allclose(line.get_ydata(), column, rtol=2e-3)
-    least, most = (thrust.lines[4 + 4 * k].get_ydata() for k in range(2))
-    np.testing.assert_allclose(least, -0.034 * state.airspeed[:, 0] ** 2)
-    np.testing.assert_allclose(most, 58 - 1.45 * state.airspeed[:, 0])
-    assert [len(axes.lines) for axes in figure.axes] == [5, 4, 12, 5]  # stalls and limits
-
-
-def test_the_figure_of_limits_has_a_panel_for_each_that_is_asked_for(run):
-    layer = LimitsConfig(max_bank=0.6, max_speed=30.0, min_separation=20.0)
-    run.scenario.optimization_layer = layer
-    assert figure_names(run) == list(FIGURE_NAMES)
-    panels = make_figure(run, "limits").axes
-    assert [axes.get_ylabel() for axes in panels] == [
-        *("carrier speed (m/s)", "carriers apart (m)", "bank (rad)")
-    ]
-    assert [len(axes.lines) for axes in panels] == [4 + 1, 6 + 1, 4 + 1]
-    for axes, limit in zip(panels, (30.0, 20.0, 0.6), strict=True):
-        assert axes.lines[-1].get_ydata()[0] == limit
-    run.scenario.system.aircraft = None
-    assert len(make_figure(run, "limits").axes) == 2
-
-
-def test_a_flown_run_has_what_is_shown_and_no_carrier_forces():
-    meshcat = start_meshcat()
-    scenario = load_scenario("aircraft_rest", ["simulation_duration=0.05"])
-    run = simulate(scenario, viewers=[show_in(meshcat)])
-    with pytest.raises(UnknownSignalError):
-        run.signal("carrier_forces")
-    assert len(run.steps["aircraft_state"]) == len(run.steps["time"])
-    assert run.steps["command_saturation"].shape == (len(run.steps["time"]), 12)
-    metrics = compute_metrics(run)
-    assert {path for path in flattened(metrics) if path.startswith("aircraft.")} == PATHS
-    assert metrics["aircraft"]["saturated_share"] == 0
-    assert metrics["aircraft"]["lift_share_max"] == pytest.approx(0.56, abs=0.01)
-    assert meshcat.HasPath(f"{ROOT}/carriers/3/wing")
-    assert meshcat.HasPath(f"{ROOT}/wind/shaft")
-    assert "aircraft nearest to its stall" in record_replay(run)

@@ -1,15 +1,11 @@
 """The block that made a value which is not finite is named, not the one that read it."""
 
-from functools import partial
-
 import numpy as np
 import pytest
 from helpers import nightly_beyond
-from pydrake.systems.framework import DiagramBuilder, LeafSystem
+from pydrake.systems.framework import LeafSystem
 
-from drake_nonstop import Cables, RunStopped, load_scenario, make_blocks, simulate
-from drake_nonstop.systems.tracing import NotFiniteError
-from drake_nonstop.systems.wiring import output_names, wires
+from drake_nonstop import Cables, RunStopped, load_scenario, simulate
 
 
 class Faulty(LeafSystem):
@@ -91,94 +87,3 @@ def test_a_fault_inside_the_loop_is_blamed_on_its_block():
 
     with pytest.raises(RunStopped, match=r"diverged at t = 0\.1\d* s: cables made a value"):
         simulate(load_scenario("quintic", ["simulation_duration=0.3"]), cables=FaultyCables)
-
-
-def _wired_by_hand(blocks, names):
-    """A diagram without a name of its own, of blocks by these names; "" for those without one."""
-    builder = DiagramBuilder()
-    for name, block in blocks.items():
-        block.set_name(name if names else "")
-        builder.AddSystem(block)
-    for source, signal, reader, port in wires(blocks):
-        builder.Connect(blocks[source].GetOutputPort(signal), blocks[reader].GetInputPort(port))
-    for block in blocks.values():
-        for port in output_names(block):
-            builder.ExportOutput(block.GetOutputPort(port), port)
-    return builder.Build()
-
-
-def _loop(scenario, *, names, **replacements):
-    return _wired_by_hand(make_blocks(scenario, **replacements), names)
-
-
-def faulty_disturbance(model):
-    return Faulty("disturbance_wrench", np.nan)
-
-
-BRIEF = ["simulation_duration=0.1", "optimization_layer=ConstantParameters"]
-
-
-@pytest.mark.parametrize("plant", ["LoadPlant", "MultibodyLoadPlant"])
-@pytest.mark.parametrize("is_inside", [False, True])
-@pytest.mark.parametrize("names", [False, True])
-def test_blocks_wired_by_hand_are_called_by_their_names_or_classes(plant, is_inside, names):
-    scenario = load_scenario("quintic", [*BRIEF, f"load_plant={plant}"])
-    loop = _loop(
-        scenario, names=names, load_disturbance=lambda model: Faulty("disturbance_wrench", np.nan)
-    )
-    block = "load_plant" if names else plant
-    if is_inside:
-        outer = DiagramBuilder()
-        outer.AddNamedSystem("own", loop)
-        loop, block = outer.Build(), f"own.{block}"
-    context = loop.CreateDefaultContext()
-    context.SetTime(1.0)
-    with pytest.raises(NotFiniteError, match=rf"^{block} was given a value that is not finite"):
-        loop.EvalTimeDerivatives(context)
-
-
-@pytest.mark.parametrize(("names", "block"), [(False, "Faulty"), (True, "load_disturbance")])
-def test_the_source_of_a_value_is_named_in_a_loop_wired_by_hand(names, block):
-    with pytest.raises(RunStopped, match=rf"diverged at t = 0.1\d+ s: {block} made a value"):
-        simulate(
-            load_scenario("quintic", ["simulation_duration=0.2", *BRIEF[1:]]),
-            make_loop=partial(_loop, names=names),
-            load_disturbance=faulty_disturbance,
-        )
-
-
-def test_a_load_of_many_tonnes_does_not_count_as_diverged():
-    """Masses of 500 t on cables as strong: forces of 5 MN are sound."""
-    factor = 5e5
-    overrides = [
-        f"system.load_mass={factor}",
-        f"system.load_inertia={(0.01 * factor * np.eye(3)).tolist()}",
-        f"system.load_drag={0.7 * factor}",
-        f"system.cable_stiffness={500 * factor}",
-        f"system.cable_damping={0.1 * factor}",
-        f"system.carrier_mass={0.1 * factor}",
-        "optimization_layer=!ConstantParameters {}",
-        f"optimization_layer.amplitude={1.2 * factor}",
-        f"carrier_controller.position_gain={1000 * factor}",
-        f"carrier_controller.velocity_gain={10 * factor}",
-        *(
-            f"wrench_controller.{name}={gain * factor}"
-            for name, gain in (
-                ("position_gain", 5.0),
-                ("velocity_gain", 2.0),
-                ("position_integral_gain", 0.9),
-                ("orientation_gain", 0.5),
-                ("angular_velocity_gain", 0.06),
-                ("orientation_integral_gain", 0.1),
-            )
-        ),
-        "simulation_duration=0.2",
-    ]
-    heavy = simulate(load_scenario("quintic", overrides))
-    light = simulate(
-        load_scenario(
-            "quintic", ["optimization_layer=!ConstantParameters {}", "simulation_duration=0.2"]
-        )
-    )
-    assert np.abs(heavy.signal("load_state") - light.signal("load_state")).max() < 1e-6
-    assert heavy.signal("tensions").max() > 1e6

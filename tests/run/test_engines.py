@@ -4,7 +4,6 @@ import os
 import signal
 import warnings
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -12,10 +11,8 @@ from helpers import nightly_beyond
 
 from drake_nonstop import (
     Block,
-    LoadPlant,
     RunInterrupted,
     RunStopped,
-    ScenarioError,
     ScenarioWarning,
     StepAction,
     compute_metrics,
@@ -23,10 +20,8 @@ from drake_nonstop import (
     simulate,
 )
 from drake_nonstop.blocks.load_disturbance import DisturbanceForce
-from drake_nonstop.mechanics.signal_layouts import Layout, Part
 from drake_nonstop.run import recording
-from drake_nonstop.studies.run_all import attempts
-from drake_nonstop.systems import compiled_loop, equation_loop, native
+from drake_nonstop.systems import equation_loop
 from drake_nonstop.systems.native import compiler
 from drake_nonstop.systems.tracing import where
 
@@ -183,25 +178,6 @@ def test_c_and_the_virtual_machine_fly_the_same_to_the_bit(tmp_path, monkeypatch
     assert_same(fast, slow, tolerance=0)
 
 
-def test_without_a_compiler_a_long_run_tells_it_once(monkeypatch):
-    monkeypatch.setenv("CC", "no-such-compiler")
-    monkeypatch.setattr(compiled_loop, "_WORTH_LOOKING", 0.0)
-    monkeypatch.setattr(compiled_loop, "_WORTH_C", 0.0)
-    equation_loop._kept.clear()
-    native._tell.cache_clear()
-    for count in (1, 0):
-        run, told = flown("quintic", [CONSTANT, "simulation_duration=0.5"], None)
-        assert run.engine == "compiled: virtual machine"
-        assert len([message for message in told if "no C compiler" in message]) == count
-
-
-def test_another_engine_is_refused():
-    with pytest.raises(ScenarioError, match=r"engine = fast: give "):
-        simulate(load_scenario("quintic", ["engine=fast"]))
-    with pytest.raises(ScenarioError, match=r"engine = fast: .*, compiled, or None"):
-        simulate(load_scenario("quintic"), engine="fast")
-
-
 @pytest.mark.parametrize("period", nightly_beyond(1, "engines", [0.03, 0.06, 0.015, 0.012]))
 def test_the_diagram_loses_no_sample_of_the_controllers(period):
     """The hold's sample before each instant; of two events a rounding apart Drake loses one."""
@@ -244,32 +220,6 @@ def test_an_error_is_not_lost_where_the_diagram_does_not_meet_it_again():
     assert "diagram: ValueError: it broke; from t = " in run.engine
 
 
-@dataclass
-class ClockConfig:
-    """It has no parameters."""
-
-
-class Clock(Block):
-    """Shows the time."""
-
-    makes, reads_time = ("now",), True
-    signal_layouts: ClassVar = {"now": Layout(Part("time", "1", "s"))}
-
-    @staticmethod
-    def equations(time):
-        return time
-
-
-@pytest.mark.parametrize(
-    "period", nightly_beyond(1, "engines", [0.0333333, 0.03, 0.01, 0.015, 0.003333333, 0])
-)
-def test_each_row_has_the_signals_of_its_time(period):
-    overrides = [CONSTANT, f"control_period={period}", "simulation_duration=0.4"]
-    for engine in ("diagram", "compiled"):
-        run, _ = flown("quintic", overrides, engine, extra={"clock": Clock})
-        np.testing.assert_allclose(run.signals["clock.now"][:, 0], run.time, atol=1e-8)
-
-
 class FailsAtOnce(Fails):
     """A disturbance that fails in the first sample."""
 
@@ -280,13 +230,6 @@ def test_a_run_that_ends_in_its_first_sample_has_each_step_once():
     expected, _ = flown("quintic", SHORT, "diagram", load_disturbance=FailsAtOnce)
     run, _ = flown("quintic", SHORT, "compiled", load_disturbance=FailsAtOnce)
     assert_same(run, expected)
-
-
-def test_a_study_may_ask_for_an_engine():
-    scenario = load_scenario("line", [CONSTANT, "simulation_duration=0.05"])
-    found = [next(attempts([(scenario, given)]))[1] for given in ({"engine": "diagram"}, {})]
-    assert [one.ending for one in found] == ["completed"] * 2
-    assert_same(found[1].run, found[0].run)
 
 
 @dataclass
@@ -327,41 +270,3 @@ def test_a_commanded_bound_counts_and_is_checked_as_in_the_diagram(layer, later)
         runs.append(run)
     assert_same(runs[1], runs[0])
     assert runs[0].signal("speed_bound")[-1] in (later, 0.4)
-
-
-class EndingLoad(LoadPlant):
-    """Fails as it is asked whether it ends the run, at some time after 0.3 s."""
-
-    ending_signal = "load_state"
-
-    def ends_run(self, context, shown):
-        if shown[4] > 1e-3 and not self.has_failed:
-            self.has_failed = True
-            raise RuntimeError("asked in vain")
-        return False
-
-    has_failed = False
-
-
-def test_an_error_between_samples_loses_none():
-    overrides = [CONSTANT, "simulation_duration=0.7", "load_trajectory.start_time=0"]
-    expected, _ = flown("quintic", overrides, "diagram")
-    assert expected.signal("load_state")[-1, 4] > 2e-3
-    run, told = flown("quintic", overrides, "compiled", load_plant=EndingLoad)
-    assert any("asked in vain" in message for message in told)
-    np.testing.assert_array_equal(run.time, expected.time)
-    np.testing.assert_allclose(run.steps["time"], expected.steps["time"], atol=1e-9)
-    for name in ("load_state", "carrier_state"):
-        np.testing.assert_allclose(run.signal(name), expected.signal(name), atol=1e-8)
-
-
-@pytest.mark.parametrize("bounds", ["frequency_bounds=[0.1,1e7]", "amplitude_bounds=[0.01,2e6]"])
-def test_what_a_search_reads_is_no_signal(bounds):
-    overrides = [PROGRAM, f"optimization_layer.{bounds}", "simulation_duration=0.03"]
-    _, told = flown("quintic", overrides, "compiled")
-    assert not any("engine" in message for message in told)
-
-
-def test_a_run_computes_with_numbers_only():
-    with np.errstate(all="raise"):
-        simulate(load_scenario("quintic", [PROGRAM, "simulation_duration=0.1"]), engine="compiled")

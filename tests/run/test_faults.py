@@ -66,25 +66,6 @@ def test_results_that_cannot_be_written_leave_the_earlier_ones(tmp_path, results
     assert not [path for path in tmp_path.iterdir() if path.name.startswith(".new")]
 
 
-@pytest.mark.nightly("processes")
-def test_no_room_for_the_results_leaves_the_earlier_ones(tmp_path, results):
-    """The kernel refuses to let any file grow beyond 20 kB, in the middle of signals.npz."""
-    shutil.copytree(results, tmp_path, dirs_exist_ok=True)
-    before = contents(tmp_path)
-    assert len(before["signals.npz"]) > LIMIT
-    result = subprocess.run(
-        command(tmp_path, "system.load_mass=1.1"),
-        capture_output=True,
-        text=True,
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (LIMIT, LIMIT)),
-    )
-    assert result.returncode == 2
-    assert "give a folder with room to write to" in result.stderr
-    assert "Traceback" not in result.stderr
-    assert contents(tmp_path) == before
-    assert not [path for path in tmp_path.iterdir() if path.name.startswith(".new")]
-
-
 LAYERS = [
     (NlpLayer, "_solved", ["optimization_layer=NlpLayer"]),
     (

@@ -172,24 +172,6 @@ def test_an_episode_may_begin_anew_in_the_next_step():
     assert ends == [[False] * 3] * 2 + [[True] * 3] + [[False] * 3] * 2
 
 
-def test_each_episode_has_its_own_duration():
-    varied = load_scenario("quintic", ["simulation_duration=!Uniform {min: 0.1, max: 0.5}"])
-    env = make_gym_vec_env(varied, 4)
-    env.reset(seed=1)
-    ends = np.array([env.step(env.action_space.low)[3] for _ in range(5)])
-    assert len({*ends.argmax(axis=0).tolist()}) > 1
-
-
-def test_a_reward_of_ones_own_is_asked_for_each():
-    scenario = load_scenario("quintic", BRIEF)
-    env = make_gym_vec_env(scenario, 2, reward=lambda observation, action: action[0])
-    with pytest.raises(ScenarioError, match="call reset"):
-        env.step(env.action_space.low)
-    env.reset()
-    actions = env.action_space.low * [[1.0, 1.0], [1.1, 1.0]]
-    np.testing.assert_array_equal(env.step(actions)[1], actions[:, 0])
-
-
 @pytest.mark.parametrize(
     ("n", "arguments", "said"),
     [

@@ -7,11 +7,9 @@ import numpy as np
 import pytest
 from pydrake.common import RandomGenerator
 from pydrake.systems.analysis import MonteCarloSimulation, RandomSimulation
-from pydrake.systems.framework import Diagram
 from tables import read_rows
 
 from drake_nonstop import (
-    Model,
     ScenarioError,
     SweepSpec,
     load_scenario,
@@ -19,7 +17,6 @@ from drake_nonstop import (
     simulate,
     sweep,
 )
-from drake_nonstop.diagrams.nonstop import BOXES
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.studies.run_all import SerialExecutor
 
@@ -88,17 +85,3 @@ def test_it_flies_as_simulate_does(scenario, overrides):
 def test_a_box_cannot_be_left_out():
     with pytest.raises(ScenarioError, match="replacement cables = None: give a block"):
         make_simulator(load_scenario("quintic"), cables=None)
-
-
-@pytest.mark.parametrize(
-    "block",
-    # A diagram draws a seed for its parts.
-    [b for box in BOXES.values() for b in box.variants if not issubclass(b, Diagram)],
-)
-def test_no_block_draws_from_the_generator(block):
-    """Or the next call of make_simulator would not get what a sweep's next run gets."""
-    scenario = load_scenario("aircraft_rest", ["control_period=0.01"])
-    system = block(Model(scenario.system, scenario.pattern, scenario.control_period))
-    generator = RandomGenerator(3)
-    system.SetRandomContext(system.CreateDefaultContext(), generator)
-    assert generator() == RandomGenerator(3)()

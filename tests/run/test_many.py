@@ -151,10 +151,3 @@ def test_an_interrupt_keeps_the_runs_that_have_ended():
 def test_what_is_wrong_for_all_runs_is_refused_once(wrong):
     with pytest.raises(ScenarioError, match=f"^{next(iter(wrong))} = "):
         simulate_many([], **wrong)
-
-
-def test_an_engine_that_is_given_is_in_place_of_each_scenarios():
-    scenario = load_scenario("quintic", [*SHORT, "engine=diagram"])
-    for engine, flies in ((None, "diagram"), ("auto", "compiled"), ("diagram", "diagram")):
-        (run,) = simulate_many([scenario], engine=engine)
-        assert run.engine.startswith(flies)

@@ -6,7 +6,7 @@ from drawn_own_blocks import compare
 from helpers import nightly_beyond
 from pydrake.systems.framework import LeafSystem
 
-from drake_nonstop import ScenarioError, ScenarioWarning, load_scenario, simulate
+from drake_nonstop import ScenarioError, load_scenario
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.systems.compiled_loop import CompiledLoop
 
@@ -39,32 +39,6 @@ class Own(LeafSystem):
         reference = self.GetInputPort("reference").Eval(context)
         frequency = 2.0 + 0.2 * np.sin(7 * context.get_time()) + reference[10]
         state.set_value([frequency, 1.2 + 0.1 * reference[4]])
-
-
-def flown(engine, layer):
-    scenario = load_scenario("quintic", ["simulation_duration=0.1"])
-    given = {"optimization_layer": layer}
-    return simulate(scenario, engine=engine, **given).signal("parameters")
-
-
-class Remembering(Own):
-    """With a state in no context, and a publish event that counts: a run of its own begins anew."""
-
-    def __init__(self):
-        super().__init__(0.01, 0.01)
-        self.updates = 0
-        self.DeclarePeriodicPublishEvent(0.05, 0.05, lambda context: None)
-
-    def update(self, context, state):
-        self.updates += 1
-        state.set_value([2.0 + 0.01 * self.updates, 1.2])
-
-
-def test_a_run_that_is_flown_again_is_that_of_new_blocks():
-    expected = flown("diagram", lambda model: Remembering())
-    with pytest.warns(ScenarioWarning, match="Remembering: "):
-        shown = flown("compiled", lambda model: Remembering())
-    np.testing.assert_array_equal(shown, expected)
 
 
 def test_a_compiled_loop_of_ones_own_is_refused_with_the_remedy():

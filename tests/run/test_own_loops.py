@@ -1,20 +1,14 @@
 """Loops of the user's own are logged, simulated, judged and written like one of make_nonstop."""
 
-import gc
-import json
-import weakref
-
 import numpy as np
 import pytest
 from helpers import nightly_beyond
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
-from pydrake.systems.primitives import ConstantVectorSource
 
 from drake_nonstop import (
     LogSignals,
     Run,
-    RunStopped,
     ScenarioError,
     compute_metrics,
     connect_by_name,
@@ -24,11 +18,8 @@ from drake_nonstop import (
     set_equilibrium,
     simulate,
     verify_step,
-    write_results,
 )
-from drake_nonstop.studies import results_folder
 from drake_nonstop.systems.wiring import output_names
-from drake_nonstop.view.run_figures import make_figure
 
 DURATION = 0.1  # s
 
@@ -112,24 +103,6 @@ def test_logs_of_ones_own_simulation_are_a_run(make_loop, scenario, shipped):
         verify_step(run)
 
 
-def test_a_run_of_logs_is_written_whole(tmp_path, monkeypatch):
-    drawn = []  # of the diagrams, which take seconds to draw
-    monkeypatch.setattr(results_folder, "draw_diagram", lambda loop: drawn.append(loop) or "<svg/>")
-    scenario = load_scenario("three_carriers", ["optimization_layer=ConstantParameters"])
-    logs, simulator = flown(scenario, renamed(scenario))
-    run = Run.from_logs(logs, simulator.get_context(), scenario)
-    with pytest.raises(ScenarioError, match=r"^figures = \[0\. 0\.\]: give true or false"):
-        write_results(run, tmp_path / "odd", figures=np.zeros(2))
-    assert (tmp_path / "odd" / "signals.npz").exists()  # the flight is not lost
-    metrics = write_results(run, tmp_path, figures=False)
-    assert drawn == [run.diagram]
-    make_figure(run, "carrier_speeds")
-    assert metrics["wall_s"] is metrics["real_time_factor"] is None
-    assert json.loads((tmp_path / "metrics.json").read_text())["outcome"] == metrics["outcome"]
-    written = {path.name for path in tmp_path.iterdir()}
-    assert written >= {"replay.html", "diagram.svg", "signals.npz", "scenario.yaml"}
-
-
 def test_each_context_has_its_logs_and_the_last_flight_counts(scenario, shipped):
     logs, simulator = flown(scenario, make_nonstop(scenario))
     first = simulator.get_mutable_context()
@@ -158,25 +131,6 @@ def test_each_context_has_its_logs_and_the_last_flight_counts(scenario, shipped)
     expected = shipped.signal("reference")[:6]
     assert run.signal("reference").tobytes() == expected.tobytes()
     assert compute_metrics(run)["wall_s"] == 2.0
-
-
-def test_logs_are_freed_with_their_diagram_and_not_before():
-    scenario = load_scenario("line", ["optimization_layer=ConstantParameters"])
-
-    def sampled():
-        builder = DiagramBuilder()
-        loop = builder.AddSystem(renamed(scenario))
-        block = weakref.ref(LogSignals.AddToBuilder(builder, loop)._log)
-        simulator = Simulator(builder.Build())
-        gc.collect()
-        simulator.AdvanceTo(0.03)
-        times = block().rows(simulator.get_context()).samples.columns()[""]
-        np.testing.assert_allclose(times, [0, 0.01, 0.02, 0.03], atol=1e-15)
-        return block
-
-    block = sampled()
-    gc.collect()
-    assert block() is None
 
 
 def test_a_loop_that_cannot_be_logged_is_refused(scenario):
@@ -238,28 +192,6 @@ def test_extra_blocks_are_logged_and_change_nothing(scenario, shipped):
     for name, values in shipped.signals.items():
         assert run.signals[name].tobytes() == values.tobytes(), name
     assert verify_step(run).half_step["moved"] == {}
-
-
-def test_an_extra_block_that_fails_is_named(scenario):
-    with pytest.raises(RunStopped, match=r"echo \(test_own_loops\.py:\d+\): .*no echo"):
-        simulate(scenario, extra={"echo": lambda model: Echo(model, 0.05)})
-
-
-def test_a_fault_of_a_block_under_another_name_is_named(scenario):
-    force = ConstantVectorSource([0.0, 0, 0, 0, 0, 1e13])
-
-    def huge(model):
-        builder = DiagramBuilder()
-        builder.AddSystem(force)
-        builder.ExportOutput(force.get_output_port(), "disturbance_wrench")
-        return builder.Build()
-
-    builder = DiagramBuilder()
-    loop = builder.AddSystem(renamed(scenario, load_disturbance=huge))
-    LogSignals.AddToBuilder(builder, loop)
-    context = builder.Build().CreateDefaultContext()
-    with pytest.raises(ScenarioError, match=r"^start = my_load_disturbance: it makes a value that"):
-        set_equilibrium(loop, loop.GetMyMutableContextFromRoot(context))
 
 
 def test_a_box_left_out_needs_another_maker(scenario):

@@ -3,21 +3,18 @@
 import pickle
 from concurrent.futures import ProcessPoolExecutor
 
-import numpy as np
 import pytest
 
 from drake_nonstop import (
     Run,
     RunInterrupted,
     RunStopped,
-    ScenarioError,
     ScenarioWarning,
     ShapedPhase,
     compute_metrics,
     load_scenario,
     simulate,
 )
-from drake_nonstop.view.run_figures import figure_names
 
 
 class OwnPhase(ShapedPhase):
@@ -63,22 +60,3 @@ def test_an_exception_brings_its_run(kind):
     error = pickle.loads(pickle.dumps(given))
     assert (type(error), str(error)) == (kind, str(given))
     assert isinstance(error.run, Run)
-
-
-def test_a_run_draws_its_figures_and_its_signals():
-    run = simulate(_short())
-    for name in figure_names(run):
-        assert run.plot(name).axes
-    (lines,) = run.plot("tensions").axes
-    drawn = np.stack([line.get_ydata() for line in lines.lines], axis=1)
-    np.testing.assert_array_equal(drawn, run.steps["tensions"])
-    panels = run.plot("load_state.position", "carrier_state.velocities").axes
-    assert [len(panel.lines) for panel in panels] == [3, 12]
-    for names, words in (
-        (["aircraft"], "figure = aircraft: this run has load_reference"),
-        (["tenssions"], "such as cables.tensions"),
-        ([], "names = none: give one of load_reference"),
-    ):
-        with pytest.raises(ScenarioError) as caught:
-            run.plot(*names)
-        assert words in str(caught.value)

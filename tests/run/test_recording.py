@@ -167,16 +167,6 @@ def test_a_stored_run_is_the_same_run(temporary, tmp_path):
     assert kept.tobytes() == expected.signal("tensions").tobytes()
 
 
-def test_a_stored_run_takes_two_files_however_often_one_looks(temporary):
-    gc.collect()
-    before = len(os.listdir("/dev/fd"))
-    run = flown(limit=2e4)
-    looks = [run.signal("load_state")[k % 10] for k in range(100)]
-    gc.collect()
-    assert len(os.listdir("/dev/fd")) <= before + 2
-    assert not looks[0].flags.writeable
-
-
 class FailsAt(LeafSystem):
     def __init__(self, error):
         super().__init__()
@@ -237,27 +227,6 @@ def test_a_run_without_room_for_its_signals_is_refused_and_the_remedy_works(dura
     scenario.simulation_duration = float(re.search(r"give at most (\S+) s", str(caught.value))[1])
     assert scenario.simulation_duration > 100
     require_room(recording.recorded_sizes(make_nonstop(scenario)), scenario)
-
-
-@pytest.mark.nightly("flights")
-def test_the_expected_size_is_that_of_the_signals():
-    for override in ("engine=compiled", "simulator_config.max_step_size=0.002"):
-        scenario = scenario_of(0.5, override)
-        run = simulate(scenario)
-        arrays = [run.time, *run.signals.values(), *run.steps.values()]
-        sizes = recording.recorded_sizes(make_nonstop(scenario))
-        expected = recording.expected_size(sizes, scenario)
-        assert sum(values.nbytes for values in arrays) == pytest.approx(expected, rel=0.05)
-
-
-@pytest.mark.parametrize(
-    "name", nightly_beyond(1, "flights", ["line_without_optimization", "three_carriers"])
-)
-def test_results_take_at_least_half_the_size_of_the_signals(name):
-    scenario = load_scenario(name, ["simulation_duration=0.1"])
-    run = simulate(scenario)
-    signals = sum(values[1:].nbytes for values in run.signals.values())
-    assert recording.least_size(scenario) == pytest.approx(signals / 2, rel=0.05)
 
 
 class AccelerationReader(LeafSystem):

@@ -5,7 +5,7 @@ import pytest
 from helpers import nightly_beyond
 from pydrake.systems.framework import LeafSystem
 
-from drake_nonstop import ConstantParameters, RunStopped, ScenarioError, load_scenario, simulate
+from drake_nonstop import RunStopped, ScenarioError, load_scenario, simulate
 
 CONSTANT = "optimization_layer=ConstantParameters"
 
@@ -32,13 +32,6 @@ def test_signals_are_sampled_at_100_hz_and_hold_no_wall_time():
     assert not any("solve_time" in name for name in run.signals)
     assert len(run.steps["time"]) > len(run.time)
     assert run.steps["time"][0] == 0
-
-
-def test_every_block_of_the_figure_has_its_signals():
-    run = simulate(load_scenario("quintic", ["simulation_duration=0.02"]))
-    blocks = {name.split(".")[0] for name in run.signals}
-    assert blocks >= {"load_trajectory", "optimization_layer", "cables", "load_plant"}
-    assert run.signals["wrench_controller.wrench"].shape == (3, 6)
 
 
 @pytest.mark.parametrize(
@@ -88,15 +81,6 @@ def test_a_load_that_the_cables_cannot_hold_is_an_error_before_the_run():
         simulate(short("quintic", "simulated.cable_length=3"))
 
 
-def test_a_diverging_run_stops_with_time_and_block_and_keeps_its_signals():
-    scenario = short("quintic", "simulator_config.integration_scheme=explicit_euler", duration=2)
-    with pytest.raises(RunStopped, match=r"diverged at t = 0\.\d+ s: \w+ made a value") as caught:
-        simulate(scenario)
-    run = caught.value.run
-    assert 0 < run.time[-1] < 2
-    assert len(run.signal("load_state")) == len(run.time)
-
-
 class FailsAt(LeafSystem):
     """A ConstantParameters that raises, or gives NaN, from some time on."""
 
@@ -125,19 +109,6 @@ def test_an_error_in_a_users_block_is_reported_with_its_time():
     assert 0.05 < caught.value.run.time[-1] < 0.111
 
 
-@pytest.mark.parametrize("raised", nightly_beyond(1, "adversary", [SystemExit, ZeroDivisionError]))
-def test_an_error_without_a_readable_message_keeps_the_signals(raised):
-    class UnreadableError(ValueError):
-        def __str__(self):
-            raise raised
-
-    layer = lambda model: FailsAt(0.02, UnreadableError())  # noqa: E731
-    said = f"UnreadableError: its message cannot be read, {raised.__name__}"
-    with pytest.raises(RunStopped, match=said) as caught:
-        simulate(short("quintic", duration=0.05), optimization_layer=layer)
-    assert 0.0 < caught.value.run.time[-1] <= 0.02
-
-
 def test_an_interrupt_keeps_the_signals():
     from drake_nonstop import RunInterrupted
 
@@ -145,19 +116,6 @@ def test_an_interrupt_keeps_the_signals():
     with pytest.raises(RunInterrupted) as caught:
         simulate(short("quintic"), optimization_layer=layer)
     assert 0.05 < caught.value.run.time[-1] < 0.111
-
-
-def test_a_finer_step_gives_the_same_run():
-    coarse = simulate(short("quintic", duration=0.3))
-    fine = simulate(short("quintic", "simulator_config.max_step_size=0.001", duration=0.3))
-    difference = coarse.signal("load_state") - fine.signal("load_state")
-    assert np.max(np.abs(difference[:, 4:7])) < 1e-6
-
-
-def test_the_loop_without_optimization_keeps_its_parameters():
-    run = simulate(short("quintic"), optimization_layer=ConstantParameters)
-    assert np.all(run.signal("parameters") == [2.0, 1.2])
-    assert len(run.solve_times) == 0
 
 
 @pytest.mark.parametrize("length", nightly_beyond(1, "flights", [0.81, 0.79]))
@@ -176,34 +134,6 @@ def test_the_step_is_shortened_where_the_fastest_mode_needs_it(n):
     assert np.max(np.diff(run.steps["time"])) < 0.004  # less than the scenario's 5 ms
     assert np.min(run.steps["tensions"]) > 0
     assert np.max(np.abs(run.signal("tracking_error")[:, 3:6])) < 1e-3
-
-
-class LaggedCarriers(LeafSystem):
-    """Carriers whose forces follow the commanded ones with a lag: 9n states."""
-
-    def __init__(self, model):
-        super().__init__()
-        self._mass, self._n = model.carrier_mass, model.n
-        self._forces = self.DeclareVectorInputPort("carrier_forces", 3 * model.n)
-        self.DeclareContinuousState(9 * model.n)
-        self.DeclareVectorOutputPort("carrier_state", 6 * model.n, self._calc, {self.xc_ticket()})
-
-    def _calc(self, context, output):
-        state = context.get_continuous_state_vector().CopyToVector()
-        output.SetFromVector(state[: 6 * self._n])
-
-    def DoCalcTimeDerivatives(self, context, derivatives):  # noqa: N802
-        n = self._n
-        state = context.get_continuous_state_vector().CopyToVector()
-        velocity, force = state[3 * n : 6 * n], state[6 * n :]
-        lag = (self._forces.Eval(context) - force) / 0.002
-        rate = np.concatenate([velocity, force / self._mass, lag])
-        derivatives.get_mutable_vector().SetFromVector(rate)
-
-
-def test_carriers_with_more_states_start_and_fly():
-    run = simulate(short("quintic"), carrier_dynamics=LaggedCarriers)
-    assert np.max(np.abs(run.signal("tracking_error")[:, 3:6])) < 2e-3
 
 
 class SampledFeedback(LeafSystem):

@@ -4,7 +4,6 @@ import dataclasses
 import json
 import random
 import shutil
-import zipfile
 from typing import ClassVar
 
 import numpy as np
@@ -23,14 +22,12 @@ from drake_nonstop import (
 from drake_nonstop.cli.ending import BAD_INPUT
 from drake_nonstop.cli.main import main
 from drake_nonstop.mechanics.signal_layouts import Layout, Part
-from drake_nonstop.planning.diagnostics import DIAGNOSTICS_SIZE
 from drake_nonstop.run.metrics import metrics_table
 from drake_nonstop.run.signal_table import UnknownSignalError
 from drake_nonstop.run.stored_run import read_arrays
 from drake_nonstop.scenario.loading import dump_scenario
 from drake_nonstop.systems.block import LeafBlock
 from drake_nonstop.view.replay import record_replay
-from drake_nonstop.view.run_figures import make_figure
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
@@ -68,42 +65,6 @@ def test_it_is_written_again_to_the_bit(stored, tmp_path):
     write_results(Run.load(folder), tmp_path, figures=False, replay=False)
     for name in ("scenario.yaml", "metrics.json", "signals.npz"):
         assert (tmp_path / name).read_bytes() == (folder / name).read_bytes(), name
-
-
-@pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_a_run_is_written_whatever_its_signals_hold(value, stored, tmp_path):
-    run, _ = stored
-    counts = {"diagnostics": DIAGNOSTICS_SIZE, "missed_limits": 1}
-    rows = len(run.steps["time"])
-    planned = dataclasses.replace(
-        run,
-        scenario=load_scenario("quintic", BRIEF),
-        steps={**run.steps, **{name: np.zeros((rows, size)) for name, size in counts.items()}},
-        stopped="a block made a NaN",
-    )
-    for kind in ("signals", "steps"):
-        for name in set(getattr(planned, kind)) - {"time"}:
-            values = np.array(getattr(planned, kind)[name])
-            values[-3:] = value
-            spoilt = {kind: {**getattr(planned, kind), name: values}}
-            with np.errstate(all="ignore"):
-                metrics = write_results(
-                    dataclasses.replace(planned, **spoilt), tmp_path, figures=False, replay=False
-                )
-            text = (tmp_path / "metrics.json").read_text()
-            assert json.loads(text, parse_constant=pytest.fail) == metrics, name
-            assert metrics["outcome"] == "stopped"
-            assert metrics_table(metrics)
-
-
-def test_pictures_show_what_is_finite(stored):
-    run, _ = stored
-    signals = dict(run.signals)
-    for name in ("optimization_layer.parameters", "optimization_layer.speed_bound"):
-        signals[name] = np.full_like(signals[name], np.nan)
-    spoilt = dataclasses.replace(run, signals=signals)
-    assert record_replay(spoilt)
-    assert make_figure(spoilt, "carrier_paths_zoomed").axes
 
 
 def test_the_signals_file_tells_names_units_and_frames(stored):
@@ -327,10 +288,3 @@ def test_a_spoilt_archive_is_read_whole_or_refused(kind, seeds, stored, copied, 
             if arrays.keys() != whole.keys():  # the archive's own list ends too soon
                 with pytest.raises(ScenarioError, match=rf"in {name}, run = .* it is missing"):
                     Run.load(copied)
-
-
-def test_what_is_no_array_in_an_archive_is_refused(copied):
-    with zipfile.ZipFile(copied / "signals.npz", "a") as archive:
-        archive.writestr("README.txt", "hello")
-    with pytest.raises(ScenarioError, match=r"^signals.npz, run = \S+: it cannot be read"):
-        Run.load(copied)
