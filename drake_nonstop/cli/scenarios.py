@@ -105,8 +105,6 @@ def _blocks(options: argparse.Namespace) -> int:
                 if ports:
                     text = _ports(ports, says_optional=label == "in")
                     _print_wrapped(text, f"    {label:3}  ")
-            if choice.unbuildable:
-                _print_wrapped(f"not with its defaults: {choice.unbuildable}", "    ")
             _print_parameters(choice.parameters)
     return 0
 

@@ -7,10 +7,9 @@ default scenario's model.
 
 import dataclasses
 import inspect
-import math
 import textwrap
 import types
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -28,7 +27,7 @@ from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.scenario.yaml_text import dump_plain
 from drake_nonstop.systems import wiring
 from drake_nonstop.systems.documentation import field_comments, meanings
-from drake_nonstop.validation import ScenarioError, members_of, require_known
+from drake_nonstop.validation import members_of, require_known
 
 _COMMENT_COLUMN = 44  # where comments begin
 _LINE_WIDTH = 100  # characters; a comment for which there is no room stands above its field
@@ -64,17 +63,13 @@ class Port:
 
 @dataclass(frozen=True, kw_only=True)
 class Choice:
-    """A block that a box can be, or a pattern, which has no ports.
-
-    `unbuildable` says why the ports are not known: the defaults do not make a block.
-    """
+    """A block that a box can be, or a pattern, which has no ports."""
 
     name: str
     summary: str
     parameters: tuple[Parameter, ...]
     inputs: tuple[Port, ...] = ()
     outputs: tuple[Port, ...] = ()
-    unbuildable: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,17 +124,12 @@ def parameters(config: type) -> tuple[Parameter, ...]:
 
 def _choice(config: type, block: type, model: Model | None) -> Choice:
     """A block and its config, with its ports if there is a model to build it with."""
-    ports: dict[str, Any] = {}
+    ports: dict[str, tuple[Port, ...]] = {}
     if model is not None:
-        try:
-            built = block(model)
-        except ScenarioError as error:
-            ports["unbuildable"] = str(error)
-        else:
-            optional = wiring.optional_inputs(built)
-            read = wiring.input_sizes(built).items()
-            ports["inputs"] = tuple(_port(*port, port[0] in optional) for port in read)
-            ports["outputs"] = tuple(_port(*port) for port in wiring.output_sizes(built).items())
+        built = block(model)
+        optional, read = wiring.optional_inputs(built), wiring.input_sizes(built)
+        ports["inputs"] = tuple(_port(*port, port[0] in optional) for port in read.items())
+        ports["outputs"] = tuple(_port(*port) for port in wiring.output_sizes(built).items())
     summary = (inspect.getdoc(block) or "").partition("\n")[0]
     name = block_name(config)
     return Choice(name=name, summary=summary, parameters=parameters(config), **ports)
@@ -208,13 +198,17 @@ def _wrapped(depth: int, comment: str) -> list[str]:
 def scenario_schema(scenarios: Iterable[Scenario] = ()) -> Schema:
     """JSON Schema of a file with one scenario under its name, by which editors complete fields.
 
-    JSON Schema knows no YAML tags: a box has the fields of all blocks that it can be, each with the
-    names of those. Boxes may be the blocks of one's own that `scenarios` have, too.
+    JSON Schema knows no YAML tags: a box has the fields of one of the blocks that it can be, the
+    blocks of one's own that `scenarios` have among them.
     """
-    scenario = _object(Scenario, _choices(scenarios))
-    del scenario["properties"]["name"]
+    scenario = _object(Scenario)
+    fields = scenario["properties"]
+    del fields["name"]
     about = "a scenario's name or file, whose fields count where this one has none"
-    scenario["properties"][BASE] = {"type": "string", "description": about}
+    fields[BASE] = {"type": "string", "description": about}
+    for box, configs in _choices(scenarios).items():
+        fields[box] = {"anyOf": [{"type": "null"}, *map(_object, configs)]}
+        fields[box]["description"] = f"one of {', '.join(map(tag_of, configs))}"
     return {
         "$schema": "http://json-schema.org/draft-07/schema#",
         "title": "drake_nonstop scenario",
@@ -232,55 +226,28 @@ def custom_tags(scenarios: Iterable[Scenario] = ()) -> list[str]:
     return sorted(f"{tag_of(config)} mapping" for config in configs)
 
 
-def _choices(scenarios: Iterable[Scenario]) -> dict[str, tuple[type, ...]]:
+def _choices(scenarios: Iterable[Scenario]) -> dict[str, list[type]]:
     """`CHOICES` with the configs of scenarios' own blocks."""
-    found = {name: dict.fromkeys(configs) for name, configs in CHOICES.items()}
-    for scenario in scenarios:
-        for name, configs in found.items():
-            configs[type(getattr(scenario, name))] = None
-    return {name: tuple(configs) for name, configs in found.items()}
+    own = {box: [type(getattr(scenario, box)) for scenario in scenarios] for box in CHOICES}
+    return {box: [*dict.fromkeys((*configs, *own[box]))] for box, configs in CHOICES.items()}
 
 
-def _object(config: type, choices: dict[str, tuple[type, ...]] | None = None) -> Schema:
-    """The schema of a dataclass, some of whose fields are boxes with choices."""
-    about = meanings(config) if dataclasses.is_dataclass(config) else {}
-    default, properties = config(), {}
-    for name, kind in fields_of(config).items():
-        boxes = (choices or {}).get(name)
-        properties[name] = _box(boxes) if boxes else _of(kind)
-        if about.get(name):
-            properties[name].setdefault("description", about[name])
-        value = getattr(default, name)
-        if isinstance(value, tuple(_JSON_TYPES)) and value not in (None, math.inf):
-            properties[name]["default"] = value
+def _object(config: type) -> Schema:
+    """The schema of a dataclass."""
+    about = meanings(config)
+    properties = {name: _of(kind) for name, kind in fields_of(config).items()}
+    for name in properties:
+        properties[name] |= {"description": about[name]} if about.get(name) else {}
     return {"type": "object", "properties": properties, "additionalProperties": False}
-
-
-def _box(configs: Sequence[type]) -> Schema:
-    """A part with the fields of all classes that it can be."""
-    properties: dict[str, Schema] = {}
-    for config in configs:
-        for key, found in _object(config)["properties"].items():
-            known = properties.setdefault(key, {"anyOf": []})
-            about = f"{block_name(config)}: {found.pop('description', '')}".removesuffix(": ")
-            known["description"] = "; ".join(filter(None, [known.get("description"), about]))
-            found.pop("default", None)
-            known["anyOf"] += [found] if found not in known["anyOf"] else []
-    part = {"type": "object", "properties": properties, "additionalProperties": False}
-    tags = ", ".join(map(tag_of, configs))
-    return {"anyOf": [part, {"type": "null"}], "description": f"one of {tags}"}
 
 
 def _of(kind: Any) -> Schema:
     """The schema of a field's type."""
-    members = members_of(kind)
+    members, item = members_of(kind), item_of(kind)
     options: list[Schema] = [{"type": _JSON_TYPES[m]} for m in members if m in _JSON_TYPES]
-    if (item := item_of(kind)) is not None:
+    options += map(_object, parts_of(kind))
+    if item is not None:
         options.append({"type": "array", "items": _of(item)})
-    if len(parts := parts_of(kind)) == 1:
-        options.append(_object(parts[0]))
-    elif parts:
-        options.append(_box(parts))
-    if {float, int} & {*members} or item is float:
+    if {float, int} & {*members, item}:
         options.append({"type": "object"})  # a distribution, a tag with a mapping
     return {"anyOf": options} if options else {}

@@ -238,15 +238,3 @@ def drawn(
         scenario.optimization_layer = copy.copy(scenario.optimization_layer)
         scenario.optimization_layer.speed_bound = bound
     return scenario, values
-
-
-def has_distributions(scenario: Scenario) -> bool:
-    """Whether a field of a scenario holds a distribution."""
-    found = []
-
-    def note(path: str, distribution: Any, kind: Any) -> Any:
-        found.append(path)
-        return distributions.mean(path, distribution, kind)
-
-    Walk(change=note, reads_trees=False).read("", Scenario, scenario)
-    return bool(found)
