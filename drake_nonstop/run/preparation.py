@@ -63,7 +63,8 @@ def cause_of_divergence(nonstop: Diagram) -> str:
         for block in loop_in(nonstop, RUN_SIGNALS).GetSystems()
         for name, value in getattr(block, "gains", {}).items()
     ]
-    return f"{cause}; gains in use: {', '.join(gains)}" if gains else cause
+    in_use = " ".join(", ".join(gains).split())  # a matrix in one line
+    return f"{cause}; gains in use: {in_use}" if gains else cause
 
 
 def warn_of_other_bound(nonstop: Diagram, context: Context, stated: float) -> None:

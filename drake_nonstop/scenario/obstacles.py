@@ -17,12 +17,11 @@ from drake_nonstop.validation import (
     positive,
     require,
     require_positive,
-    require_ranges,
     vector,
 )
 
 _MOST = 100
-_DEPTH = 1e6  # m, of the ground
+_DEPTH = 1e6  # m, of half the ground, at least
 
 
 def _named(default: str) -> Any:
@@ -75,17 +74,19 @@ class GroundConfig(StrictFields):
 
     def shape(self) -> RoundedBox:
         """Where it is."""
-        middle = np.array([0.0, 0.0, self.height - _DEPTH])
-        return RoundedBox(middle, np.array([np.inf, np.inf, _DEPTH]))
+        half = max(_DEPTH, 2 * abs(self.height))  # also below all where the ground is high
+        return RoundedBox(
+            np.array([0.0, 0.0, self.height - half]), np.array([np.inf, np.inf, half])
+        )
 
 
 Obstacle = SphereConfig | BoxConfig | GroundConfig
 
 
 def require_obstacles(field: str, obstacles: Sequence[Obstacle]) -> None:
-    """Raises ScenarioError for obstacles out of range, too many, or two of one name."""
+    """Raises ScenarioError for too many obstacles, or two of one name."""
     require(len(obstacles) <= _MOST, field, f"{len(obstacles)} of them", f"give at most {_MOST}")
-    names = [require_ranges(f"{field}[{k}]", each).name for k, each in enumerate(obstacles)]
+    names = [each.name for each in obstacles]
     for k, name in enumerate(names):
         is_new = name not in names[:k]
         require(is_new, f"{field}[{k}].name", name, "give each obstacle a name of its own")

@@ -238,3 +238,8 @@ def drawn(
         scenario.optimization_layer = copy.copy(scenario.optimization_layer)
         scenario.optimization_layer.speed_bound = bound
     return scenario, values
+
+
+def has_distributions(scenario: Scenario) -> bool:
+    """Whether a field of a scenario holds a distribution."""
+    return bool(sample(scenario)[1])

@@ -16,7 +16,7 @@ from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.run.metrics import METRICS, compute_metrics, flattened
 from drake_nonstop.run.preparation import LoopMaker
 from drake_nonstop.scenario.loading import dump_scenario, parse_scenario
-from drake_nonstop.scenario.schema import Scenario, sample
+from drake_nonstop.scenario.schema import Scenario, has_distributions, sample
 from drake_nonstop.scenario.yaml_text import dump_plain
 from drake_nonstop.studies.files import as_path, replacing_file, replacing_files
 from drake_nonstop.studies.journal import Journal, StudyInterrupted, open_journal, settings_of
@@ -172,7 +172,7 @@ def _require_runnable(scenario: Scenario, spec: SweepSpec, trust: bool) -> None:
                 "all runs of a combination would be the same; leave it out, give draws, or give a "
                 "field of the scenario a distribution, such as !Uniform {min: 0.8, max: 1.2}"
             )
-            is_random = spec.draws or spec.runs is None or sample(made)[1]
+            is_random = spec.draws or spec.runs is None or has_distributions(made)
             require(is_random, f"{spec.source}.runs", spec.runs, remedy)
             return
     assert first_error is not None

@@ -40,3 +40,8 @@ def test_obstacles_come_back():
 def test_what_is_wrong_is_told(obstacles, said):
     with pytest.raises(ScenarioError, match=said):
         load_scenario("line", [f"obstacles={obstacles}"])
+
+
+def test_a_ground_reaches_down_to_all_that_is_below_it():
+    ground = parse_scenario("a: {obstacles: [!Ground {height: 1e9}]}").obstacles[0].shape()
+    assert ground.position[2] - ground.half[2] < -1e9 < 1e9 == ground.position[2] + ground.half[2]
