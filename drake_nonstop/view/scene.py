@@ -275,11 +275,13 @@ class Scene:
         if self.pieces > 1 and snapshot.cable_state is not None:
             nodes, _ = nodes_of(snapshot.cable_state, self._n)
             points = np.concatenate([points[:1], nodes, points[1:]])[self._joints]
-        for i, tension in enumerate(snapshot.tensions.tolist()):
-            poses, lengths = cylinder_poses(points[:-1, i], points[1:, i])
-            for path, pose, length in zip(self._cable_paths(i), poses, lengths, strict=True):
-                canvas.place(path, pose, float(length))
-                canvas.paint(path, self.cable_colour(tension), 1.0)
+        points = points.swapaxes(0, 1)  # (n, points, 3)
+        poses, lengths = cylinder_poses(points[:, :-1].reshape(-1, 3), points[:, 1:].reshape(-1, 3))
+        colours = [self.cable_colour(tension) for tension in snapshot.tensions.tolist()]
+        paths = [(path, i) for i in range(self._n) for path in self._cable_paths(i)]
+        for (path, i), pose, length in zip(paths, poses, lengths.tolist(), strict=True):
+            canvas.place(path, pose, length)
+            canvas.paint(path, colours[i], 1.0)
 
     def mark_colour(self, speed: float, speed_bound: float) -> Colour:
         """The colour of the mark around a carrier; both speeds in m/s."""
