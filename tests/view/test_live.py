@@ -112,10 +112,6 @@ def test_a_raised_bound_is_kept_after_its_time_and_reached_smoothly(monkeypatch,
     assert commanded_jumps(fleet.run("quintic")).max() < _JUMP  # untouched
 
 
-CONSTRAINTS = ["max_speed=1.3", "min_separation=0.9", "min_tension=2.5"]
-CASES = [("max_speed=1.3", 1.4), *((constraint, 4.0) for constraint in CONSTRAINTS)]
-
-
 def test_stop_ends_the_run_and_yields_it(monkeypatch):
     (run,) = live_runs(short(5.0), [(0.3, lambda page: page.press(live.STOP))], monkeypatch)
     assert not run.is_steered
