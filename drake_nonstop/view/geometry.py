@@ -20,6 +20,7 @@ from pydrake.geometry import (
     RenderLabel,
     Rgba,
     SceneGraph,
+    SourceId,
     Sphere,
 )
 from pydrake.math import RigidTransform
@@ -31,10 +32,10 @@ from drake_nonstop.mechanics.signals import CarrierStates, Pose
 from drake_nonstop.model.load_file import read_load_shapes
 from drake_nonstop.model.system import aircraft_in, overridden
 from drake_nonstop.scenario.schema import Scenario, check
-from drake_nonstop.systems.block import LOOP, DiagramBlock, InnerBlock
+from drake_nonstop.systems.block import LeafBlock
 from drake_nonstop.systems.tracing import NotFiniteError
 from drake_nonstop.systems.wiring import output_sizes, require_open
-from drake_nonstop.validation import require, require_array, require_type
+from drake_nonstop.validation import require, require_array
 from drake_nonstop.view.bodies import (
     Colour,
     Part,
@@ -50,30 +51,12 @@ from drake_nonstop.view.scene import Scene
 _HALF_CABLE = 0.6  # of the unstretched length; the two halves of a cable overlap
 
 
-class NonstopGeometry(DiagramBlock):
-    """Load, cables and carriers in a SceneGraph, at the poses that the loop's states tell.
+class NonstopGeometry(LeafBlock):
+    """The poses of a loop's bodies in a SceneGraph, of the states that the loop tells.
 
-    Each has the roles illustration, perception (with a render label of its own) and proximity.
-
-    - The load has the shapes of its file, or is a frame of bars around its attachments.
-    - A carrier is an aircraft along its velocity (along x of W where it has none), with its top
-      away from the cable. For proximity it is a sphere with the wing span as diameter. Where the
-      system has aircraft, they fly along the air that they meet, with bank and angle of attack.
-    - A cable is straight, slack or not. Geometry is rigid: two cylinders of 0.6 unstretched
-      lengths, one from the attachment and one from the carrier, slide over each other. Where the
-      ends are more than 1.2 lengths apart there is a gap between the two; where they are less
-      than 0.6 apart, each goes beyond the other end.
-
-    Converted to AutoDiffXd or Expression it makes no poses: to ask for them raises ScenarioError.
-
-    Cables do not collide with themselves, with the load, or with the carriers at their ends.
-    `geometry_pose` is a FramePoseVector, for the SceneGraph's pose port of `source`.
-
-    Args:
-        scene_graph: where the geometry is registered.
-        scenario: has the system, with what is simulated otherwise, and colours and sizes.
-        name: of the geometry's source in the SceneGraph.
-        load_file: an SDF or URDF file with the load's shapes; without one it is drawn as bars.
+    `AddGeometry` registers the bodies and adds this block. Converted to AutoDiffXd or Expression it
+    makes no poses: to ask for them raises ScenarioError. `geometry_pose` is a FramePoseVector, for
+    the SceneGraph's pose port of `source`.
 
     Attributes:
         source: the SourceId of the geometry.
@@ -81,10 +64,6 @@ class NonstopGeometry(DiagramBlock):
         carrier_frames: those of the n carriers, nose along x.
         cable_frames: those of the n cables' halves, in pairs: at the attachment and at the
             carrier, with z towards the other end.
-
-    Raises:
-        ScenarioError: a field of the scene is out of range, the SceneGraph has a source of that
-            name, or the file cannot be read, has no shapes or is of another load.
     """
 
     reads = "load_state", "carrier_state", "aircraft_state", "wind"
@@ -93,86 +72,20 @@ class NonstopGeometry(DiagramBlock):
 
     def __init__(
         self,
-        scene_graph: SceneGraph,
-        scenario: Scenario,
-        *,
-        name: str = LOOP,
-        load_file: str | Path = "",
+        attachments: NDArray,
+        aircraft: Aircraft | None,
+        source: SourceId,
+        load_frame: FrameId,
+        carrier_frames: list[FrameId],
+        cable_frames: list[tuple[FrameId, FrameId]],
     ):
         super().__init__()
-        require_type("name", name, str)
-        remedy = "give the path of an SDF or URDF file"
-        require(isinstance(load_file, (str, Path)), "load_file", load_file, remedy)
-        system = overridden(scenario.system, scenario.simulated)
-        attachments = require_array(
-            "system.attachments", system.attachments, [None, 3], "one position per cable"
-        )
-        scene = Scene(system, scenario.scene)
-        load_shapes = read_load_shapes(load_file, attachments) if load_file else []
-        inspector = scene_graph.model_inspector()
-        sources = [inspector.GetName(source) for source in inspector.GetAllSourceIds()]
-        remedy = "add the geometry of a loop once, and give each loop a name of its own"
-        require(name not in sources, "loop", name, remedy)
-        self.source = scene_graph.RegisterSource(name)
-        labels = itertools.count(_first_free_label(scene_graph))
-
-        def add(body: str, shapes: list[GeometryInstance], label: int) -> FrameId:
-            # Drake's MeshcatVisualizer does not tell frames of one name but two sources apart.
-            frame = scene_graph.RegisterFrame(self.source, GeometryFrame(f"{name}::{body}"))
-            for shape in shapes:
-                if shape.perception_properties() is not None:
-                    properties = shape.mutable_perception_properties()
-                    properties.UpdateProperty("label", "id", RenderLabel(label))
-                scene_graph.RegisterGeometry(self.source, frame, shape)
-            return frame
-
-        bars = load_parts(attachments, scene.bar_radius)
-        load = load_shapes or [_instance(bar, scene.load_colour, is_solid=True) for bar in bars]
-        self.load_frame = add("load", load, next(labels))
-        self.carrier_frames: list[FrameId] = []
-        self.cable_frames: list[tuple[FrameId, FrameId]] = []
-        length = _HALF_CABLE * float(np.max(system.cable_length))
-        cylinder = Cylinder(scene.cable_radius, length)
-        centre, ball = RigidTransform([0, 0, length / 2]), Sphere(scene.wing_span / 2)
-        cable_colour = scene.cable_colour(scene.weight_share)
-        filters = CollisionFilterDeclaration()
-        for i, colour in enumerate(scene.carrier_colours):
-            aircraft = [_instance(part, colour) for part in carrier_parts(scene.wing_span)]
-            sphere = Part(name=f"carrier {i + 1}", shape=ball)
-            half = Part(name=f"cable {i + 1}", shape=cylinder, pose=centre)
-            aircraft.append(_instance(sphere, is_solid=True))
-            carrier = add(f"carriers::{i}", aircraft, next(labels))
-            label = next(labels)
-            lower, upper = (
-                add(f"cables::{i}::{end}", [_instance(half, cable_colour, is_solid=True)], label)
-                for end in ("lower", "upper")
-            )
-            self.carrier_frames.append(carrier)
-            self.cable_frames.append((lower, upper))
-            cable = GeometrySet([lower, upper])
-            filters.ExcludeWithin(cable)
-            filters.ExcludeBetween(cable, GeometrySet([self.load_frame, carrier]))
-        scene_graph.collision_filter_manager().Apply(filters)
-        lower_halves, upper_halves = zip(*self.cable_frames, strict=True)
-        frames = [self.load_frame, *self.carrier_frames, *lower_halves, *upper_halves]
-        inner = DiagramBuilder()
-        poses = inner.AddNamedSystem("poses", _Poses(attachments, frames, aircraft_in(system)))
-        for port in self.reads:
-            inner.ExportInput(poses.GetInputPort(port), port)
-        inner.ExportOutput(poses.get_output_port(), "geometry_pose")
-        inner.BuildInto(self)
-
-
-class _Poses(InnerBlock):
-    """The poses of the frames, which a conversion does not register anew.
-
-    They are those of the load, the n carriers, and the cables' n lower and n upper halves.
-    """
-
-    def __init__(self, attachments: NDArray, frames: list[FrameId], aircraft: Aircraft | None):
-        super().__init__()
-        self._attachments, self._frames, self._aircraft = attachments, frames, aircraft
-        sizes = signal_sizes(NonstopGeometry.reads, len(attachments))
+        self.source, self.load_frame = source, load_frame
+        self.carrier_frames, self.cable_frames = carrier_frames, cable_frames
+        self._attachments, self._aircraft = attachments, aircraft
+        lower_halves, upper_halves = zip(*cable_frames, strict=True)
+        self._frames = [load_frame, *carrier_frames, *lower_halves, *upper_halves]
+        sizes = signal_sizes(self.reads, len(attachments))
         self._inputs = [self.DeclareVectorInputPort(name, size) for name, size in sizes.items()]
         make = FramePoseVector_[self.scalar]
         self.DeclareAbstractOutputPort(
@@ -217,7 +130,19 @@ def AddGeometry(  # noqa: N802
 ) -> NonstopGeometry:
     """Adds the bodies of a loop to a SceneGraph, where cameras, queries and viewers see them.
 
-    Any number of loops may be in one SceneGraph, beside the user's own plants.
+    Any number of loops may be in one SceneGraph, beside the user's own plants. Each body has the
+    roles illustration, perception (with a render label of its own) and proximity.
+
+    - The load has the shapes of its file, or is a frame of bars around its attachments.
+    - A carrier is an aircraft along its velocity (along x of W where it has none), with its top
+      away from the cable. For proximity it is a sphere with the wing span as diameter. Where the
+      system has aircraft, they fly along the air that they meet, with bank and angle of attack.
+    - A cable is straight, slack or not. Geometry is rigid: two cylinders of 0.6 unstretched
+      lengths, one from the attachment and one from the carrier, slide over each other. Where the
+      ends are more than 1.2 lengths apart there is a gap between the two; where they are less
+      than 0.6 apart, each goes beyond the other end.
+
+    Cables do not collide with themselves, with the load, or with the carriers at their ends.
 
     Args:
         builder: has the loop and the SceneGraph already, and is not built yet.
@@ -225,16 +150,17 @@ def AddGeometry(  # noqa: N802
             `load_state` (13) and `carrier_state` (6n); of aircraft also `aircraft_state` (4n) and
             `wind` (3n). Its name is that of the geometry's source.
         scene_graph: the SceneGraph.
-        scenario: see `NonstopGeometry`; nothing else of it is used.
-        load_file: likewise, such as the one that `system.load_file` named as the scenario was
-            loaded.
+        scenario: has the system, with what is simulated otherwise, and colours and sizes.
+        load_file: an SDF or URDF file with the load's shapes, such as the one that
+            `system.load_file` named; without one the load is drawn as bars.
 
     Returns:
-        The system that makes the poses; see `NonstopGeometry` for its frames and what is drawn.
+        The system that makes the poses, with the frames of the bodies.
 
     Raises:
         ScenarioError: the loop or the SceneGraph is not in the builder, the builder is built, the
-            loop has no such ports, the scenario cannot be used, or as `NonstopGeometry`.
+            loop has no such ports, the scenario cannot be used, the SceneGraph has a source of
+            that name, or the file cannot be read, has no shapes or is of another load.
     """
     check(scenario)
     require_open(builder, "AddGeometry")
@@ -250,7 +176,7 @@ def AddGeometry(  # noqa: N802
         remedy = f"give a loop with {size} values there, for the scenario's {n} attachments"
         require(sizes.get(port) == size, f"loop.{port}", has, remedy)
     name = loop.get_name()
-    geometry = NonstopGeometry(scene_graph, scenario, name=name, load_file=load_file)
+    geometry = _registered(scene_graph, scenario, name, load_file)
     builder.AddNamedSystem(f"{name}_geometry", geometry)
     for port in ports:
         builder.Connect(loop.GetOutputPort(port), geometry.GetInputPort(port))
@@ -258,6 +184,67 @@ def AddGeometry(  # noqa: N802
         geometry.GetOutputPort("geometry_pose"), scene_graph.get_source_pose_port(geometry.source)
     )
     return geometry
+
+
+def _registered(
+    scene_graph: SceneGraph, scenario: Scenario, name: str, load_file: str | Path
+) -> NonstopGeometry:
+    """The block of geometry that is registered as that of a source of this name."""
+    remedy = "give the path of an SDF or URDF file"
+    require(isinstance(load_file, (str, Path)), "load_file", load_file, remedy)
+    system = overridden(scenario.system, scenario.simulated)
+    attachments = require_array(
+        "system.attachments", system.attachments, [None, 3], "one position per cable"
+    )
+    scene = Scene(system, scenario.scene)
+    load_shapes = read_load_shapes(load_file, attachments) if load_file else []
+    inspector = scene_graph.model_inspector()
+    sources = [inspector.GetName(source) for source in inspector.GetAllSourceIds()]
+    remedy = "add the geometry of a loop once, and give each loop a name of its own"
+    require(name not in sources, "loop", name, remedy)
+    source = scene_graph.RegisterSource(name)
+    labels = itertools.count(_first_free_label(scene_graph))
+
+    def add(body: str, shapes: list[GeometryInstance], label: int) -> FrameId:
+        # Drake's MeshcatVisualizer does not tell frames of one name but two sources apart.
+        frame = scene_graph.RegisterFrame(source, GeometryFrame(f"{name}::{body}"))
+        for shape in shapes:
+            if shape.perception_properties() is not None:
+                properties = shape.mutable_perception_properties()
+                properties.UpdateProperty("label", "id", RenderLabel(label))
+            scene_graph.RegisterGeometry(source, frame, shape)
+        return frame
+
+    bars = load_parts(attachments, scene.bar_radius)
+    load = load_shapes or [_instance(bar, scene.load_colour, is_solid=True) for bar in bars]
+    load_frame = add("load", load, next(labels))
+    carrier_frames: list[FrameId] = []
+    cable_frames: list[tuple[FrameId, FrameId]] = []
+    length = _HALF_CABLE * float(np.max(system.cable_length))
+    cylinder = Cylinder(scene.cable_radius, length)
+    centre, ball = RigidTransform([0, 0, length / 2]), Sphere(scene.wing_span / 2)
+    cable_colour = scene.cable_colour(scene.weight_share)
+    filters = CollisionFilterDeclaration()
+    for i, colour in enumerate(scene.carrier_colours):
+        aircraft = [_instance(part, colour) for part in carrier_parts(scene.wing_span)]
+        sphere = Part(name=f"carrier {i + 1}", shape=ball)
+        half = Part(name=f"cable {i + 1}", shape=cylinder, pose=centre)
+        aircraft.append(_instance(sphere, is_solid=True))
+        carrier = add(f"carriers::{i}", aircraft, next(labels))
+        label = next(labels)
+        lower, upper = (
+            add(f"cables::{i}::{end}", [_instance(half, cable_colour, is_solid=True)], label)
+            for end in ("lower", "upper")
+        )
+        carrier_frames.append(carrier)
+        cable_frames.append((lower, upper))
+        cable = GeometrySet([lower, upper])
+        filters.ExcludeWithin(cable)
+        filters.ExcludeBetween(cable, GeometrySet([load_frame, carrier]))
+    scene_graph.collision_filter_manager().Apply(filters)
+    return NonstopGeometry(
+        attachments, aircraft_in(system), source, load_frame, carrier_frames, cable_frames
+    )
 
 
 def _instance(

@@ -160,8 +160,6 @@ _CALLS = (
     _BUILT + "AddGeometry(builder, {}, {}, Scenario())",
     _BUILT + "AddGeometry(builder, loop, scene_graph, {})",
     _BUILT + "AddGeometry(builder, loop, scene_graph, Scenario(), load_file={})",
-    "NonstopGeometry(SceneGraph(), {})",
-    "NonstopGeometry(SceneGraph(), Scenario(), name={}, load_file={})",
     _FLOWN + "Run.from_logs(logs, {}, Scenario())",
     _FLOWN + "Run.from_logs({}, simulator.get_context(), Scenario())",
     _FLOWN + "Run.from_logs(logs, simulator.get_context(), {})",
@@ -182,7 +180,7 @@ _OF_OBJECTS = (
     *("set_equilibrium(", "compute_metrics(", "record_replay(", "draw_diagram(", "verify_step("),
     *("Model(", "SampleAndHold(", "LoadTrajectory("),
     *("NonstopVisualizer(", "show_in(", "next(iter(run_live(", "RunProgress(", "TaskProgress("),
-    *("HamiltonianCycleConfig().make(", "SpreadCarouselConfig().make(", "NonstopGeometry("),
+    *("HamiltonianCycleConfig().make(", "SpreadCarouselConfig().make("),
 )
 
 # Fields that numbers, texts and lists are assigned to; what makes no sense has to be refused.

@@ -5,7 +5,6 @@ import functools
 import numpy as np
 import pytest
 from helpers import Ports, model, output, with_ports
-from pydrake.geometry import SceneGraph
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 
 from drake_nonstop import (
@@ -22,10 +21,8 @@ from drake_nonstop import (
 )
 from drake_nonstop.blocks.carrier_dynamics import FixedWingDynamics
 from drake_nonstop.systems.diagnosis import raising_block
-from drake_nonstop.systems.tracing import NotFiniteError
 from drake_nonstop.systems.wiring import input_names, output_names, wires
 from drake_nonstop.validation import ScenarioError
-from drake_nonstop.view.geometry import NonstopGeometry
 
 CONSTANT = "optimization_layer=ConstantParameters"
 STATES = ("load_state", "carrier_state", "aircraft_state")
@@ -250,22 +247,6 @@ def in_diagrams(block, depth, names):
         if names:
             block.set_name("outer")
     return block
-
-
-@NAMED
-@pytest.mark.parametrize("depth", [0, 1])
-def test_geometry_has_its_name_or_its_class_in_errors(names, depth):
-    geometry = NonstopGeometry(SceneGraph(), scenario())
-    if names:
-        geometry.set_name("scene")
-    diagram = in_diagrams(geometry, 1 + depth, names)
-    context = diagram.CreateDefaultContext()
-    for k in range(2):
-        port = diagram.get_input_port(k)
-        port.FixValue(context, np.full(port.size(), np.nan))
-    called = ".".join(["outer"] * depth + ["scene"]) if names else "NonstopGeometry"
-    with pytest.raises(NotFiniteError, match=f"^{called} was given a value that is not finite"):
-        diagram.get_output_port().Eval(context)
 
 
 def test_an_open_input_in_a_diagram_inside_is_named():
