@@ -36,6 +36,21 @@ def test_parts_are_merged_field_by_field_and_so_is_the_same_block():
     assert resolved(parse_scenario(text)) == resolved(load_scenario("quintic", overrides))
 
 
+def test_a_tag_means_the_same_in_a_file_and_by_an_override():
+    five = "[[1, 0, 0], [0.3, 1, 0], [-0.8, 0.6, 0], [-0.8, -0.6, 0], [0.3, -1, 0]]"
+    entries = {"system.attachments": five, "pattern": "!HamiltonianCycle {}"}
+    changes = f"system: {{attachments: {five}}}, pattern: !HamiltonianCycle {{}}"
+    text = f"x: {{based_on: quintic, {changes}}}"
+    by_set = load_scenario("quintic", [f"{path}={value}" for path, value in entries.items()])
+    assert resolved(parse_scenario(text)).splitlines()[1:] == resolved(by_set).splitlines()[1:]
+    assert by_set.pattern.phases == []
+    changes = "optimization_layer: {tightening: 0.03}, load_trajectory: {move_time: 8}"
+    settings = ["optimization_layer={tightening: 0.03}", "load_trajectory.move_time=8"]
+    in_file = parse_scenario(f"x: {{based_on: quintic, {changes}}}")
+    assert in_file.optimization_layer == load_scenario("quintic", settings).optimization_layer
+    assert in_file.optimization_layer.speed_bound == 0.55
+
+
 def test_another_block_begins_with_its_own_defaults():
     text = "other: {based_on: quintic, optimization_layer: !ConstantParameters {frequency: 1.5}}"
     layer = parse_scenario(text).optimization_layer

@@ -29,10 +29,8 @@ from drake_nonstop import (
     parse_scenario,
 )
 from drake_nonstop.scenario.describe import commented_scenario
-from drake_nonstop.scenario.distributions import draw
 from drake_nonstop.scenario.overrides import changed
 
-DRAWS = 4000
 FIELDS = (
     "system.load_mass=!Uniform {min: 0.7, max: 1.3}",
     "load_disturbance=!DisturbanceForce {force: "
@@ -48,48 +46,7 @@ def scenario():
     return load_scenario("line", FIELDS)
 
 
-def drawn(distribution, kind):
-    """DRAWS numbers, or lists of them."""
-    generator = RandomGenerator(1)
-    return np.array([draw(distribution, kind, generator) for _ in range(DRAWS)])
-
-
-def assert_moments(values, mean, deviation):
-    """Both within four of their standard errors; that of the variance holds up to a Gaussian's."""
-    error = deviation / np.sqrt(DRAWS)
-    assert np.all(np.abs(values.mean(axis=0) - mean) <= 4 * error + 1e-12)
-    relative = 4 / np.sqrt(2 * DRAWS)
-    np.testing.assert_allclose(values.std(axis=0), deviation, rtol=relative, atol=1e-12)
-
-
 class TestDraws:
-    @pytest.mark.parametrize(
-        ("distribution", "mean", "deviation"),
-        [
-            (Uniform(min=0.7, max=1.3), 1.0, 0.6 / np.sqrt(12)),
-            (Gaussian(mean=-1, stddev=0.5), -1.0, 0.5),
-            (UniformDiscrete(values=[0.1, 0.2, 0.6]), 0.3, np.sqrt((0.04 + 0.01 + 0.09) / 3)),
-            (Deterministic(value=0.81), 0.81, 0.0),
-        ],
-    )
-    def test_moments_of_numbers(self, distribution, mean, deviation):
-        assert_moments(drawn(distribution, float), mean, deviation)
-
-    def test_moments_of_vectors(self):
-        deviations = np.array([0.1, 0.2, 0.3])
-        gaussian = drawn(GaussianVectorX(mean=[1, 2, 3], stddev=deviations), list[float])
-        assert_moments(gaussian, [1, 2, 3], deviations)
-        uniform = drawn(UniformVector[2](min=[1, 2], max=[2, 4]), list[float])
-        assert_moments(uniform, [1.5, 3], np.array([1, 2]) / np.sqrt(12))
-        for columns in (gaussian.T, uniform.T):
-            correlations = np.corrcoef(columns) - np.eye(len(columns))
-            assert np.abs(correlations).max() < 4 / np.sqrt(DRAWS)
-
-    def test_whole_numbers(self):
-        seeds = drawn(Uniform(min=0, max=10), int)
-        assert set(seeds) == set(range(10))
-        assert_moments(seeds, 4.5, np.sqrt(99 / 12))
-
     def test_they_are_drawn_in_the_order_of_the_fields(self, scenario):
         """By Drake's own functions, called by hand."""
         generator = RandomGenerator(3)

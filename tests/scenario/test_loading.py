@@ -17,40 +17,6 @@ from drake_nonstop import (
 from drake_nonstop.blocks.optimization_layer import PaperLayerConfig
 
 
-def test_the_shipped_scenarios():
-    assert scenario_names() == [
-        "aircraft_co_rotating",
-        "aircraft_co_rotating_cables",
-        "aircraft_co_rotating_cables_gusty",
-        "aircraft_co_rotating_gusty",
-        "aircraft_co_rotating_rising_wind",
-        "aircraft_rest",
-        "aircraft_rest_cables",
-        "aircraft_rest_cables_gusty",
-        "aircraft_six",
-        "aircraft_small",
-        "aircraft_three",
-        "aircraft_transfer",
-        "aircraft_transfer_cables",
-        "aircraft_transfer_cables_gusty",
-        "aircraft_transfer_gusty",
-        "aircraft_transfer_rising_wind",
-        "line",
-        "line_without_optimization",
-        "paper_line",
-        "paper_line_without_optimization",
-        "paper_quintic",
-        "quintic",
-        "quintic_nlp",
-        "quintic_over_tower",
-        "real_scale_carousel",
-        "real_scale_cycle",
-        "real_scale_spread",
-        "static_hold_open_loop",
-        "three_carriers",
-    ]
-
-
 @pytest.mark.parametrize("name", scenario_names())
 def test_a_resolved_scenario_reads_back_to_itself(name):
     scenario = load_scenario(name)
@@ -60,12 +26,6 @@ def test_a_resolved_scenario_reads_back_to_itself(name):
     assert again.optimization_layer == scenario.optimization_layer
     assert again.system == scenario.system
     assert again.simulated == scenario.simulated
-
-
-def test_a_resolved_scenario_names_every_block():
-    text = dump_scenario(load_scenario("quintic"))
-    for tag in ("!RecedingHorizonOptimizer", "!LoadPlant", "!ShapedPhase", "!HamiltonianCycle"):
-        assert tag in text
 
 
 def test_the_paper_scenarios_are_as_printed():
@@ -100,18 +60,6 @@ def test_a_setting_that_swaps_a_block_keeps_only_what_the_new_one_calls_the_same
     way = load_scenario("quintic", settings).load_trajectory
     assert way.start_position == [1.0, 2.0, 3.0]
     assert way.roll_pitch_yaw == []  # a change of the angles before, and a list of them now
-
-
-def test_a_setting_overrides_the_simulated_system_alone():
-    scenario = load_scenario("quintic", ["simulated.load_mass=1.2"])
-    assert scenario.system.load_mass == 1.0
-    assert scenario.simulated.load_mass == 1.2
-
-
-def test_a_number_in_exponent_notation_is_a_number():
-    assert load_scenario(
-        "quintic", ["simulator_config.max_step_size=5e-3"]
-    ).simulator_config.max_step_size == (0.005)
 
 
 def test_a_file_with_defaults_only_needs_no_more_than_its_name(tmp_path):
@@ -223,11 +171,6 @@ def test_a_trajectory_from_a_file_is_in_the_resolved_scenario(tmp_path):
         load_scenario("quintic", [setting])
 
 
-def test_an_unknown_scenario_lists_the_known_ones():
-    with pytest.raises(ScenarioError, match="quintic"):
-        load_scenario("quintik")
-
-
 def test_a_replacement_may_be_a_config_or_a_class():
     from drake_nonstop import ConstantParameters, ConstantParametersConfig
 
@@ -238,8 +181,3 @@ def test_a_replacement_may_be_a_config_or_a_class():
         assert isinstance(block, ConstantParameters)
     context = diagram.CreateDefaultContext()
     assert np.array_equal(diagram.GetOutputPort("parameters").Eval(context), [2.0, 0.9])
-
-
-def test_a_replacement_of_an_unknown_box_is_an_error():
-    with pytest.raises(ScenarioError, match="optimizer_layer"):
-        make_nonstop(load_scenario("quintic"), optimizer_layer=None)

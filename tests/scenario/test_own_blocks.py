@@ -220,14 +220,6 @@ def test_fields_of_its_config_are_checked(folder, setting, message):
         changed(scenario, [setting])
 
 
-def test_constructor_that_fails_is_told_in_a_sentence(folder):
-    setting = "optimization_layer=own_test_blocks.OneArgument"
-    scenario = load_scenario("quintic", [setting], trust=True)
-    said = "^replacement optimization_layer = OneArgument: it cannot be called so "
-    with pytest.raises(ScenarioError, match=said):
-        make_nonstop(scenario)
-
-
 def test_error_during_a_run_names_block_and_line(folder):
     setting = "optimization_layer=own_test_blocks.Failing"
     scenario = load_scenario("quintic", ["simulation_duration=0.3", setting], trust=True)

@@ -3,12 +3,10 @@
 import copy
 import dataclasses
 import pickle
-import random
 
 import numpy as np
 import pytest
 from helpers import nightly_beyond
-from plausible_scenarios import draw
 from pydrake.common.yaml import yaml_dump_typed, yaml_load_typed
 
 from drake_nonstop import (
@@ -48,16 +46,6 @@ NAMES = dict.fromkeys(["quintic", "aircraft_transfer_gusty", *scenario_names()])
 @pytest.mark.parametrize("name", nightly_beyond(4, "examples", NAMES))
 def test_a_shipped_scenario_comes_back(name):
     comes_back(load_scenario(name))
-
-
-@pytest.mark.parametrize("seed", nightly_beyond(3, "studies", range(8)))
-def test_a_drawn_scenario_comes_back(seed):
-    name, overrides = draw(seed)
-    scenario = load_scenario(name, overrides)
-    scenario.description = random.Random(seed).choice(TEXTS)
-    scenario.limits.speed = float("inf")
-    scenario.simulated.attachments = (2 * np.array(scenario.system.attachments)).tolist()
-    comes_back(scenario)
 
 
 def test_every_block_of_a_box_comes_back_as_itself():
