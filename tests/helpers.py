@@ -14,7 +14,7 @@ from pydrake.common.value import Value
 from pydrake.math import RollPitchYaw_, RotationMatrix
 from pydrake.systems.framework import Context, LeafSystem, System
 
-from drake_nonstop.analysis.carriers_along import resting_carriers
+from drake_nonstop.analysis.resting_carriers import resting_carriers
 from drake_nonstop.blocks.optimization_layer import NlpLayerConfig
 from drake_nonstop.mechanics.rotation import norm
 from drake_nonstop.mechanics.signals import LoadState, constant_plan

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.framework import Context, Diagram
 
-from drake_nonstop.analysis.carriers_along import resting_carriers
 from drake_nonstop.analysis.flight_envelope import (
     ROWS,
     BowedCables,
@@ -20,6 +19,7 @@ from drake_nonstop.analysis.flight_envelope import (
     flight_envelope_of,
     limits_along,
 )
+from drake_nonstop.analysis.resting_carriers import resting_carriers
 from drake_nonstop.analysis.task import task_at
 from drake_nonstop.diagrams.nonstop import make_nonstop, replaced
 from drake_nonstop.mechanics.aircraft import (
@@ -43,7 +43,6 @@ _INSTANTS = 720  # of a turn
 _MOST_TURNS = 10  # until an internal force and a load that turns are back where they were
 _REFINEMENTS, _PARTS = 3, 4  # of the interval about each extreme
 _WIND_TRIALS = 10  # halvings of the range of the largest wind
-
 
 _CARRIERS_APART = ROWS["separation"]
 _CABLES_APART = dataclasses.replace(_CARRIERS_APART, words="cables apart")
@@ -199,7 +198,7 @@ def aircraft_margins_for(
     return margins_at_rest(
         task.flown,
         task.reference(0.0),
-        task.nominal,
+        np.array([task.limits.frequency, task.limits.amplitude]),
         believed=task.carried,
         wind=task.air.mean,
         limits=flight_envelope_of(scenario),

@@ -25,7 +25,6 @@ from drake_nonstop.scenario.run_limits import RunLimits
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.validation import finite
 
-_NEARLY = 0.04  # of a limit
 _LEAST_TENSION = 1e-3  # N, of a cable that is all but slack
 _SHARE_OF_WIDTH = 0.01  # by which two cables may differ in length
 ROWS = {limit.name: limit for limit in LIMITS}
@@ -166,7 +165,6 @@ class FlightEnvelope(NamedTuple):
     climb: float = math.radians(30.0)  # rad, up or down; PX4's FW_P_LIM_MAX and FW_P_LIM_MIN
     carrier_distance: float = RunLimits.carrier_distance  # of the reach, see `RunLimits`
     cable_distance: float = RunLimits.cable_distance  # of the distance of two attachments
-    saturated_share: float = RunLimits.saturated_share  # of the time on the way, see `RunLimits`
 
 
 def flight_envelope_of(scenario: Scenario) -> FlightEnvelope:
@@ -178,7 +176,6 @@ def flight_envelope_of(scenario: Scenario) -> FlightEnvelope:
         bank=getattr(controller, "max_bank", default.bank),
         carrier_distance=scenario.limits.carrier_distance,
         cable_distance=scenario.limits.cable_distance,
-        saturated_share=scenario.limits.saturated_share,
     )
 
 

@@ -4,7 +4,6 @@ import dataclasses
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.framework import Context, Diagram, System
 
@@ -25,7 +24,6 @@ from drake_nonstop.validation import require
 class Task:
     """A load's motion, and what carries it."""
 
-    name: str  # of the scenario
     model: Model  # what the controllers believe
     flown: Model  # the simulated plant's
     limits: LimitsConfig  # ε, the nominal ξ and A, and their bounds
@@ -48,11 +46,6 @@ class Task:
         back.
         """
         return self.flown if self.references.is_above_load else self.model
-
-    @property
-    def nominal(self) -> NDArray:
-        """[ξ (rad/s), A (N)] (2,) at the start."""
-        return np.array([self.limits.frequency, self.limits.amplitude])
 
 
 def task_of(scenario: Scenario, loop: Diagram | None = None) -> Task:
@@ -125,7 +118,6 @@ def _task(
     limits = with_fields_of(LimitsConfig, layer)  # of one without bounds, the default ones
     horizon = with_fields_of(HorizonConfig, layer)
     return Task(
-        name=scenario.name,
         model=model,
         flown=flown,
         limits=limits,

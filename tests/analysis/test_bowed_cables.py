@@ -7,8 +7,8 @@ from helpers import nightly_beyond
 
 from drake_nonstop import load_scenario
 from drake_nonstop.analysis.aircraft_margins import aircraft_margins
-from drake_nonstop.analysis.carriers_along import resting_carriers
 from drake_nonstop.analysis.flight_envelope import BowedCables
+from drake_nonstop.analysis.resting_carriers import resting_carriers
 from drake_nonstop.blocks.lumped_cables import material_of
 from drake_nonstop.mechanics.bowed_line import TimeWindow
 from drake_nonstop.mechanics.bowed_orbit import CableShape

@@ -1,6 +1,5 @@
 """The motion of carriers above a load at rest, and what aircraft need."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -14,7 +13,6 @@ from drake_nonstop.mechanics.planned_orbit import (
     FlightTerms,
     OrbitMotion,
     needs_of_motion,
-    turned_motions,
     turning_terms,
 )
 from drake_nonstop.mechanics.rigid_load import RigidLoad
@@ -28,7 +26,7 @@ from drake_nonstop.model.system import Model
 from drake_nonstop.planning.carriers import motion_above
 
 
-class CarriersAlong(NamedTuple):
+class RestingCarriers(NamedTuple):
     """Carriers that fly the orbits which the controllers believe in exactly, at k instants.
 
     Above its desired position the load is the believed one: a lighter load rises by what the cables
@@ -38,30 +36,10 @@ class CarriersAlong(NamedTuple):
 
     believed: Model
     plant: Model
-    load: RigidLoad  # that moves so
-    references: NDArray  # (k, 22), of the load
-    load_winds: NDArray  # (k, 3), m/s, in W, at the load
-    winds: NDArray  # (k, 3), m/s, in W, at the carriers' mean height
+    wind: NDArray  # (3,), m/s, in W, at the load and at the carriers
     shape: CableShape | None  # of bowed cables; None: the references' cables are straight
     terms: FlightTerms
     held: FlightTerms  # of the simulated load
-
-    @classmethod
-    def of(
-        cls,
-        believed: Model,
-        plant: Model,
-        references: NDArray,
-        load_winds: NDArray,
-        winds: NDArray,
-        shape: CableShape | None,
-        terms: Callable[[Model, RigidLoad], FlightTerms],
-    ) -> "CarriersAlong":
-        """Returns the carriers with the `terms` of a model, and of what moves so."""
-        load = replace(believed.load, drag=plant.load.drag)
-        flown = terms(believed, load)
-        held = flown if believed is plant else terms(plant, plant.load)
-        return cls(believed, plant, load, references, load_winds, winds, shape, flown, held)
 
     def motion(self, planned: NDArray) -> OrbitMotion:
         """The carriers' motion along a plan (k, 8), and the forces of the simulated cables."""
@@ -84,7 +62,7 @@ class CarriersAlong(NamedTuple):
         assert self.plant.aircraft is not None
         aircraft = flown_aircraft(self.plant.aircraft, bears_cable_drag=bowed is None)
         motion = motion if bowed is None else bowed.motion
-        return needs_of_motion(aircraft, motion, self.winds[:, None])
+        return needs_of_motion(aircraft, motion, self.wind)
 
     def bowed(self, planned: NDArray, straight: OrbitMotion) -> BowedMotion | None:
         """The carriers' motion where `BowedCarrierTrajectory` has them; None: cables are straight.
@@ -103,8 +81,7 @@ class CarriersAlong(NamedTuple):
             self.believed.pattern.forces,
             planned,
             self.shape,
-            self.load_winds,
-            (self.winds - self.load_winds)[:, None],
+            self.wind,
             attachments=self.believed.attachments,
         )
         pulls = found.motion.forces - found.at_load + straight.forces
@@ -120,7 +97,7 @@ def resting_carriers(
     yaw_rate: float,
     load_wind: NDArray,
     shape: CableShape | None = None,
-) -> CarriersAlong:
+) -> RestingCarriers:
     """Carriers above a load that rests, but for a steady turn about the vertical.
 
     With w the wind at the load, the cables hold it against its weight and the wind's drag,
@@ -142,6 +119,6 @@ def resting_carriers(
             offset=model.pattern.offset,
         )
 
-    load_winds = np.tile(load_wind, (len(times), 1))
-    turned = turned_motions(rest, *turn)
-    return CarriersAlong.of(believed, plant, turned, load_winds, load_winds, shape, terms)
+    flown = terms(believed, replace(believed.load, drag=plant.load.drag))
+    held = flown if believed is plant else terms(plant, plant.load)
+    return RestingCarriers(believed, plant, load_wind, shape, flown, held)
