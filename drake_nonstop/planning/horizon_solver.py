@@ -33,9 +33,8 @@ _LEAST_SCALE, _LARGEST_SCALE = 1e-3, 4.0  # of the trust region
 LEAST_START_SCALE = 0.1  # of the trust region with which a plan goes on from another
 _ROW_TOLERANCE = 1e-6  # on a margin of a step
 _ACTIVE_MARGIN = 0.01  # below which a constraint is likely to decide
-# Values of ξ and of A of a first guess, as shares of the nominal ones: their count, least and
-# largest. Where none of the first grid keeps the margins, the second one is tried.
-_TRIED = (((12, 0.5, 4.0), (8, 0.5, 2.0)), ((20, 0.5, 10.0), (12, 0.1, 2.0)))
+_TRIED = (12, 8)  # values of ξ and of A of a first guess
+_TRIED_SHARES = (0.5, 4.0), (0.5, 2.0)  # of the nominal ones
 _FIRST_ITERATIONS = 20  # of the first plan, which has no other to begin with
 
 
@@ -199,16 +198,13 @@ class HorizonSolver:
         """The shares (2,) of the nominal ξ and A of a first guess."""
         problem = self.problem
         low, high = problem.bounds
-        for grid in _TRIED:
-            tried = [
-                np.append(np.geomspace(*np.clip(ends, low[k, 0], high[k, 0]), count), 1.0)  # type: ignore[call-overload]
-                for k, (count, *ends) in enumerate(grid)
-            ]
-            shares = np.stack([part.ravel() for part in np.meshgrid(*tried)])
-            worst = problem.orbit_margins(data, shares * problem.nominal[:, None]).min(axis=0)
-            worst = np.nan_to_num(worst, nan=-np.inf)
-            if worst.max() >= 0:
-                break
+        tried = [
+            np.append(np.geomspace(*np.clip(ends, low[k, 0], high[k, 0]), count), 1.0)  # type: ignore[call-overload]
+            for k, (ends, count) in enumerate(zip(_TRIED_SHARES, _TRIED, strict=True))
+        ]
+        shares = np.stack([part.ravel() for part in np.meshgrid(*tried)])
+        worst = problem.orbit_margins(data, shares * problem.nominal[:, None]).min(axis=0)
+        worst = np.nan_to_num(worst, nan=-np.inf)
         if worst.max() < 0:
             return shares[:, worst.argmax()]
         away = (shares - 1) ** 2
