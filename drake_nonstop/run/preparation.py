@@ -12,7 +12,7 @@ from drake_nonstop.run.recording import RUN_SIGNALS
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.systems.block import LOOP
 from drake_nonstop.systems.wiring import input_names, loop_in, require_signals
-from drake_nonstop.validation import called, require, require_ranges, warn_user
+from drake_nonstop.validation import called, require, warn_user
 
 # Makes the loop's diagram of a scenario, and of replacements as `make_nonstop` takes them.
 LoopMaker = Callable[..., Diagram]
@@ -49,7 +49,6 @@ def check_simulation(scenario: Scenario) -> None:
         scenario.simulator_config.integration_scheme,
         f"give one of {', '.join(schemes)}",
     )
-    require_ranges("scene", scenario.scene)
 
 
 _FOUR_DIGITS: Any = {"float_kind": "{:.4g}".format}

@@ -12,7 +12,6 @@ import yaml
 from drake_nonstop.validation import ScenarioError, number_text, one_line, plain_value, require
 
 _MAX_DEPTH = 20  # of lists and mappings in one another
-_MAX_VALUES = 200_000
 
 
 def parse_plain(text: str, source: str, path: str | None = None) -> Any:
@@ -22,7 +21,7 @@ def parse_plain(text: str, source: str, path: str | None = None) -> Any:
     error messages call the value, if not the source.
 
     Raises:
-        ScenarioError: the text is no YAML, ambiguous, nested too deep or too long.
+        ScenarioError: the text is no YAML, ambiguous, or nested too deep.
     """
     require(isinstance(text, str), source, text, "give a text")
     try:
@@ -83,7 +82,7 @@ _Loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
 class _Reader:
-    """Makes plain values of the parser's events, of which a bounded number is read.
+    """Makes plain values of the parser's events.
 
     The parser keeps its own stack; a composer of nodes would run out of Python's, or of the
     process's, on text that is nested too deep.
@@ -92,7 +91,6 @@ class _Reader:
     def __init__(self, text: str, source: str):
         self._events: Iterator[Any] = yaml.parse(text, Loader=_Loader)
         self._source = source
-        self._count = 0
 
     def document(self, path: str) -> Any:
         """The value of the text's only document, None where there is none."""
@@ -106,9 +104,6 @@ class _Reader:
         return value
 
     def _value(self, event: Any, path: str, depth: int) -> Any:
-        self._count += 1
-        remedy = f"give at most {_MAX_VALUES}"
-        require(self._count <= _MAX_VALUES, self._source, "too many values", remedy)
         require(event.anchor is None, path, f"the anchor {event.anchor}", "write the value out")
         if isinstance(event, yaml.ScalarEvent):
             return _plain_scalar(event, path)
