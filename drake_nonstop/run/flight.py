@@ -1,7 +1,6 @@
 """A run in the making: its loop, what flies and records it, and what ends it."""
 
 import contextlib
-import dataclasses
 import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
@@ -37,7 +36,6 @@ from drake_nonstop.run.recording import (
     RUN_SIGNALS,
     LogSignals,
     RecordingError,
-    require_room,
 )
 from drake_nonstop.run.run import Run, RunInterrupted, RunStopped, StepAction
 from drake_nonstop.scenario.fields import warn_of_angles
@@ -160,8 +158,6 @@ class Flight:
         warn_of_other_bound(nonstop, self._loop_context, self._stated_bound)
         warn_of_angles(scenario)
         config = with_largest_step(scenario.simulator_config, nonstop, self._loop_context)
-        if "after_step" not in self._steering:  # which may end a run of any duration
-            require_room(self._logs.sizes, dataclasses.replace(scenario, simulator_config=config))
         ApplySimulatorConfig(config, self._simulator)
         self._interruption.check()
         if self._asked_engine != DIAGRAM:

@@ -2,7 +2,6 @@
 
 import math
 import os
-import shutil
 import tempfile
 from collections.abc import Mapping
 from typing import IO, NamedTuple
@@ -117,6 +116,7 @@ class Rows:
             return
         if times[0] < self.last_time:
             self._clear()
+            self.make_room(len(times))
         first = self._count - int(times[0] == self.last_time)
         end = first + len(times)
         self._table[first:end, 0], self._table[first:end, 1:] = times, values
@@ -214,7 +214,9 @@ class _Log(LeafBlock):
 
     def _publish_start(self, context: Context) -> None:
         time = np.array([context.get_time()])
-        self._in(context).samples.add(time, self._samples.Eval(context))
+        samples = self._in(context).samples
+        samples.make_room(1)
+        samples.add(time, self._samples.Eval(context))
 
     def _publish(self, context: Context) -> None:
         rows, time = self._in(context), context.get_time()
@@ -343,15 +345,6 @@ def _names_and_entries(
     return names, found
 
 
-def expected_size(recorded: Sizes, scenario: Scenario) -> float:
-    """About how many bytes `recorded_sizes` take in a run, where no step has to be shorter."""
-    step = scenario.simulator_config.max_step_size
-    samples, steps = (DOUBLE * (1 + sum(s.values())) for s in recorded)
-    return scenario.simulation_duration * (
-        samples / SIGNAL_PERIOD + steps / min(step, SIGNAL_PERIOD)
-    )
-
-
 def least_size(scenario: Scenario) -> float:
     """Bytes that the results of a run take at least: about half its signals, as compressed.
 
@@ -359,21 +352,6 @@ def least_size(scenario: Scenario) -> float:
     """
     columns = 140 + 35 * len(scenario.system.attachments)
     return scenario.simulation_duration / SIGNAL_PERIOD * columns * DOUBLE / 2
-
-
-def require_room(recorded: Sizes, scenario: Scenario) -> None:
-    """Raises ScenarioError where the temporary folder has no room for a run of that size."""
-    size = expected_size(recorded, scenario)
-    room = shutil.disk_usage(tempfile.gettempdir()).free
-    most = max(room, MEMORY_LIMIT)
-    longest = 0.9 * most / size * scenario.simulation_duration  # s; 0.9: it is rounded
-    require(
-        size <= most,
-        "simulation_duration",
-        f"{scenario.simulation_duration:g}",
-        f"give at most {longest:.2g} s, or set TMPDIR to a folder with more room: the signals take "
-        f"{size / 1e9:.3g} GB, and {tempfile.gettempdir()} has {room / 1e9:.3g} GB left",
-    )
 
 
 def _recorded_ports(nonstop: Diagram) -> tuple[dict[str, OutputPort], dict[str, OutputPort]]:

@@ -4,13 +4,10 @@ import errno
 import functools
 import gc
 import os
-import re
-import shutil
 import tempfile
 
 import numpy as np
 import pytest
-from helpers import nightly_beyond
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydrake.systems.analysis import Simulator
@@ -20,14 +17,12 @@ from drake_nonstop import (
     ConstantParameters,
     RunInterrupted,
     RunStopped,
-    ScenarioError,
     load_scenario,
     simulate,
 )
-from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.run import recording
 from drake_nonstop.run.metrics import compute_metrics
-from drake_nonstop.run.recording import LogSignals, require_room
+from drake_nonstop.run.recording import LogSignals
 from drake_nonstop.studies.results_folder import write_results
 
 
@@ -215,18 +210,6 @@ def test_a_full_disk_ends_the_run_in_one_sentence_and_loses_nothing(temporary, m
     for name, values in expected.signals.items():
         assert run.signals[name].tobytes() == values[: len(run.time)].tobytes()
     assert run.steps["time"].tobytes() == expected.steps["time"][: len(run.steps["time"])].tobytes()
-
-
-@pytest.mark.parametrize("duration", nightly_beyond(1, "studies", [4e5, 1e4]))
-def test_a_run_without_room_for_its_signals_is_refused_and_the_remedy_works(duration, monkeypatch):
-    usage = shutil.disk_usage(".")._replace(free=300_000_000)
-    monkeypatch.setattr(shutil, "disk_usage", lambda folder: usage)
-    scenario = scenario_of(duration)
-    with pytest.raises(ScenarioError, match=r"^simulation_duration = \S+: give at most ") as caught:
-        simulate(scenario)
-    scenario.simulation_duration = float(re.search(r"give at most (\S+) s", str(caught.value))[1])
-    assert scenario.simulation_duration > 100
-    require_room(recording.recorded_sizes(make_nonstop(scenario)), scenario)
 
 
 class AccelerationReader(LeafSystem):
