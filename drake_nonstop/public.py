@@ -119,10 +119,14 @@ from drake_nonstop.analysis.aircraft_margins import aircraft_margins as aircraft
 
 # Compared, designed.
 from drake_nonstop.studies.results_folder import write_results as write_results
-from drake_nonstop.studies.ablation import ablate as ablate, read_grid as read_grid
-from drake_nonstop.studies.sweep import sweep as sweep, SweepInterrupted as SweepInterrupted
-from drake_nonstop.studies.sweep_spec import read_sweep as read_sweep, SweepSpec as SweepSpec
-from drake_nonstop.studies.run_all import SerialExecutor as SerialExecutor
+from drake_nonstop.studies.study import study as study, Study as Study
+from drake_nonstop.studies.presets import (
+    ablate as ablate,
+    sweep as sweep,
+    robustness as robustness,
+    read_grid as read_grid,
+)
+from drake_nonstop.studies.workers import SerialExecutor as SerialExecutor
 from drake_nonstop.studies.design import design as design
 from drake_nonstop.studies.design_request import (
     read_request as read_request,

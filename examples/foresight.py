@@ -6,8 +6,8 @@ import numpy as np
 
 from drake_nonstop import compute_metrics, load_scenario, simulate
 from drake_nonstop.run.run_quantities import RunQuantities
-from drake_nonstop.studies.ablation import read_grid
-from drake_nonstop.studies.figures import make_overlay_figure
+from drake_nonstop.studies.presets import read_grid
+from drake_nonstop.view.figure_style import new_figure
 
 # A drawn task: what it changes of the scenario "quintic". `tests/drawn_tasks.py` draws others.
 TASK = [
@@ -37,14 +37,17 @@ def main(duration: float = 20.0, folder: str | Path = "out/foresight") -> None:
             f" below it for {metrics['carriers']['time_below_bound_s']:.3f} s,"
             f" load error {1e3 * metrics['load']['position_error_mean_m']:.4f} mm"
         )
-    times = curves["horizon"][0]
-    figure = make_overlay_figure(
-        f"A drawn task of {quantities.speeds.shape[1]} carriers",
-        "speed of the slowest carrier, of the bound",
-        curves,
-        framed=set(curves),
-        bound=(times, np.ones(len(times))),
+    figure = new_figure((9.0, 4.2))
+    axes = figure.subplots()
+    for (name, curve), colour in zip(curves.items(), ("black", "C0"), strict=True):
+        axes.plot(*curve, label=name, color=colour)
+    axes.axhline(1, color="green", linestyle="--", label="bound ε")
+    axes.set(
+        title=f"A drawn task of {quantities.speeds.shape[1]} carriers",
+        xlabel="time (s)",
+        ylabel="speed of the slowest carrier, of the bound",
     )
+    axes.legend()
     _enlarge_the_slowest(figure, curves)
     Path(folder).mkdir(parents=True, exist_ok=True)
     figure.savefig(Path(folder) / "foresight.png", dpi=150)
@@ -55,7 +58,6 @@ def _enlarge_the_slowest(figure, curves) -> None:
     """Adds what is about the slowest instant of one sample, enlarged."""
     times, speeds = curves["one sample"]
     (axes,) = figure.axes
-    axes.lines[0].set_linewidth(1.5)
     at = times[np.argmin(speeds)]
     inset = axes.inset_axes((0.42, 0.06, 0.3, 0.22), xlim=(at - 0.4, at + 0.4), ylim=(0.75, 1.25))
     for line in axes.lines:

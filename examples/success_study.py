@@ -5,10 +5,9 @@ from collections import Counter
 from pathlib import Path
 
 import numpy as np
-import pyarrow.parquet as parquet
 from matplotlib.figure import Figure
 
-from drake_nonstop import load_scenario, read_sweep, sweep
+from drake_nonstop import load_scenario, read_grid, sweep
 from drake_nonstop.view.figure_style import new_figure
 
 SPEC = Path(__file__).with_suffix(".yaml")
@@ -20,25 +19,21 @@ MASS, GUST, BOUND = (
 
 
 def main(
-    duration: float = 15.0, runs: int = 1000, folder: str | Path = "out/success_study"
+    duration: float = 15.0, seeds: int = 250, folder: str | Path = "out/success_study"
 ) -> None:
     """Runs the quintic task many times, in one process per core, and plots the successes.
 
     The runs that the folder has are not run again.
     """
     scenario = load_scenario("quintic", [f"simulation_duration={duration}"])
-    spec = dataclasses.replace(read_sweep(SPEC), runs=runs)
     done = sweep(
         scenario,
-        spec,
+        dataclasses.replace(read_grid(SPEC), seeds=seeds),
         folder,
         progress=lambda what, share: print(f"\r{what}: {share:.0%}", end="", flush=True),
     )
     print()
-    table = {
-        name: np.array(values)
-        for name, values in parquet.read_table(done.table).to_pydict().items()
-    }
+    table = {name: done.table[name].to_numpy() for name in done.table}
     succeeded = table["outcome"] == "ok"  # no carrier below its bound, and nothing else wrong
     for bound in np.unique(table[BOUND]):
         chosen = table[BOUND] == bound
@@ -54,7 +49,7 @@ def main(
     print(f"mean load error   {np.nanmedian(errors):.1f} mm, at most {np.nanmax(errors):.1f} mm")
     figure = make_success_figure(table, succeeded)
     figure.savefig(Path(folder) / "success.png", dpi=150)
-    print(f"results: {done.table}, success.png beside it")
+    print(f"results: {folder}")
 
 
 def make_success_figure(table: dict[str, np.ndarray], succeeded: np.ndarray) -> Figure:

@@ -29,9 +29,10 @@ from drake_nonstop.run.run import Run
 from drake_nonstop.run.run_quantities import RunQuantities
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.studies.ablation import read_grid
+from drake_nonstop.studies.attempts import COMPLETED, FAILED, attempts
 from drake_nonstop.studies.journal import Journal, StudyInterrupted, open_journal, settings_of
-from drake_nonstop.studies.run_all import COMPLETED, FAILED, SerialExecutor, attempts, run_all
+from drake_nonstop.studies.presets import read_grid
+from drake_nonstop.studies.workers import SerialExecutor, run_all
 from drake_nonstop.systems.block import release
 from drake_nonstop.validation import ScenarioError, ScenarioWarning
 from drake_nonstop.view.progress import TaskProgress
@@ -80,7 +81,6 @@ _JUDGED_BY = {"carriers": _KEPT, "aircraft": (*_KEPT, RunOutcome.COLLISION)}
 
 Figures = dict[str, Any]  # of a flight
 _NO_MARGIN = "needs faster orbits"  # of a warning that no margin suffices
-_RESULT = {"ending": str, "outcome": str, "message": str, "figures": dict}
 
 
 def scenario_of(tasks: str, seed: int, condition: str, overrides: Sequence[str]) -> Scenario:
@@ -200,8 +200,6 @@ def study(
                 open_journal(
                     folder / name.replace(" ", "_"),
                     settings_of("drawn tasks", code, tasks, condition, str(seeds), *overrides),
-                    seeds,
-                    _RESULT,
                     restart=restart,
                     what="tasks",
                 )
@@ -212,15 +210,14 @@ def study(
                 fly,
                 keys,
                 lambda key: (tasks, key[0], condition, variants[key[1]]),
-                lambda key, result: journals[key[1]].record(key[0], result),
+                lambda key, result: journals[key[1]].record(str(key[0]), result),
                 lambda key, error: _without_run(FAILED, error),
-                done={key for key in keys if key[0] in journals[key[1]]},
+                done={key for key in keys if str(key[0]) in journals[key[1]].rows},
                 executor=SerialExecutor() if is_serial else None,
                 what="flying",
                 progress=progress,
             )
-        # None is finished: a finished one would begin again.
-        return {name: [journals[name].result(k) for k in seeds] for name in variants}
+        return {name: [journals[name].rows[str(k)] for k in seeds] for name in variants}
 
 
 def _code() -> str:

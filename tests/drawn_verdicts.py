@@ -22,15 +22,15 @@ from drake_nonstop.analysis.verdict import check_scenario
 from drake_nonstop.run.outcome import RunOutcome
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.studies.attempts import FAILED
 from drake_nonstop.studies.journal import StudyInterrupted, open_journal, settings_of
-from drake_nonstop.studies.run_all import FAILED, SerialExecutor, run_all
+from drake_nonstop.studies.workers import SerialExecutor, run_all
 from drake_nonstop.validation import ScenarioError, ScenarioWarning
 from drake_nonstop.view.progress import TaskProgress
 
 OK, CANNOT, MIXED, REFUSED = RunOutcome.OK.value, "cannot", "mixed", "refused"
 _AIRCRAFT = 5  # one task in so many is flown by aircraft
 _OTHER, _OTHERS = 100, 3  # the first of the other seeds, and how many
-_RESULT = {"verdict": str, "said": list, "outcomes": list}
 
 
 def task_of_seed(seed: int) -> Scenario:
@@ -208,21 +208,21 @@ def study(
     """
     settings = settings_of("drawn verdicts", kind, _code(), Path(__file__).read_text(), str(seeds))
     with (
-        open_journal(folder, settings, seeds, _RESULT, restart=restart, what="tasks") as journal,
+        open_journal(folder, settings, restart=restart, what="tasks") as journal,
         TaskProgress() as progress,
     ):
         run_all(
             looked_at,
             seeds,
             lambda seed: (kind, seed),
-            journal.record,
+            lambda seed, result: journal.record(str(seed), result),
             lambda seed, error: {"verdict": FAILED, "said": [error], "outcomes": []},
-            done=journal,
+            done=[seed for seed in seeds if str(seed) in journal.rows],
             executor=SerialExecutor() if is_serial else None,
             what="checking and flying",
             progress=progress,
         )
-        return [journal.result(seed) for seed in seeds]
+        return [journal.rows[str(seed)] for seed in seeds]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -36,7 +36,6 @@ PACKAGES = {
     "make_gym_env": "gymnasium",
     "make_gym_vec_env": "gymnasium",
     "pydrake": "drake",
-    "sweep": "pyarrow",
     "yaml": "pyyaml",
 }
 

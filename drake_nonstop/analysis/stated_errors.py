@@ -64,6 +64,6 @@ def with_seed(scenario: Scenario, number: int) -> Scenario:
     seeded = {
         name: dataclasses.replace(config, seed=config.seed + number)
         for name in BOXES
-        if hasattr(config := getattr(scenario, name), "seed")
+        if isinstance(getattr(config := getattr(scenario, name), "seed", None), int)
     }
     return dataclasses.replace(scenario, random_seed=scenario.random_seed + number, **seeded)

@@ -41,6 +41,7 @@ def add_to(commands: Commands) -> None:
 
 
 def _design(options: argparse.Namespace) -> int:
+    from drake_nonstop.run.interruption import current_interruption
     from drake_nonstop.scenario.loading import dump_scenario
     from drake_nonstop.studies import design
     from drake_nonstop.studies.design_request import dump_request, read_request
@@ -52,7 +53,6 @@ def _design(options: argparse.Namespace) -> int:
         write_json,
     )
     from drake_nonstop.studies.journal import StudyInterrupted
-    from drake_nonstop.studies.processes import deferred_signals
     from drake_nonstop.studies.results_folder import first_free
     from drake_nonstop.view.figure_style import require_drawing
     from drake_nonstop.view.progress import TaskProgress
@@ -90,12 +90,14 @@ def _design(options: argparse.Namespace) -> int:
         folder = first_free(folder, lambda place: not (place / _DATA).exists(), of_stopped)
         require_writable(folder, files)
     print(found)
-    with deferred_signals(), replacing_files(folder, files) as new:
-        (new / _REQUEST).write_text(text, encoding="utf-8")
-        write_json(new / _DATA, found.dictionary)
-        for formation in found.formations:
-            path = new / f"{formation.scenario.name}.yaml"
-            path.write_text(dump_scenario(formation.scenario), encoding="utf-8")
+    with current_interruption() as interruption:
+        with interruption.patient(1), replacing_files(folder, files) as new:
+            (new / _REQUEST).write_text(text, encoding="utf-8")
+            write_json(new / _DATA, found.dictionary)
+            for formation in found.formations:
+                path = new / f"{formation.scenario.name}.yaml"
+                path.write_text(dump_scenario(formation.scenario), encoding="utf-8")
+        interruption.check()
     if stopped is not None:
         raise KeyboardInterrupt(f"{stopped}; what they found is in {folder}")
     print(found.verdict)

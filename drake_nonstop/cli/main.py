@@ -26,7 +26,8 @@ from drake_nonstop.cli.ending import (
 )
 from drake_nonstop.version import __version__
 
-_STUDIES = ("design", "stability", "robustness", "ablate", "sweep")  # end in order by themselves
+# They end in order by themselves.
+_STUDIES = ("design", "stability", "robustness", "ablate", "sweep", "study")
 _HEADING = re.compile(r'(?m)^(?:""")?`drake-nonstop (?P<name>[a-z]+)`: (?P<about>.*?)\.?(?:"""|$)')
 
 

@@ -39,7 +39,7 @@ from drake_nonstop.studies.results_folder import (
     write_data,
     write_pictures,
 )
-from drake_nonstop.studies.run_all import no_progress
+from drake_nonstop.studies.workers import no_progress
 from drake_nonstop.validation import ScenarioError, one_line, require, show_warning
 from drake_nonstop.view.figure_style import FORMATS, FigureLook
 from drake_nonstop.view.progress import RunProgress, TaskProgress

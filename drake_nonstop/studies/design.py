@@ -11,7 +11,7 @@ import numpy as np
 from drake_nonstop.studies.design_request import MARGIN, DesignRequest
 from drake_nonstop.studies.formation_search import DesignedFormation, Refusal, design_one
 from drake_nonstop.studies.journal import StudyInterrupted
-from drake_nonstop.studies.run_all import Progress, no_progress, run_all
+from drake_nonstop.studies.workers import Progress, no_progress, run_all
 from drake_nonstop.validation import ScenarioError
 from drake_nonstop.view.figure_style import COLOURS, new_figure
 

@@ -1,4 +1,4 @@
-"""The journal of a study: what is done of it, written as it comes, so that it can be continued."""
+"""The journal of a study: a line for each run, appended as it comes, to continue from."""
 
 import contextlib
 import fcntl
@@ -8,22 +8,24 @@ import json
 import os
 import re
 import sys
-import tempfile
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from io import FileIO
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
-from drake_nonstop.studies.files import as_path, open_regular, require_writable
-from drake_nonstop.validation import ScenarioError, require
+from drake_nonstop.studies.files import (
+    as_path,
+    open_regular,
+    read_regular,
+    remove_unfinished,
+    require_writable,
+)
+from drake_nonstop.validation import ScenarioError
 from drake_nonstop.version import __version__
 
 JOURNAL = "journal.jsonl"
-
-_MAX_HEAD = 1000  # bytes
-_JSON_SEPARATORS = (",", ":")
-_FINISHED = b'{"finished":true}'
 _IMPORT_PATH = re.compile(r"(?<![\w.])([A-Za-z_]\w*)(?=\.[A-Za-z_])")
+
+Row = dict[str, Any]
 
 
 class StudyInterrupted(KeyboardInterrupt):
@@ -33,113 +35,127 @@ class StudyInterrupted(KeyboardInterrupt):
 
 
 class Journal:
-    """The results of a study's runs by their keys, in a file; they are not held in memory."""
+    """The rows of a study by their keys, each of which is in the file once it is recorded."""
 
-    def __init__(self, file: FileIO, reader: BinaryIO, folder: Path, settings: str):
-        self._file = file
-        self._reader = reader
-        self._folder = folder
+    def __init__(self, path: Path | None, settings: str):
+        self.rows: dict[str, Row] = {}
+        self._path = path
         self._settings = settings
-        self._has_begun = False
-        self._places: dict[int | str, int] = {}  # of the results, in the file
 
-    def __contains__(self, key: object) -> bool:
-        return key in self._places
+    def record(self, key: str, row: Row) -> None:
+        """Appends a row; the first one makes the file."""
+        if self._path is not None:
+            text = json.dumps({"key": key, **row}) + "\n"
+            if not self._path.exists() or self._path.stat().st_size == 0:
+                text = json.dumps({"settings": self._settings}) + "\n" + text
+            with self._path.open("ab", buffering=0) as file:
+                content = text.encode()
+                while content:
+                    content = content[file.write(content) :]
+        self.rows[key] = row
 
-    def __len__(self) -> int:
-        return len(self._places)
-
-    def result(self, key: int | str) -> dict[str, Any]:
-        """The recorded entries."""
-        self._reader.seek(self._places[key])
-        result: dict[str, Any] = json.loads(self._reader.readline())
-        del result["run"]
-        return result
-
-    def record(self, key: int | str, result: Mapping[str, Any]) -> None:
-        """Writes the result of a run; the first one replaces what was not continued."""
-        self._begin()
-        place = self._file.seek(0, os.SEEK_END)
-        self._write(json.dumps({"run": key, **result}, separators=_JSON_SEPARATORS).encode())
-        self._places[key] = place
-
-    def read(
-        self, keys: Collection[int | str], fields: Mapping[str, type | tuple[type, ...]]
-    ) -> None:
-        """Finds the results that the file has, unless it is that of a complete study.
+    def read(self) -> None:
+        """Takes the rows that the file has; drops a last line that was cut short.
 
         Raises:
-            ScenarioError: it has unfinished runs of other settings, or cannot be read.
+            ScenarioError: it has those of other settings, or cannot be read.
         """
-        head = self._reader.readline(_MAX_HEAD)
-        if len(head) < _MAX_HEAD and not head.endswith(b"\n"):  # empty, or cut short as it began
+        assert self._path is not None
+        remedy = "another folder, or --restart (restart=True) to drop it"
+        where = f"--out = {self._path.parent}: its {JOURNAL}"
+        with self._path.open("r+b") as file:
+            content = file.read()
+            whole = content[: content.rfind(b"\n") + 1]
+            file.truncate(len(whole))
+        if not whole:
             return
-        found = self._parsed(head, {"settings": str})["settings"]
-        end = self._file.seek(0, os.SEEK_END)
-        self._reader.seek(max(0, end - len(_FINISHED) - 1))
-        if self._reader.read().rstrip() == _FINISHED:
-            return
-        require(
-            found == self._settings,
-            "--out",
-            self._folder,
-            "it has the runs of another scenario or spec, of another study or of other code; give "
-            "another folder, or --restart (restart=True) to drop them",
-        )
-        place = self._reader.seek(len(head))
-        while line := self._reader.readline():
-            if not line.endswith(b"\n"):  # cut short by an end of the process
-                self._file.truncate(place)
-                break
-            key = self._parsed(line, {"run": (int, str), **fields})["run"]
-            if isinstance(key, bool) or key not in keys:
-                raise self._unreadable()
-            self._places[key] = place
-            place += len(line)
-        self._has_begun = True
-
-    def finish(self) -> None:
-        """Notes that the study is complete: the next one in its folder starts again."""
-        self._begin()
-        self._write(_FINISHED)
-
-    def _begin(self) -> None:
-        if not self._has_begun:
-            self._file.truncate(0)
-            self._write(json.dumps({"settings": self._settings}).encode())
-            self._has_begun = True
-
-    def _parsed(self, line: bytes, fields: Mapping[str, Any]) -> dict[str, Any]:
-        """A line, which must have these fields of these types."""
         try:
-            content = json.loads(line)
-        except (ValueError, RecursionError):
-            raise self._unreadable() from None
-        if not isinstance(content, dict) or not all(
-            name in content and isinstance(content[name], kind) for name, kind in fields.items()
-        ):
-            raise self._unreadable()
-        return content
-
-    def _unreadable(self) -> ScenarioError:
-        return ScenarioError(
-            f"--out = {self._folder}: its {JOURNAL} cannot be read; give another folder, or "
-            "--restart (restart=True) to drop it"
-        )
-
-    def _write(self, line: bytes) -> None:
-        content = line + b"\n"
-        while content:
-            content = content[self._file.write(content) :]
+            head, *lines = map(json.loads, whole.splitlines())
+            settings, self.rows = head["settings"], {line.pop("key"): line for line in lines}
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+            raise ScenarioError(f"{where} cannot be read; give {remedy}") from None
+        if settings != self._settings:
+            raise ScenarioError(f"{where} is of another scenario or other code; give {remedy}")
 
 
-def settings_of(study: str, *texts: str) -> str:
+@contextlib.contextmanager
+def open_journal(
+    folder: Path | str | None,
+    settings: str,
+    *,
+    contents: Iterable[str] = (),
+    restart: bool = False,
+    what: str = "runs",
+) -> Iterator[Journal]:
+    """The journal in a folder, with the rows that it has unless it is to `restart`.
+
+    Without a folder nothing is kept. `settings` are those of `settings_of`, `contents` the files
+    that the study will write; the message of an interrupt calls its rows `what`.
+
+    Raises:
+        ScenarioError: the folder has rows of other settings, another study is running in it, or it
+            cannot be written.
+        StudyInterrupted: Ctrl-C, in the `with` block.
+    """
+    if folder is None:
+        yield Journal(None, settings)
+        return
+    folder = as_path(folder)
+    is_new = not os.path.lexists(folder)
+    require_writable(folder, [JOURNAL, *contents])
+    path = folder / JOURNAL
+    journal = Journal(path, settings)
+    with path.open("ab") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise ScenarioError(
+                f"--out = {folder}: another study is running in it; wait for it, or give another "
+                "folder"
+            ) from None
+        for place in [folder, *filter(Path.is_dir, folder.glob("*"))]:
+            remove_unfinished(place)
+        try:
+            if restart:
+                lock.truncate(0)
+            else:
+                journal.read()
+            yield journal
+        except KeyboardInterrupt:
+            done = f"{len(journal.rows)} {what} are in {folder}; the same call continues from there"
+            raise StudyInterrupted(done if journal.rows else "") from None
+        except OSError as error:
+            if isinstance(error, ConnectionError):
+                raise
+            raise ScenarioError(
+                f"--out = {folder}: give a folder with room to write to ({error.strerror})"
+            ) from None
+        finally:
+            if path.exists() and path.stat().st_size == 0:
+                path.unlink()
+                if is_new:
+                    with contextlib.suppress(OSError):
+                        folder.rmdir()
+
+
+def journalled_settings(folder: Path) -> str | None:
+    """The settings of the study in a folder; "" where they cannot be read, None without one."""
+    try:
+        with open_regular(folder / JOURNAL) as file:
+            return str(json.loads(file.readline(1000))["settings"])
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, KeyError, TypeError):
+        return ""
+
+
+def settings_of(*texts: str) -> str:
     """A name of the settings in these texts, which differs where results may differ.
 
     The package's version and the modules that the texts name are part of it, so that a study is
     not continued with other code.
     """
-    return _hashed([study, __version__, *texts, *_own_code(texts)])
+    return _hashed([__version__, *texts, *_own_code(texts)])
 
 
 def own_code_of(text: str) -> str | None:
@@ -148,7 +164,7 @@ def own_code_of(text: str) -> str | None:
     return _hashed(code) if code else None
 
 
-def _hashed(parts: Sequence[str]) -> str:
+def _hashed(parts: Iterable[str]) -> str:
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()
 
 
@@ -181,83 +197,14 @@ def _sources(name: str) -> list[Path]:
     return [*origin.parent.rglob("*.py")] if spec.submodule_search_locations else [origin]
 
 
-def journalled_settings(folder: Path) -> str | None:
-    """The settings of the study in a folder; "" where they cannot be read, None without one."""
+def is_written(folder: Path, item: str, text: str) -> bool:
+    """Whether a file in a folder has this text."""
     try:
-        with open_regular(folder / JOURNAL) as file:
-            return str(json.loads(file.readline(_MAX_HEAD))["settings"])
-    except FileNotFoundError:
-        return None
-    except (OSError, ValueError, KeyError, TypeError):
-        return ""
+        return read_regular(folder / item) == text.encode()
+    except (OSError, ValueError):
+        return False
 
 
-@contextlib.contextmanager
-def open_journal(
-    folder: Path | str | None,
-    settings: str,
-    keys: Collection[int | str],
-    fields: Mapping[str, type | tuple[type, ...]],
-    *,
-    contents: Iterable[str] = (),
-    restart: bool = False,
-    what: str = "runs",
-) -> Iterator[Journal]:
-    """The journal in a folder, with what is done of the study.
-
-    A study that is complete is started again, whatever its settings, which are by `settings_of`; so
-    is any with `restart`. The folder stays as it is until there is a first result; one that was
-    made for nothing is removed. Without a folder nothing is kept. `keys` are those of the runs,
-    `fields` those of each result with their types in JSON, `contents` the files in the folder that
-    the study will write; the message of an interrupt calls runs `what`.
-
-    Raises:
-        ScenarioError: the folder has unfinished runs of other settings, another study is running
-            in it, or it cannot be written or read.
-        StudyInterrupted: Ctrl-C, in the `with` block.
-    """
-    if folder is None:
-        with tempfile.TemporaryFile(buffering=0) as unnamed:
-            yield Journal(unnamed, unnamed, Path(), settings)
-        return
-    folder = as_path(folder)
-    is_new = not os.path.lexists(folder)
-    require_writable(folder, contents)
-    path = folder / JOURNAL
-    with contextlib.ExitStack() as stack:
-        try:
-            is_file = path.is_file() or not os.path.lexists(path)
-            require(is_file, "--out", folder, f"its {JOURNAL} is no file; remove it")
-            file = stack.enter_context(path.open("a+b", buffering=0))
-            reader = stack.enter_context(open_regular(path))
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise ScenarioError(
-                f"--out = {folder}: another sweep is running in it, or another study; wait for it "
-                "or give another folder"
-            ) from None
-        except OSError as error:
-            raise ScenarioError(
-                f"--out = {folder}: its {JOURNAL} cannot be used ({error.strerror}); remove it, or "
-                "give another folder"
-            ) from None
-        journal = Journal(file, reader, folder, settings)
-        if not restart:
-            journal.read(keys, fields)
-        try:
-            yield journal
-        except BaseException as error:
-            if path.stat().st_size == 0:
-                path.unlink()
-                if is_new:
-                    with contextlib.suppress(OSError):
-                        folder.rmdir()
-            if type(error) is KeyboardInterrupt:
-                done = f"{len(journal)} of {len(keys)} {what} are in {folder}"
-                message = f"{done}; the same call continues from there" if len(journal) else ""
-                raise StudyInterrupted(message) from None
-            if isinstance(error, OSError) and not isinstance(error, ConnectionError):
-                raise ScenarioError(
-                    f"--out = {folder}: give a folder with room to write to ({error.strerror})"
-                ) from None
-            raise
+def key_of(parts: Mapping[str, Any]) -> str:
+    """A short name of a run by what it depends on."""
+    return hashlib.sha256(json.dumps(parts, default=str).encode()).hexdigest()[:20]

@@ -1,12 +1,16 @@
 """The folder with the results of one run."""
 
+import contextlib
 import itertools
 import json
 import os
+import signal
 import sys
+import threading
 import zipfile
 from collections.abc import Callable, Sequence
 from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -25,14 +29,13 @@ from drake_nonstop.studies.files import (
     as_path,
     open_regular,
     read_regular,
+    remove_unfinished,
     replacing_files,
     require_writable,
-    shared,
     write_json,
 )
-from drake_nonstop.studies.journal import journalled_settings, own_code_of
-from drake_nonstop.studies.processes import forked
-from drake_nonstop.studies.run_all import Progress, no_progress
+from drake_nonstop.studies.journal import is_written, journalled_settings, own_code_of
+from drake_nonstop.studies.workers import Progress, end_with_parent, no_progress
 from drake_nonstop.validation import require, require_flags
 from drake_nonstop.view.drawing import draw_diagram
 from drake_nonstop.view.figure_style import FORMATS, FigureLook
@@ -100,17 +103,10 @@ def first_free(folder: Path, is_free: Callable[[Path], bool], other: Path | None
 
 def require_no_other_run(folder: Path, scenario: Scenario) -> None:
     """Raises ScenarioError where the results of a run of another scenario are in the folder."""
-    is_other = os.path.lexists(folder / _METRICS) and not _has(folder, dump_scenario(scenario))
+    is_same = is_written(folder, SCENARIO, dump_scenario(scenario))
+    is_other = os.path.lexists(folder / _METRICS) and not is_same
     remedy = f"a run of other settings has its {SCENARIO} there; give another folder"
     require(not is_other, "--out", folder, remedy)
-
-
-def _has(folder: Path, text: str) -> bool:
-    """Whether that is the text of the scenario in a folder."""
-    try:
-        return read_regular(folder / SCENARIO) == text.encode()
-    except (OSError, ValueError):
-        return False
 
 
 def _is_of(folder: Path, names: Sequence[str], scenario: Scenario) -> bool:
@@ -118,7 +114,7 @@ def _is_of(folder: Path, names: Sequence[str], scenario: Scenario) -> bool:
     text, metrics = dump_scenario(scenario), _metrics_in(folder)
     own_code = value_at(metrics, f"versions.{_OWN_CODE}")
     is_same = metrics.get("is_steered") is False and own_code == own_code_of(text)
-    return _has(folder, text) and (is_same or _METRICS not in names)
+    return is_written(folder, SCENARIO, text) and (is_same or _METRICS not in names)
 
 
 def _metrics_in(folder: Path) -> dict[str, Any]:
@@ -226,14 +222,30 @@ def write_pictures(
         import matplotlib.figure  # noqa: F401 - once, for both processes
 
         most = drawn[len(drawn) // 4 :]
-        with shared([folder]), forked(partial(write, most)) as fork:
+        fork = get_context("fork").Process(target=_draw, args=(write, most), daemon=True)
+        fork.start()
+        try:
             write([*todo, *drawn[: len(drawn) // 4]], progress)
             fork.join()
+        finally:
+            fork.kill()
+            fork.join()
+            remove_unfinished(folder)
         left = most if fork.exitcode else []  # this process tells why
     else:
         left = [*todo, *drawn]
     write(left, progress)
     _remove(folder, [item for item in _PICTURES if item not in (*todo, *drawn)])
+
+
+def _draw(write: Callable[[Sequence[str]], None], items: Sequence[str]) -> None:
+    """Writes pictures in a fork, which Ctrl-C does not reach and which ends with its parent."""
+    signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM, signal.SIGHUP))
+    threading.Thread(target=end_with_parent, daemon=True).start()
+    with contextlib.suppress(BaseException):
+        write(items)
+        os._exit(0)
+    os._exit(1)
 
 
 def _write_each(

@@ -52,7 +52,7 @@ class TaskProgress(_Progress):
 
     Example:
         with TaskProgress() as progress:
-            sweep(scenario, spec, folder, progress=progress)
+            study(scenario, factors, 5, folder, progress=progress)
     """
 
     _OPTIONS: ClassVar = {

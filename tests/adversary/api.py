@@ -15,7 +15,8 @@ from adversary.verdicts import (
     Verdict,
     judge_sentence,
 )
-from drake_nonstop import RunInterrupted, RunStopped, ScenarioError, SweepInterrupted
+from drake_nonstop import RunInterrupted, RunStopped, ScenarioError
+from drake_nonstop.studies.journal import StudyInterrupted
 
 
 def attempt_call(
@@ -34,7 +35,7 @@ def attempt_call(
     except ScenarioError as error:
         verdict.ending, verdict.message = REFUSED, str(error)
         judge_sentence(verdict, str(error), has_own_code=has_own_code)
-    except (RunStopped, RunInterrupted, SweepInterrupted):
+    except (RunStopped, RunInterrupted, StudyInterrupted):
         verdict.ending = STOPPED
     except allowed:
         verdict.ending = REFUSED

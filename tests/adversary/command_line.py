@@ -212,7 +212,7 @@ def _arguments(rng: np.random.Generator) -> list[str]:
         return ["ablate", scenario, *quick, *(a for o in drawn for a in o), "--no-replay"]
     if command == "sweep":
         form = rng.integers(4)
-        end = [["--run", _number(rng)], ["--serial", "--restart"], ["--serial"], [_text(rng)]][form]
+        end = [["--run", _number(rng)], ["--restart"], ["--serial"], [_text(rng)]][form]
         return ["sweep", scenario, "s.yaml", *quick, *end]
     return [*command.split(), scenario, *quick, "--set", "system.load_mass=0"]
 
@@ -251,8 +251,8 @@ def _attempt(
     here = folder / "work"
     here.mkdir()
     (here / "s.yaml").write_text(
-        "draws: {system.load_mass: {uniform: [0.9, 1.1]}}\nruns: 2\n"
-        "overrides: [simulation_duration=0.02]\n"
+        "overrides: ['system.load_mass=!Uniform {min: 0.9, max: 1.1}', "
+        "simulation_duration=0.02]\nseeds: 2\n"
     )
     if place == "read-only":
         here.chmod(0o500)

@@ -16,8 +16,8 @@ from adversary.verdicts import ACCEPTED, EXIT_CODE, LOST_WORK, MISREAD, REFUSED,
 
 _QUICK = ["--set", "simulation_duration=0.02", "--no-figures", "--no-replay"]
 _SWEPT = (
-    "draws: {system.load_mass: {uniform: [0.9, 1.1]}}\nruns: 2\n"
-    "overrides: [simulation_duration=0.02]\n"
+    "overrides: ['system.load_mass=!Uniform {min: 0.9, max: 1.1}', "
+    "simulation_duration=0.02]\nseeds: 2\n"
 )
 _CSV = "t,x,y,z\n0,0,0,0\n1,0.1,0,0\n2,0.2,0,0\n"
 _SDF = """<sdf version="1.7"><model name="crate"><link name="box"><inertial><mass>1.2</mass>
@@ -154,7 +154,7 @@ def _read(rng: np.random.Generator, folder: Path) -> tuple[list[str], str]:
         ]
     elif what == "spec":
         _made(rng, folder / f"{name}.yaml", _SWEPT, form)
-        call = ["sweep", "line", f"./{name}.yaml", "--serial", "--out", "out"]
+        call = ["sweep", "line", f"./{name}.yaml", "--out", "out"]
     else:
         _made(rng, folder / f"{name}.yaml", "variants:\n  a: [simulation_duration=0.01]\n", form)
         call = [
@@ -187,8 +187,8 @@ def _written(rng: np.random.Generator, folder: Path) -> tuple[list[str], str]:
             ".new-abc",
         ),
         "ablate": (
-            "table.md",
-            "table.csv",
+            "summary.tex",
+            "runs.csv",
             "index.html",
             "base",
             "PaperPhase",
@@ -199,7 +199,7 @@ def _written(rng: np.random.Generator, folder: Path) -> tuple[list[str], str]:
         ),
         "sweep": (
             "journal.jsonl",
-            "runs.parquet",
+            "runs.csv",
             "wall_times.parquet",
             "scenario.yaml",
             "spec.yaml",
@@ -229,7 +229,7 @@ def _written(rng: np.random.Generator, folder: Path) -> tuple[list[str], str]:
         ]
     elif command == "sweep":
         (folder / "s.yaml").write_text(_SWEPT)
-        call = ["sweep", "line", "s.yaml", "--serial", "--out", "out"]
+        call = ["sweep", "line", "s.yaml", "--out", "out"]
         call += ["--restart"] if rng.random() < 0.3 else []
     elif command == "check":
         call = ["check", "aircraft_rest", "--out", "out"]
@@ -305,7 +305,7 @@ def _named(rng: np.random.Generator, folder: Path) -> tuple[list[str], str]:
             "simulation_duration=0.02",
             "--no-replay",
         ],
-        "sweep": ["sweep", "line", "s.yaml", "--serial"],
+        "sweep": ["sweep", "line", "s.yaml"],
         "robustness": ["robustness", "line", "--set", "system.load_mass=-1"],
         "stability": ["stability", "line", "--set", "system.load_mass=-1"],
         "check": ["check", "aircraft_rest"],
@@ -351,7 +351,6 @@ def _resumed(rng: np.random.Generator, folder: Path) -> tuple[list[str], str]:
         "sweep",
         "line",
         "s.yaml",
-        "--serial",
         "--out",
         "out",
     ], f"journal line {line[:80]} {where}|{line}"

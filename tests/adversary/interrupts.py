@@ -28,8 +28,8 @@ from adversary.verdicts import (
 )
 
 SPEC = (
-    "draws: {system.load_mass: {uniform: [0.9, 1.1]}}\nruns: 30\n"
-    "overrides: [simulation_duration=0.1]\n"
+    "overrides: ['system.load_mass=!Uniform {min: 0.9, max: 1.1}', "
+    "simulation_duration=0.1]\nseeds: 30\n"
 )
 GRID = "grid: {system.load_mass: [0.9, 0.95, 1.0, 1.05, 1.1, 1.15]}\n"
 
@@ -55,7 +55,6 @@ CALLS: dict[str, tuple[list[str], float]] = {
         4.0,
     ),
     "sweep": (["sweep", "line", "s.yaml", "--out", "out"], 5.0),
-    "sweep serial": (["sweep", "line", "s.yaml", "--serial", "--out", "out"], 3.0),
     "ablate": (
         [
             "ablate",
@@ -80,7 +79,6 @@ _WEIGHTS = {
     "run to its end": 2,
     "run live": 1,
     "sweep": 4,
-    "sweep serial": 1,
     "ablate": 4,
     "robustness": 2,
     "stability": 1,
@@ -171,7 +169,7 @@ def _attempt(
         verdict.add(LEFTOVER, f"{name}: process {process}")
     end_all_below(os.getpid())
     _judge_work(verdict, command, name, out, flown, rows, len(gaps) + 1)
-    is_repeated = name in ("sweep", "sweep serial", "ablate", "check", "run to its end")
+    is_repeated = name in ("sweep", "ablate", "check", "run to its end")
     if is_repeated and not verdict.faults:
         _judge_continued(verdict, folder, arguments, out, name)
     return verdict
@@ -259,11 +257,11 @@ def _judge_continued(
     if kept and journal_rows(out)[: len(kept)] != kept:
         verdict.add(LOST_WORK, f"{name} again: finished runs were run again")
     if name.startswith("sweep"):
-        numbers = [json.loads(line).get("run") for line in journal_rows(out)[1:]]
-        if sorted(numbers) != list(range(30)):
-            verdict.add(LOST_WORK, f"{name} again: runs {numbers}")
+        keys = [json.loads(line).get("key") for line in journal_rows(out)[1:]]
+        if len(keys) != 30 or len({*keys}) != 30:
+            verdict.add(LOST_WORK, f"{name} again: runs {keys}")
     repeated = [path.parent.name for path, t in variants.items() if path.stat().st_mtime_ns != t]
-    # A complete comparison is run again, and so is what the journal did not have yet.
+    # What the journal did not have yet is run again.
     if repeated and kept and len(repeated) > len(variants) - (len(kept) - 1):
         verdict.add(LOST_WORK, f"{name} again: finished variants {repeated} were run again")
     earlier.judge_tidiness(verdict, out)

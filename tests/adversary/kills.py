@@ -18,7 +18,7 @@ from adversary.interrupts import CALLS, _judge_continued, journal_rows, prepare
 from adversary.processes import slowness
 from adversary.verdicts import EXIT_CODE, LEFTOVER, LOST_WORK, STOPPED, Case, Verdict
 
-_WEIGHTS = {"run to its end": 2, "sweep": 3, "ablate": 3, "robustness": 1.5, "sweep serial": 0.5}
+_WEIGHTS = {"run to its end": 2, "sweep": 3, "ablate": 3, "robustness": 1.5}
 _WEIGHTS["check"] = 1
 
 

@@ -155,7 +155,7 @@ def draw(rng: np.random.Generator) -> Case:
     fault = str(rng.choice(list(_FAULTS)))
     stage = str(rng.choice(_STAGES))
     box = str(rng.choice(list(_BOXES)))
-    how = str(rng.choice(["run", "run", "run", "ablate", "sweep", "sweep serial"]))
+    how = str(rng.choice(["run", "run", "run", "ablate", "sweep"]))
     expected = _FAULTS[fault]
     if stage != "during the run" and expected == "fails late":
         stage = "during the run"
@@ -211,7 +211,6 @@ def _attempt(folder: Path, fault: str, stage: str, box: str, how: str, expected:
             f"{box}=bad.Bad",
         ],
         "sweep": ["sweep", "line", "s.yaml", "--trust"],
-        "sweep serial": ["sweep", "line", "s.yaml", "--trust", "--serial"],
     }[how]
     command = Command(arguments=[*arguments, "--out", "out"], folder=folder)
     if expected == "hangs":
@@ -219,7 +218,7 @@ def _attempt(folder: Path, fault: str, stage: str, box: str, how: str, expected:
     verdict = ended(command, 40, has_own_code=True)
     out, code = folder / "out", command.code
     said = f"{how}: exit code {code}"
-    if expected == "dies" and how in ("run", "sweep serial"):  # it takes the command with it
+    if expected == "dies" and how == "run":  # it takes the command with it
         verdict.faults = [
             f for f in verdict.faults if f[0] not in ("traceback", EXIT_CODE, SENTENCE)
         ]
@@ -243,7 +242,7 @@ def _attempt(folder: Path, fault: str, stage: str, box: str, how: str, expected:
             earlier.judge_results(verdict, out, 0.04)
     if how == "ablate" and verdict.ending == ACCEPTED and not (out / "index.html").is_file():
         verdict.add(LOST_WORK, f"{said}: no page")
-    has_table = (out / "runs.parquet").is_file()
+    has_table = (out / "runs.csv").is_file()
     if how.startswith("sweep") and code in (0, 1) and stage == "during the run" and not has_table:
         verdict.add(LOST_WORK, f"{said}: no table")
     if out.exists():

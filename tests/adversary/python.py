@@ -105,27 +105,15 @@ _CALLS = (
     "ablate(Scenario(simulation_duration=0.02), [{}], 'out')",
     "ablate(Scenario(simulation_duration=0.02), {{'a': ['phase=No']}}, {})",
     "read_grid({})",
-    "read_sweep({})",
-    "sweep(Scenario(), {}, 'out')",
-    "sweep({}, SweepSpec(grid={{'simulation_duration': [0.01]}}), 'out', "
-    "executor=SerialExecutor())",
-    "sweep(Scenario(), SweepSpec(grid={{'simulation_duration': [0.01]}}), {}, "
-    "executor=SerialExecutor())",
-    "sweep(Scenario(), SweepSpec(grid={{'simulation_duration': [0.01]}}), 'out', executor={})",
-    "sweep(Scenario(), SweepSpec(grid={{'simulation_duration': [{}]}}), 'out', "
-    "executor=SerialExecutor())",
-    "sweep(Scenario(), SweepSpec(grid={{{}: [0.01]}}), 'out', executor=SerialExecutor())",
-    "sweep(Scenario(), SweepSpec(overrides=[{}], grid={{'simulation_duration': [0.01]}}), 'out')",
-    "SweepSpec(grid={})",
-    "SweepSpec(grid={{'simulation_duration': {}}})",
-    "SweepSpec(draws={{'simulation_duration': {}}}, runs=2)",
-    "SweepSpec(draws={{'simulation_duration': {{'uniform': {}}}}}, runs=2)",
-    "SweepSpec(draws={{'simulation_duration': {{'uniform': [{}, 1]}}}}, runs=2)",
-    "SweepSpec(draws={{'simulation_duration': {{'choice': [{}, 1]}}}}, runs=2).run(0)",
-    "SweepSpec(draws={{'simulation_duration': {{'seed': {}}}}}, runs=2)",
-    "SweepSpec(draws={{'simulation_duration': {{'normal': [0, 1]}}}}, runs={}, seed={})",
-    "SweepSpec(draws={{'simulation_duration': {{'normal': [0, 1]}}}}, runs=2).run({})",
-    "SweepSpec(grid={{'simulation_duration': [1]}}, overrides={}, description={})",
+    "sweep(Scenario(), {})",
+    "study({}, {{'simulation_duration': [0.01]}}, executor=SerialExecutor())",
+    "study(Scenario(), {{'simulation_duration': [0.01]}}, None, {}, executor=SerialExecutor())",
+    "study(Scenario(), {{'simulation_duration': [0.01]}}, executor={})",
+    "study(Scenario(), {{'simulation_duration': [{}]}}, executor=SerialExecutor())",
+    "study(Scenario(), {{'simulation_duration': {}}}, executor=SerialExecutor())",
+    "study(Scenario(), {{{}: [0.01]}}, executor=SerialExecutor())",
+    "study(Scenario(simulation_duration=0.01), {{}}, {}, executor=SerialExecutor())",
+    "study(Scenario(simulation_duration=0.01), {}, executor=SerialExecutor())",
     "Model({}, HamiltonianCycleConfig())",
     "Model(SystemParameters(), {})",
     "Model(SystemParameters(), HamiltonianCycleConfig(), {})",
@@ -354,7 +342,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 import drake_nonstop
 from drake_nonstop import *
-from drake_nonstop.studies.run_all import SerialExecutor
+from drake_nonstop.studies.workers import SerialExecutor
 """
 
 

@@ -25,8 +25,7 @@ from adversary.verdicts import (
 _IMPORTS = "import warnings\nfrom drake_nonstop import *\n"
 _SCENARIO = "scenario = load_scenario('line', ['simulation_duration=0.02'])\n"
 _WORK = {
-    "sweep": "spec = SweepSpec(grid={'system.load_mass': [0.9, 1.0, 1.1]})\n"
-    "print(sweep(scenario, spec, 'out').table)\n",
+    "sweep": "print(study(scenario, {'system.load_mass': [0.9, 1.0, 1.1]}, folder='out').table)\n",
     "ablate": "rows = ablate(scenario, {'a': ['phase=PaperPhase']}, 'out', replay=False)\n"
     "print(rows)\n",
     "simulate": "write_results(simulate(scenario), 'out', figures=False, replay=False)\n",
@@ -97,7 +96,7 @@ def _attempt(folder: Path, text: str, work: str, how: str) -> Verdict:
         verdict.add(EXIT_CODE if not error else TRACEBACK, f"{command.code}: {last_frame(error)}")
     elif "Traceback" in error:
         verdict.add(TRACEBACK, f"printed, though it went on: {last_frame(error)}")
-    results = {"sweep": "runs.parquet", "ablate": "index.html", "simulate": "signals.npz"}[work]
+    results = {"sweep": "runs.csv", "ablate": "index.html", "simulate": "signals.npz"}[work]
     if command.code == 0 and not found and not [*folder.rglob(results)]:
         verdict.add(LOST_WORK, f"{work}: exit code 0, but there is no {results}")
     if command.code == 0 and "failed" in command.out:

@@ -95,7 +95,7 @@ def warm_up() -> None:
     from drake_nonstop.cli import main  # noqa: F401
     from drake_nonstop.run.simulate import simulate
     from drake_nonstop.scenario.loading import load_scenario
-    from drake_nonstop.studies import sweep  # noqa: F401
+    from drake_nonstop.studies import study  # noqa: F401
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

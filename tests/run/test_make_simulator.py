@@ -7,18 +7,16 @@ import numpy as np
 import pytest
 from pydrake.common import RandomGenerator
 from pydrake.systems.analysis import MonteCarloSimulation, RandomSimulation
-from tables import read_rows
 
 from drake_nonstop import (
     ScenarioError,
-    SweepSpec,
     load_scenario,
     make_simulator,
     simulate,
-    sweep,
 )
 from drake_nonstop.scenario.overrides import changed
-from drake_nonstop.studies.run_all import SerialExecutor
+from drake_nonstop.studies.study import study
+from drake_nonstop.studies.workers import SerialExecutor
 
 DURATION = 0.2
 _STEP = "simulator_config.max_step_size"
@@ -48,14 +46,14 @@ def scenario():
 
 
 @pytest.mark.nightly("studies")
-def test_monte_carlo_gives_what_a_sweep_gives_to_the_bit(scenario, tmp_path):
-    spec = SweepSpec(seed=5, runs=RUNS)
-    done = sweep(scenario, spec, tmp_path, executor=SerialExecutor())
-    rows = read_rows(done.table)
+def test_monte_carlo_gives_what_a_study_gives_to_the_bit(scenario):
+    generator = RandomGenerator(5)
+    seeds = [generator() for _ in range(RUNS)]
+    table = study(scenario, {}, seeds, executor=SerialExecutor()).table
     make = functools.partial(make_simulator, scenario)
     results = MonteCarloSimulation(make, position_error, DURATION, RUNS, RandomGenerator(5))
     outputs = [result.output for result in results]
-    assert outputs == [row["load.position_error_final_m"] for row in rows]
+    assert outputs == [*table["load.position_error_final_m"]]
     assert len(set(outputs)) == RUNS
     again = RandomSimulation(make, position_error, DURATION, results[1].generator_snapshot)
     assert again == outputs[1]

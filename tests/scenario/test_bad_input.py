@@ -15,7 +15,6 @@ from drake_nonstop import (
     load_scenario,
     make_nonstop,
     read_grid,
-    read_sweep,
     simulate,
 )
 from drake_nonstop.diagrams.nonstop import BOXES, replaced
@@ -63,7 +62,7 @@ from drake_nonstop.scenario.yaml_text import parse_plain
 def test_files_that_are_none_of_a_scenario(content, tmp_path):
     path = tmp_path / "a.yaml"
     path.write_bytes(content)
-    for read in (load_scenario, read_sweep, read_grid):
+    for read in (load_scenario, read_grid):
         with pytest.raises(ScenarioError):
             read(path)
 

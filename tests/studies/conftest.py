@@ -1,12 +1,8 @@
 """Blocks with faults, for studies of runs that do not complete."""
 
-import functools
 import sys
 
 import pytest
-
-from drake_nonstop.studies import ablation, ablation_report, robustness, stability_ranges
-from drake_nonstop.studies.run_all import SerialExecutor, run_all
 
 # A wind with the faults that a block can have.
 FAULTY = """
@@ -58,12 +54,3 @@ def faulty_blocks(tmp_path_factory):
     sys.path.append(str(folder))
     yield folder
     sys.path.remove(str(folder))
-
-
-@pytest.fixture
-def serial_runs(undrawn, monkeypatch):
-    """Has studies make their runs one after the other in this process, and draw nothing."""
-    serial = functools.partial(run_all, executor=SerialExecutor())
-    for module in (ablation, stability_ranges, robustness):
-        monkeypatch.setattr(module, "run_all", serial)
-    monkeypatch.setattr(ablation_report, "_draw", lambda *arguments: None)

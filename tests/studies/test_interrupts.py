@@ -15,15 +15,13 @@ import time
 from pathlib import Path
 
 import pytest
-from helpers import handle_signals_as_a_shell_does, nightly_beyond
+from helpers import handle_signals_as_a_shell_does
 
-from drake_nonstop import SweepSpec, ablate, load_scenario, sweep
-from drake_nonstop.studies import processes, stability_ranges
-from drake_nonstop.studies import robustness as robustness_module
+from drake_nonstop import load_scenario, study
+from drake_nonstop.studies import workers
+from drake_nonstop.studies.attempts import COMPLETED, FAILED
 from drake_nonstop.studies.journal import JOURNAL, StudyInterrupted
-from drake_nonstop.studies.robustness import robustness
-from drake_nonstop.studies.run_all import COMPLETED, FAILED, SerialExecutor
-from drake_nonstop.studies.stability_ranges import find_margins
+from drake_nonstop.studies.workers import SerialExecutor
 
 pytestmark = pytest.mark.usefixtures("faulty_blocks")
 
@@ -31,12 +29,12 @@ COUNT = int(os.environ.get("NONSTOP_SIGNALS", "4"))
 SEED = int(os.environ.get("NONSTOP_SEED", "0"))
 ENDS_WITHIN = 2.0  # s, from the last signal, on a machine that has nothing else to do
 SHORT = ["simulation_duration=0.1", "optimization_layer=ConstantParameters"]
-SPEC = "draws: {system.load_mass: {uniform: [0.9, 1.1]}}\nruns: 300\n"
+SPEC = "overrides: ['system.load_mass=!Uniform {min: 0.9, max: 1.1}']\nseeds: 300\n"
 COMMANDS = {
     "sweep": ["sweep", "line", "spec.yaml"],
     "ablate": ["ablate", "line", "--grid", "departures", "--no-replay"],
     "robustness": ["robustness", "line"],
-    "stability": ["stability", "line"],
+    "stability": ["stability", "line", "--ranges"],
 }
 # The imports, in which Python itself answers signals, are behind it as it begins.
 PROGRAM = """
@@ -68,9 +66,24 @@ def session(leader):
     return found
 
 
-def is_alive(worker):
+def workers_of(process):
+    """The processes that were forked for this one and have begun."""
+    found = []
+    for folder in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError, ValueError):
+            parent = int((folder / "stat").read_text().rsplit(")", 1)[1].split()[1])
+            if parent == process:
+                found.append(int(folder.name))
+    return found
+
+
+def forkserver():
+    return workers.forkserver._forkserver._forkserver_pid
+
+
+def is_alive(pid):
     try:
-        state = Path(f"/proc/{worker.process.pid}/stat").read_text().rsplit(")", 1)[1].split()[0]
+        state = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0]
     except FileNotFoundError:
         return False
     return state != "Z"
@@ -128,7 +141,7 @@ def test_any_study_ends_by_ctrl_c_at_any_time(tmp_path, number):
         time.sleep(0.05)
     assert session(process.pid) == [], drawn
     done = len(journalled(tmp_path / "out")) - 1
-    assert (f"interrupted: {done} of " in error) == (done > 0), drawn
+    assert (f"interrupted: {done} runs are in out" in error) == (done > 0), drawn
 
 
 @pytest.mark.nightly("processes")
@@ -150,7 +163,7 @@ def test_a_block_that_never_returns_keeps_no_process(
     assert time.monotonic() - start < ENDS_WITHIN * load_factor()
     assert process.returncode == code
     if sign != signal.SIGKILL:
-        assert "1 of 2 variants are in out; the same call continues from there" in error
+        assert "1 runs are in out; the same call continues from there" in error
     assert len(journalled(tmp_path / "out")) == 2
     assert (tmp_path / "out" / "as_it_is" / "metrics.json").exists()
     end = time.monotonic() + 5
@@ -161,22 +174,23 @@ def test_a_block_that_never_returns_keeps_no_process(
 
 @pytest.mark.nightly("processes")
 def test_an_interrupt_leaves_no_process_behind_where_python_goes_on(tmp_path, scenario):
-    block = "load_disturbance=!faulty_blocks.FaultyWind {}"
-    spec = SweepSpec(overrides=[block], grid={"load_disturbance.fault": ["none", "hangs", "dies"]})
-    workers = []
+    own = load_scenario(
+        "line", [*SHORT, "load_disturbance=!faulty_blocks.FaultyWind {}"], trust=True
+    )
+    left = []
 
     def interrupt(what, share):
-        workers.extend(processes._workers)
+        left.extend([forkserver(), *workers_of(forkserver())])
         raise KeyboardInterrupt
 
-    with pytest.raises(StudyInterrupted, match="1 of 3 runs"):
-        sweep(scenario, spec, tmp_path / "out", trust=True, progress=interrupt)
-    assert len(workers) > 0
+    faults = {"load_disturbance.fault": ["none", "hangs", "dies"]}
+    with pytest.raises(StudyInterrupted, match="1 runs are in"):
+        study(own, faults, folder=tmp_path / "out", progress=interrupt)
+    assert len(left) > 1
     end = time.monotonic() + 5
-    while any(map(is_alive, workers)) and time.monotonic() < end:
+    while any(map(is_alive, left)) and time.monotonic() < end:
         time.sleep(0.05)
-    assert not any(map(is_alive, workers))
-    assert not processes._workers
+    assert not any(map(is_alive, left))
 
 
 class Killer:
@@ -197,12 +211,11 @@ class Killer:
 
     def _kill(self):
         while self.kills < self._count and not self._is_over.wait(self._draw.uniform(0, 0.4)):
-            workers = list(processes._workers)
-            if len(workers) < 2:  # a call that is repeated
+            victims = workers_of(forkserver()) if forkserver() else []
+            if len(victims) < 2:  # a call that is repeated
                 continue
-            victims = [worker.process.pid for worker in workers]
             if self._draw.random() < 0.2:
-                victims = [processes.forkserver._forkserver._forkserver_pid]
+                victims = [forkserver()]
             victim = self._draw.choice(victims)
             if victim is not None:
                 with contextlib.suppress(ProcessLookupError):
@@ -217,127 +230,43 @@ def scenario():
 
 @pytest.mark.nightly("processes")
 def test_killed_workers_cost_no_run(tmp_path, scenario):
-    spec = SweepSpec(grid={"system.load_mass": [1 + k / 100 for k in range(12)]})
-    whole = sweep(scenario, spec, tmp_path / "whole", executor=SerialExecutor())
+    factors = {"system.load_mass": [1 + k / 100 for k in range(48)]}
+    whole = study(scenario, factors, executor=SerialExecutor()).table
     with Killer(SEED) as killer:
-        done = sweep(scenario, spec, tmp_path / "killed")
+        table = study(scenario, factors, folder=tmp_path / "killed").table
     assert killer.kills > 0
-    assert done.endings == {COMPLETED: 12}
-    assert done.table.read_bytes() == whole.table.read_bytes()
-
-
-@pytest.fixture(params=nightly_beyond(1, "processes", ["serial", "processes"]))
-def runs_of_studies(request):
-    """Studies with their runs in this process, or in others."""
-    if request.param == "serial":
-        request.getfixturevalue("serial_runs")
-
-
-class After:
-    """A progress that is interrupted after some calls, or counts them."""
-
-    def __init__(self, most=1000):
-        self.shares, self._most = [], most
-
-    def __call__(self, what, share):
-        self.shares.append(share)
-        if len(self.shares) == self._most:
-            raise KeyboardInterrupt
-
-
-def csv_without_clocks(folder):
-    lines = (folder / "table.csv").read_text().splitlines()
-    clocks = [
-        k
-        for k, name in enumerate(lines[0].split(","))
-        if "wall" in name or "real_time" in name or name == "engine"  # C may be there by then
-    ]
-    rows = [line.split(",") for line in lines]
-    return [[cell for k, cell in enumerate(row) if k not in clocks] for row in rows]
-
-
-@pytest.mark.usefixtures("runs_of_studies")
-def test_ablate_keeps_variants_and_continues(tmp_path, scenario):
-    variants = {f"mass {k}": [f"system.load_mass={1 + k / 10}"] for k in range(2)}
-    ablate(scenario, variants, tmp_path / "whole", replay=False)
-    folder = tmp_path / "parts"
-    # In processes a third one may have ended with the second.
-    with pytest.raises(StudyInterrupted, match=r"^[23] of 3 variants are in ") as interrupted:
-        ablate(scenario, variants, folder, replay=False, progress=After(2))
-    kept_count = int(str(interrupted.value)[0])
-    done = sorted(folder.glob("*/metrics.json"))
-    assert len(done) >= 2
-    before = [path.stat().st_mtime_ns for path in done[:2]]
-    assert not (folder / "table.csv").exists()
-    with pytest.raises(Exception, match="has the runs of another scenario or spec"):
-        ablate(scenario, {"other": ["system.load_mass=2"]}, folder, replay=False)
-    progress = After()
-    ablate(scenario, variants, folder, replay=False, progress=progress)
-    assert progress.shares == [number / 3 for number in range(kept_count + 1, 4)]
-    kept = [path.stat().st_mtime_ns for path in done[:2]]
-    assert sum(a == b for a, b in zip(before, kept, strict=True)) >= 1
-    assert csv_without_clocks(folder) == csv_without_clocks(tmp_path / "whole")
-
-
-@pytest.mark.nightly("processes")
-@pytest.mark.usefixtures("runs_of_studies")
-def test_a_variant_whose_files_are_gone_is_run_again(tmp_path, scenario):
-    variants = {"heavy": ["system.load_mass=1.1"]}
-    with pytest.raises(StudyInterrupted):
-        ablate(scenario, variants, tmp_path, replay=False, progress=After(2))
-    for path in tmp_path.glob("*/scenario.yaml"):
-        path.write_text("another: {}")
-    progress = After()
-    rows = ablate(scenario, variants, tmp_path, replay=False, progress=progress)
-    assert len(progress.shares) == 2
-    assert all(row.ending == COMPLETED for row in rows)
-
-
-def stable(resting, override, value):
-    """What is measured of a loop, without that loop."""
-    return [0.9, -0.1, None]
-
-
-@pytest.mark.nightly("processes")
-@pytest.mark.usefixtures("runs_of_studies")
-def test_robustness_and_margins_continue(tmp_path, scenario, monkeypatch):
-    axes, errors = stability_ranges._axes, robustness_module._errors
-
-    def few(scenario):
-        mass = axes(scenario)[0]
-        mass.values = [0.05, 0.1]
-        return [mass]
-
-    monkeypatch.setattr(stability_ranges, "_axes", few)
-    monkeypatch.setattr(stability_ranges, "_measure", stable)
-    monkeypatch.setattr(robustness_module, "_errors", lambda *given: [*errors(*given)][:4])
-    for k, study in enumerate((robustness, find_margins)):
-        folder = tmp_path / str(k)
-        with pytest.raises(StudyInterrupted, match=r"^[23] of 4 \w+ are in") as interrupted:
-            study(scenario, folder=folder, progress=After(2))
-        progress = After()
-        parts = study(scenario, folder=folder, progress=progress)
-        assert len(progress.shares) == 4 - int(str(interrupted.value)[0])
-        assert len(parts) == (4, 1)[k]
+    assert (table["ending"] == COMPLETED).all()
+    errors = "load.position_error_mean_m"
+    assert table[errors].tolist() == whole[errors].tolist()
 
 
 @pytest.mark.nightly("processes")
 @pytest.mark.parametrize(("fault", "words"), [("dies", "process died"), ("exits", "SystemExit")])
-def test_a_block_that_ends_its_process_spoils_nothing(tmp_path, scenario, fault, words):
-    block = f"load_disturbance=!faulty_blocks.FaultyWind {{fault: {fault}}}"
-    variants = {"bad": [block], "heavy": ["system.load_mass=1.1"]}
-    rows = {
-        row.variant: row
-        for row in ablate(scenario, variants, tmp_path / "a", replay=False, trust=True)
-    }
-    assert rows["bad"].ending == FAILED
-    assert words in rows["bad"].message
-    assert rows["heavy"].ending == COMPLETED
-    spec = SweepSpec(
-        overrides=["load_disturbance=!faulty_blocks.FaultyWind {}"],
-        grid={"load_disturbance.fault": [fault, "none"]},
+def test_a_block_that_ends_its_process_spoils_nothing(tmp_path, fault, words):
+    own = load_scenario(
+        "line", [*SHORT, "load_disturbance=!faulty_blocks.FaultyWind {}"], trust=True
     )
-    done = sweep(scenario, spec, tmp_path / "s", trust=True)
-    assert done.endings == {FAILED: 1, COMPLETED: 1}
-    ((ending, message),) = done.errors
-    assert (ending, words in message) == (FAILED, True)
+    factors = {"load_disturbance.fault": [fault, "none"], "system.load_mass": [1.0, 1.1, 1.2]}
+    table = study(own, factors, folder=tmp_path).table
+    assert table["ending"].tolist() == 3 * [FAILED] + 3 * [COMPLETED]
+    assert words in table["message"][0]
+
+
+@pytest.mark.nightly("processes")
+def test_nothing_is_lost_by_a_kill_of_the_command(tmp_path):
+    call = [*COMMANDS["sweep"], "--out", "out", "--set", *SHORT]
+    process = begun(tmp_path, call)
+    while len(journalled(tmp_path / "out")) < 20:
+        time.sleep(0.05)
+    process.kill()
+    process.communicate(timeout=60)
+    kept = journalled(tmp_path / "out")
+    end = time.monotonic() + 5
+    while session(process.pid) and time.monotonic() < end:
+        time.sleep(0.05)
+    assert session(process.pid) == []
+    again = begun(tmp_path, call)
+    again.communicate(timeout=120)
+    assert again.returncode == 0
+    assert journalled(tmp_path / "out")[: len(kept)] == kept
+    assert len(journalled(tmp_path / "out")) == 301

@@ -3,18 +3,13 @@
 import html
 import re
 
-import pytest
-
 from drake_nonstop import (
-    SweepSpec,
     load_scenario,
     make_nonstop,
     parse_scenario,
     record_replay,
     simulate,
-    sweep,
 )
-from drake_nonstop.studies.run_all import SerialExecutor
 from drake_nonstop.view import rich_display  # noqa: F401 - as in a notebook
 
 BRIEF = ["simulation_duration=0.2"]
@@ -44,15 +39,3 @@ def test_a_loop_shows_its_drawing():
     shown = make_nonstop(load_scenario("quintic"))._repr_html_()
     assert shown.startswith("<svg")
     assert 'data-block="optimization_layer"' in shown
-
-
-@pytest.mark.nightly("studies")
-def test_a_sweep_shows_its_endings(tmp_path):
-    pytest.importorskip("pyarrow")
-    spec = SweepSpec(grid={"system.load_mass": [1.0, -1.0]})
-    scenario = load_scenario("line", [*BRIEF, "optimization_layer=ConstantParameters"])
-    done = sweep(scenario, spec, tmp_path, executor=SerialExecutor())
-    shown = done._repr_html_()
-    assert "1 completed, 1 unbuildable" in shown
-    assert "1 unbuildable: system.load_mass = -1.0" in shown
-    assert "runs.parquet" in shown

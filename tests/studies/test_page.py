@@ -1,9 +1,9 @@
-"""The page of a comparison: one bar for all replays."""
+"""The page of a study: one bar for all replays."""
 
 import pytest
 
 from drake_nonstop.scenario.loading import load_scenario
-from drake_nonstop.studies.ablation import ablate
+from drake_nonstop.studies.presets import ablate
 
 TIMES = "Math.max(...viewer.animator.actions.map((action) => action.time))"
 
