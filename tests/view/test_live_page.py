@@ -89,7 +89,7 @@ def test_viewers_that_come_and_leave_do_not_change_a_run(watched, flight):
     assert process.poll() is None
     page.close()
     assert process.wait(timeout=60) == 0
-    alone = simulate(load_scenario("quintic", ["simulation_duration=4"]))
+    alone = simulate(load_scenario("quintic", ["simulation_duration=4"]), engine="diagram")
     with np.load(results / "signals.npz") as signals:
         assert set(signals) >= {"time", "entries", *alone.signals}
         for name, values in alone.signals.items():
