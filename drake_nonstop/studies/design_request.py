@@ -27,7 +27,6 @@ from drake_nonstop.validation import (
     read_text,
     require,
     require_array,
-    require_seed,
     vector,
 )
 
@@ -98,7 +97,6 @@ class _Asked(StrictFields):
     # what the first formation has: the largest margin, or the least power
     first: str = checked(MARGIN, one_of((MARGIN, POWER), f"give {MARGIN} or {POWER}"))
     starts: int = points(4, 100)  # of the search for each number of carriers and kind
-    seed: int = checked(0, require_seed)  # of the starts
 
 
 @dataclass(kw_only=True)
