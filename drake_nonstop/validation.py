@@ -7,7 +7,6 @@ import functools
 import importlib.util
 import math
 import re
-import stat
 import sys
 import traceback
 import types
@@ -333,24 +332,14 @@ def read_text(path: str | Path, field: str, remedy: str = "give a file that can 
     Raises:
         ScenarioError: it cannot be read, is no regular file, is not UTF-8, or is above 16 MB.
     """
-    require_file(path, field, remedy)
     try:
-        return Path(path).read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError:
-        raise _refusal(field, path, f"{remedy} (it is not UTF-8)") from None
-    except OSError as error:
-        raise _refusal(field, path, f"{remedy} ({_shown(error)})") from None
-
-
-def require_file(path: str | Path, field: str, remedy: str) -> None:
-    """Raises ScenarioError for what is no regular file, or one above 16 MB."""
-    try:
-        found = Path(path).stat()
+        file = Path(path)
+        is_usable = file.is_file() and file.stat().st_size <= _LARGEST_FILE
+        text = file.read_text(encoding="utf-8-sig") if is_usable else None
     except (OSError, ValueError) as error:
         raise _refusal(field, path, f"{remedy} ({_shown(error)})") from None
-    require(stat.S_ISREG(found.st_mode), field, path, f"{remedy} (it is no regular file)")
-    remedy = f"{remedy}, of {_LARGEST_FILE / 1e6:g} MB at most"
-    require(found.st_size <= _LARGEST_FILE, field, path, remedy)
+    require(text is not None, field, path, f"{remedy}, no folder or device, of 16 MB at most")
+    return typing.cast(str, text)
 
 
 def require_flags(**flags: bool) -> None:

@@ -25,7 +25,6 @@ from drake_nonstop.validation import (
     listed,
     read_text,
     require,
-    require_file,
     require_known,
     require_type,
 )
@@ -152,7 +151,7 @@ def _base(base: Any, folder: Path, trust: bool, trail: Sequence[Path]) -> Scenar
     """The scenario of that name, or in a file from that folder, likewise."""
     require(isinstance(base, str), BASE, base, "give a scenario's name, or a .yaml file")
     path = _path(base, BASE, folder)
-    require_file(path, BASE, "give a file that can be read")
+    text = read_text(path, BASE)
     is_new = not any(path.samefile(other) for other in trail)
     require(is_new, BASE, base, "it is based on this scenario itself; give another one")
-    return _read(read_text(path, BASE), str(path), path.parent, trust, [*trail, path])
+    return _read(text, str(path), path.parent, trust, [*trail, path])
