@@ -154,11 +154,6 @@ class Metric(NamedTuple):
         """Whether it is measured of a run without samples, too."""
         return self.path in ("outcome", "reasons", "simulator.step_s", "engine")
 
-    @property
-    def may_be_left_out(self) -> bool:
-        """Whether it is left out of metrics.json where a run has no such things."""
-        return self.path.startswith(("aircraft.", "bowed_cables.", "obstacles."))
-
     def value(self, metrics: Mapping[str, Any] | None) -> Any:
         """The stored value in the metrics of a run; None where there is none."""
         return value_at(metrics, self.path)

@@ -135,21 +135,22 @@ def load_run(folder: Path | str, *, trust: bool = False) -> Run:
 
 
 def read_arrays(file: Path | BinaryIO) -> dict[str, NDArray]:
-    """The arrays of one of NumPy's archives, each taken only once its checksum is found right.
+    """The arrays of one of NumPy's archives, read-only, each once its checksum is found right.
 
     Raises:
         ValueError: it cannot be read, for whatever reason.
     """
+    found = {}
     try:
         with zipfile.ZipFile(file) as archive:
-            return {
-                name.removesuffix(".npy"): np.lib.format.read_array(
-                    io.BytesIO(archive.read(name)), allow_pickle=False
-                )
-                for name in archive.namelist()
-            }
+            for name in archive.namelist():
+                content = io.BytesIO(archive.read(name))
+                array = np.lib.format.read_array(content, allow_pickle=False)
+                array.flags.writeable = False
+                found[name.removesuffix(".npy")] = array
     except _UNREADABLE as error:
         raise ValueError(one_line(error)) from None
+    return found
 
 
 def _path(folder: Any) -> Path:

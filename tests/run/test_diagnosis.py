@@ -5,7 +5,7 @@ import pytest
 from helpers import nightly_beyond
 from pydrake.systems.framework import LeafSystem
 
-from drake_nonstop import Cables, RunStopped, load_scenario, simulate
+from drake_nonstop import RunStopped, load_scenario, simulate
 
 
 class Faulty(LeafSystem):
@@ -63,27 +63,3 @@ def test_the_source_of_a_value_is_named(box, signal, settings, fault):
     scenario = load_scenario("quintic", overrides)
     with pytest.raises(RunStopped, match=f"diverged at t = 0.1.* s: {box} made a value"):
         simulate(scenario, **{box: lambda model: Faulty(signal, fault)})
-
-
-def test_a_fault_inside_the_loop_is_blamed_on_its_block():
-    class FaultyCables(LeafSystem):
-        """Cables whose forces are no numbers after 0.1 s."""
-
-        def __init__(self, model):
-            super().__init__()
-            load = self.DeclareVectorInputPort("load_state", 13)
-            carriers = self.DeclareVectorInputPort("carrier_state", 6 * model.n)
-            cables = Cables(model)
-
-            def forces(context, output):
-                own = cables.CreateDefaultContext()
-                cables.GetInputPort("load_state").FixValue(own, load.Eval(context))
-                cables.GetInputPort("carrier_state").FixValue(own, carriers.Eval(context))
-                values = cables.GetOutputPort("cable_forces").Eval(own)
-                output.SetFromVector(values * (np.nan if context.get_time() > 0.1 else 1.0))
-
-            self.DeclareVectorOutputPort("cable_forces", 3 * model.n, forces)
-            self.DeclareVectorOutputPort("tensions", model.n, lambda context, output: None)
-
-    with pytest.raises(RunStopped, match=r"diverged at t = 0\.1\d* s: cables made a value"):
-        simulate(load_scenario("quintic", ["simulation_duration=0.3"]), cables=FaultyCables)

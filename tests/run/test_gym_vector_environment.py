@@ -92,13 +92,6 @@ def test_a_divergence_ends_its_own_episode_alone():
     assert not env.step([HOLD, HOLD, HOLD])[2].any()
 
 
-def test_a_stall_ends_an_episode():
-    env = make_gym_env(load_scenario("aircraft_transfer"), time_step=0.2)
-    env.reset()
-    ends = [env.step(env.action_space.low)[2:4] for _ in range(8)]
-    assert ends == [(False, False)] * 7 + [(True, False)]
-
-
 def test_it_is_a_vector_environment(three):
     from gymnasium.vector import AutoresetMode, VectorEnv
     from gymnasium.wrappers.vector import RecordEpisodeStatistics
@@ -119,35 +112,6 @@ def test_it_is_a_vector_environment(three):
     assert lengths == [3] * 6
     three.close()
     three.close()
-
-
-@pytest.mark.parametrize(
-    ("scenario", "drawn"),
-    nightly_beyond(
-        1,
-        "engines",
-        [
-            ("quintic", "system.load_mass=!Uniform {min: 0.8, max: 1.2}"),
-            ("quintic", "load_trajectory.move_time=!Uniform {min: 5.0, max: 8.0}"),
-            ("aircraft_transfer_gusty", "wind.gust=!Uniform {min: 0.1, max: 0.5}"),
-        ],
-    ),
-)
-def test_episodes_draw_their_numbers_by_their_seeds(scenario, drawn):
-    varied = load_scenario(scenario, ["simulation_duration=0.48", drawn])
-    env, single = (
-        make(varied, **n, time_step=0.24)
-        for make, n in ((make_gym_vec_env, {"n": 2}), (make_gym_env, {}))
-    )
-    action = env.action_space.low
-    env.reset(seed=[4, 7])
-    both, *_ = env.step(action)
-    assert np.max(np.abs(both[0] - both[1])) > 1e-9
-    env.reset(seed=np.int64(7))
-    np.testing.assert_array_equal(env.step(action)[0][0], both[1])
-    single.reset(seed=7)
-    expected = single.step(action[0])[0]
-    np.testing.assert_allclose(both[1], expected, rtol=0, atol=1e-9)
 
 
 def test_an_episode_may_begin_anew_in_the_next_step():

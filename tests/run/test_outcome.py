@@ -21,7 +21,6 @@ from drake_nonstop import (
 from drake_nonstop.blocks.carrier_dynamics import LimitedCarriersConfig
 from drake_nonstop.blocks.receding_horizon import RecedingHorizonOptimizerConfig
 from drake_nonstop.model.system import SystemParameters
-from drake_nonstop.planning.limits import LIMITS as ASKED
 from drake_nonstop.planning.limits import Of, limits_of
 from drake_nonstop.run.outcome import LIMITS
 from drake_nonstop.run.run import Run
@@ -355,14 +354,6 @@ def test_a_limit_of_aircraft_is_missed_by_what_they_flew(limit):
     (reason,) = metrics["reasons"]
     assert reason.startswith(limit.sentence.partition(" {")[0])
     assert f"(optimization_layer.{limit.field}: " in reason
-
-
-def test_the_climb_that_is_limited_is_that_through_the_air():
-    limit = next(limit for limit in ASKED if limit.name == "climb")
-    risen = RunQuantities(aircraft_run(3.0, wind=(0.0, 0.0, 2.0)))
-    state = risen.aircraft_state
-    rise = risen.carrier_velocities[..., 2] - 2.0
-    assert risen.extreme_of(limit) == pytest.approx(np.abs(np.arcsin(rise / state.airspeed)).max())
 
 
 def short():

@@ -164,13 +164,6 @@ def test_a_loop_that_cannot_be_logged_is_refused(scenario):
             simulate(scenario, make_loop=make_loop)
 
 
-def test_logs_of_other_carriers_than_the_scenarios_are_refused(scenario):
-    logs, simulator = flown(scenario, make_nonstop(scenario))
-    three = load_scenario("three_carriers")
-    with pytest.raises(ScenarioError, match=r"^system\.attachments = 3: give the scenario of the"):
-        Run.from_logs(logs, simulator.get_context(), three)
-
-
 class Echo(LeafSystem):
     """An extra block that reads a signal and shows it, or fails."""
 

@@ -14,7 +14,6 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 
 from drake_nonstop import (
-    ConstantParameters,
     RunInterrupted,
     RunStopped,
     load_scenario,
@@ -210,30 +209,3 @@ def test_a_full_disk_ends_the_run_in_one_sentence_and_loses_nothing(temporary, m
     for name, values in expected.signals.items():
         assert run.signals[name].tobytes() == values[: len(run.time)].tobytes()
     assert run.steps["time"].tobytes() == expected.steps["time"][: len(run.steps["time"])].tobytes()
-
-
-class AccelerationReader(LeafSystem):
-    """No disturbance, from a signal that is recorded only where something reads it."""
-
-    def __init__(self, model):
-        super().__init__()
-        self._input = self.DeclareVectorInputPort("carrier_reference_acceleration", 3 * model.n)
-        self.DeclareVectorOutputPort("disturbance_wrench", 6, self._calc)
-
-    def _calc(self, context, output):
-        output.SetFromVector(0 * self._input.Eval(context)[:6])
-
-
-def test_accelerations_are_recorded_where_something_reads_them():
-    overrides = ["carrier_trajectory.hold=velocity", "carrier_controller=CarrierPid"]
-    overrides += ["simulation_duration=0.05", "engine=diagram"]  # which alone flies the reader
-    scenario = load_scenario("quintic", overrides)
-    plain = {"optimization_layer": ConstantParameters}
-    unread = simulate(scenario, **plain)
-    read = simulate(scenario, **plain, load_disturbance=AccelerationReader)
-    name = "carrier_trajectory.carrier_reference_acceleration"
-    assert read.signals.keys() - unread.signals.keys() == {name}
-    assert unread.signals.keys() <= read.signals.keys()
-    assert read.signals[name].shape == (6, 12)
-    for port, values in unread.signals.items():
-        np.testing.assert_array_equal(read.signals[port], values, err_msg=port)

@@ -65,17 +65,6 @@ def test_a_tilted_load_starts_at_rest_too():
     assert np.max(np.abs(run.signal("tracking_error")[:, :6])) < 5e-4
 
 
-@pytest.mark.parametrize("n", nightly_beyond(1, "flights", [5, 3, 6]))
-def test_other_numbers_of_carriers_fly(n):
-    angles = 2 * np.pi * np.arange(n) / n
-    points = np.stack([np.cos(angles), np.sin(angles), 0.1 * (-1.0) ** np.arange(n)], axis=1)
-    run = simulate(
-        short("quintic", f"system.attachments={points.tolist()}", "pattern=!HamiltonianCycle {}")
-    )
-    assert run.signal("carrier_state").shape[1] == 6 * n
-    assert np.max(np.abs(run.signal("tracking_error")[:, 3:6])) < 1e-3
-
-
 def test_a_load_that_the_cables_cannot_hold_is_an_error_before_the_run():
     with pytest.raises(ScenarioError, match="do not hold the load"):
         simulate(short("quintic", "simulated.cable_length=3"))
@@ -118,13 +107,6 @@ def test_an_interrupt_keeps_the_signals():
     assert 0.05 < caught.value.run.time[-1] < 0.111
 
 
-@pytest.mark.parametrize("length", nightly_beyond(1, "flights", [0.81, 0.79]))
-def test_a_run_starts_with_cables_that_the_controllers_know_wrongly(length):
-    run = simulate(short("quintic", f"simulated.cable_length={length}"))
-    assert np.min(run.steps["tensions"]) > 0
-    assert np.max(np.abs(run.signal("load_state")[:, 10:])) < 0.02
-
-
 @pytest.mark.parametrize("n", nightly_beyond(1, "flights", [8, 6]))
 def test_the_step_is_shortened_where_the_fastest_mode_needs_it(n):
     angles = 2 * np.pi * np.arange(n) / n
@@ -134,24 +116,3 @@ def test_the_step_is_shortened_where_the_fastest_mode_needs_it(n):
     assert np.max(np.diff(run.steps["time"])) < 0.004  # less than the scenario's 5 ms
     assert np.min(run.steps["tensions"]) > 0
     assert np.max(np.abs(run.signal("tracking_error")[:, 3:6])) < 1e-3
-
-
-class SampledFeedback(LeafSystem):
-    """A 50 Hz sample of the load's state, taken first by an initialization event."""
-
-    def __init__(self, model):
-        super().__init__()
-        self._load_state = self.DeclareVectorInputPort("load_state", 13)
-        self.DeclareStateOutputPort("measured_load_state", self.DeclareDiscreteState(13))
-        self.DeclareInitializationUnrestrictedUpdateEvent(self._sample)
-        self.DeclarePeriodicUnrestrictedUpdateEvent(0.02, 0.02, self._sample)
-
-    def _sample(self, context, state):
-        state.get_mutable_discrete_state().set_value(self._load_state.Eval(context))
-
-
-def test_a_feedback_with_a_state_starts_on_the_equilibrium_too():
-    scenario = short("quintic", "load_trajectory.start_position=[0, 0, 5]", "control_period=0")
-    run = simulate(scenario, load_feedback=SampledFeedback)
-    error = run.signal("load_state")[:, 4:7] - run.signal("reference")[:, 4:7]
-    assert np.max(np.abs(error)) < 1e-3

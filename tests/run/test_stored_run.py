@@ -2,13 +2,12 @@
 
 import dataclasses
 import json
-import random
 import shutil
 from typing import ClassVar
 
 import numpy as np
 import pytest
-from helpers import nightly_beyond, regular
+from helpers import regular
 
 from drake_nonstop import (
     Run,
@@ -19,12 +18,9 @@ from drake_nonstop import (
     simulate,
     write_results,
 )
-from drake_nonstop.cli.ending import BAD_INPUT
-from drake_nonstop.cli.main import main
 from drake_nonstop.mechanics.signal_layouts import Layout, Part
 from drake_nonstop.run.metrics import metrics_table
 from drake_nonstop.run.signal_table import UnknownSignalError
-from drake_nonstop.run.stored_run import read_arrays
 from drake_nonstop.scenario.loading import dump_scenario
 from drake_nonstop.systems.block import LeafBlock
 from drake_nonstop.view.replay import record_replay
@@ -65,20 +61,6 @@ def test_it_is_written_again_to_the_bit(stored, tmp_path):
     write_results(Run.load(folder), tmp_path, figures=False, replay=False)
     for name in ("scenario.yaml", "metrics.json", "signals.npz"):
         assert (tmp_path / name).read_bytes() == (folder / name).read_bytes(), name
-
-
-def test_the_signals_file_tells_names_units_and_frames(stored):
-    run, folder = stored
-    with np.load(folder / "signals.npz") as archive:
-        table = archive["entries"]
-        sizes = {name: archive[name].shape[1] for name in run.signals}
-    rows = {name: table[table["signal"] == name] for name in sizes}
-    for name, size in sizes.items():
-        np.testing.assert_array_equal(rows[name]["column"], np.arange(size))
-    velocities = rows["carrier_dynamics.carrier_state"][12:]
-    assert velocities["name"][0] == "carrier_state.velocities.1.x"
-    assert set(velocities["unit"]) == {"m/s"}
-    assert set(velocities["frame"]) == {"W"}
 
 
 def test_a_run_with_blocks_of_ones_own_says_so(tmp_path):
@@ -250,41 +232,3 @@ def test_the_parts_of_two_runs_do_not_go_together(copied):
         ScenarioError, match=r"carrier_state in signals.npz, .* 24 columns, not 18 "
     ):
         Run.load(copied)
-
-
-def _spoilt(content, kind, seed):
-    """The content of a file with one of its bits turned round, or without its end."""
-    rng = random.Random(seed)
-    place = rng.randrange(len(content))
-    if kind == "cut":
-        return content[:place]
-    changed = bytearray(content)
-    changed[place] ^= 1 << rng.randrange(8)
-    return bytes(changed)
-
-
-SPOILT = [("flip", range(16)), ("cut", range(8)), ("flip", range(16, 400))]
-
-
-@pytest.mark.parametrize(("kind", "seeds"), nightly_beyond(2, "adversary", SPOILT))
-def test_a_spoilt_archive_is_read_whole_or_refused(kind, seeds, stored, copied, capsys):
-    _, folder = stored
-    name = "signals.npz"
-    content = (folder / name).read_bytes()
-    whole = read_arrays(folder / name)
-    for seed in seeds:
-        (copied / name).write_bytes(_spoilt(content, kind, seed))
-        try:
-            arrays = read_arrays(copied / name)
-        except ValueError:
-            with pytest.raises(ScenarioError, match=rf"^{name}, run = \S+: it cannot be read \("):
-                Run.load(copied)
-            if seed % 20 == 0:
-                command = ["export", str(copied), "--to", "csv"]
-                assert main(command) == BAD_INPUT
-                assert capsys.readouterr().err.count("\n") == 1
-        else:
-            assert all(np.array_equal(arrays[key], whole[key]) for key in arrays), seed
-            if arrays.keys() != whole.keys():  # the archive's own list ends too soon
-                with pytest.raises(ScenarioError, match=rf"in {name}, run = .* it is missing"):
-                    Run.load(copied)
