@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from drake_nonstop.analysis.flights import CheckedFlight, fly
+from drake_nonstop.analysis.flights import CheckedFlight, fly, spread_margins
 from drake_nonstop.blocks.wind_estimator import KnownWindConfig
 from drake_nonstop.model.system import given_fields
 from drake_nonstop.run.outcome import RunOutcome
@@ -35,7 +35,7 @@ class Remedy(NamedTuple):
     """Changes of a scenario with which all of its flights are ok."""
 
     overrides: tuple[str, ...]
-    flights: tuple[CheckedFlight, ...]
+    then: str  # the margins that were missed, as they are with it
 
     @property
     def text(self) -> str:
@@ -260,6 +260,7 @@ def find_remedies(
     each, budget = took / len(flights) * end / whole, max(_LEAST_TIME, took)
     start, tried = time.process_time(), 0
     found: list[Remedy] = []
+    missed = [each.name for each in failed.flight.margins if not each.is_kept]
     waiting = iter([proposal for proposal in proposals if proposal])
     while len(found) < _MOST and (left := budget - (time.process_time() - start)) > 0:
         progress(1 - left / budget)
@@ -277,7 +278,9 @@ def find_remedies(
             made = [_changed(scenario, said) for scenario in scenarios]
             all_flights = fly([("", each) for each in made if each is not None])
             if all(flight.is_ok for flight in all_flights):
-                found.append(Remedy(tuple(said), tuple(all_flights)))
+                margins = [each.worst for each in spread_margins(all_flights)]
+                then = ", ".join(each.sentence for each in margins if each.name in missed)
+                found.append(Remedy(tuple(said), then))
     return found, tried
 
 

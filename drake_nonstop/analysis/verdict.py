@@ -16,12 +16,7 @@ from drake_nonstop.analysis.feasible_parameters import (
     feasible_parameters,
     has_set,
 )
-from drake_nonstop.analysis.flights import (
-    CheckedFlight,
-    SpreadMargin,
-    fly,
-    spread_margins,
-)
+from drake_nonstop.analysis.flights import CheckedFlight, SpreadMargin, fly, spread_margins
 from drake_nonstop.analysis.remedies import Remedy, find_remedies
 from drake_nonstop.analysis.stability import Stability, linearize
 from drake_nonstop.analysis.stated_errors import is_random, with_seed, without_errors
@@ -143,7 +138,8 @@ class ScenarioCheck:
     def _of_remedies(self) -> str:
         if not self.remedies:
             return f"none of {self.tried} changes that were flown helps"
-        return f"give {'; or '.join(remedy.text for remedy in self.remedies)}"
+        each = (f"{each.text} (then {each.then})" for each in self.remedies)
+        return f"give {'; or '.join(each)}"
 
     @property
     def table(self) -> str:
@@ -195,7 +191,7 @@ class ScenarioCheck:
                 }
                 for each in self.margins
             ],
-            "remedies": [list(remedy.overrides) for remedy in self.remedies],
+            "remedies": [remedy._asdict() for remedy in self.remedies],
             "changes_tried": self.tried,
         }
         if self.feasible is not None:
