@@ -10,9 +10,9 @@ from drake_nonstop.mechanics.signals import constant_plan
 from drake_nonstop.planning.horizon_problem import HorizonProblem
 from drake_nonstop.planning.problem_config import amplitude_range
 
-_TIMES = 60  # of a task, at which constant ξ and A are tried
+_TIMES = 40  # of a task, at which constant ξ and A are tried
 _GRID = (24, 12)  # values of ξ and of A among them
-_PHASES = 24  # of an orbit
+_PHASES = 18  # of an orbit
 _SHOWN = 2.5  # times the largest flown value, of the set over time
 
 

@@ -65,7 +65,7 @@ def _check(options: argparse.Namespace) -> int:
         (new / _SCENARIO).write_text(dump_scenario(scenario), encoding="utf-8")
         write_json(new / _DATA, found.dictionary)
         for name, figure in figures.items():
-            figure.savefig(new / name, dpi=150)
+            figure.savefig(new / name, dpi=120)
     print(found.table)
     if found.aircraft is not None:
         print(f"\n{margins_table(found.aircraft)}")
