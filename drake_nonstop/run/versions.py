@@ -2,7 +2,6 @@
 
 import functools
 import sys
-from importlib.metadata import PackageNotFoundError, version
 
 from drake_nonstop.version import __version__
 
@@ -16,6 +15,8 @@ def versions(*packages: str) -> dict[str, str | None]:
 @functools.cache
 def _installed(package: str, *path: str) -> str | None:
     """The version of a package that is found on a path: to read it takes milliseconds."""
+    from importlib.metadata import PackageNotFoundError, version  # here: it imports `email`
+
     try:
         return version(package)
     except PackageNotFoundError:

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import stdtrit
 
 from drake_nonstop.run.metrics import Metric
 from drake_nonstop.studies.attempts import COMPLETED
@@ -30,6 +29,8 @@ _LATEX |= str.maketrans({"–": "--", "±": "$\\pm$", "≈": "$\\approx$", "−"
 
 def interval(values: NDArray) -> tuple[NDArray, NDArray, NDArray]:
     """Mean, standard deviation and half of the 95 % interval of rows (k, m), without NaN."""
+    from scipy.special import stdtrit  # here: commands that compare nothing need none of it
+
     count = np.sum(~np.isnan(values), axis=1)
     mean = np.nansum(values, axis=1) / np.where(count > 0, count, math.nan)
     squares = np.nansum((values - mean[:, None]) ** 2, axis=1)
