@@ -76,6 +76,7 @@ def _lines(summary: Summary, metric: Metric, values: NDArray, across: str) -> Fi
         axes.plot(x, mean[chosen], label=others, **style)
         low, high = mean[chosen] - half[chosen], mean[chosen] + half[chosen]
         axes.fill_between(x, low, high, color=colour, alpha=0.2, linewidth=0)
+    axes.margins(x=0.05)
     axes.set(xlabel=across, ylabel=metric.heading)
     axes.grid(alpha=0.3)
     return legend_above(figure) if len(_groups(summary, across)) > 1 else figure
@@ -105,6 +106,7 @@ def _rows(summary: Summary, metric: Metric, values: NDArray) -> Figure:
         axes.set_xscale("log")
     axes.set_yticks(places, names)
     axes.set_ylim(len(names) - 0.4, -0.6)
+    axes.margins(x=0.05)
     axes.set_xlabel(metric.heading)
     axes.grid(alpha=0.3)
     return figure
