@@ -2,9 +2,8 @@
 
 import copy
 import dataclasses
-import itertools
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -120,12 +119,6 @@ def require_choices(values: Any, where: str) -> None:
         require(not is_quoted, where, f"'{value}'", "give the number without quotes")
     for text, count in Counter(dump_plain(value, where) for value in values).items():
         require(count == 1, where, text, "give each value once")
-
-
-def combinations(grid: Mapping[str, list[Any]]) -> Iterator[dict[str, Any]]:
-    """Every combination of the values of the paths, the last path's changing first."""
-    for values in itertools.product(*grid.values()):
-        yield dict(zip(grid, values, strict=True))
 
 
 def as_override(path: str, value: Any) -> str:
