@@ -287,6 +287,8 @@ def _task(scenario: Scenario) -> Task | None:
 
 
 def _stability(scenario: Scenario, progress: Progress) -> Stability | None:
+    if hasattr(scenario.cables, "nodes"):  # hundreds of states, whose derivatives take minutes
+        return None
     try:
         return linearize(scenario, progress)
     except (ScenarioError, NotFiniteError):  # of what turns all the time, or is not compiled
