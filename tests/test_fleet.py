@@ -30,10 +30,11 @@ def test_every_block_of_every_box_and_every_pattern_flies():
 
 
 def test_every_outcome_is_flown(fleet):
-    # Carriers that collide, and commands that are at their limits for long.
+    # Carriers that collide, and commands that are at their limits for long; whether a step resolves
+    # the metrics is told where it is asked for alone.
     names = [*DRAWN, "real_scale_cycle", "aircraft_transfer_gusty"]
     outcomes = {fleet.evaluated(name)[1]["outcome"] for name in names}
-    assert outcomes == {outcome.value for outcome in RunOutcome}
+    assert outcomes == {outcome.value for outcome in RunOutcome} - {RunOutcome.UNCONVERGED.value}
 
 
 def assert_same(run, expected):

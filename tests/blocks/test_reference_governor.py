@@ -178,9 +178,10 @@ def test_a_scenario_has_none_unless_it_is_given_and_can_be_written():
     ],
 )
 def test_what_cannot_be_used_is_told(overrides, said):
-    scenario = load_scenario("quintic", ["optimization_layer=ConstantParameters", *overrides])
     with pytest.raises(ScenarioError) as error:
-        make_nonstop(scenario)
+        make_nonstop(
+            load_scenario("quintic", ["optimization_layer=ConstantParameters", *overrides])
+        )
     assert str(error.value).startswith(said)
 
 
