@@ -85,7 +85,8 @@ def figure_page() -> str:
 
     def linked(match: re.Match[str]) -> str:
         name = match[2]
-        place = "reference/package_blocks.html#drake_nonstop.blocks.sample_and_hold.SampleAndHold"
+        place = "reference/package_blocks.html"
+        place += "#drake_nonstop.blocks.sample_and_hold.add_sample_and_hold"
         if name in EQUATIONS:
             place = f"theory.html#{EQUATIONS[name]}"
         elif name in BOXES:  # it has none
