@@ -8,15 +8,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.mechanics.rigid_load import STILL_AIR
 from drake_nonstop.planning.horizon_problem import (
     AMPLITUDE_WEIGHT,
     HorizonData,
     HorizonProblem,
     Linearization,
-    Reference,
 )
-from drake_nonstop.planning.plan import DEGREE, Plan
+from drake_nonstop.planning.plan import Plan
 from drake_nonstop.planning.step_program import StepProgram
 from drake_nonstop.systems.tracing import NotFiniteError
 
@@ -35,7 +33,6 @@ _ROW_TOLERANCE = 1e-6  # on a margin of a step
 _ACTIVE_MARGIN = 0.01  # below which a constraint is likely to decide
 _TRIED = (12, 8)  # values of ξ and of A of a first guess
 _TRIED_SHARES = (0.5, 4.0), (0.5, 2.0)  # of the nominal ones
-_FIRST_ITERATIONS = 20  # of the first plan, which has no other to begin with
 
 
 class PlanAnswer(NamedTuple):
@@ -50,11 +47,6 @@ class PlanAnswer(NamedTuple):
     converged: bool
     margins: NDArray  # (r, p), of its constraints
     slowest: float  # m/s, the least speed at the instants
-
-    @property
-    def next_start(self) -> NDArray:
-        """Coefficients (2, N) to begin with one interval between knots later."""
-        return self.plan.shifted().coefficients
 
     @property
     def is_feasible(self) -> bool:
@@ -304,42 +296,3 @@ def _difference_rows(count: int, fixed: int) -> NDArray:
     Of each difference one coefficient at least is free.
     """
     return np.kron(np.eye(2), (np.eye(count) - np.eye(count, k=-1))[max(fixed, 1) :])
-
-
-def receding_coefficients(
-    problem: HorizonProblem,
-    reference: Reference,
-    intervals: int,
-    speed_bound: float,
-    *,
-    wind: Callable[[float], NDArray] = lambda time: STILL_AIR,
-) -> tuple[NDArray, list[PlanAnswer]]:
-    """Plans over a receding horizon along a task that goes as it is predicted.
-
-    Args:
-        problem: of one horizon.
-        reference: the load's.
-        intervals: between knots, from one plan to the next.
-        speed_bound: m/s, ε.
-        wind: (3,), m/s, in W, that aircraft are believed to fly in, at a time in s.
-
-    Returns:
-        The coefficients (2, intervals + 4) that are flown, and each plan.
-    """
-    solver, spacing = HorizonSolver(problem), problem.config.knot_spacing
-    answers: list[PlanAnswer] = []
-    flown = np.ones((2, intervals + DEGREE))
-    angle, scale, data = 0.0, 1.0, None
-    start: NDArray | None = None
-    for k in range(intervals):
-        start_time = k * spacing
-        data = problem.data(start_time, angle, reference, speed_bound, data, wind(start_time))
-        if start is None:
-            answer = solver.solve(data, solver.first_guess(data), max_iterations=_FIRST_ITERATIONS)
-        else:
-            answer = solver.solve(data, start, scale=scale)
-        answers.append(answer)
-        flown[:, k : k + DEGREE + 1] = answer.coefficients[:, : DEGREE + 1]
-        start, scale = answer.next_start, max(answer.scale, LEAST_START_SCALE)
-        angle = answer.plan.planned((k + 1) * spacing)[0]
-    return flown, answers

@@ -8,14 +8,13 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from whole_task_plans import plan_task
+from whole_task_plans import plan_task, receding_coefficients
 
 from drake_nonstop.analysis.stability import linearize
 from drake_nonstop.analysis.task import task_of
 from drake_nonstop.mechanics.signals import LoadReference, LoadState
 from drake_nonstop.planning.horizon_config import timed
 from drake_nonstop.planning.horizon_problem import HorizonProblem
-from drake_nonstop.planning.horizon_solver import receding_coefficients
 from drake_nonstop.run.metrics import METRICS, compute_metrics
 from drake_nonstop.run.run import Run, StepAction
 from drake_nonstop.run.run_quantities import carrier_speeds, load_errors

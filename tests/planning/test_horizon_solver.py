@@ -22,7 +22,7 @@ from plan_checks import (
     motion_at,
     points_problem,
 )
-from whole_task_plans import plan_task
+from whole_task_plans import plan_task, receding_coefficients
 
 from drake_nonstop.blocks import load_trajectory
 from drake_nonstop.mechanics.rigid_load import STILL_AIR
@@ -34,7 +34,6 @@ from drake_nonstop.planning.horizon_problem import HorizonProblem
 from drake_nonstop.planning.horizon_solver import (
     PLAN_TOLERANCE,
     HorizonSolver,
-    receding_coefficients,
 )
 from drake_nonstop.planning.limits import LIMITS
 from drake_nonstop.planning.problem_config import LimitsConfig
