@@ -1,4 +1,5 @@
-# make demo: environment, install, one run. make check: lint, types, imports between folders.
+# make demo: environment, install, one run.
+# make check: lint, types, imports between folders, and limits of what tests may grow to.
 # Three tiers of tests:
 # make quick: the units, in a minute at most.
 # make test: what a change has to pass, in some minutes.
@@ -50,6 +51,7 @@ check: $(VENV)/.installed-dev
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-logo --no-cache
+	$(BIN)/python tests/counts.py
 
 COUNT ?= 200
 SEED ?= 0
