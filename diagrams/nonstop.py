@@ -80,7 +80,8 @@ BOXES: dict[str, Box] = {
     ),
     "load_feedback": Box(
         variants=load_feedback.VARIANTS,
-        makes=("measured_load_state",),
+        makes=("measured_load_state", "measured_load_covariance"),
+        optional=("measured_load_covariance",),
         place=Place(0, 2, 1, Kind.ADDITION),
     ),
     "wrench_controller": Box(

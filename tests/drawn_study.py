@@ -50,7 +50,7 @@ VARIANTS: dict[str, list[str]] = {"one sample": GRID["one sample"], "horizon": [
 def _noise(scenario: Scenario) -> str:
     period = scenario.control_period or SIGNAL_PERIOD
     sizes = "position_noise: 0.01, orientation_noise: 0.02"
-    return f"load_feedback=!EstimatedFeedback {{{sizes}, period: {period}}}"
+    return f"load_feedback=!FilteredFeedback {{{sizes}, period: {period}}}"
 
 
 def _delay(scenario: Scenario) -> str:

@@ -143,7 +143,7 @@ def with_errors(seed: int) -> Scenario:
         wind = f"!GustyWind {{velocity: [{4 * size:.4f}, 0.0, 0.0], load_gust: {size:.4f}}}"
         errors = [
             [f"load_feedback=!NoisyFeedback {{{noises}, period: {period}}}"],
-            [f"load_feedback=!EstimatedFeedback {{{noises}, period: {period}}}"],
+            [f"load_feedback=!FilteredFeedback {{{noises}, period: {period}}}"],
             [f"simulated.attachments={places.round(4).tolist()}"],
             [f"simulated.load_mass={system.load_mass * (1 + 0.5 * size):.4f}"],
             [f"load_feedback=!NoisyFeedback {{delay: {delay:g}, period: {period}}}"],

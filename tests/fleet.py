@@ -65,7 +65,7 @@ DRAWN: dict[str, tuple[str, list[str]]] = {
         [
             "simulation_duration=4",
             f"load_trajectory=!SampledTrajectory {{samples: {_circle(0.5, 6.0)}}}",
-            "load_feedback=!EstimatedFeedback {position_noise: 0.002, orientation_noise: 0.002}",
+            "load_feedback=!FilteredFeedback {position_noise: 0.002, orientation_noise: 0.002}",
             "wind=!SteadyWind {velocity: [0.5, 0.2, 0], start_time: 0.5, rise_time: 1}",
             *("system.load_drag=0.1", "wrench_controller=!TunedWrenchController {}"),
             "carrier_controller=!TunedFeedforwardCarrierPid {}",

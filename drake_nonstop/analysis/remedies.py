@@ -83,10 +83,10 @@ def _filtered(failed: _Failed) -> _Proposals:
     if not noises or hasattr(feedback, "process_acceleration"):
         return
     values |= {f"believed_{name}": values[name] for name in noises}
-    for process in (0.05, 1.0):
+    for process in (0.05, 0.3):
         values |= {"process_acceleration": process, "process_angular_acceleration": process}
         shown = ", ".join(f"{name}: {dump_plain(v, name)}" for name, v in values.items())
-        yield [f"load_feedback=!EstimatedFeedback {{{shown}}}"]
+        yield [f"load_feedback=!FilteredFeedback {{{shown}}}"]
 
 
 def _lower_bound(failed: _Failed) -> _Proposals:

@@ -7,9 +7,13 @@ from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.math import DiscreteAlgebraicRiccatiEquation
 
-from drake_nonstop.mechanics.load_estimate import corrected_state, predicted_state
+from drake_nonstop.mechanics.load_estimate import (
+    corrected_error,
+    error_of,
+    predicted_error,
+    state_with_error,
+)
 from drake_nonstop.mechanics.rotation import rotate_quaternion
 from drake_nonstop.mechanics.signals import (
     LOAD_STATE_SIZE,
@@ -35,6 +39,7 @@ from drake_nonstop.validation import (
 
 _BOX = "load_feedback"
 _NEVER = -1e5  # s, in place of the time of a sample that has not been taken
+_EXACT = 1e-9  # a deviation in SI units, in place of none
 _DUE = 0.999  # of a period, after which the next measurement is taken
 
 
@@ -154,7 +159,7 @@ class NoisyFeedback(Block):
     """
 
     reads = ("load_state", "reference")
-    makes = ("measured_load_state",)
+    makes: ClassVar[tuple[str, ...]] = ("measured_load_state",)
     where: ClassVar = {"reference": "`measures_attitude` is false"}
     makes_next_state = True
 
@@ -251,128 +256,109 @@ def held_noise(seed: int, times: NDArray, period: float, size: int) -> NDArray:
 
 
 @dataclass(kw_only=True)
-class EstimatedFeedbackConfig(MeasurementConfig):
+class FilteredFeedbackConfig(MeasurementConfig):
     """The measurement's, and what the filter believes of it and of the load's motion."""
 
-    believed_position_noise: float = non_negative(0.01)  # m
-    believed_orientation_noise: float = non_negative(0.02)  # rad
-    believed_velocity_noise: float = non_negative(0.0)  # m/s; 0: measured exactly
-    believed_angular_velocity_noise: float = non_negative(0.0)  # rad/s; 0: measured exactly
+    believed_position_noise: float = non_negative(0.0005)  # m
+    believed_orientation_noise: float = non_negative(0.0005)  # rad
+    believed_velocity_noise: float = non_negative(0.002)  # m/s
+    believed_angular_velocity_noise: float = non_negative(0.002)  # rad/s
     process_acceleration: float = positive(0.05)  # m/s², deviation of its mean over a period
     process_angular_acceleration: float = positive(0.05)  # rad/s², likewise
 
 
-class EstimatedFeedback(NoisyFeedback):
-    """A steady-state Kalman filter behind the measurement that `NoisyFeedback` makes.
+class FilteredFeedback(NoisyFeedback):
+    """A Kalman filter of the load's error, behind the measurement that `NoisyFeedback` makes.
 
-    The motion that it believes in has white accelerations, of spectral density q = σ² T for a
-    deviation σ of their mean over a period T: for each axis of the position, x = [p; v], and of a
-    small rotation and the angular velocity likewise,
+    A late measurement is compared with the reference at its own time, and what the filter knows of
+    the error then is carried forward by the delay. So neither the reference's motion nor the delay
+    leaves an error of its own. Each axis of the error's pose and rate, x = [p; v], moves by white
+    accelerations, of spectral density q = σ² T for a deviation σ of their mean over a period T,
 
-        x⁺ = [[1, T], [0, 1]] x + w,  E[w wᵀ] = q [[T³/3, T²/2], [T²/2, T]],  y = x + noise.
+        x⁺ = [[1, T], [0, 1]] x + w,  E[w wᵀ] = q [[T³/3, T²/2], [T²/2, T]],  y = x + noise,
 
-    The gain K of x̂⁺ = x̂ + K (y − x̂) follows from Drake's solution of the Riccati equation, see
-    `steady_state_gain`. A rate without noise is taken as it is measured, and the pose is then
-    integrated from it; a pose without noise is, too. The rotation is corrected multiplicatively,
-    see `mechanics.load_estimate`.
-
-    The process's deviations trade noise for lag. The defaults are for exact rates, with which there
-    is no lag, and what the pose's measurement corrects is small; where rates are noisy, too, give
-    about the load's largest accelerations.
+    in W, of the rotation as of the position, see `mechanics.load_estimate`. The process's
+    deviations trade noise for lag: what the reference does not tell of the load's motion is to be
+    within them. A noise of 0 is believed as 1e-9, with which a measurement is passed on.
 
     The estimate begins with the load's true state, and is made anew every `period`: at the instant
-    of a sample, the one that a controller holds has that instant's measurement in it; between two
-    samples it goes on with its velocities. It is one of the delayed state: no delay is made up for.
+    of a sample, the one that a controller holds has that instant's measurement in it.
+    `measured_load_covariance` has the covariance of the error that is shown.
 
     Raises:
         ScenarioError: a field is out of range, or the delay no multiple of the period.
     """
 
+    makes = (*NoisyFeedback.makes, "measured_load_covariance")
+    where: ClassVar = {}
     reads_time = True
 
     @staticmethod
     def equations(  # type: ignore[override]
         state: NDArray,
         load_state: NDArray,
-        *others: NDArray,
+        reference: NDArray,
+        noise: NDArray,
+        time: NDArray,
+        *,
         period: float,
-        gains: tuple[NDArray, NDArray],
-    ) -> tuple[NDArray, NDArray]:
-        """The state has the estimate, the time of its last measurement, and what is delayed."""
-        *reference, noise, time = others
-        estimate, newest, line = np.split(state, [LOAD_STATE_SIZE, LOAD_STATE_SIZE + 1])
-        measured = _measured(line, load_state, noise)
-        predicted = predicted_state(estimate, time - newest)
+        delay: float,
+        process: NDArray,
+        believed: NDArray,
+        is_measured: NDArray,
+    ) -> tuple[NDArray, ...]:
+        """The state has the estimate, its covariance and its time, and the errors that are late."""
+        size = TRACKING_ERROR_SIZE
+        estimate, covariance, newest, line = np.split(state, [size, size + 6, size + 7])
         has_begun = newest[0] > _NEVER
-        corrected = where(has_begun, corrected_state(predicted, measured, *gains), load_state)
-        predicted = where(has_begun, predicted, load_state)
+        desired = reference[:LOAD_STATE_SIZE]
+        error = error_of(load_state, desired)
+        seen = (where(has_begun, line[-size:], error) if len(line) else error) + noise
+        estimate, covariance = predicted_error(estimate, covariance, time - newest, process)
+        estimate = where(has_begun, estimate, error)
+        covariance = where(has_begun, covariance, 0 * covariance)
+        corrected, less = corrected_error(estimate, covariance, seen, believed)
         is_due = time[0] > newest[0] + _DUE * period
-        shown = _with_attitude(where(is_due, corrected, predicted), *reference)
-        after = np.concatenate([corrected, time, _shifted(line, load_state)])
+        estimate = where(is_due, corrected, estimate)
+        covariance = where(is_due, less, covariance)
+        late_by = np.array([delay])
+        shown, spread = predicted_error(estimate, covariance, late_by, process)
+        if len(line):
+            filled = np.tile(error, len(line) // size)
+            line = where(has_begun, np.concatenate([error, line[:-size]]), filled)
         is_new = time[0] >= newest[0] + period / 2  # a run may begin at the instant of a sample
-        return where(is_new, after, state), shown
+        stepped = where(is_new, np.concatenate([corrected, less, time, line]), state)
+        return stepped, state_with_error(is_measured * shown, desired), spread
 
     @staticmethod
     def start(*values: NDArray, **constants: Any) -> NDArray:
-        return EstimatedFeedback.equations(*values, **constants)[0]
+        return FilteredFeedback.equations(*values, **constants)[0]
 
     def constants(self, model: Model, config: Any) -> dict[str, Any]:
-        return {"period": config.period, "gains": self._gains(config)}
+        def squared(*names: str) -> NDArray:
+            values = np.array([getattr(config, name) for name in names])
+            return np.maximum(values, _EXACT) ** 2
+
+        noises = "orientation", "angular_velocity", "position", "velocity"
+        process = squared("process_angular_acceleration", "process_acceleration")
+        return {
+            "period": config.period,
+            "delay": config.period * _delay(config),
+            "process": config.period * process,
+            "believed": squared(*(f"believed_{name}_noise" for name in noises)).reshape(2, 2),
+            "is_measured": self.describe_response().is_measured,
+        }
+
+    def inputs(self, model: Model) -> tuple[str, ...]:
+        return self.reads
 
     def state(self, model: Model) -> NDArray:
-        return np.concatenate([np.eye(LOAD_STATE_SIZE)[0], [_NEVER], super().state(model)])
+        late = np.zeros(TRACKING_ERROR_SIZE * _delay(self.config))
+        return np.concatenate([np.zeros(TRACKING_ERROR_SIZE + 6), [_NEVER], late])
 
     @classmethod
     def has_state(cls, model: Model, config: MeasurementConfig) -> bool:
         return True
-
-    @staticmethod
-    def _gains(config: EstimatedFeedbackConfig) -> tuple[NDArray, NDArray]:
-        """K (2, 2) of [rotation; angular velocity], and of [position; velocity]; 1, s and 1/s."""
-        rotation = config.believed_orientation_noise, config.believed_angular_velocity_noise
-        translation = config.believed_position_noise, config.believed_velocity_noise
-        return (
-            steady_state_gain(*rotation, config.process_angular_acceleration, config.period),
-            steady_state_gain(*translation, config.process_acceleration, config.period),
-        )
-
-
-def steady_state_gain(
-    pose_noise: float, rate_noise: float, acceleration: float, period: float
-) -> NDArray:
-    """K (2, 2) of the steady-state Kalman filter of a double integrator that white noise drives.
-
-    Of x = [pose; rate], both measured; the estimate after a measurement y is x̂ + K (y − x̂). The
-    covariance P⁺ after a measurement fulfils a Riccati equation in which the next one is one of
-    A x + w, so that its noise has the covariance Q + R, and is correlated with w. That is regular
-    where R is not; what is measured exactly has no part in P⁺, and drops out of the equation.
-    Anderson and Moore, "Optimal Filtering", 1979, section 5.4.
-
-    Args:
-        pose_noise: standard deviation of the measured pose; 0: it is exact.
-        rate_noise: that of the rate, 1/s.
-        acceleration: deviation of the mean acceleration over a period, 1/s².
-        period: s.
-    """
-    # In units of the period, and of a rate's change in it.
-    transition = np.array([[1.0, 1.0], [0.0, 1.0]])
-    process = np.array([[1 / 3, 1 / 2], [1 / 2, 1.0]])
-    units = acceleration * period * np.array([period, 1.0])
-    noise = (np.array([pose_noise, rate_noise]) / units) ** 2
-    noisy = np.eye(2)[:, noise > 0]
-    spread = np.zeros((noisy.shape[1],) * 2)
-    if noisy.size > 0:
-        moved = transition @ noisy
-        spread = DiscreteAlgebraicRiccatiEquation(
-            (noisy.T @ moved).T,
-            moved.T,
-            noisy.T @ process @ noisy,
-            process + np.diag(noise),
-            noisy.T @ process,
-        )
-    before = transition @ noisy @ spread @ noisy.T @ transition.T + process
-    gain = np.linalg.solve(before + np.diag(noise), before).T
-    return gain * np.array([[1.0, period], [1 / period, 1.0]])
 
 
 VARIANTS = (
@@ -380,5 +366,5 @@ VARIANTS = (
     DesiredStateFeedback,
     DesiredAttitudeFeedback,
     NoisyFeedback,
-    EstimatedFeedback,
+    FilteredFeedback,
 )

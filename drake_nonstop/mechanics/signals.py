@@ -184,6 +184,17 @@ SIGNALS: dict[str, Layout | None] = {
     "reference_delay": Layout(Part("", "1", "s", "", "d of the governed time t − d")),
     "load_state": LoadState.layout,
     "measured_load_state": LoadState.layout,
+    "measured_load_covariance": Layout(  # of the error of each axis
+        *(
+            Part(f"{p}_{name}", "1", u)
+            for p, unit in (("rotation", "rad"), ("translation", "m"))
+            for name, u in (
+                ("variance", f"{unit}²"),
+                ("covariance", f"{unit}²/s"),
+                ("rate_variance", f"{unit}²/s²"),
+            )
+        )
+    ),
     "wrench": Wrench.layout,
     "wrench_rate": Layout(Part("torque", "3", "N m/s", "W"), Part("force", "3", "N/s", "W")),
     "tracking_error": TrackingError.layout,

@@ -262,7 +262,7 @@ def judge(run: RunQuantities) -> Judgement:
         grown = (
             f"the margin above the speed bound grew to its largest, {LARGEST_SHARE:.0%} of it: the "
             "carriers do not fly as planned; filter the feedback (load_feedback="
-            "!EstimatedFeedback), correct the model, or give optimization_layer.tightening a number"
+            "!FilteredFeedback), correct the model, or give optimization_layer.tightening a number"
         )
         wrong.append((RunOutcome.LIMIT_MISSED, grown))
     wrong += [(RunOutcome.UNCONVERGED, sentence) for sentence in run.run.unresolved]

@@ -14,7 +14,7 @@ import numpy as np
 from drake_nonstop import diagrams
 from drake_nonstop.analysis.stability import at_rest, linearize
 from drake_nonstop.blocks.load_feedback import (
-    EstimatedFeedbackConfig,
+    FilteredFeedbackConfig,
     MeasurementConfig,
     NoisyFeedbackConfig,
 )
@@ -47,7 +47,7 @@ Variants = Mapping[str, Any] | Iterable[tuple[str, Any]]
 # Of a filter: its fields beyond those of what it filters.
 _BELIEFS = [
     part.name
-    for part in dataclasses.fields(EstimatedFeedbackConfig)
+    for part in dataclasses.fields(FilteredFeedbackConfig)
     if not hasattr(NoisyFeedbackConfig, part.name)
 ]
 _GROWTH = (
@@ -279,9 +279,9 @@ def _errors(scenario: Scenario) -> Iterator[tuple[str, str, list[Change]]]:
         yield "cable length", f"{share:+} %", [f"simulated.cable_length={length}"]
     period = scenario.control_period or 0.01
     measurement = f"load_feedback=!NoisyFeedback {{period: {period}, "
-    if isinstance(scenario.load_feedback, EstimatedFeedbackConfig):  # the filter stays
+    if isinstance(scenario.load_feedback, FilteredFeedbackConfig):  # the filter stays
         fields = "".join(f"{name}: {getattr(scenario.load_feedback, name)}, " for name in _BELIEFS)
-        measurement = f"load_feedback=!EstimatedFeedback {{{fields}period: {period}, "
+        measurement = f"load_feedback=!FilteredFeedback {{{fields}period: {period}, "
     for size in (0.0005, 0.001, 0.002, 0.005):
         noise = (
             f"position_noise: {size}, orientation_noise: {size}, velocity_noise: {5 * size}, "

@@ -4,16 +4,22 @@ import numpy as np
 import pytest
 from helpers import Motion, fix, model, output
 from pydrake.systems.analysis import Simulator
+from scipy.linalg import solve_discrete_are
 from scipy.spatial.transform import Rotation
 
 from drake_nonstop.blocks.load_feedback import (
     DesiredStateFeedback,
-    EstimatedFeedback,
-    EstimatedFeedbackConfig,
+    FilteredFeedback,
+    FilteredFeedbackConfig,
     IdealFeedback,
     NoisyFeedback,
     NoisyFeedbackConfig,
-    steady_state_gain,
+)
+from drake_nonstop.mechanics.load_estimate import (
+    corrected_error,
+    error_of,
+    predicted_error,
+    state_with_error,
 )
 from drake_nonstop.mechanics.signals import LoadState
 from drake_nonstop.run.simulate import simulate
@@ -95,116 +101,111 @@ def test_bad_feedback(field, value):
         NoisyFeedback(model(), NoisyFeedbackConfig(**{field: value}))
 
 
-@pytest.mark.parametrize("index", [0.01, 0.3, 4.0])
-def test_gains_are_those_of_the_alpha_beta_filter_where_only_the_pose_is_known(index):
-    """Kalata's relation of gains and tracking index, for continuous white acceleration.
-
-    beta^2/(1 - alpha) = index^2 and alpha = sqrt(2 beta + beta^2/12) - beta/2: Bar-Shalom, Li and
-    Kirubarajan, "Estimation with Applications to Tracking and Navigation", section 6.5.3.
-    """
-    noise, period = 0.02, 0.05
-    gain = steady_state_gain(noise, 1e9, index * noise / period**2, period)
-    alpha, beta = gain[0, 0], period * gain[1, 0]
-    assert beta**2 / (1 - alpha) == pytest.approx(index**2)
-    assert alpha == pytest.approx(np.sqrt(2 * beta + beta**2 / 12) - beta / 2)
-
-
-def test_an_exact_rate_leaves_a_filter_of_the_pose_alone():
-    """What a rate at both ends of a period leaves unknown of the way is q T^3/12."""
-    noise, period, acceleration = 0.01, 0.02, 40.0
-    gain = steady_state_gain(noise, 0.0, acceleration, period)
-    k = gain[0, 0]
-    assert k**2 / (1 - k) == pytest.approx((acceleration * period**2 / noise) ** 2 / 12)
-    np.testing.assert_allclose(gain, [[k, (1 - k) * period / 2], [0, 1]], atol=1e-14)
-    np.testing.assert_allclose(steady_state_gain(0, 0, 1, 0.01), np.eye(2), atol=1e-14)
-    np.testing.assert_allclose(steady_state_gain(0, 0.1, 1, 0.01)[0], [1, 0], atol=1e-14)
+@pytest.mark.parametrize("noises", [(0.01, 0.05), (0.002, 1.0), (0.05, 0.3)])
+def test_covariances_settle_at_the_solution_of_the_riccati_equation(noises):
+    """Of a double integrator that white accelerations drive, by SciPy's solver."""
+    T, density = 0.02, 0.3
+    A = np.array([[1.0, T], [0.0, 1.0]])
+    Q = density * np.array([[T**3 / 3, T**2 / 2], [T**2 / 2, T]])
+    R = np.diag(np.square(noises))
+    before = solve_discrete_are(A.T, np.eye(2), Q, R)
+    after = before - before @ np.linalg.solve(before + R, before)
+    error, covariance, both = np.ones(12), np.tile([1.0, 0.0, 1.0], 2), np.full(2, density)
+    for _ in range(3000):
+        error, covariance = predicted_error(error, covariance, np.array([T]), both)
+        error, covariance = corrected_error(
+            error, covariance, 0 * error, np.tile(np.diag(R), (2, 1))
+        )
+    for found in covariance.reshape(2, 3):
+        np.testing.assert_allclose(found, after[[0, 0, 1], [0, 1, 1]], rtol=1e-6, atol=1e-15)
+    np.testing.assert_allclose(error, 0, atol=1e-9)
 
 
-def estimated(config, states):
-    """What the filter shows at its samples, of these states (k, 13) at each of them."""
-    block = EstimatedFeedback(model(4, 0.01), config)
+def test_an_error_and_its_reference_make_the_state_again():
+    for seed in range(5):
+        state, reference = (Motion(seed + k).state(0.3) for k in (0, 9))
+        again = state_with_error(error_of(state, reference), reference)
+        again[:4] *= np.sign(again[:4] @ state[:4])
+        np.testing.assert_allclose(again, state, rtol=0, atol=1e-12)
+
+
+def filtered(config, states, references):
+    """Signals of the filter at its samples, of these states and references at each of them."""
+    block = FilteredFeedback(model(4, 0.01), config)
     context = block.CreateDefaultContext()
-    fix(block, context, load_state=states[0])
+    fix(block, context, load_state=states[0], reference=references[0])
     simulator = Simulator(block, context)
-    shown = [output(block, context, "measured_load_state").copy()]
     simulator.Initialize()
-    for k, state in enumerate(states[1:], 1):
-        simulator.AdvanceTo((k - 1e-8) * config.period)  # its update is still to come
-        fix(block, context, load_state=state)
-        shown.append(output(block, context, "measured_load_state").copy())
-    return np.array(shown)
+    shown = []
+    for k, (state, reference) in enumerate(zip(states, references, strict=True)):
+        simulator.AdvanceTo(max(0.0, (k - 1e-8) * config.period))  # its update is still to come
+        fix(block, context, load_state=state, reference=reference)
+        names = ("measured_load_state", "measured_load_covariance")
+        shown.append(np.concatenate([output(block, context, name) for name in names]))
+    return np.split(np.array(shown), [13], axis=1)
 
 
-@pytest.mark.nightly("studies")
-def test_errors_of_a_long_record_have_the_deviations_of_the_riccati_equation():
-    config = EstimatedFeedbackConfig(
-        position_noise=0.01,
-        orientation_noise=0.02,
-        velocity_noise=0.05,
-        angular_velocity_noise=0.1,
-        believed_velocity_noise=0.05,
-        believed_angular_velocity_noise=0.1,
-        process_acceleration=20.0,
-        process_angular_acceleration=30.0,
-    )
-    T, count = config.period, 2000
-    process = np.array([[1 / 3, 1 / 2], [1 / 2, 1.0]])
-    factor = np.linalg.cholesky(process)
-    generator = np.random.default_rng(5)
-    states = np.zeros((count, 13))
-    states[0, 0], attitude = 1.0, Rotation.identity()
+def wandering(count, config):
+    """Errors (count, 12) of the motion that the filter believes in, from zero on."""
+    T, generator = config.period, np.random.default_rng(5)
+    factor = np.linalg.cholesky(np.array([[1 / 3, 1 / 2], [1 / 2, 1.0]]))
+    size = np.repeat([config.process_angular_acceleration, config.process_acceleration], 3)
+    errors = np.zeros((count, 12))
     for k in range(1, count):
-        before, now = states[k - 1], states[k]
-        moved, sped = factor @ generator.standard_normal((2, 6))
-        now[7:10] = before[7:10] + 30.0 * T * sped[:3]
-        now[10:13] = before[10:13] + 20.0 * T * sped[3:]
-        attitude = Rotation.from_rotvec(T * before[7:10] + 30.0 * T**2 * moved[:3]) * attitude
-        now[:4] = attitude.as_quat()[[3, 0, 1, 2]]
-        now[4:7] = before[4:7] + T * before[10:13] + 20.0 * T**2 * moved[3:]
-    shown = estimated(config, states)[100:]
-    states = states[100:]
-    turned = Rotation.from_quat(shown[:, [1, 2, 3, 0]]) * (
-        Rotation.from_quat(states[:, [1, 2, 3, 0]]).inv()
+        moved, sped = size * (factor @ generator.standard_normal((2, 6)))
+        errors[k, 6:] = errors[k - 1, 6:] + T * sped
+        errors[k, :6] = errors[k - 1, :6] + T * errors[k - 1, 6:] + T**2 * moved
+    return errors
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.05])
+def test_errors_of_a_long_record_have_the_covariance_that_is_told(delay):
+    """Beside a reference that moves, with measurements that are late, and rates that are noisy."""
+    noises = {"position": 0.01, "orientation": 0.002, "velocity": 0.05, "angular_velocity": 0.02}
+    config = FilteredFeedbackConfig(
+        **{f"{name}_noise": value for name, value in noises.items()},
+        **{f"believed_{name}_noise": value for name, value in noises.items()},
+        process_acceleration=2.0,
+        process_angular_acceleration=0.05,
+        delay=delay,
     )
-    errors = shown - states
-    for pose, rate, noises, acceleration in (
-        (errors[:, 4:7], errors[:, 10:], (0.01, 0.05), 20.0),
-        (turned.as_rotvec(), errors[:, 7:10], (0.02, 0.1), 30.0),
-    ):
-        gain = steady_state_gain(*noises, acceleration, T)
-        spread = gain @ np.diag(np.square(noises))  # P+ = K R
-        expected = np.sqrt(np.diag(spread))
-        measured = np.sqrt([np.mean(pose**2), np.mean(rate**2)])
-        np.testing.assert_allclose(measured, expected, rtol=0.05)
+    count = 1500
+    references = np.array([Motion(50).reference(0.1 + 0.01 * k) for k in range(count)])
+    errors = wandering(count, config)
+    states = [state_with_error(e, r[:13]) for e, r in zip(errors, references, strict=True)]
+    shown, covariances = filtered(config, states, references)
+    np.testing.assert_allclose(shown[0], states[0], atol=1e-12)
+    off = np.array([error_of(a, b) for a, b in zip(shown, states, strict=True)])[200:]
+    for k, entry in enumerate((0, 2, 3, 5)):
+        axes = slice(*((0, 3), (6, 9), (3, 6), (9, 12))[k])
+        told = np.sqrt(covariances[-1, entry])
+        assert np.sqrt(np.mean(off[:, axes] ** 2)) == pytest.approx(told, rel=0.15)
 
 
-def test_an_exact_measurement_is_passed_on_and_a_record_repeats():
-    states = np.array([Motion(50).state(0.1 + 0.01 * k) for k in range(20)])
-    exact = EstimatedFeedbackConfig(believed_position_noise=0, believed_orientation_noise=0)
-    shown = estimated(exact, states)
-    rotations = [Rotation.from_quat(s[:, [1, 2, 3, 0]]).as_matrix() for s in (shown, states)]
-    np.testing.assert_allclose(rotations[0], rotations[1], atol=1e-6)
-    np.testing.assert_allclose(shown[:, 4:], states[:, 4:], atol=1e-12)
-    noisy = EstimatedFeedbackConfig(position_noise=0.01, orientation_noise=0.02, delay=0.02)
-    np.testing.assert_array_equal(estimated(noisy, states), estimated(noisy, states))
-    np.testing.assert_array_equal(estimated(noisy, states)[0], states[0])
+def test_a_late_measurement_of_a_load_beside_its_moving_reference_is_exact():
+    references = np.array([Motion(50).reference(0.1 + 0.01 * k) for k in range(40)])
+    off = np.concatenate([[0.01, 0.02, -0.03, 0.1, 0.2, -0.3], np.zeros(6)])
+    states = [state_with_error(off, reference[:13]) for reference in references]
+    shown, _ = filtered(FilteredFeedbackConfig(delay=0.2), states, references)
+    np.testing.assert_allclose(shown, states, atol=1e-9)
 
 
 @pytest.mark.parametrize(
     ("field", "value"),
     [
         ("delay", 0.015),
+        ("delay", 10.01),
         ("believed_position_noise", -1.0),
         ("process_acceleration", 0.0),
         ("process_angular_acceleration", -1.0),
     ],
 )
-def test_bad_estimated_feedback(field, value):
+def test_bad_filtered_feedback(field, value):
     with pytest.raises(ScenarioError, match=f"^load_feedback\\.{field} = "):
-        EstimatedFeedback(model(), EstimatedFeedbackConfig(**{field: value}))
+        FilteredFeedback(model(), FilteredFeedbackConfig(**{field: value}))
 
 
-@pytest.mark.parametrize("block", [NoisyFeedback, EstimatedFeedback])
+@pytest.mark.parametrize("block", [NoisyFeedback, FilteredFeedback])
 def test_an_attitude_that_is_not_measured_is_the_reference_s(block):
     state, reference, shown = Motion(50).state(0.1), Motion(51).reference(0.1), []
     for measures_attitude in (True, False):
@@ -217,7 +218,7 @@ def test_an_attitude_that_is_not_measured_is_the_reference_s(block):
         context = feedback.CreateDefaultContext()
         context.SetTime(0.1)
         fix(feedback, context, load_state=state)
-        if not measures_attitude:
+        if feedback.HasInputPort("reference"):
             fix(feedback, context, reference=reference)
         shown.append(LoadState.view(output(feedback, context, "measured_load_state").copy()))
     measured, desired = shown[0], LoadState.view(reference)

@@ -46,7 +46,7 @@ from drake_nonstop.blocks.load_disturbance import (
 from drake_nonstop.blocks.load_feedback import (
     DesiredAttitudeFeedback,
     DesiredStateFeedback,
-    EstimatedFeedback,
+    FilteredFeedback,
     IdealFeedback,
     NoisyFeedback,
     NoisyFeedbackConfig,
@@ -283,8 +283,11 @@ BLOCKS = {
         ["aircraft_command", "command_saturation"],
         [(s, t) for s in _FLIGHT for t in ("aircraft_command", "command_saturation")],
     ),
-    **dict.fromkeys(
-        (noisy_feedback, EstimatedFeedback), everything(["load_state"], ["measured_load_state"])
+    noisy_feedback: everything(["load_state"], ["measured_load_state"]),
+    FilteredFeedback: (
+        ["load_state", "reference"],
+        ["measured_load_state", "measured_load_covariance"],
+        [(name, "measured_load_state") for name in ("load_state", "reference")],
     ),
     gusty_force: ([], ["disturbance_wrench"], []),
     MultibodyLoadPlant: (["cable_forces", "disturbance_wrench", "load_wind"], ["load_state"], []),

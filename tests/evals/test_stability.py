@@ -122,7 +122,7 @@ def test_a_shorter_step_shows_what_a_long_one_damps(paper_quintic):
 
 def test_a_load_at_rest_is_measured_without_noise_by_the_same_filter():
     noisy = "{position_noise: 0.01, delay: 0.02, process_acceleration: 3}"
-    scenario = load_scenario("quintic", [f"load_feedback=!EstimatedFeedback {noisy}"])
+    scenario = load_scenario("quintic", [f"load_feedback=!FilteredFeedback {noisy}"])
     feedback = at_rest(scenario).load_feedback
     assert (feedback.position_noise, feedback.process_acceleration) == (0.0, 3.0)
     assert feedback.delay == scenario.load_feedback.delay

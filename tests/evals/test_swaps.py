@@ -37,7 +37,7 @@ AIRCRAFT = ("FixedWingController", "FixedWingDynamics")  # which come in pairs, 
 TURN = ("TurnRateOptimizer", "PlannedTurn")  # of a formation without orbits
 ALONE = (*AIRCRAFT, *TURN)  # which do not fly alone
 ALTERNATIVES = [
-    ("load_feedback", "EstimatedFeedback"),
+    ("load_feedback", "FilteredFeedback"),
     ("pattern", "EllipticCarousel"),
     *((box, name) for box, names in NAMES.items() for name in names[1:] if name not in ALONE),
     *(("pattern", name) for name in PATTERNS[1:]),

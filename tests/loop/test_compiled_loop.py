@@ -92,7 +92,7 @@ MIXED = [
     ],
     [
         *("control_period=0.02", "simulator_config.max_step_size=0.004", CONSTANT),
-        "load_feedback=!EstimatedFeedback {period: 0.02, delay: 0.02, position_noise: 0.01, "
+        "load_feedback=!FilteredFeedback {period: 0.02, delay: 0.02, position_noise: 0.01, "
         "measures_attitude: false}",
         *("carrier_controller.integral_gain=5", "carrier_trajectory.hold=velocity"),
         "load_disturbance=!DisturbanceForce {force: [1, 0, 0], start_time: 0.05}",
@@ -130,8 +130,8 @@ def test_mixed_blocks_are_the_same(overrides):
         ["load_feedback=!NoisyFeedback {position_noise: 0.01, orientation_noise: 0.02}"],
         ["load_feedback=!NoisyFeedback {delay: 0.02, velocity_noise: 0.01, seed: 3}"],
         ["load_feedback=!NoisyFeedback {position_noise: 0.01, period: 0.02}"],
-        ["load_feedback=!EstimatedFeedback {position_noise: 0.01, orientation_noise: 0.02}"],
-        ["load_feedback=!EstimatedFeedback {delay: 0.03, angular_velocity_noise: 0.1}"],
+        ["load_feedback=!FilteredFeedback {position_noise: 0.01, orientation_noise: 0.02}"],
+        ["load_feedback=!FilteredFeedback {delay: 0.03, angular_velocity_noise: 0.1}"],
         ["load_trajectory=PlannedTurn", PROGRAM, "simulator_config.max_step_size=0.0025"],
         ["control_period=0.005"],
         ["control_period=0.02", "simulator_config.max_step_size=0.004"],

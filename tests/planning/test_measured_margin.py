@@ -98,5 +98,5 @@ def test_a_margin_that_grows_without_end_is_told_in_the_outcome():
     judged = judge(flown("quintic", noise, "simulation_duration=6"))
     told = [reason for reason in judged.reasons if "margin above the speed bound grew" in reason]
     assert len(told) == 1
-    assert "EstimatedFeedback" in told[0]
+    assert "FilteredFeedback" in told[0]
     assert "grew" not in " ".join(judge(flown("quintic", "simulation_duration=2")).reasons)

@@ -201,7 +201,7 @@ def test_robustness(scenario, monkeypatch, tmp_path):
 @pytest.mark.parametrize("name", ["quintic", "aircraft_rest", "estimated_wind"])
 def test_each_error_of_robustness_makes_a_scenario(name):
     if name == "estimated_wind":
-        feedback = "load_feedback=!EstimatedFeedback {position_noise: 0.001}"
+        feedback = "load_feedback=!FilteredFeedback {position_noise: 0.001}"
         base = load_scenario("quintic", [feedback])
     else:
         base = load_scenario(name)
