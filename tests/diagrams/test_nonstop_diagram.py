@@ -60,6 +60,7 @@ def sampled_figure():
 
 # What only blocks of aircraft, or of a reference that is delayed, make.
 NOT_BY_DEFAULT = {
+    "load_feedback": ("measured_load_covariance",),
     "load_trajectory": ("reference_delay",),
     "optimization_layer": ("missed_limits",),
     "carrier_trajectory": (
