@@ -4,7 +4,7 @@
 # make quick: the units, in a minute at most.
 # make test: what a change has to pass, in some minutes.
 # make nightly: all the rest: studies, both engines on everything, browsers, notebooks, signals and
-#   kills, claims on speed, `make adversary`, `make lowest TESTS=`, `make mutants`.
+#   kills, claims on speed, `make docs adversary mutants`, `make lowest TESTS=`.
 #   make sample: one test of each class of them, and some of the adversary and of the mutants.
 # make adversary: bad and extreme inputs, signals and kills; COUNT=2000 SEED=1 for more and others.
 # make mutants: which tests catch faults that are planted in a copy of the code.
@@ -38,7 +38,7 @@ quick: $(VENV)/.installed-dev
 nightly: $(VENV)/.installed-dev
 	status=0; \
 	$(PYTEST) -m nightly || status=1; \
-	for part in adversary "lowest TESTS=" mutants; do $(MAKE) $$part || status=1; done; \
+	for part in docs adversary "lowest TESTS=" mutants; do $(MAKE) $$part || status=1; done; \
 	exit $$status
 
 sample: $(VENV)/.installed-dev

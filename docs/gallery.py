@@ -1,6 +1,8 @@
-"""The replays of the first page: flown when the pages are built, with one viewer for all."""
+"""Replays of the first page, flown as the pages are built, and of notebooks: one viewer for all."""
 
+import html
 import re
+from pathlib import Path
 from typing import Any
 
 import drake_nonstop
@@ -32,6 +34,18 @@ def on_files(files: Any, config: Any) -> Any:
         files.append(File.generated(config, f"replays/{name}.html", content=page))
     files.append(File.generated(config, _VIEWER, content=viewer))
     return files
+
+
+def on_post_page(output: str, page: Any, config: Any) -> str:
+    """A notebook with its replays in files of their own."""
+
+    def framed(frame: re.Match[str]) -> str:
+        name = f"replays/{Path(page.file.src_uri).stem}_{frame.start()}.html"
+        text, _ = without_viewer(html.unescape(frame[1]))
+        (Path(config["site_dir"]) / name).write_text(text, encoding="utf-8")
+        return f'src="../{name}"'
+
+    return re.sub(r'\bsrcdoc="([^"]*)"', framed, output)
 
 
 def without_viewer(replay: str) -> tuple[str, str]:

@@ -38,7 +38,7 @@ class Page(HTMLParser):
         given = {name: value for name, value in attrs if value}
         self.places |= {given[name] for name in ("id", "name") if name in given and tag != "meta"}
         self.links |= {given[name] for name in ("href", "src") if name in given}
-        if not given.get("src", "data:").startswith("data:"):
+        if tag != "iframe" and not given.get("src", "data:").startswith("data:"):  # another page
             self.loaded.add(given["src"])
         if tag == "link" and given.get("rel") == "stylesheet":
             self.loaded.add(given["href"])

@@ -7,6 +7,7 @@ import re
 import shutil
 import subprocess
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import yaml
@@ -15,6 +16,7 @@ from site_pages import LARGEST_PAGE, MOST_WORDS, faults
 import drake_nonstop
 from drake_nonstop import AircraftParameters, RunLimits, Scenario, SceneConfig, SystemParameters
 from drake_nonstop.diagrams.nonstop import BOXES, SIGNALS
+from drake_nonstop.view.replay import Replay
 
 DOCS = Path(__file__).parents[1] / "docs"
 
@@ -100,7 +102,7 @@ def test_faults_of_built_pages_are_found(tmp_path):
     ]
 
 
-def test_the_replays_of_the_first_page_share_one_viewer():
+def test_the_replays_of_the_first_page_and_of_notebooks_share_one_viewer(tmp_path):
     script = names_of("gallery.py")
     viewer = "x" * 1_000_001
     page, taken = script["without_viewer"](f"<body><script>{viewer}</script><script>1</script>")
@@ -109,6 +111,13 @@ def test_the_replays_of_the_first_page_share_one_viewer():
     assert shown == [*script["REPLAYS"]]
     with pytest.raises(ValueError, match="does not begin with"):
         script["without_viewer"]("<script>1</script>")
+    (tmp_path / "replays").mkdir()
+    notebook = SimpleNamespace(file=SimpleNamespace(src_uri="notebooks/a.ipynb"))
+    frame = Replay(f"<script>{viewer}</script>")._repr_html_()
+    shown = script["on_post_page"](frame, notebook, {"site_dir": str(tmp_path)})
+    (name,) = re.findall(r'src="\.\./(replays/a_\d+\.html)"', shown)
+    assert (tmp_path / name).read_text() == '<script src="viewer.js"></script>'
+    assert "srcdoc" not in shown
 
 
 def test_the_citation_and_the_changelog_have_the_version():
