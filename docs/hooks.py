@@ -21,7 +21,7 @@ from drake_nonstop.diagrams.nonstop import BOXES, SIGNALS, make_nonstop
 from drake_nonstop.model.aircraft import AircraftParameters
 from drake_nonstop.model.system import SystemParameters
 from drake_nonstop.scenario.choices import CHOICES
-from drake_nonstop.scenario.describe import Parameter, box_names, describe, parameters
+from drake_nonstop.scenario.describe import Parameter, choices_of, parameters, size_of
 from drake_nonstop.scenario.run_limits import RunLimits
 from drake_nonstop.scenario.scene_config import SceneConfig
 from drake_nonstop.scenario.schema import Scenario
@@ -133,23 +133,23 @@ def blocks_page() -> str:
         "What each box of the figure can be, the default first: `drake-nonstop blocks` prints the",
         "same. Sizes are in brackets, for n carriers and m coordinates of the internal force.",
     ]
-    for name in box_names():
-        box = describe(name)
+    for name in CHOICES:
         lines += ["", f"## `{name}` {{: #{name} }}"]
-        if box.signals:
-            made = ", ".join(f"{_signal_link(port.name)} ({port.size})" for port in box.signals)
+        if name in BOXES:
+            made = ", ".join(
+                f"{_signal_link(port)} ({size_of(port)})" for port in BOXES[name].signals
+            )
             lines += ["", f"Makes {made}."]
-        for choice in box.choices:
+        for choice in choices_of(name):
             lines += [
                 "",
                 f"### {choice.name} {{: #{name}-{choice.name} }}",
                 "",
                 _escaped(choice.summary),
             ]
-            for label, ports in (("Reads", choice.inputs), ("Makes", choice.outputs)):
+            for label, ports in (("Reads", choice.reads), ("Makes", choice.makes)):
                 if ports:
-                    texts = (f"`{p.name}` ({p.size})" for p in ports)
-                    lines += ["", f"{label} {', '.join(texts)}."]
+                    lines += ["", f"{label} {_escaped(ports)}."]
             lines += _table(choice.parameters)
     for name, config in _OTHER_PARTS.items():
         summary = _escaped(inspect.cleandoc(config.__doc__ or "").partition("\n\n")[0])

@@ -4,7 +4,7 @@ import functools
 
 import numpy as np
 from pydrake.common import RandomGenerator
-from pydrake.common.schema import GaussianVectorX, Uniform
+from pydrake.common.schema import Gaussian, Uniform
 from pydrake.systems.analysis import MonteCarloSimulation
 from pydrake.systems.framework import Context, System
 
@@ -23,7 +23,7 @@ def main(duration: float = 15.0, runs: int = 20) -> None:
     scenario = load_scenario("quintic", [f"simulation_duration={duration}"])
     scenario.simulated.load_mass = Uniform(min=0.8, max=1.2)  # kg; the controllers believe 1
     scenario.load_disturbance = DisturbanceForceConfig(
-        force=GaussianVectorX(mean=[0.0, 0.0, 0.0], stddev=[0.1]),  # N
+        force=[Gaussian(mean=0.0, stddev=0.1) for _ in "xyz"],  # N
         gust_force=0.1,  # N
         seed=Uniform(min=0, max=1e9),  # another gust in each run
     )

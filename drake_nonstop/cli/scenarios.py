@@ -9,18 +9,18 @@ import argparse
 import json
 import sys
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from drake_nonstop.cli.arguments import Commands, add_trust
+from drake_nonstop.diagrams.nonstop import BOXES
+from drake_nonstop.scenario.choices import CHOICES
 from drake_nonstop.scenario.describe import (
     Parameter,
-    Port,
-    box_names,
+    choices_of,
     commented_scenario,
-    custom_tags,
-    describe,
     scenario_schema,
+    size_of,
 )
 from drake_nonstop.scenario.loading import load_scenario, parse_scenario, scenario_names
 from drake_nonstop.studies.files import replacing_file, require_writable_file
@@ -59,20 +59,10 @@ def add_to(commands: Commands) -> None:
         help="write a JSON Schema of scenario files, by which editors complete and check them",
         description="Writes a JSON Schema. An editor with YAML's language server uses it for files "
         "that begin with `# yaml-language-server: $schema=FILE`; its setting `yaml.customTags` has "
-        "to know the blocks, see --tags.",
+        "to be the list under that key of the schema.",
     )
     parser.set_defaults(action=_schema)
-    parser.add_argument(
-        "scenarios",
-        nargs="*",
-        metavar="NAME|FILE.yaml",
-        help="with the blocks of your own that these scenarios have, see --trust",
-    )
-    add_trust(parser)
     parser.add_argument("--out", type=Path, metavar="FILE", help="(the terminal)")
-    parser.add_argument(
-        "--tags", action="store_true", help="the value of yaml.customTags in place of the schema"
-    )
 
 
 def _list(options: argparse.Namespace) -> int:
@@ -84,36 +74,34 @@ def _list(options: argparse.Namespace) -> int:
 
 
 def _blocks(options: argparse.Namespace) -> int:
-    names = box_names() if options.box is None else [options.box]
-    boxes = [describe(name) for name in names]
+    names = [*CHOICES] if options.box is None else [options.box]
+    told = {name: choices_of(name) for name in names}
     print("Sizes are in brackets, for n carriers and m internal-force coordinates.")
-    for box in boxes:
-        needed = _ports([port for port in box.signals if not port.is_optional])
-        optional = _ports([port for port in box.signals if port.is_optional])
-        kinds = [needed, f"optional {optional}" if optional else ""]
-        made = "; ".join(filter(None, kinds))
+    for name, choices in told.items():
         print()
-        _print_wrapped(made, f"{box.name}{' -> ' if made else ''}")
-        for port in box.signals:
-            if port.layout is not None:
-                parts = "; ".join(map(str, port.layout.parts))
-                _print_wrapped(parts, f"    {port.name} = ")
-        for i, choice in enumerate(box.choices):
+        box = BOXES.get(name)
+        if box is None:
+            print(name)
+        else:
+            needed = _sizes(signal for signal in box.signals if signal not in box.optional)
+            optional = _sizes(box.optional)
+            made = "; ".join(filter(None, [needed, f"optional {optional}" if optional else ""]))
+            _print_wrapped(made, f"{name} -> ")
+            for signal, layout in box.signals.items():
+                if layout is not None:
+                    _print_wrapped("; ".join(map(str, layout.parts)), f"    {signal} = ")
+        for i, choice in enumerate(choices):
             print(f"\n  {choice.name}{' (default)' if i == 0 else ''}")
             _print_wrapped(choice.summary, "    ")
-            for label, ports in (("in", choice.inputs), ("out", choice.outputs)):
+            for label, ports in (("in", choice.reads), ("out", choice.makes)):
                 if ports:
-                    text = _ports(ports, says_optional=label == "in")
-                    _print_wrapped(text, f"    {label:3}  ")
+                    _print_wrapped(ports, f"    {label:3}  ")
             _print_parameters(choice.parameters)
     return 0
 
 
-def _ports(ports: Sequence[Port], says_optional: bool = False) -> str:
-    return ", ".join(
-        f"{port.name} ({port.size}{', optional' if says_optional and port.is_optional else ''})"
-        for port in ports
-    )
+def _sizes(signals: Iterable[str]) -> str:
+    return ", ".join(f"{name} ({size_of(name)})" for name in signals)
 
 
 def _print_parameters(parameters: Sequence[Parameter]) -> None:
@@ -164,9 +152,7 @@ def _new(options: argparse.Namespace) -> int:
 
 
 def _schema(options: argparse.Namespace) -> int:
-    scenarios = [load_scenario(name, trust=options.trust) for name in options.scenarios]
-    found = custom_tags(scenarios) if options.tags else scenario_schema(scenarios)
-    text = json.dumps(found, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    text = json.dumps(scenario_schema(), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
     if options.out is None:
         sys.stdout.write(text)
         return 0

@@ -6,10 +6,8 @@ package's, and `!my_blocks.X` for one of the user's own, at its import path.
 
 import dataclasses
 import importlib
-import os
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 from pydrake.systems.framework import System
@@ -40,8 +38,8 @@ PATTERNS: tuple[type, ...] = (
 
 # The configs that each tagged field may hold, the default first.
 CHOICES: dict[str, tuple[type, ...]] = {
-    PATTERN: PATTERNS,
     **{name: box.configs for name, box in BOXES.items()},
+    PATTERN: PATTERNS,
 }
 _ALL_CONFIGS = {config for configs in CHOICES.values() for config in configs}
 
@@ -77,17 +75,17 @@ def config_of(path: str, tag: str, configs: Sequence[type], trusted: Trusted) ->
 
 def require_config(name: str, config: Any) -> None:
     """Raises ScenarioError for what is no config of a block that the box of the name can be."""
-    choices, kind = CHOICES[name], type(config)
-    block = block_name(choices[0])
+    kind, block = type(config), block_name(CHOICES[name][0])
     remedy = f"name a block by its tag, such as !{block} {{}}, in Python by its {block}Config()"
     require(dataclasses.is_dataclass(kind), name, config, remedy)
-    if kind in choices:
+    if kind in CHOICES[name]:
         return
     is_own = kind not in _ALL_CONFIGS and (name in BOXES or hasattr(config, "make"))
-    require(is_own, name, block_name(kind), f"give one of {', '.join(map(block_name, choices))}")
+    remedy = f"give one of {', '.join(map(block_name, CHOICES[name]))}"
+    require(is_own, name, block_name(kind), remedy)
     if name in BOXES:
-        block, path = block_of(kind), import_path(kind)
-        is_block = isinstance(block, type) and issubclass(block, System)
+        own, path = block_of(kind), import_path(kind)
+        is_block = isinstance(own, type) and issubclass(own, System)
         remedy = f"give {kind.__module__} a LeafSystem or Diagram of the name {block_name(kind)}"
         require(is_block, name, path, remedy)
         for needed, meaning in BOXES[name].config_fields.items():
@@ -105,27 +103,24 @@ def _imported(field: str, path: str) -> type:
     """The config class of a block, or of a pattern, at an import path.
 
     Raises:
-        ScenarioError: the module cannot be imported, or holds no such block and config.
+        ScenarioError: the module cannot be imported, or holds no such config with defaults.
     """
     module_name, _, name = path.rpartition(".")
-    folder = Path.cwd()
     try:
         module = importlib.import_module(module_name)
-    except (Exception, SystemExit) as error:  # whatever a user's module may raise
-        raise ScenarioError(
-            f"{field} = !{path}: the module {module_name} cannot be imported ({one_line(error)}); "
-            "correct it, or put it into the current folder, the scenario's or PYTHONPATH"
-        ) from error
-    finally:
-        os.chdir(folder)  # the module may have left it: results would go elsewhere
-    config: Any = getattr(module, f"{name}Config", None)
-    known = [key for key in vars(module) if key.endswith("Config")]
-    require_known(f"{name}Config", known, field, f"!{path}")
-    is_config = isinstance(config, type) and dataclasses.is_dataclass(config)
-    require(is_config, field, f"!{path}", f"make {name}Config a dataclass with the parameters")
-    try:
+        known = [key for key in vars(module) if key.endswith("Config")]
+        require_known(f"{name}Config", known, field, f"!{path}")
+        config: type = getattr(module, f"{name}Config")
         config()
-    except (Exception, SystemExit) as error:  # whatever a user's dataclass may raise
-        remedy = f"give every field of {name}Config a default ({one_line(error)})"
+    except ScenarioError:
+        raise
+    except (Exception, SystemExit) as error:  # whatever a user's module may raise
+        remedy = (
+            f"{name}Config of the module {module_name} cannot be had ({one_line(error)}): put the "
+            "module into the current folder, the scenario's or PYTHONPATH, and give every field a "
+            "default"
+        )
         raise ScenarioError(f"{field} = !{path}: {remedy}") from error
+    is_config = dataclasses.is_dataclass(config)
+    require(is_config, field, f"!{path}", f"make {name}Config a dataclass with the parameters")
     return config

@@ -1,32 +1,25 @@
 """What can stand in a scenario, for people and for editors, from the declarations of its fields.
 
-The blocks are those of `BOXES`, a block's parameters the fields of the dataclass beside it, their
-units and meanings the comments on these, and the ports those of a block that is built with the
-default scenario's model.
+The blocks are those of `BOXES`, their ports what the class `reads` and `makes`, their parameters
+the fields of the dataclass beside it, and units and meanings the comments on these.
 """
 
-import dataclasses
 import inspect
 import textwrap
 import types
 from collections.abc import Iterable
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
-from drake_nonstop.diagrams.nonstop import BOXES, SIGNALS
+from drake_nonstop.diagrams.nonstop import BOXES
 from drake_nonstop.loop.box import config_class
-from drake_nonstop.mechanics.signal_layouts import Layout
-from drake_nonstop.mechanics.signals import HELD
-from drake_nonstop.model.aircraft import AircraftParameters
-from drake_nonstop.model.system import Model
-from drake_nonstop.scenario.choices import CHOICES, PATTERN, PATTERNS, block_name, tag_of
+from drake_nonstop.mechanics.signals import HELD, SIGNALS
+from drake_nonstop.scenario.choices import CHOICES, PATTERN, block_name, tag_of
 from drake_nonstop.scenario.distributions import is_entry
 from drake_nonstop.scenario.fields import Tree, fields_of, item_of, parts_of, write
 from drake_nonstop.scenario.overrides import BASE, to_tree
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.scenario.yaml_text import dump_plain
-from drake_nonstop.systems import wiring
-from drake_nonstop.systems.documentation import field_comments, meanings
+from drake_nonstop.systems.documentation import meanings
 from drake_nonstop.validation import members_of, require_known
 
 _COMMENT_COLUMN = 44  # where comments begin
@@ -34,15 +27,13 @@ _LINE_WIDTH = 100  # characters; a comment for which there is no room stands abo
 _HEADING = """\
 # {name} with every field; lines that you delete have their defaults.
 # Vectors are in the world frame W, or where a comment says so in the load's frame L.
-# `drake-nonstop schema --help` tells how an editor completes and checks this file.
 """
 _JSON_TYPES = {float: "number", int: "integer", bool: "boolean", str: "string"}
 _JSON_TYPES |= {types.NoneType: "null"}
 Schema = dict[str, Any]
 
 
-@dataclass(frozen=True, kw_only=True)
-class Parameter:
+class Parameter(NamedTuple):
     """A field of a config: its type, its default as in YAML, and its unit and meaning."""
 
     name: str
@@ -51,60 +42,38 @@ class Parameter:
     meaning: str
 
 
-@dataclass(frozen=True, kw_only=True)
-class Port:
-    """A port and its size: a number, for n carriers "3n", for m coordinates "2m"."""
-
-    name: str
-    size: str
-    is_optional: bool = False  # an output need not be there, an input need not be connected
-    layout: Layout | None = None  # of a signal of the figure; None: it is not known, or no vector
-
-
-@dataclass(frozen=True, kw_only=True)
-class Choice:
+class Choice(NamedTuple):
     """A block that a box can be, or a pattern, which has no ports."""
 
     name: str
     summary: str
     parameters: tuple[Parameter, ...]
-    inputs: tuple[Port, ...] = ()
-    outputs: tuple[Port, ...] = ()
+    reads: str = ""  # its ports with their sizes, for n carriers and m coordinates
+    makes: str = ""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Box:
-    """A box of the figure, the signals that it has to make and its choices, the default first."""
-
-    name: str
-    signals: tuple[Port, ...]
-    choices: tuple[Choice, ...]
-
-
-def box_names() -> list[str]:
-    """The names that `describe` takes: the figure's boxes, in its order, and the pattern."""
-    return [*BOXES, PATTERN]
-
-
-def describe(name: str) -> Box:
-    """A box of the figure, or the pattern, with all that can be chosen for it.
+def choices_of(name: str) -> list[Choice]:
+    """All that can be chosen for a box of the figure, or for the pattern, the default first.
 
     Raises:
         ScenarioError: there is no such box.
     """
-    require_known(name, box_names(), "box", name)
+    require_known(name, [*BOXES, PATTERN], "box", name)
     if name == PATTERN:
-        choices = tuple(_choice(config, config, None) for config in PATTERNS)
-        return Box(name=name, signals=(), choices=choices)
-    scenario = Scenario()
-    # For blocks of aircraft; it changes no port of the others.
-    system = dataclasses.replace(scenario.system, aircraft=AircraftParameters(model="rascal_110"))
-    model = Model(system, scenario.pattern, scenario.control_period)
-    return Box(
-        name=name,
-        signals=tuple(_port(signal, None) for signal in BOXES[name].signals),
-        choices=tuple(_choice(config_class(b), b, model) for b in BOXES[name].variants),
-    )
+        return [
+            Choice(block_name(config), _summary(config), parameters(config))
+            for config in CHOICES[PATTERN]
+        ]
+    return [
+        Choice(
+            block.__name__,
+            _summary(block),
+            parameters(config_class(block)),
+            _ports(block, block.reads),
+            _ports(block, block.makes),
+        )
+        for block in BOXES[name].variants
+    ]
 
 
 def parameters(config: type) -> tuple[Parameter, ...]:
@@ -122,27 +91,26 @@ def parameters(config: type) -> tuple[Parameter, ...]:
     )
 
 
-def _choice(config: type, block: type, model: Model | None) -> Choice:
-    """A block and its config, with its ports if there is a model to build it with."""
-    ports: dict[str, tuple[Port, ...]] = {}
-    if model is not None:
-        built = block(model)
-        optional, read = wiring.optional_inputs(built), wiring.input_sizes(built)
-        ports["inputs"] = tuple(_port(*port, port[0] in optional) for port in read.items())
-        ports["outputs"] = tuple(_port(*port) for port in wiring.output_sizes(built).items())
-    summary = (inspect.getdoc(block) or "").partition("\n")[0]
-    name = block_name(config)
-    return Choice(name=name, summary=summary, parameters=parameters(config), **ports)
+def size_of(signal: str) -> str:
+    """The size of a signal of the figure, such as "3n"."""
+    layout = SIGNALS.get(signal)
+    return "abstract" if layout is None else layout.size
 
 
-def _port(name: str, size: int | None, is_optional: bool | None = None) -> Port:
-    """The port of that name: its size by the contract, or else as it is for the default n."""
-    layout = SIGNALS.get(name.removeprefix(HELD))
-    if is_optional is None:
-        is_optional = any(name in box.optional for box in BOXES.values())
-    text = "abstract" if size is None else str(size)
-    text = text if layout is None else layout.size
-    return Port(name=name, size=text, is_optional=is_optional, layout=layout)
+def _summary(kind: type) -> str:
+    return (inspect.getdoc(kind) or "").partition("\n")[0]
+
+
+def _ports(block: Any, names: Iterable[str]) -> str:
+    layouts = SIGNALS | block.signal_layouts
+    told = []
+    for name in names:
+        layout = layouts.get(name.removeprefix(HELD))
+        about = ["abstract" if layout is None else layout.size]
+        about += ["optional"] if name in block.optional_inputs else []
+        about += [f"where {block.where[name]}"] if name in block.where else []
+        told.append(f"{name} ({', '.join(about)})")
+    return ", ".join(told)
 
 
 def commented_scenario(scenario: Scenario, name: str) -> str:
@@ -156,14 +124,9 @@ def commented_scenario(scenario: Scenario, name: str) -> str:
         if not isinstance(value, dict) or is_entry(value):
             lines += _field(1, key, value, about.get(key, ""))
             continue
-        config, tag, comment = (
-            type(getattr(scenario, key)),
-            value.pop("_tag", ""),
-            about.get(key, ""),
-        )
-        if tag:
-            others = [block_name(other) for other in CHOICES[key] if other is not config]
-            comment = f"or {', '.join(others)}" if others else ""
+        config, tag = type(getattr(scenario, key)), value.pop("_tag", "")
+        others = [block_name(other) for other in CHOICES.get(key, ()) if other is not config]
+        comment = f"or {', '.join(others)}" if others else about.get(key, "")
         head = " ".join(filter(None, [f"  {key}:", tag, "" if value else "{}"]))
         lines += ["", *_wrapped(1, comment), head, *commented_fields(2, value, config)]
     return _HEADING.format(name=scenario.name) + "\n".join(lines) + "\n"
@@ -171,13 +134,12 @@ def commented_scenario(scenario: Scenario, name: str) -> str:
 
 def commented_fields(depth: int, fields: Tree, config: type) -> list[str]:
     """Lines of YAML for fields of a dataclass, each with its unit and meaning."""
-    about = field_comments(config)
-    lines = []
-    for key, value in fields.items():
-        meaning, heading = about.get(key, ("", ""))
-        lines += [*_wrapped(depth, heading), ""] if heading else []
-        lines += _field(depth, key, value, meaning)
-    return lines
+    about = meanings(config)
+    return [
+        line
+        for key, value in fields.items()
+        for line in _field(depth, key, value, about.get(key, ""))
+    ]
 
 
 def _field(depth: int, key: str, value: Any, comment: str) -> list[str]:
@@ -195,20 +157,18 @@ def _wrapped(depth: int, comment: str) -> list[str]:
     return [start + line for line in textwrap.wrap(comment, _LINE_WIDTH - len(start))]
 
 
-def scenario_schema(scenarios: Iterable[Scenario] = ()) -> Schema:
+def scenario_schema() -> Schema:
     """JSON Schema of a file with one scenario under its name, by which editors complete fields.
 
-    JSON Schema knows no YAML tags: a box has the fields of one of the blocks that it can be, the
-    blocks of one's own that `scenarios` have among them.
+    JSON Schema knows no YAML tags: a box has the fields of one of the blocks that it can be. The
+    tags are under `yaml.customTags`, as the setting of YAML's language server takes them.
     """
     scenario = _object(Scenario)
-    fields = scenario["properties"]
-    del fields["name"]
     about = "a scenario's name or file, whose fields count where this one has none"
-    fields[BASE] = {"type": "string", "description": about}
-    for box, configs in _choices(scenarios).items():
-        fields[box] = {"anyOf": [{"type": "null"}, *map(_object, configs)]}
-        fields[box]["description"] = f"one of {', '.join(map(tag_of, configs))}"
+    scenario["properties"][BASE] = {"type": "string", "description": about}
+    del scenario["properties"]["name"]
+    obstacles = parts_of(item_of(fields_of(Scenario)["obstacles"]))
+    tags = {tag_of(config) for configs in (*CHOICES.values(), obstacles) for config in configs}
     return {
         "$schema": "http://json-schema.org/draft-07/schema#",
         "title": "drake_nonstop scenario",
@@ -216,38 +176,27 @@ def scenario_schema(scenarios: Iterable[Scenario] = ()) -> Schema:
         "minProperties": 1,
         "maxProperties": 1,
         "additionalProperties": scenario,
+        "yaml.customTags": sorted(f"{tag} mapping" for tag in tags),
     }
-
-
-def custom_tags(scenarios: Iterable[Scenario] = ()) -> list[str]:
-    """The tags of blocks, as the setting `yaml.customTags` of YAML's language server takes them."""
-    configs = {config for choices in _choices(scenarios).values() for config in choices}
-    configs |= {*parts_of(item_of(fields_of(Scenario)["obstacles"]))}
-    return sorted(f"{tag_of(config)} mapping" for config in configs)
-
-
-def _choices(scenarios: Iterable[Scenario]) -> dict[str, list[type]]:
-    """`CHOICES` with the configs of scenarios' own blocks."""
-    own = {box: [type(getattr(scenario, box)) for scenario in scenarios] for box in CHOICES}
-    return {box: [*dict.fromkeys((*configs, *own[box]))] for box, configs in CHOICES.items()}
 
 
 def _object(config: type) -> Schema:
     """The schema of a dataclass."""
-    about = meanings(config)
-    properties = {name: _of(kind) for name, kind in fields_of(config).items()}
-    for name in properties:
-        properties[name] |= {"description": about[name]} if about.get(name) else {}
+    about, properties = meanings(config), {}
+    for name, kind in fields_of(config).items():
+        configs = parts_of(kind)
+        one_of = f"one of {', '.join(map(tag_of, configs))}" if len(configs) > 1 else ""
+        properties[name] = _of(kind) | {"description": about.get(name) or one_of}
     return {"type": "object", "properties": properties, "additionalProperties": False}
 
 
 def _of(kind: Any) -> Schema:
     """The schema of a field's type."""
-    members, item = members_of(kind), item_of(kind)
+    members, item, parts = members_of(kind), item_of(kind), parts_of(kind)
     options: list[Schema] = [{"type": _JSON_TYPES[m]} for m in members if m in _JSON_TYPES]
-    options += map(_object, parts_of(kind))
+    options += [{"type": "null"}, *map(_object, parts)] if parts else []
     if item is not None:
         options.append({"type": "array", "items": _of(item)})
-    if {float, int} & {*members, item}:
+    if {float, int} & {*members}:
         options.append({"type": "object"})  # a distribution, a tag with a mapping
     return {"anyOf": options} if options else {}

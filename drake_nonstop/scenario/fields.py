@@ -121,15 +121,11 @@ class Walk:
             if is_entry(given) or ("_tag" in given and {float, int} & {*members}):
                 given = from_entry(path, given)
         if is_distribution(given):
-            given = self.change(path, given, kind)
-            return given if is_distribution(given) else self.read(path, kind, given)
-        if parts and self.reads_trees and (given is None or isinstance(given, dict)):
-            return self._from_tree(path, parts, given or {}, present)
+            return self.change(path, given, kind)
         if parts:
-            return self._from_object(path, parts, given)
+            return self._part(path, parts, given, present)
         if isinstance(given, list) and item is not None:
-            read = [self.read(f"{path}[{i}]", item, value) for i, value in enumerate(given)]
-            return read if any(a is not b for a, b in zip(read, given, strict=True)) else given
+            return [self.read(f"{path}[{i}]", item, value) for i, value in enumerate(given)]
         scalars = [member for member in members if member in _SCALARS]
         if scalars:
             is_text = isinstance(given, str) and str in scalars
@@ -139,18 +135,23 @@ class Walk:
             return np.asarray(given, dtype=float)
         return given  # a type that only blocks of the user's own have
 
-    def _from_tree(self, path: str, parts: tuple[type, ...], tree: Tree, present: Any) -> Any:
-        fields = {key: value for key, value in tree.items() if key != "_tag"}
-        if "_tag" in tree:
-            config: Any = config_of(path, tree["_tag"], parts, self.trusted)()
+    def _part(self, path: str, parts: tuple[type, ...], given: Any, present: Any) -> Any:
+        """A dataclass: what a mapping makes of the one present, or an object gone through."""
+        is_tree = self.reads_trees and (given is None or isinstance(given, dict))
+        if is_tree:
+            tree = given or {}
+            config = self._config(path, parts, tree, present)
+            values = {key: value for key, value in tree.items() if key != "_tag"}
         else:
-            is_plain = path in CHOICES or len(parts) == 1
-            tags = ", ".join(f"!{block_name(part)}" for part in parts)
-            require(is_plain, path, dump_plain(tree, path), f"give one of {tags}")
-            # Another model of an aircraft begins with its own figures.
-            config = parts[0]() if present is None or "model" in tree else present
+            if path in CHOICES:
+                require_config(path, given)
+            names = " or ".join(part.__name__ for part in parts)
+            remedy = f"give it as {names}, or in YAML as a mapping of fields to values"
+            require(path in CHOICES or isinstance(given, parts), path, given, remedy)
+            config = copy.copy(given)
+            values = {key: getattr(given, key, None) for key in fields_of(given.__class__)}
         kinds = fields_of(config.__class__)
-        for key, value in fields.items():
+        for key, value in values.items():
             field = f"{path}.{key}".removeprefix(".")
             if key not in kinds:
                 owners = [c for c in CHOICES.get(path, ()) if key in fields_of(c)]
@@ -159,32 +160,28 @@ class Walk:
                 require(not owners, field, value, remedy)
             require_known(key, kinds, field, value)
             try:
-                setattr(config, key, self.read(field, kinds[key], value, getattr(config, key)))
+                setattr(
+                    config, key, self.read(field, kinds[key], value, getattr(config, key, None))
+                )
             except ScenarioError:
                 raise
             except Exception as error:  # what Drake's class, or a user's own, does not take
                 kind = getattr(kinds[key], "__name__", kinds[key])
                 require(False, field, value, f"give a plain {kind} ({type(error).__name__})")
-        return config
-
-    def _from_object(self, path: str, parts: tuple[type, ...], given: Any) -> Any:
-        if path in CHOICES:
-            require_config(path, given)
-        else:
-            names = " or ".join(part.__name__ for part in parts)
-            remedy = f"give it as {names}, or in YAML as a mapping of fields to values"
-            require(isinstance(given, parts), path, given, remedy)
-        config = given
-        for key, kind in fields_of(given.__class__).items():
-            field, old = f"{path}.{key}".removeprefix("."), getattr(given, key, None)
-            new = self.read(field, kind, old)
-            if new is not old:
-                config = copy.copy(given) if config is given else config
-                setattr(config, key, new)
-        is_block = path in CHOICES  # which checks its config by itself, with the model
-        if dataclasses.is_dataclass(given) and not self.reads_trees and not is_block:
+        # A block checks its config by itself, with the model.
+        if not self.reads_trees and dataclasses.is_dataclass(given) and path not in CHOICES:
             require_ranges(path, config)
         return config
+
+    def _config(self, path: str, parts: tuple[type, ...], tree: Tree, present: Any) -> Any:
+        """What a mapping changes: the present object, or one with its class's own defaults."""
+        if "_tag" in tree:
+            return config_of(path, tree["_tag"], parts, self.trusted)()
+        is_plain = path in CHOICES or len(parts) == 1
+        tags = ", ".join(f"!{block_name(part)}" for part in parts)
+        require(is_plain, path, dump_plain(tree, path), f"give one of {tags}")
+        # Another model of an aircraft begins with its own figures.
+        return parts[0]() if present is None or "model" in tree else present
 
 
 def write(value: Any, kind: Any, path: str = "") -> Any:

@@ -69,10 +69,6 @@ class TreeDumper(yaml.SafeDumper):
         is_text = isinstance(_scalar(data), str)
         return self.represent_scalar("tag:yaml.org,2002:str", data, style=None if is_text else "'")
 
-    def ignore_aliases(self, data: Any) -> bool:
-        """No anchors and aliases: what stands there twice is written out."""
-        return True
-
 
 TreeDumper.add_representer(dict, TreeDumper.represent_tree)
 TreeDumper.add_representer(str, TreeDumper.represent_text)

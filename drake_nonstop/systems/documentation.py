@@ -1,7 +1,6 @@
 """Comments on a config's fields, and docstrings of a block's ports and parameters."""
 
 import ast
-import contextlib
 import dataclasses
 import functools
 import inspect
@@ -11,7 +10,7 @@ import sys
 import textwrap
 import tokenize
 from collections.abc import Iterable
-from typing import Any, NamedTuple, TypeVar, cast
+from typing import Any, TypeVar, cast
 
 from drake_nonstop.mechanics.signals import HELD, SIGNALS
 from drake_nonstop.validation import ScenarioError
@@ -115,37 +114,25 @@ def _list(head: str, items: Iterable[str]) -> str:
     return "\n".join([head, "", *(f"- {item}" for item in items)])
 
 
-class FieldComments(NamedTuple):
-    """Comments on a field: its meaning, and the one that heads it and those below."""
-
-    meaning: str
-    heading: str
-
-
 def meanings(config: type) -> dict[str, str]:
     """The comments on the fields of a config class, by name: units and meanings."""
-    return {name: found.meaning for name, found in field_comments(config).items()}
-
-
-@functools.cache  # a class that no source file has is looked for in all of them
-def field_comments(config: type) -> dict[str, FieldComments]:
-    """The comments on the fields of a config class, by name."""
-    found: dict[str, FieldComments] = {}
+    found: dict[str, str] = {}
     for base in reversed(config.__mro__):
         if dataclasses.is_dataclass(base):
-            with contextlib.suppress(OSError, TypeError):  # a class that no source file has
-                found |= _own_comments(base)
+            found |= _own_comments(base)
     return found
 
 
 @functools.cache  # Python parses a whole module for the source of each class in it
-def _own_comments(config: type) -> dict[str, FieldComments]:
+def _own_comments(config: type) -> dict[str, str]:
     """Comments on the fields that a class body itself has.
 
-    A meaning is the comments on the field's lines, then those in lines of their own right above it;
-    a heading those above an empty line.
+    They are those on the field's lines, then those in lines of their own right above it.
     """
-    source = textwrap.dedent(inspect.getsource(config))
+    try:
+        source = textwrap.dedent(inspect.getsource(config))
+    except (OSError, TypeError):  # a class that no source file has
+        return {}
     lines = source.splitlines()
     comments = {
         token.start[0]: token.string.removeprefix("#").strip()
@@ -166,8 +153,5 @@ def _own_comments(config: type) -> dict[str, FieldComments]:
         if isinstance(statement, ast.AnnAssign) and isinstance(statement.target, ast.Name):
             start, end = statement.lineno, statement.end_lineno or statement.lineno
             within = " ".join(comments[k] for k in range(start, end + 1) if k in comments)
-            is_apart = not lines[start - 2].strip()
-            heading, own = (above(start - 2), "") if is_apart else ("", above(start - 1))
-            meaning = "; ".join(filter(None, (within, own)))
-            result[statement.target.id] = FieldComments(meaning, heading)
+            result[statement.target.id] = "; ".join(filter(None, (within, above(start - 1))))
     return result

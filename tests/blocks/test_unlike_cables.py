@@ -267,8 +267,6 @@ def test_lists_stand_in_files_and_may_be_drawn():
     drawn = scenario.sampled().system.cable_length
     assert 1 < drawn[0] < 2
     assert drawn[1:] == [1, 1, 1]
-    change = "simulated.cable_length=!UniformVector {min: [1, 1, 1, 1], max: [2, 2, 2, 2]}"
-    assert len(load_scenario("quintic", [change]).sampled().simulated.cable_length) == 4
     number = load_scenario("quintic", ["system.cable_length=!Uniform {min: 1, max: 2}"])
     assert 1 < number.sampled().system.cable_length < 2
 

@@ -26,7 +26,7 @@ DRAWN = (
     "optimization_layer=ConstantParameters",
     f"simulation_duration={DURATION}",
     "simulated.load_mass=!Gaussian {mean: 1, stddev: 0.1}",
-    "load_disturbance=!DisturbanceForce {force: !GaussianVector {mean: [0, 0, 0], stddev: [0.2]}, "
+    "load_disturbance=!DisturbanceForce {force: [!Gaussian {mean: 0, stddev: 0.2}, 0, 0], "
     "gust_force: !Uniform {min: 0, max: 0.3}, seed: !Uniform {min: 0, max: 1e9}}",
     "wrench_controller.position_gain=!Uniform {min: 4, max: 6}",
 )

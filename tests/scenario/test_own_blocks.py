@@ -2,7 +2,6 @@
 
 import sys
 import textwrap
-from pathlib import Path
 
 import pytest
 
@@ -181,30 +180,24 @@ def test_pattern_of_its_own(folder):
 @pytest.mark.parametrize(
     ("path", "message"),
     [
-        ("no_such_module.Steady", "no_such_module cannot be imported .*No module named"),
+        ("no_such_module.Steady", "no_such_module cannot be had .*No module named"),
         ("own_test_blocks.Needyy", r"no NeedyyConfig; did you mean NeedyConfig\?"),
         ("own_test_blocks.needy", r"no needyConfig; did you mean NeedyConfig\?"),
         ("own_test_blocks.Xyz", "there is no XyzConfig"),
         ("own_test_blocks.Bare", "there is no BareConfig"),
         ("own_test_blocks.Orphan", "a LeafSystem or Diagram of the name Orphan"),
         ("own_test_blocks.Boundless", "give BoundlessConfig a field speed_bound"),
-        ("own_test_blocks.Needy", r"every field of NeedyConfig a default \(TypeError"),
-        ("broken_test_blocks.Steady", "cannot be imported .ZeroDivisionError: division by zero"),
+        (
+            "own_test_blocks.Needy",
+            r"NeedyConfig .*cannot be had \(TypeError.*every field a default",
+        ),
+        ("broken_test_blocks.Steady", "cannot be had .ZeroDivisionError: division by zero"),
     ],
 )
 def test_what_cannot_be_had_is_told(folder, path, message):
     (folder / "broken_test_blocks.py").write_text("1 / 0")
     with pytest.raises(ScenarioError, match=message):
         load_scenario("quintic", [f"optimization_layer={path}"], trust=True)
-
-
-def test_a_module_that_leaves_the_folder_does_not_take_the_results_with_it(folder):
-    (folder / "leaving_test_blocks.py").write_text(
-        f"import os\nos.chdir('/')\n{textwrap.dedent(MODULE)}"
-    )
-    before = Path.cwd()
-    load_scenario("quintic", ["optimization_layer=leaving_test_blocks.Steady"], trust=True)
-    assert Path.cwd() == before
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,233 @@
+"""Whatever is given, a scenario is made of it, or one sentence has the field, value and remedy."""
+
+import math
+
+import numpy as np
+import pytest
+from pydrake.common.schema import Uniform
+
+from drake_nonstop import (
+    Scenario,
+    ScenarioError,
+    ablate,
+    dump_scenario,
+    load_scenario,
+    make_nonstop,
+    parse_scenario,
+    read_grid,
+    simulate,
+)
+from drake_nonstop.scenario.yaml_text import parse_plain
+
+FIVE = "[1, 0, 0], [0.3, 1, 0], [-0.8, 0.6, 0], [-0.8, -0.6, 0], [0.3, -1, 0]"
+FORCE = "load_disturbance=!DisturbanceForce"
+
+# Changes of `quintic`, and the words of field, value and remedy.
+CHANGES = (
+    ("system.load_mass=-1", "system.load_mass", "-1", "greater than zero"),
+    ("system.load_mass=0", "system.load_mass", "0", "greater than zero"),
+    ("system.load_mass=.nan", "system.load_mass", "nan", "finite"),
+    ("system.load_mass=.inf", "system.load_mass", "inf", "finite"),
+    ("system.load_mass='1'", "system.load_mass", "'1'", "without quotes"),
+    ("system.load_mass=010", "system.load_mass", "010", "plain digits"),
+    ("system.load_mass=heavy", "system.load_mass", "heavy", "a number"),
+    ("system.load_mass=true", "system.load_mass", "True", "a number"),
+    ("system.load_mass=1e400", "system.load_mass", "1e400", "1e308"),
+    ("system.load_mass=!Foo {}", "system.load_mass", "!Foo", "!Uniform"),
+    ("system.loadmass=1", "system.loadmass", "1", "load_mass"),
+    ("sytem.load_mass=1", "sytem", "1", "did you mean system"),
+    ("load_mass=2", "--set", "load_mass", "system.load_mass"),
+    ("speed_bound=2", "--set", "speed_bound", "optimization_layer.speed_bound"),
+    ("duration", "--set", "duration", "path=value"),
+    ("system=3", "system", "3", "mapping"),
+    ("system=!Foo {}", "system", "!Foo", "there is no"),
+    ("system.attachments=3", "system.attachments", "3", "list"),
+    ("system.attachments=[[1,0,0],[0,1,0]]", "system.attachments", "[0", "3 or more"),
+    ("system.attachments=[[1,0,0],[0,1]]", "system.attachments", "[0", "n x 3"),
+    (f"simulated.attachments=[{FIVE}]", "simulated.attachments", "[0.3", "4"),
+    ("system.cable_stiffness=-5", "system.cable_stiffness", "-5", "greater than zero"),
+    ("system.cable_stiffness=.inf", "simulated.cable_stiffness", "inf", "finite"),
+    ("system.cable_stiffness=inf", "system.cable_stiffness", "inf", ".inf"),
+    ("system.aircraft={wing: 2}", "system.aircraft.wing", "2", "wing_span"),
+    ("system.aircraft=rascal_110", "system.aircraft", "rascal_110", "mapping"),
+    ("system.aircraft={max_thrust: [1, x]}", "system.aircraft.max_thrust[1]", "x", "number"),
+    ("pattern.phases=[0,0,1,2]", "pattern.phases", "[0", "swings in a plane"),
+    ("pattern.phases=[0,1]", "pattern.phases", "[0", "4 finite numbers"),
+    ("phase=!Phase {}", "phase", "!Phase", "!PaperPhase"),
+    ("phase='!PaperPhase {}'", "phase", "!PaperPhase", "without quotes"),
+    ("phase=3", "phase", "3", "!ShapedPhase"),
+    ("wind.velocity=[2, 0, 0]", "wind.velocity", "[2, 0, 0]", "SteadyWind"),
+    ("optimization_layer.period=0.02", "optimization_layer.period", "0.02", "PaperLayer"),
+    ("optimization_layer.wind=yes", "optimization_layer.wind", "yes", "true or false"),
+    ("optimization_layer.speed_bound=-0.1", "speed_bound", "-0.1", "0 (no bound)"),
+    ("optimization_layer.instants=1.5", "instants", "1.5", "whole number"),
+    ("optimization_layer.knot_spacing=0.004", "knot_spacing", "0.004", "control period"),
+    ("optimization_layer=!NlpLayer {solver: gurobi}", "solver", "gurobi", "snopt"),
+    ("control_period=-1", "control_period", "-1", "0 for continuous"),
+    ("engine=fast", "engine", "fast", "diagram"),
+    ("description=5", "description", "5", "in quotes"),
+    ("simulation_duration=1:30", "simulation_duration", "1:30", "plain digits"),
+    ("simulation_duration=1e8", "simulation_duration", "1", "at most"),
+    ("simulator_config.start_time=5", "simulator_config.start_time", "5", "give 0"),
+    ("random_seed=4294967296", "random_seed", "4294967296", "4294967295"),
+    ("scene.load_colour=blue", "scene.load_colour", "blue", "#rrggbb"),
+    ("scene.mark_colours=['#000000']", "scene.mark_colours", "#000000", "2 or more"),
+    ("scene.mark_opacity=-0.1", "scene.mark_opacity", "-0.1", "from 0 to 1"),
+    ("scene.trail_pieces=1", "scene.trail_pieces", "1", "2 to 1000"),
+    ("obstacles=!Box {}", "obstacles", "", "[ ]"),
+    ("obstacles=[!Cone {}]", "obstacles[0]", "!Cone", "!Sphere"),
+    ("obstacles=[!Sphere {radius: -1}]", "obstacles[0].radius", "-1", "finite"),
+    ("obstacles=[!Box {size: [1, 0, 1]}]", "obstacles[0].size", "0", "greater than zero"),
+    ("obstacles=[!Ground {}, !Ground {}]", "obstacles[1].name", "ground", "of its own"),
+    ("obstacles=[!Sphere {radus: 1}]", "obstacles[0].radus", "1", "radius"),
+    ("system.load_mass=!Uniform {min: 2, max: 1}", "load_mass.min", "2", "at most max"),
+    ("system.load_mass=!Uniform {low: 1, high: 2}", "load_mass.low", "1", "min"),
+    ("system.load_mass=!Gaussian {mean: 1, stddev: -0.1}", "load_mass.stddev", "-0.1", "from 0"),
+    ("system.load_mass=!Gaussian {mean: 1}", "load_mass", "{mean: 1}", "stddev"),
+    ("system.load_mass=!Gaussian {mean: .inf, stddev: 1}", "load_mass.mean", ".inf", "finite"),
+    ("system.load_mass=!UniformDiscrete {values: []}", "load_mass.values", "[]", "finite"),
+    (f"{FORCE} {{force: !Uniform {{min: 0, max: 1}}}}", "force", "!Uniform", "list in [ ]"),
+    (f"{FORCE} {{seed: !Gaussian {{mean: 1, stddev: 1}}}}", "seed", "!Gaussian", "whole numbers"),
+    ("engine=!Uniform {min: 0, max: 1}", "engine", "!Uniform", "a number only"),
+    ("system=!Uniform {min: 0, max: 1}", "system", "!Uniform", "a number only"),
+    ("random_seed=!Uniform {min: 0, max: 1}", "random_seed", "distribution", "whole number"),
+    ("simulator_config.accuracy=!Uniform {min: 0, max: 1}", "accuracy", "Uniform", "float"),
+)
+# Files, likewise.
+FILES = (
+    ("a: {system: {load_mass: 1, load_mass: 2}}", "a.system.load_mass", "twice", "once"),
+    ("a: {nonsense: 1}", "nonsense", "1", "there are"),
+    ("a: 1", "a", "1", "fields below its name"),
+    ("a: {}\nb: {}", "scenario", "", "one key"),
+    ("", "scenario", "", "one key"),
+    ("a: [1", "scenario", "line 2", "valid YAML"),
+    ("a: &x {system: *x}", "anchor", "x", "write the value out"),
+    ("../evil: {}", "scenario", "../evil", "letters"),
+    ("a: {phase: 3}", "phase", "3", "!ShapedPhase"),
+    ("a: {based_on: quintik}", "based_on", "quintik", "did you mean quintic"),
+    ("a: {based_on: [line]}", "based_on", "line", "a scenario's name"),
+    ("a: {based_on: gone.yaml}", "based_on", "gone.yaml", "can be read"),
+    ("a: {based_on: line, duraton: 3}", "duraton", "3", "there is no"),
+    ("a: {based_onn: line}", "based_onn", "line", "based_on"),
+    ("a: {based_on: line, phase: !Nothing {}}", "phase", "!Nothing", "there is no"),
+    ("a: {phase: !no_such_module.Phase {}}", "phase", "!no_such_module.Phase", "--trust"),
+)
+
+
+def assert_told(error, *words):
+    assert "\n" not in str(error)
+    for word in words:
+        assert word in str(error)
+
+
+@pytest.mark.parametrize(("setting", "field", "value", "remedy"), CHANGES)
+def test_a_change_that_cannot_be_used(setting, field, value, remedy):
+    with pytest.raises(ScenarioError) as error:
+        make_nonstop(load_scenario("quintic", [setting]))
+    assert_told(error.value, field, value, remedy)
+
+
+@pytest.mark.parametrize(("text", "field", "value", "remedy"), FILES)
+def test_a_file_that_cannot_be_used(text, field, value, remedy):
+    with pytest.raises(ScenarioError) as error:
+        parse_scenario(text)
+    assert_told(error.value, field, value, remedy)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"\xff\xfea\x00:\x00",  # UTF-16
+        b"a: \xe9\n",
+        b"a\x00: {}\n",
+        b"---\n---\n",
+        b"a: {}\n---\nb: {}\n",
+        b"!Foo quintic: {}\n",
+        b"quintic: !Foo {}\n",
+        b"a: " + b"[" * 100_000,
+        b"\n".join(b" " * k + b"a:" for k in range(2000)),
+        b"a: {description: " + b"x" * 17_000_000 + b"}",
+        b"? [1]\n: 2\n",
+        b"a: {based_on: a.yaml}\n",
+        b"a: {based_on: /dev/zero}\n",
+    ],
+    ids=lambda content: repr(content[:30]),
+)
+def test_bytes_that_are_no_scenario(content, tmp_path):
+    path = tmp_path / "a.yaml"
+    path.write_bytes(content)
+    for read in (load_scenario, read_grid):
+        with pytest.raises(ScenarioError):
+            read(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        *(("10", 10), ("+1", 1), ("-0", 0), ("1e3", 1000.0), ("1.", 1.0), (".5", 0.5)),
+        *(("true", True), ("null", None), ("~", None), (".inf", math.inf), ("-.Inf", -math.inf)),
+        *(("010", "010"), ("0x10", "0x10"), ("1_000", "1_000"), ("yes", "yes"), ("1:30", "1:30")),
+        *(("2024-01-01", "2024-01-01"), ("'5'", "5"), ("=", "=")),
+    ],
+)
+def test_scalars_are_those_of_yaml_1_2(text, value):
+    read = parse_plain(text, "text")
+    assert read == value
+    assert type(read) is type(value)
+
+
+@pytest.mark.parametrize(
+    ("owner", "name", "value"),
+    [
+        *(("", "simulation_duration", v) for v in (math.nan, -1, None, "5", [5], 10**400, True)),
+        ("system", "load_mass", Uniform(min=0, max=math.nan)),
+        ("system", "load_file", "load.sdf"),
+        *(("system", "aircraft", v) for v in ("", 0, [], {"model": "rascal_110"}, False)),
+        ("simulated", "aircraft", {"model": "rascal_110"}),
+        ("pattern", "phases", [math.nan]),
+        ("", "phase", "PaperPhase"),
+        ("", "phase", Scenario().cables),
+    ],
+)
+def test_what_python_assigns_is_checked_before_a_run(owner, name, value):
+    scenario = load_scenario("quintic")
+    setattr(getattr(scenario, owner) if owner else scenario, name, value)
+    field = f"{owner}.{name}".removeprefix(".")
+    actions = (make_nonstop, simulate) if owner == "pattern" else (make_nonstop, dump_scenario)
+    for action in actions:
+        with pytest.raises(ScenarioError) as error:
+            action(scenario)
+        assert_told(error.value, f"{field}", " = ", ": ")
+
+
+@pytest.mark.parametrize("given", [None, "quintic", {}, Scenario])
+def test_what_is_no_scenario(given):
+    for action in (simulate, dump_scenario):
+        with pytest.raises(ScenarioError, match=r"scenario = .*: give a Scenario"):
+            action(given)
+
+
+def test_what_is_drawn_is_checked():
+    scenario = load_scenario("line", ["control_period=!Gaussian {mean: 0.01, stddev: 1e6}"])
+    with pytest.raises(ScenarioError) as error:
+        scenario.sampled()
+    assert_told(error.value, "control_period = ", "give 0 for")
+
+
+class _Uniterable:
+    def __iter__(self):
+        return 3
+
+
+@pytest.mark.parametrize("value", [np.array("x"), np.array(None), _Uniterable(), 3, b"x", "a=1"])
+def test_what_is_no_list_is_one_sentence(tmp_path, value):
+    scenario = Scenario(simulation_duration=0.02)
+    for field, call in (
+        ("overrides", lambda: load_scenario("quintic", value)),
+        ("variant", lambda: ablate(scenario, value, tmp_path)),
+        ("variant", lambda: ablate(scenario, {"a": value}, tmp_path)),
+        ("inputs", lambda: make_nonstop(scenario, inputs=value)),
+    ):
+        with pytest.raises(ScenarioError) as error:
+            call()
+        assert_told(error.value, field, "give ")

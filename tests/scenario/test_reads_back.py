@@ -1,0 +1,174 @@
+"""A scenario comes back as it was, by every way in which it can be written or copied."""
+
+import copy
+import dataclasses
+import itertools
+import pickle
+
+import numpy as np
+import pytest
+from helpers import nightly_beyond
+from pydrake.common.yaml import yaml_dump_typed, yaml_load_typed
+
+from drake_nonstop import (
+    Scenario,
+    ScenarioError,
+    dump_scenario,
+    load_scenario,
+    make_nonstop,
+    parse_scenario,
+    scenario_names,
+)
+from drake_nonstop.cli.main import main
+from drake_nonstop.scenario.choices import CHOICES
+from drake_nonstop.scenario.describe import commented_scenario
+from drake_nonstop.scenario.fields import fields_of
+
+DRAWN = (
+    "system.load_mass=!Uniform {min: 0.7, max: 1.3}",
+    "system.cable_length=[0.8, !Uniform {min: 0.8, max: 0.9}, 1, 1.4]",
+    "load_disturbance=!DisturbanceForce {torque: [0, !Gaussian {mean: -1, stddev: 0.5}, 0]}",
+    "limits.speed=!UniformDiscrete {values: [50, 60]}",
+    "obstacles=[!Box {name: tower}, !Sphere {position: [1, !Uniform {min: 0, max: 1}, 3]}, "
+    "!Ground {height: -1e9}]",
+)
+AIRCRAFT = "x: {system: {aircraft: {model: rascal_110, mass: !Uniform {min: 6, max: 7}}}}"
+
+
+def with_each_block():
+    """Scenarios that have all blocks and patterns among them, checked or not with each other."""
+    for k in range(max(map(len, CHOICES.values()))):
+        chosen = {name: configs[min(k, len(configs) - 1)]() for name, configs in CHOICES.items()}
+        yield f"blocks {k}", lambda chosen=chosen: Scenario(**chosen)
+
+
+MADE = {
+    "distributions": lambda: load_scenario("line", DRAWN),
+    "aircraft": lambda: parse_scenario(AIRCRAFT),
+    **dict(with_each_block()),
+    **{name: (lambda name=name: load_scenario(name)) for name in scenario_names()},
+}
+
+
+def by_typed_yaml(scenario):
+    return yaml_load_typed(schema=Scenario, data=yaml_dump_typed(scenario))
+
+
+def by_comments(scenario):
+    again = parse_scenario(commented_scenario(scenario, "another"))
+    assert again.name == "another"
+    return dataclasses.replace(again, name=scenario.name)
+
+
+WAYS = (
+    lambda scenario: parse_scenario(dump_scenario(scenario)),
+    lambda scenario: pickle.loads(pickle.dumps(scenario)),
+    copy.deepcopy,
+    copy.copy,
+    by_comments,
+)
+
+
+@pytest.mark.parametrize("name", nightly_beyond(12, "examples", MADE))
+def test_a_scenario_comes_back(name):
+    scenario = MADE[name]()
+    plain = scenario.sampled()
+    ways = WAYS if scenario is not plain else (*WAYS, by_typed_yaml)
+    for way in ways:
+        again = way(scenario)
+        assert again is not scenario
+        assert again == scenario
+        assert dump_scenario(again) == dump_scenario(scenario)
+        assert again.sampled() == plain
+
+
+def parts(scenario):
+    """The scenario and all in it that has fields, with their names."""
+    for path in ("", *(f.name for f in dataclasses.fields(Scenario))):
+        part = getattr(scenario, path) if path else scenario
+        if path == "" or dataclasses.is_dataclass(part) or hasattr(part, "__fields__"):
+            yield path, part
+
+
+def other(value):
+    """Another value of the same type."""
+    if isinstance(value, bool):
+        return not value
+    if isinstance(value, (int, float)):
+        return value + 1 if np.isfinite(value) else 1
+    if isinstance(value, list):
+        return [*value[:-1], other(value[-1])] if value else [1.0]
+    return "another" if isinstance(value, str) else 1.0
+
+
+def test_scenarios_are_equal_only_if_all_their_fields_are():
+    scenario = load_scenario("quintic")
+    count = 0
+    for path, part in parts(scenario):
+        for name in fields_of(type(part)):
+            if name not in dict(parts(scenario)):
+                changed = copy.deepcopy(scenario)
+                target = getattr(changed, path) if path else changed
+                setattr(target, name, other(getattr(part, name)))
+                assert changed != scenario, (path, name)
+                count += 1
+    assert count > 80
+    assert scenario == load_scenario("quintic")
+    assert scenario not in ("quintic", scenario.system)
+
+
+def test_a_copy_shares_no_part():
+    scenario = load_scenario("quintic")
+    for again in (copy.deepcopy(scenario), pickle.loads(pickle.dumps(scenario))):
+        again.system.attachments[0][0] = 3.0
+        again.simulator_config.max_step_size = 0.001
+        again.scene.carrier_colours.append("#000000")
+        assert scenario == load_scenario("quintic") != again
+
+
+def test_numpy_in_a_field_is_python_in_the_scenario():
+    scenario = load_scenario("quintic")
+    scenario.system.attachments = np.array(scenario.system.attachments)
+    scenario.system.load_mass = np.float32(1.0)
+    scenario.pattern.phases = tuple(scenario.pattern.phases)
+    scenario.simulation_duration = np.int64(15)
+    scenario.system.attachments[0][0] = np.float64(0.75)  # in place
+    assert dump_scenario(scenario) == dump_scenario(load_scenario("quintic"))
+    make_nonstop(scenario)
+
+
+def test_each_number_of_a_box_has_a_unit_or_meaning():
+    lines = commented_scenario(load_scenario("quintic"), "mine").splitlines()
+    boxes = lines[lines.index("  pattern: !HamiltonianCycle") - 1 : lines.index("  scene:")]
+    for before, line in itertools.pairwise(boxes):
+        if line.startswith("    ") and not line.strip().startswith("#"):
+            assert "#" in line or before.strip().startswith("#"), line
+    assert max(len(line) for line in lines if line.lstrip().startswith("#")) <= 100
+
+
+def test_new_writes_a_file_and_replaces_none(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["new", "mine", "--from", "three_carriers"]) == 0
+    scenario = load_scenario("mine.yaml")
+    assert dataclasses.replace(scenario, name="three_carriers") == load_scenario("three_carriers")
+    before = (tmp_path / "mine.yaml").read_bytes()
+    for name, remedy in (("mine", "give another name"), ("a b", "letters"), ("a.txt", ".yaml")):
+        assert main(["new", name]) == 2
+        error = capsys.readouterr().err
+        assert remedy in error
+        assert len(error.splitlines()) == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.yaml"]
+    assert (tmp_path / "mine.yaml").read_bytes() == before
+
+
+def test_a_trajectory_from_a_file_is_in_the_resolved_scenario(tmp_path):
+    path = tmp_path / "way.csv"
+    path.write_text("t,x,y,z\n0,0,0,1\n4,0.25,0,1\n9,1,0,1e-1\n")
+    setting = f"load_trajectory=!SampledTrajectory {{file: '{path}'}}"
+    scenario = load_scenario("quintic", [setting, "optimization_layer=ConstantParameters"])
+    path.unlink()
+    assert scenario.load_trajectory.file == ""
+    assert scenario.load_trajectory.samples == [[0, 0, 0, 1], [4, 0.25, 0, 1], [9, 1, 0, 0.1]]
+    assert parse_scenario(dump_scenario(scenario)) == scenario
+    with pytest.raises(ScenarioError, match=r"load_trajectory\.file = .*way\.csv: give"):
+        load_scenario("quintic", [setting])
