@@ -3,11 +3,11 @@
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from drake_nonstop import compute_metrics, load_scenario, simulate
 from drake_nonstop.run.run_quantities import RunQuantities
 from drake_nonstop.studies.presets import read_grid
-from drake_nonstop.view.figure_style import new_figure
 
 # A drawn task: what it changes of the scenario "quintic". `tests/drawn_tasks.py` draws others.
 TASK = [
@@ -37,7 +37,7 @@ def main(duration: float = 20.0, folder: str | Path = "out/foresight") -> None:
             f" below it for {metrics['carriers']['time_below_bound_s']:.3f} s,"
             f" load error {1e3 * metrics['load']['position_error_mean_m']:.4f} mm"
         )
-    figure = new_figure((9.0, 4.2))
+    figure = Figure(figsize=(9.0, 4.2), layout="constrained")
     axes = figure.subplots()
     for (name, curve), colour in zip(curves.items(), ("black", "C0"), strict=True):
         axes.plot(*curve, label=name, color=colour)

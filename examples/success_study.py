@@ -8,7 +8,6 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from drake_nonstop import load_scenario, read_grid, sweep
-from drake_nonstop.view.figure_style import new_figure
 
 SPEC = Path(__file__).with_suffix(".yaml")
 MASS, GUST, BOUND = (
@@ -55,7 +54,7 @@ def main(
 def make_success_figure(table: dict[str, np.ndarray], succeeded: np.ndarray) -> Figure:
     """The share of runs that succeeded over gusts and masses, a panel for each bound."""
     bounds, gusts, masses = np.unique(table[BOUND]), table[GUST], table[MASS]
-    figure = new_figure((2.6 * len(bounds) + 1.4, 3.6))
+    figure = Figure(figsize=(2.6 * len(bounds) + 1.4, 3.6), layout="constrained")
     edges = [np.linspace(values.min(), values.max(), 6) for values in (gusts, masses)]
     all_axes = figure.subplots(1, len(bounds), sharey=True, squeeze=False)[0]
     for axes, bound in zip(all_axes, bounds, strict=True):

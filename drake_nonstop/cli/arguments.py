@@ -4,8 +4,6 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from drake_nonstop.view.figure_style import WIDTHS
-
 if TYPE_CHECKING:
     from drake_nonstop.scenario.schema import Scenario
 
@@ -32,14 +30,6 @@ def add_scenario(parser: argparse.ArgumentParser, folder: str = "out/NAME") -> N
     parser.add_argument("--out", type=Path, metavar="DIR", help=f"results' folder ({folder})")
     add_changes(parser, "--set", "change the scenario: system.load_mass=1.2, phase=PaperPhase")
     add_trust(parser, "let it import blocks of your own, such as phase=my_blocks.MyPhase")
-
-
-def add_look(parser: argparse.ArgumentParser) -> None:
-    """Adds --width and --style, of figures for papers."""
-    about = "of figures: a column of a paper, or two (single)"
-    parser.add_argument("--width", choices=WIDTHS, help=about)
-    about = "of figures: a style of Matplotlib, by its name or as a file, over this package's"
-    parser.add_argument("--style", help=about)
 
 
 def add_study(parser: argparse.ArgumentParser, folder: str) -> None:

@@ -11,7 +11,6 @@ from drake_nonstop.scenario.fields import warn_of_angles
 from drake_nonstop.scenario.loading import dump_scenario
 from drake_nonstop.studies.files import replacing_files, require_writable, write_json
 from drake_nonstop.studies.results_folder import default_folder, require_no_other_run
-from drake_nonstop.view.figure_style import require_drawing
 from drake_nonstop.view.progress import TaskProgress
 from drake_nonstop.view.task_figures import (
     make_aircraft_margins_figure,
@@ -47,7 +46,6 @@ def _check(options: argparse.Namespace) -> int:
     flights = "a flight" if count == 1 else f"{count} flights"
     print(f"check {scenario.name}: {flights} of {scenario.simulation_duration:g} s", flush=True)
     warn_of_angles(scenario)
-    require_drawing()
     folder = options.out or default_folder(Path("out") / "check" / scenario.name, scenario)
     require_no_other_run(folder, scenario)
     with TaskProgress() as progress:
@@ -57,15 +55,14 @@ def _check(options: argparse.Namespace) -> int:
         figures[_AIRCRAFT] = make_aircraft_margins_figure(found.aircraft)
     history = found.worst.history
     if history is not None and history.limits:
-        title = f"{scenario.name}: limits of the layer, dashed, as flown"
-        figures[_LIMITS] = make_limits_figure(history.limits, title)
+        figures[_LIMITS] = make_limits_figure(history.limits)
     files = (_SCENARIO, _DATA, *figures)
     require_writable(folder, files)
     with replacing_files(folder, files) as new:
         (new / _SCENARIO).write_text(dump_scenario(scenario), encoding="utf-8")
         write_json(new / _DATA, found.dictionary)
         for name, figure in figures.items():
-            figure.savefig(new / name, dpi=120)
+            figure.savefig(new / name, dpi=150)
     print(found.table)
     if found.aircraft is not None:
         print(f"\n{margins_table(found.aircraft)}")

@@ -54,7 +54,6 @@ def _design(options: argparse.Namespace) -> int:
     )
     from drake_nonstop.studies.journal import StudyInterrupted
     from drake_nonstop.studies.results_folder import first_free
-    from drake_nonstop.view.figure_style import require_drawing
     from drake_nonstop.view.progress import TaskProgress
 
     request = read_request(options.request, options.set)
@@ -62,7 +61,6 @@ def _design(options: argparse.Namespace) -> int:
     if options.print_request:
         print(text, end="")
         return 0
-    require_drawing()
 
     def is_of_request(folder: Path) -> bool:
         file = folder / _REQUEST

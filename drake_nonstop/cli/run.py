@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from drake_nonstop.cli.arguments import Commands, add_look, add_scenario, read_scenario
+from drake_nonstop.cli.arguments import Commands, add_scenario, read_scenario
 from drake_nonstop.cli.ending import (
     BAD_INPUT,
     FAILED,
@@ -41,7 +41,7 @@ from drake_nonstop.studies.results_folder import (
 )
 from drake_nonstop.studies.workers import no_progress
 from drake_nonstop.validation import ScenarioError, one_line, require, show_warning
-from drake_nonstop.view.figure_style import FORMATS, FigureLook
+from drake_nonstop.view.figure_style import FORMATS
 from drake_nonstop.view.progress import RunProgress, TaskProgress
 
 _EXIT_CODES = {RunOutcome.OK: 0, RunOutcome.STOPPED: FAILED}  # NOT_OK for all others
@@ -64,7 +64,6 @@ def add_to(commands: Commands) -> None:
     about = f"the format of figures/: {', '.join(FORMATS)} ({FORMATS[0]})"
     of_figures.add_argument("--figures", choices=FORMATS, default=FORMATS[0], help=about)
     of_figures.add_argument("--no-figures", action="store_true", help="write no figures/")
-    add_look(parser)
     parser.add_argument("--no-replay", action="store_true", help="write no replay.html")
     parser.add_argument(
         "--live", action="store_true", help="show it in Meshcat while it runs, with controls"
@@ -95,7 +94,6 @@ def _run(options: argparse.Namespace) -> int:
         scenario,
         figures=not options.no_figures and options.figures,
         replay=not options.no_replay,
-        look=FigureLook(options.style, options.width),
         verifies_step=options.verify_step,
         live_rate=rate if options.live else None,
         is_quiet=options.quiet,
@@ -108,7 +106,6 @@ def run_into(
     *,
     figures: str | bool = True,
     replay: bool = True,
-    look: FigureLook = FigureLook(),  # noqa: B008 - it is immutable
     verifies_step: bool = False,
     live_rate: float | None = None,
     is_quiet: bool = False,
@@ -122,9 +119,6 @@ def run_into(
     Raises:
         ScenarioError: the scenario cannot be built, or the folder not be written.
     """
-    if figures:
-        with look.applied():
-            pass  # they can be drawn
     is_new, is_live = not os.path.lexists(folder), live_rate is not None
     own_code = own_code_of(dump_scenario(scenario))  # before somebody edits it
     progress = None if is_quiet else RunProgress(scenario.name, scenario.simulation_duration)
@@ -154,7 +148,7 @@ def run_into(
             if interruption.count > 1:
                 raise KeyboardInterrupt
             with TaskProgress() as task:
-                kinds: dict[str, Any] = {"figures": figures, "replay": replay, "look": look}
+                kinds: dict[str, Any] = {"figures": figures, "replay": replay}
                 show = no_progress if is_quiet else task
                 write_pictures(run, place, **kinds, progress=show, may_fork=not is_live)
         except KeyboardInterrupt:

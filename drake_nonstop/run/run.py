@@ -81,23 +81,19 @@ class Run(SignalTable):
             self.diagram = built_again(self.scenario, self.replacements, repr(self))
             return self.diagram
 
-    def plot(
-        self, *names: str, style: str | Path | None = None, width: str | None = None
-    ) -> "Figure":
+    def plot(self, *names: str) -> "Figure":
         """Draws a figure of the run, or signals over time; the figure can be changed and saved.
 
         Args:
             names: one of the figures that `drake-nonstop run` writes, such as "tensions" or
                 "carrier_paths_from_above"; or signals as of `columns`, a panel for each quantity.
-            style: a style of Matplotlib, by its name or as a file, over that of this package.
-            width: "single", a column of a paper, or "double"; None: as the style has it.
 
         Raises:
-            ScenarioError: there is no such figure, signal, style or width.
+            ScenarioError: there is no such figure or signal.
         """
         # By its name: figures are drawn in a room above that of runs.
-        figures = importlib.import_module("drake_nonstop.view.run_figures")
-        return figures.plotted(self, names, figures.FigureLook(style, width))
+        figures: Any = importlib.import_module("drake_nonstop.view.run_figures")
+        return figures.make_figure(self, *names)
 
     @classmethod
     def from_logs(

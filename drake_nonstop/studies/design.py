@@ -13,7 +13,7 @@ from drake_nonstop.studies.formation_search import DesignedFormation, Refusal, d
 from drake_nonstop.studies.journal import StudyInterrupted
 from drake_nonstop.studies.workers import Progress, no_progress, run_all
 from drake_nonstop.validation import ScenarioError
-from drake_nonstop.view.figure_style import COLOURS, new_figure
+from drake_nonstop.view.figure_style import PAGE, in_paper_style, legend_above, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -174,18 +174,19 @@ def design(request: DesignRequest, progress: Progress = no_progress) -> Design:
     return so_far()
 
 
+@in_paper_style
 def make_pareto_figure(found: Design) -> Figure:
     """Power per mass of the load against the reserve of the margins, and against separation.
 
     A colour for each number of carriers, a marker for each kind; filled where no other formation
     has less power and no less reserve.
     """
-    figure = new_figure((7.0, 3.1))
+    figure = new_figure((PAGE, 2.9))
     left, right = figure.subplots(1, 2, sharey=True)
     numbers = sorted({formation.carriers for formation in found.formations})
     labels = set()
     for formation in found.formations:
-        colour = COLOURS[numbers.index(formation.carriers) % len(COLOURS)]
+        colour = f"C{numbers.index(formation.carriers)}"
         marker = "o" if formation.kind == "leaning" else "s"
         face = colour if found.is_efficient(formation) else "white"
         style = {"color": colour, "markerfacecolor": face, "markersize": 5}
@@ -199,6 +200,5 @@ def make_pareto_figure(found: Design) -> Figure:
     left.set_ylim(0, None)
     right.set_xlabel("carriers apart, at least (m)")
     for axes in (left, right):
-        axes.grid(alpha=0.3)
-    figure.legend(loc="outside upper center", ncols=min(5, len(labels)), frameon=False, fontsize=8)
-    return figure
+        axes.margins(x=0.05)
+    return legend_above(figure)

@@ -38,16 +38,16 @@ from drake_nonstop.studies.journal import is_written, journalled_settings, own_c
 from drake_nonstop.studies.workers import Progress, end_with_parent, no_progress
 from drake_nonstop.validation import require, require_flags
 from drake_nonstop.view.drawing import draw_diagram
-from drake_nonstop.view.figure_style import FORMATS, FigureLook
+from drake_nonstop.view.figure_style import FORMATS
 from drake_nonstop.view.replay import record_replay
-from drake_nonstop.view.run_figures import FIGURE_NAMES, figure_names, make_figure
+from drake_nonstop.view.run_figures import FIGURES, figure_names, make_figure
 
 _METRICS = "metrics.json"
 _DATA = (SCENARIO, _METRICS, SIGNALS)
 _OWN_CODE = "own_code"  # in metrics.json, beside the versions of packages
 
 _DIAGRAM, _REPLAY = "diagram.svg", "replay.html"
-_FIGURES = [f"figures/{name}.{kind}" for kind in FORMATS for name in FIGURE_NAMES]
+_FIGURES = [f"figures/{name}.{kind}" for kind in FORMATS for name in FIGURES]
 _PICTURES = (_DIAGRAM, _REPLAY, *_FIGURES)
 
 # All files that may be written; those that a run does not write are removed.
@@ -132,8 +132,6 @@ def write_results(
     *,
     figures: bool | str = True,
     replay: bool = True,
-    style: str | Path | None = None,
-    width: str | None = None,
 ) -> dict[str, Any]:
     """Writes a run's results to the folder and returns its metrics.
 
@@ -141,8 +139,7 @@ def write_results(
     results once they are written; diagram.svg, replay.html and figures/ follow, one by one.
     Earlier ones that show the same flight stay until then. `Run.load` reads the run back.
 
-    `figures` may also be their format: "png", "pdf" or "svg"; `style` and `width` are as of
-    `Run.plot`.
+    `figures` may also be their format: "png", "pdf" or "svg".
 
     Raises:
         ScenarioError: the folder cannot be written, or one of the others is no such value; then
@@ -152,7 +149,7 @@ def write_results(
     require_flags(replay=replay)  # only now: the flight is written
     is_known = isinstance(figures, bool) or (isinstance(figures, str) and figures in FORMATS)
     require(is_known, "figures", figures, f"give true or false, or {' or '.join(FORMATS)}")
-    write_pictures(run, folder, figures=figures, replay=replay, look=FigureLook(style, width))
+    write_pictures(run, folder, figures=figures, replay=replay)
     return metrics
 
 
@@ -203,13 +200,12 @@ def write_pictures(
     *,
     figures: bool | str = True,
     replay: bool = True,
-    look: FigureLook = FigureLook(),  # noqa: B008 - it is immutable
     progress: Progress = no_progress,
     may_fork: bool = False,
 ) -> None:
     """Writes diagram.svg, replay.html and figures/, each of which appears once it is complete.
 
-    `figures` is as of `write_results`, and `look` theirs. Earlier pictures that are not asked for
+    `figures` is as of `write_results`. Earlier pictures that are not asked for
     are removed at the end. With `may_fork`, for a process without threads that may hold a lock, a
     fork draws most of the figures meanwhile.
     """
@@ -217,7 +213,7 @@ def write_pictures(
     todo = [_DIAGRAM, _REPLAY] if replay else [_DIAGRAM]
     kind = figures if isinstance(figures, str) else FORMATS[0]
     drawn = [f"figures/{name}.{kind}" for name in figure_names(run)] if figures else []
-    write = partial(_write_each, run, folder, look)
+    write = partial(_write_each, run, folder)
     if drawn and may_fork and sys.platform == "linux" and len(os.sched_getaffinity(0)) > 1:
         import matplotlib.figure  # noqa: F401 - once, for both processes
 
@@ -249,25 +245,21 @@ def _draw(write: Callable[[Sequence[str]], None], items: Sequence[str]) -> None:
 
 
 def _write_each(
-    run: Run, folder: Path, look: FigureLook, items: Sequence[str], progress: Progress = no_progress
+    run: Run, folder: Path, items: Sequence[str], progress: Progress = no_progress
 ) -> None:
     for k, item in enumerate(items):
         progress("writing", k / len(items))
         with replacing_files(folder, [item]) as new:
             (new / item).parent.mkdir(exist_ok=True)
             with (new / item).open("wb") as file:
-                _write_picture(run, item, look, file)
+                _write_picture(run, item, file)
 
 
-def _write_picture(run: Run, item: str, look: FigureLook, file: BinaryIO) -> None:
+def _write_picture(run: Run, item: str, file: BinaryIO) -> None:
     if item == _DIAGRAM:
         file.write(draw_diagram(run.diagram).encode())
     elif item == _REPLAY:
         file.write(record_replay(run).encode())
     else:
         name, _, kind = Path(item).name.partition(".")
-        figure = make_figure(run, name, look)
-        if kind == "png":
-            file.write(figure.png())
-        else:
-            figure.savefig(file, format=kind)
+        make_figure(run, name).savefig(file, format=kind)

@@ -49,7 +49,6 @@ from drake_nonstop.validation import (
     require_flags,
     require_seed,
 )
-from drake_nonstop.view.figure_style import require_drawing
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -267,8 +266,6 @@ def run_study(
     require_sendable(make_loop, "make_loop")
     if executor is None:
         require_main()
-    if folder is not None:
-        require_drawing()
     numbers = _seeds(seeds)
     count = len(settings) * len(numbers)
     require(0 < count <= _MOST_RUNS, "study", f"{count} runs", f"give 1 to {_MOST_RUNS}")

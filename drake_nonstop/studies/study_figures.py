@@ -11,33 +11,31 @@ from numpy.typing import NDArray
 from drake_nonstop.run.metrics import Metric
 from drake_nonstop.studies.summary import Summary, interval, name_of
 from drake_nonstop.view.figure_style import (
+    LIMIT,
     LINE_STYLES,
-    FigureLook,
-    colours,
-    ink,
+    MOST_NAMED,
+    in_paper_style,
     legend_above,
-    limit_style,
     new_figure,
 )
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_MOST_LINES = 12
 _ROW, _EDGES = 0.24, 1.0  # inch, of a figure with a row per setting
 
 
+@in_paper_style
 def make_study_figure(summary: Summary, metric: Metric) -> Figure:
     """The metric's mean with 95 % over seeds: lines over a factor of numbers with bands, or rows.
 
     Lines are drawn where a factor has three numbers or more in each combination of the others.
     """
     values = summary.values(metric.path) * metric.quantity.scale
-    with FigureLook().applied():
-        across = _axis(summary)
-        if across is not None:
-            return _lines(summary, metric, values, across)
-        return _rows(summary, metric, values)
+    across = _axis(summary)
+    if across is not None:
+        return _lines(summary, metric, values, across)
+    return _rows(summary, metric, values)
 
 
 def _axis(summary: Summary) -> str | None:
@@ -47,7 +45,7 @@ def _axis(summary: Summary) -> str | None:
         is_number = all(isinstance(x, (int, float)) and not isinstance(x, bool) for x in levels)
         lines = _groups(summary, name).values()
         are_whole = {len(line) for line in lines} == {len({*map(str, levels)})}
-        if is_number and are_whole and len(levels) > 2 * len(lines) and len(lines) <= _MOST_LINES:
+        if is_number and are_whole and len(levels) > 2 * len(lines) and len(lines) <= MOST_NAMED:
             return name
     return None
 
@@ -66,7 +64,7 @@ def _lines(summary: Summary, metric: Metric, values: NDArray, across: str) -> Fi
     figure = new_figure((5.2, 3.6))
     axes = figure.subplots()
     mean, _, half = interval(values)
-    styles = itertools.product(LINE_STYLES, colours())
+    styles = itertools.product(LINE_STYLES, map("C{}".format, range(MOST_NAMED)))
     for (others, chosen), (line, colour) in zip(
         _groups(summary, across).items(), styles, strict=False
     ):
@@ -78,7 +76,6 @@ def _lines(summary: Summary, metric: Metric, values: NDArray, across: str) -> Fi
         axes.fill_between(x, low, high, color=colour, alpha=0.2, linewidth=0)
     axes.margins(x=0.05)
     axes.set(xlabel=across, ylabel=metric.heading)
-    axes.grid(alpha=0.3)
     return legend_above(figure) if len(_groups(summary, across)) > 1 else figure
 
 
@@ -94,12 +91,12 @@ def _rows(summary: Summary, metric: Metric, values: NDArray) -> Figure:
     if values.shape[1] > 1:
         axes.plot(values.ravel(), seeds.ravel(), ".", color="0.7", markersize=3, zorder=1)
     half = np.where(np.isnan(half), 0.0, half)
-    axes.errorbar(mean, places, xerr=half, fmt="o", markersize=4, color=colours()[0], capsize=2)
+    axes.errorbar(mean, places, xerr=half, fmt="o", markersize=4, color="C0", capsize=2)
     if not np.isnan(mean[0]):
-        axes.axvline(mean[0], zorder=0, **limit_style())
+        axes.axvline(mean[0], zorder=0, **LIMIT)
     for place in places[np.isnan(mean)]:
         told = summary.outcome(int(place))
-        about = {"transform": axes.get_yaxis_transform(), "va": "center", "color": ink()}
+        about = {"transform": axes.get_yaxis_transform(), "va": "center", "color": "black"}
         axes.text(0.02, place, told, fontsize="small", **about)
     known = mean[np.isfinite(mean)]
     if len(known) > 1 and known.min() > 0 and known.max() > 100 * np.median(known):
@@ -108,5 +105,4 @@ def _rows(summary: Summary, metric: Metric, values: NDArray) -> Figure:
     axes.set_ylim(len(names) - 0.4, -0.6)
     axes.margins(x=0.05)
     axes.set_xlabel(metric.heading)
-    axes.grid(alpha=0.3)
     return figure

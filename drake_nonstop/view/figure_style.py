@@ -1,4 +1,4 @@
-"""Style of all figures: style sheet, size, units, panels, curves, colours, legend, title and grid.
+"""What all figures share: size, units, panels, curves and legends.
 
 Matplotlib is imported with the first figure: its import takes as long as all others together,
 and runs without figures do not need it.
@@ -8,33 +8,26 @@ from __future__ import annotations
 
 import functools
 import math
-import os
 import re
-import shutil
-from collections.abc import Iterator
-from contextlib import contextmanager
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Callable
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-
-from drake_nonstop.validation import require
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-COLOURS = (  # Okabe and Ito's, which the colour-blind can tell apart, and four darker ones
-    *("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"),
-    *("#7f5f3f", "#882255", "#117733", "#332288", "#999933", "#888888"),
-)
+Made = TypeVar("Made", bound=Callable[..., Any])
+
+LIMIT: dict[str, Any] = {"color": "black", "linestyle": "--", "linewidth": 1.0}  # how it is drawn
 LINE_STYLES = ("solid", (0, (5, 4)), (0, (1, 2)))  # of coinciding curves, so that all are seen
 MOST_POINTS = 20_000  # of a curve
-MOST_NAMED = 12  # curves of carriers in a legend: that many colours are different
+MOST_NAMED = 12  # curves of carriers in a legend: that many colours, C0 to C11, are different
 FORMATS = ("png", "pdf", "svg")  # of files with figures
-WIDTHS = {"single": 3.5, "double": 7.16}  # inch, of a column of a paper (IEEE), and of two
-_SHEET = "drake_nonstop.view.paper"  # as Matplotlib names paper.mplstyle
+PAGE = 7.16  # inch, of two columns of a paper (IEEE); the style has the width of one
 _STACKED = 0.55  # of a single panel's height, that of each of several
 _LOWEST, _TALLEST = 0.6, 1.5  # of a single panel's height, that of one with a slope
 _LABELS = 0.3  # inch, the height of labels below a panel
@@ -42,69 +35,36 @@ _PREFIXES = ((0, ""), (3, "m"), (6, "µ"), (9, "n"))  # of SI units, by the digi
 _PREFIXED = re.compile(r"(m|rad|N|s|W|V|Pa|J)(?!\w)")  # units that they stand before
 
 
-class FigureLook(NamedTuple):
-    """Looks of a run's figures, as of `Run.plot`."""
+def in_paper_style(make: Made) -> Made:
+    """The function, whose figures are made in the paper's style."""
 
-    style: str | Path | None = None
-    width: str | None = None
+    @functools.wraps(make)
+    def made(*arguments: Any, **options: Any) -> Any:
+        from drake_nonstop.view.paper_figure import paper_style
 
-    @contextmanager
-    def applied(self) -> Iterator[None]:
-        """Has figures made within look like this, whatever Matplotlib is set to outside.
+        with paper_style():
+            return make(*arguments, **options)
 
-        Raises:
-            ScenarioError: there is no such style or width.
-        """
-        require_drawing()
-        import matplotlib
-        import matplotlib.style
-
-        is_width = self.width is None or (isinstance(self.width, str) and self.width in WIDTHS)
-        require(is_width, "width", self.width, f"give {' or '.join(WIDTHS)}")
-        with matplotlib.rc_context():
-            try:
-                dict.update(matplotlib.rcParams, _sheet())
-                matplotlib.style.use(self.style or {})
-            except (OSError, TypeError, ValueError):
-                remedy = "give a file or one of `matplotlib.style.available`, such as ggplot"
-                require(False, "style", self.style, remedy)
-            remedy = "its text.usetex needs LaTeX: install it, or give a style without that"
-            has_text = not matplotlib.rcParams["text.usetex"] or shutil.which("latex")
-            require(bool(has_text), "style", self.style, remedy)
-            width, height = matplotlib.rcParams["figure.figsize"]
-            matplotlib.rcParams["figure.figsize"] = WIDTHS.get(self.width or "", width), height
-            yield
+    return made  # type: ignore[return-value]
 
 
-@functools.cache
-def _sheet() -> dict[str, Any]:
-    """The settings of Matplotlib's default style with paper.mplstyle over them."""
-    import matplotlib.style
-
-    with matplotlib.rc_context():
-        matplotlib.style.use(["default", _SHEET])
-        settings = dict(matplotlib.rcParams.copy())
-    del settings["backend"]
-    return settings
-
-
-def require_drawing() -> None:
-    """Raises ScenarioError where Matplotlib is not imported with the backend that is set."""
-    backend = os.environ.get("MPLBACKEND")
-    if backend:
-        try:
-            import matplotlib  # noqa: F401
-        except ValueError:
-            remedy = "give a backend of Matplotlib, such as agg, or unset the variable"
-            require(False, "MPLBACKEND", backend, remedy)
-
-
+@in_paper_style
 def new_figure(size: tuple[float, float]) -> Figure:
-    """An empty figure of that size in inch, which keeps the style that it is made in."""
-    require_drawing()
-    from drake_nonstop.view.styled_figure import StyledFigure
+    """An empty figure of that size in inch."""
+    from drake_nonstop.view.paper_figure import PaperFigure
 
-    return StyledFigure(figsize=size, layout="constrained", dpi=150)
+    return PaperFigure(figsize=size, layout="constrained")
+
+
+def stacked(count: int) -> tuple[Figure, list[Axes]]:
+    """A figure of a column's width, with panels over one time axis."""
+    from matplotlib import rcParams
+
+    width, height = rcParams["figure.figsize"]
+    figure = new_figure((width, height * max(1.0, _STACKED * count)))
+    panels = [*figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0]]
+    panels[-1].set_xlabel("time (s)")
+    return figure, panels
 
 
 def single(across: str, up: str, slope: float | None = None) -> tuple[Figure, Axes]:
@@ -120,38 +80,6 @@ def single(across: str, up: str, slope: float | None = None) -> tuple[Figure, Ax
     return figure, axes
 
 
-def stacked(count: int) -> tuple[Figure, list[Axes]]:
-    """A figure with panels over one time axis, as wide as the style has it."""
-    from matplotlib import rcParams
-
-    width, height = rcParams["figure.figsize"]
-    figure = new_figure((width, height * max(1.0, _STACKED * count)))
-    panels = [*figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0]]
-    panels[-1].set_xlabel("time (s)")
-    return figure, panels
-
-
-def colours() -> list[str]:
-    """The style's colours, which curves have in turn; COLOURS in place of Matplotlib's default."""
-    from matplotlib import rcParams, rcParamsDefault
-
-    cycle = rcParams["axes.prop_cycle"]
-    own = cycle.by_key().get("color") if cycle != rcParamsDefault["axes.prop_cycle"] else None
-    return own or list(COLOURS)
-
-
-def ink() -> str:
-    """The style's colour of text, black where paper is white."""
-    from matplotlib import rcParams
-
-    return rcParams["text.color"]
-
-
-def limit_style() -> dict[str, Any]:
-    """How a limit is drawn."""
-    return {"color": ink(), "linestyle": "--", "linewidth": 1.0}
-
-
 def fitting_unit(unit: str, *values: ArrayLike) -> tuple[float, str]:
     """The unit in which the largest of the values, in SI units, is 0.1 or more, if it can be.
 
@@ -165,33 +93,17 @@ def fitting_unit(unit: str, *values: ArrayLike) -> tuple[float, str]:
     return 1.0, unit
 
 
-def titled(figure: Figure, title: str) -> Figure:
-    """The figure, with a title and a grid in all axes."""
-    figure.suptitle(title)
-    for axes in figure.axes:
-        axes.grid(alpha=0.3)
-    return figure
-
-
-def legend_below(figure: Figure, axes: Axes, **more: Any) -> None:
-    """A legend below the panels: the curves of one, and more of them by their names."""
-    shown = dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True)) | more
-    place = {"loc": "outside lower center", "ncols": 6, "fontsize": "small", "frameon": False}
-    figure.legend(shown.values(), shown.keys(), **place)
-
-
-def legend_above(figure: Figure, axes: Axes | None = None) -> Figure:
-    """The figure, grown by a legend above its panels, or above one: it covers nothing."""
+def legend_above(figure: Figure, title: str | None = None) -> Figure:
+    """The figure, grown by a title and a legend above its panels, which cover nothing."""
     named: dict[str, Any] = {}
-    for each in figure.axes if axes is None else [axes]:
-        named |= dict(zip(*each.get_legend_handles_labels()[::-1], strict=True))
-    above: dict[str, Any] = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0)}
-    place = {"loc": "outside upper center", "borderaxespad": 0} if axes is None else above
+    for axes in figure.axes:
+        named |= dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True))
+    place: dict[str, Any] = {"loc": "outside upper center", "borderaxespad": 0, "title": title}
     for rows in range(1, 1 + len(named)):  # until it fits into the width
         columns = math.ceil(len(named) / rows)
-        legend = (axes or figure).legend(named.values(), named.keys(), ncols=columns, **place)
+        legend = figure.legend(named.values(), named.keys(), ncols=columns, **place)
         box = legend.get_window_extent()
-        if box.width < (1.0 if axes is None else 0.8) * figure.bbox.width or columns == 1:
+        if box.width < figure.bbox.width or columns == 1:
             figure.set_figheight(figure.get_figheight() + box.height / figure.dpi)
             break
         legend.remove()
@@ -210,12 +122,10 @@ def plot_each(axes: Axes, x: ArrayLike, values: NDArray, name: str = "", **optio
 
     The first twelve have the name and a number in the legend.
     """
-    palette = colours()
     for i, column in enumerate(values.T):
         style = LINE_STYLES[i >= values.shape[1] / 2]
         label = f"{name} {i + 1}" if name and i < MOST_NAMED else None
-        colour = palette[i % len(palette)]
-        plot(axes, x, column, **{"color": colour, "linestyle": style, "label": label} | options)
+        plot(axes, x, column, **{"color": f"C{i}", "linestyle": style, "label": label} | options)
 
 
 def extreme_samples(values: NDArray, most: int = MOST_POINTS) -> NDArray:
@@ -232,13 +142,11 @@ def extreme_samples(values: NDArray, most: int = MOST_POINTS) -> NDArray:
     if count <= most:
         return np.arange(count)
     columns = values.reshape(count, -1)
-    length = -(-count // ((most - 2) // (2 * columns.shape[1]) - 1))  # of a stretch
-    whole = count // length * length
-    stretches = columns[:whole].reshape(-1, length, columns.shape[1])
-    starts = length * np.arange(len(stretches))[:, None]
-    chosen = [starts + extreme(stretches, axis=1) for extreme in (np.argmin, np.argmax)]
-    if whole < count:
-        chosen += [
-            whole + extreme(columns[whole:], axis=0)[None] for extreme in (np.argmin, np.argmax)
-        ]
-    return np.unique(np.concatenate([[0, count - 1], *(each.ravel() for each in chosen)]))
+    parts = (most - 2) // (2 * columns.shape[1])
+    edges = np.linspace(0, count, parts + 1).astype(int)
+    chosen = [
+        start + extreme(columns[start:end], axis=0)
+        for start, end in pairwise(edges)
+        for extreme in (np.argmin, np.argmax)
+    ]
+    return np.unique(np.concatenate([[0, count - 1], *chosen]))

@@ -22,7 +22,6 @@ from drake_nonstop.run.run_quantities import (
 from drake_nonstop.run.simulate import simulate
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.view.browser import open_browser
-from drake_nonstop.view.figure_style import new_figure
 from drake_nonstop.view.task_figures import make_aircraft_margins_figure
 from drake_nonstop.view.video import encode_gif, replay_pictures
 
@@ -62,7 +61,7 @@ def make_pictures(folder: Path) -> list[Path]:
         "real_scale.png": _png(_encounters_figure(_patterns()), dpi=110),
         "aircraft.png": _png(_aircraft_figure(flight, flying, hardest), dpi=110),
         "aircraft_check.png": _png(
-            make_aircraft_margins_figure(aircraft_margins(load_scenario(_TASK))), dpi=110
+            make_aircraft_margins_figure(aircraft_margins(load_scenario(_TASK))), dpi=140
         ),
     }
     for name, content in pictures.items():
@@ -137,7 +136,7 @@ def _encounters_figure(runs: dict[str, Run]) -> Figure:
     There is a column for each of `runs`, which are given by their titles. Cables are drawn at the
     instant at which two of them, or two carriers, are closest.
     """
-    figure = new_figure((3.6 * len(runs), 5.6))
+    figure = Figure(figsize=(3.6 * len(runs), 5.6), layout="constrained")
     grid = figure.add_gridspec(2, len(runs), height_ratios=[1.3, 1])
     for k, (title, run) in enumerate(runs.items()):
         carriers = CarrierStates.view(run.signal("carrier_state")).positions

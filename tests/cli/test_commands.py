@@ -19,11 +19,8 @@ from drake_nonstop.scenario.loading import dump_scenario, load_scenario, scenari
 DATA = {"scenario.yaml", "metrics.json", "signals.npz"}
 RESULTS = DATA | {"diagram.svg", "replay.html", "figures"}
 FIGURES = {
-    "load_reference",
     "carrier_paths_from_above",
-    "carrier_paths_zoomed",
-    "load_position_error",
-    "load_orientation_error",
+    "load_errors",
     "carrier_speeds",
     "tensions",
     "internal_force_parameters",

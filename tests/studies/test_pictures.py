@@ -20,7 +20,7 @@ def write(monkeypatch, tmp_path):
     monkeypatch.setattr(os, "sched_getaffinity", lambda process: {0, 1})
 
     def written(content, error=(), **options):
-        def picture(run, item, look, file):
+        def picture(run, item, file):
             file.write(str(content(item)).encode())
 
         monkeypatch.setattr(results_folder, "_write_picture", picture)

@@ -1,0 +1,38 @@
+"""The paper's style, and figures that have it wherever they are drawn and saved."""
+
+import functools
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+from matplotlib.figure import Figure
+
+
+@contextmanager
+def paper_style() -> Iterator[None]:
+    """Has Matplotlib make and draw what is within in the style of paper.mplstyle."""
+    with matplotlib.rc_context():
+        dict.update(matplotlib.rcParams, _sheet())  # of a file: its values are checked
+        yield
+
+
+@functools.cache
+def _sheet() -> dict[str, Any]:
+    file = Path(__file__).with_name("paper.mplstyle")
+    settings = dict(matplotlib.rc_params_from_file(file, use_default_template=True))
+    del settings["backend"]
+    return settings
+
+
+class PaperFigure(Figure):
+    """A figure whose ticks, fonts and files, which are made late, have this style, too."""
+
+    def draw(self, renderer: Any) -> None:  # noqa: D102 - as of Figure
+        with paper_style():
+            super().draw(renderer)
+
+    def savefig(self, *arguments: Any, **options: Any) -> None:  # noqa: D102
+        with paper_style():
+            super().savefig(*arguments, **options)
