@@ -18,4 +18,6 @@ class DeclaredPorts(griffe.Extension):
         module = importlib.import_module(cls.module.path)
         text = inspect.getdoc(getattr(module, cls.name, None)) or ""
         if ".. pydrake_system::" in text:
-            cls.docstring.value = re.sub(r"\.\. pydrake_system::\n\n(?: +.*\n)+\n?", "", text)
+            text = re.sub(r"\.\. pydrake_system::\n\n(?: +.*\n)+\n?", "", text)
+            # A box's page has a table of the parameters, with their defaults.
+            cls.docstring.value = re.sub(r"Parameters, the fields of .*\n\n(?:.+\n?)+", "", text)

@@ -10,14 +10,17 @@ from typing import Any
 from mkdocs.plugins import event_priority
 
 import drake_nonstop.mechanics
+from drake_nonstop.diagrams.nonstop import BOXES
 
 # The modules with the equations.
 MECHANICS = sorted(module.name for module in pkgutil.iter_modules(drake_nonstop.mechanics.__path__))
 
 
 def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
-    """Has the names of functions in the text of the equations lead to the reference."""
-    return linked_functions(markdown) if page.file.src_uri == "theory.md" else markdown
+    """Has the names of functions and blocks beside the equations lead to their pages."""
+    if page.file.src_uri == "theory.md":
+        return linked_blocks(linked_functions(markdown))
+    return linked_functions(markdown) if page.file.src_uri.startswith("boxes/") else markdown
 
 
 def on_post_page(output: str, page: Any, config: Any) -> str:
@@ -63,7 +66,7 @@ def _plain(formula: str) -> str:
 
 
 def linked_functions(markdown: str) -> str:
-    """A text whose `module.function` of `drake_nonstop.mechanics` are links, by mkdocstrings."""
+    """Makes links of all `module.function` of `drake_nonstop.mechanics` in a text."""
 
     def linked(match: re.Match[str]) -> str:
         if match[1] not in MECHANICS:
@@ -71,3 +74,17 @@ def linked_functions(markdown: str) -> str:
         return f"[{match[0]}][drake_nonstop.mechanics.{match[1]}.{match[2]}]"
 
     return re.sub(r"`(\w+)\.(\w+)`", linked, markdown)
+
+
+def linked_blocks(markdown: str) -> str:
+    """Makes links to the pages of the boxes of all names of blocks in a text."""
+    places = {
+        variant.__name__: f"boxes/{name}.md#{variant.__module__}.{variant.__name__}"
+        for name, box in BOXES.items()
+        for variant in box.variants
+    }
+
+    def linked(match: re.Match[str]) -> str:
+        return f"[{match[0]}]({places[match[1]]})" if match[1] in places else match[0]
+
+    return re.sub(r"`(\w+)`", linked, markdown)

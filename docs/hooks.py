@@ -11,13 +11,14 @@ import os
 import re
 import shutil
 import tempfile
+import textwrap
 import typing
 from pathlib import Path
 from typing import Any
 
 import drake_nonstop
 from drake_nonstop.blocks.reference_governor import ReferenceGovernorConfig
-from drake_nonstop.diagrams.nonstop import BOXES, SIGNALS, make_nonstop
+from drake_nonstop.diagrams.nonstop import BOXES, SIGNALS, make_blocks, make_nonstop
 from drake_nonstop.model.aircraft import AircraftParameters
 from drake_nonstop.model.system import SystemParameters
 from drake_nonstop.scenario.choices import CHOICES
@@ -44,8 +45,9 @@ def on_files(files: Any, config: Any) -> Any:
 
     pages = {
         "figure.md": figure_page(),
-        "blocks.md": blocks_page(),
+        "scenario.md": scenario_page(),
         "signals.md": signals_page(),
+        **box_pages(),
     }
     for name, text in pages.items():
         files.append(File.generated(config, name, content=text))
@@ -60,26 +62,13 @@ def on_post_page(output: str, page: Any, config: Any) -> str:
     return output
 
 
-# Where the page on the theory has the equations of boxes.
-EQUATIONS = {
-    "load_feedback": "estimates",
-    "wrench_controller": "the-desired-wrench",
-    "optimization_layer": "plans-over-a-horizon",
-    "phase": "the-pattern",
-    "internal_force": "the-pattern",
-    "force_distribution": "the-grasp-matrix-and-internal-forces",
-    "carrier_trajectory": "where-carriers-are",
-    "carrier_controller": "the-carriers-own-loop",
-    "carrier_dynamics": "the-carriers-own-loop",
-    "cables": "what-a-cable-pulls-with",
-    "wind": "wind",
-    "wind_estimator": "an-estimate-of-the-wind",
-    "load_plant": "how-the-load-moves",
-}
+THEORY = Path(__file__).with_name("theory.md")
+# Pages that show how to write a block for a box from nothing.
+HOW_TO = {"optimization_layer": "howto_optimizer.md", "carrier_dynamics": "howto_vehicle.md"}
 
 
 def figure_page() -> str:
-    """The figure as it is drawn from the built diagram; each box leads to its equations."""
+    """The figure as it is drawn from the built diagram; each box leads to its page."""
     drawing = draw_diagram(make_nonstop(drake_nonstop.load_scenario("quintic")))
     drawing = drawing[drawing.index("<svg") :]
 
@@ -87,15 +76,13 @@ def figure_page() -> str:
         name = match[2]
         place = "reference/package_blocks.html"
         place += "#drake_nonstop.blocks.sample_and_hold.add_sample_and_hold"
-        if name in EQUATIONS:
-            place = f"theory.html#{EQUATIONS[name]}"
-        elif name in BOXES:  # it has none
-            place = f"blocks.html#{name}"
+        if name in BOXES:
+            place = f"boxes/{name}.html"
         return f'<a href="{place}">{match[0]}</a>'
 
     drawing = re.sub(r'(<g [^>]*data-block="([^"]+)".*?</g>)', linked, drawing, flags=re.DOTALL)
     rows = [
-        f"| [`{name}`](blocks.md#{name}) | {box.variants[0].__name__} | "
+        f"| [`{name}`](boxes/{name}.md) | {box.variants[0].__name__} | "
         f"{_sentence(box.variants[0])} | {', '.join(map(_signal_link, box.signals))} |"
         for name, box in BOXES.items()
     ]
@@ -108,8 +95,8 @@ def figure_page() -> str:
             "# The figure, box by box",
             "",
             "The control figure, drawn from the diagram that is built. Each box is a Drake system",
-            "with named ports, and a link to its equations; wires have the names of signals and",
-            "the paper's symbols. The table below has links to what a box can be.",
+            "with named ports, and a link to its equations and blocks; wires have the names of",
+            "signals and the paper's symbols.",
             "",
             f'<div class="figure" markdown="0">{drawing}</div>',
             "",
@@ -125,32 +112,93 @@ def figure_page() -> str:
     )
 
 
-def blocks_page() -> str:
-    """What each box can be: blocks, ports and parameters, as `drake-nonstop blocks` prints them."""
+def box_pages() -> dict[str, str]:
+    """A page for each box of the figure: equations, a template, blocks with their parameters."""
+    blocks = make_blocks(drake_nonstop.load_scenario("quintic"))
+    return {f"boxes/{name}.md": box_page(name, blocks[name]) for name in BOXES}
+
+
+def box_page(name: str, block: Any) -> str:
+    """The page of a box, with a template whose signals are those of the block."""
+    variants = BOXES[name].variants
+    signals = BOXES[name].signals
+    made = ", ".join(f"{_signal_link(port, '../')} ({size_of(port)})" for port in signals)
+    lines = [f"# `{name}`", "", _sentence(variants[0]), "", f"The box makes {made}. Sizes are in"]
+    lines += ["brackets, for n carriers and m coordinates of the internal force.", ""]
+    lines += ["## Equations", "", *equations_of({v.__name__ for v in variants})]
+    lines += ["## A block of your own", "", "Save this, change `equations`, and fly it:", ""]
+    lines += ["```python", template(name, block), "```", ""]
+    nothing = HOW_TO.get(name, "swap.md#a-block-of-your-own")
+    lines += [f"One that inherits from none of these is [written from nothing](../{nothing}).", ""]
+    for variant, choice in zip(variants, choices_of(name), strict=True):
+        lines += [f"::: {variant.__module__}.{variant.__name__}", "    options: {members: false}"]
+        if choice.parameters:
+            head = f"### Parameters of {choice.name} {{: #{choice.name}-parameters }}"
+            lines += ["", head, *_table(choice.parameters), ""]
+    return "\n".join(lines)
+
+
+def equations_of(blocks: typing.Collection[str]) -> list[str]:
+    """The formulas of the page on the theory that these blocks compute, with links to the page."""
+    lines, title, place = [], "", ""
+    text = THEORY.read_text(encoding="utf-8")
+    title_or_formula = r"^#+ (?P<title>.+)$|(?P<formula>^\$\$\n(?:.+\n)+?\$\$$)"
+    pattern = rf"(?m){title_or_formula}|(?P<by>(?:^.+\n)+)\{{: \.computed-by \}}"
+    formulas: list[str] = []
+    for match in re.finditer(pattern, text):
+        if match["title"]:
+            title, formulas = match["title"], []
+            place = re.sub(r"[^\w\s-]", "", title.lower()).strip().replace(" ", "-")
+        elif match["formula"]:
+            formulas.append(match["formula"])
+        else:
+            if {*re.findall(r"`(\w+)`", match["by"])} & {*blocks}:
+                where = f"*[{title}](../theory.md#{place})*"
+                lines += [where, "", *(f"{each}\n" for each in formulas), match["by"].rstrip()]
+                lines += ["{: .computed-by }", ""]
+            formulas = []
+    return lines
+
+
+def template(name: str, block: Any) -> str:
+    """A block of one's own that begins as this one of a box, and a flight with it."""
+    equations, kind = block.equations_of_block, type(block).__name__
+    reads = [*equations.inputs, *equations.quantities]
+    makes = [n for n in equations.results if n.isidentifier()]
+    state = ["state"] if len(equations.state) else []
+    told = f"# Takes {', '.join(state + reads) or 'no signals'}; returns "
+    told += ", ".join((["the state's rate"] if state else []) + makes) + "."
+    comment = textwrap.fill(
+        told, 84, initial_indent=8 * " ", subsequent_indent=8 * " " + "# ", break_on_hyphens=False
+    )
+    return f"""\
+from drake_nonstop import load_scenario, simulate
+from {type(block).__module__} import {kind}
+
+
+class Own{kind}({kind}):
+    @staticmethod
+    def equations(*signals, **parameters):
+{comment}
+        return {kind}.equations(*signals, **parameters)
+
+
+run = simulate(load_scenario("quintic"), {name}=Own{kind})"""
+
+
+def scenario_page() -> str:
+    """The fields of a scenario that are no blocks."""
     lines = [
-        "# Blocks and parameters",
+        "# Fields of a scenario",
         "",
-        "What each box of the figure can be, the default first: `drake-nonstop blocks` prints the",
-        "same. Sizes are in brackets, for n carriers and m coordinates of the internal force.",
+        "Besides the blocks of [the boxes](figure.md) a scenario has these fields.",
+        "`drake-nonstop blocks` prints what a box can be, with its parameters.",
+        "",
+        "## `pattern` {: #pattern }",
     ]
-    for name in CHOICES:
-        lines += ["", f"## `{name}` {{: #{name} }}"]
-        if name in BOXES:
-            made = ", ".join(
-                f"{_signal_link(port)} ({size_of(port)})" for port in BOXES[name].signals
-            )
-            lines += ["", f"Makes {made}."]
-        for choice in choices_of(name):
-            lines += [
-                "",
-                f"### {choice.name} {{: #{name}-{choice.name} }}",
-                "",
-                _escaped(choice.summary),
-            ]
-            for label, ports in (("Reads", choice.reads), ("Makes", choice.makes)):
-                if ports:
-                    lines += ["", f"{label} {_escaped(ports)}."]
-            lines += _table(choice.parameters)
+    for choice in choices_of("pattern"):
+        lines += ["", f"### {choice.name} {{: #pattern-{choice.name} }}", ""]
+        lines += [_escaped(choice.summary), *_table(choice.parameters)]
     for name, config in _OTHER_PARTS.items():
         summary = _escaped(inspect.cleandoc(config.__doc__ or "").partition("\n\n")[0])
         lines += ["", f"## `{name}` {{: #{name} }}", "", summary, *_table(parameters(config))]
@@ -200,7 +248,7 @@ def signals_page() -> str:
     for signal, layout in sorted(SIGNALS.items()):
         lines += ["", f"## `{signal}` {{: #{signal} }}", ""]
         maker = makers[signal]
-        made = f"Made by [`{maker}`](blocks.md#{maker})"
+        made = f"Made by [`{maker}`](boxes/{maker}.md)"
         if layout is None:
             lines.append(f"{made}. No vector: a `ReferencePreview`, which tells the motion ahead.")
             continue
@@ -213,8 +261,8 @@ def signals_page() -> str:
     return "\n".join([*lines, ""])
 
 
-def _signal_link(name: str) -> str:
-    return f"[`{name}`](signals.md#{name})"
+def _signal_link(name: str, root: str = "") -> str:
+    return f"[`{name}`]({root}signals.md#{name})"
 
 
 def _sentence(block: type) -> str:

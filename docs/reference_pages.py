@@ -1,4 +1,4 @@
-"""The reference: a page per box of the figure, per module of equations, and per other package."""
+"""The reference: a page per module of equations, and per other package."""
 
 import importlib
 import inspect
@@ -16,10 +16,11 @@ MECHANICS = sorted(module.name for module in pkgutil.iter_modules(drake_nonstop.
 
 def on_config(config: Any) -> None:
     """Puts the pages into the navigation, below what lists them all."""
-    groups: dict[str, list[str]] = {"Boxes": [], "Equations": [], "Packages": []}
+    groups: dict[str, list[str]] = {"Boxes": [f"boxes/{name}.md" for name in BOXES]}
+    groups |= {"Equations": [], "Packages": []}
     for name in reference_pages():
         kind = name.split("/")[1].partition("_")[0]
-        groups[{"box": "Boxes", "equations": "Equations", "package": "Packages"}[kind]].append(name)
+        groups[{"equations": "Equations", "package": "Packages"}[kind]].append(name)
     own = [{"All names": "reference.md"}, *({k: names} for k, names in groups.items())]
     config["nav"] = [*config["nav"][:-1], {"Reference": own}]
 
@@ -35,10 +36,10 @@ def on_files(files: Any, config: Any) -> Any:
 
 def names_by_page() -> dict[str, list[str]]:
     """Blocks by the page of their box, and all other public names by that of their package."""
-    pages: dict[str, list[str]] = {}
-    for name, box in BOXES.items():
-        pairs = zip(box.variants, box.configs, strict=True)
-        pages[f"reference/box_{name}.md"] = [part.__name__ for pair in pairs for part in pair]
+    pages = {
+        f"boxes/{name}.md": [variant.__name__ for variant in box.variants]
+        for name, box in BOXES.items()
+    }
     blocks = {name for names in pages.values() for name in names}
     packages: dict[str, list[str]] = {}
     for name in drake_nonstop.__all__:
@@ -49,25 +50,20 @@ def names_by_page() -> dict[str, list[str]]:
 
 
 def _named(name: str) -> Any:
-    """The public object, block or block's parameters of that name."""
-    for box in BOXES.values():
-        for part in (*box.variants, *box.configs):
-            if part.__name__ == name:
-                return part
-    return getattr(drake_nonstop, name)
+    """The public object or block of that name."""
+    blocks = {v.__name__: v for box in BOXES.values() for v in box.variants}
+    return blocks.get(name) or getattr(drake_nonstop, name)
 
 
 def reference_pages() -> dict[str, str]:
     """The pages by the names of their files; mkdocstrings fills in what follows `:::`."""
     pages = {}
     for page, names in names_by_page().items():
-        kind, _, name = Path(page).stem.partition("_")
-        if kind == "box":
-            parameters = f"[parameters](../blocks.md#{name})"
-            head = f"The blocks for this box of [the figure](../figure.md), and their {parameters}."
-        else:
-            package = importlib.import_module(f"drake_nonstop.{name}")
-            head = (inspect.getdoc(package) or "").partition("\n\n")[0]
+        if page.startswith("boxes/"):  # made with the figure
+            continue
+        name = Path(page).stem.partition("_")[2]
+        package = importlib.import_module(f"drake_nonstop.{name}")
+        head = (inspect.getdoc(package) or "").partition("\n\n")[0]
         parts = [_entry(each) for each in names]
         pages[page] = "\n\n".join([f"# `{name}`", head, *parts, ""])
     for name in MECHANICS:
@@ -88,9 +84,10 @@ def index_page() -> str:
     ]
     kind = ""
     for page, names in names_by_page().items():
-        before, (kind, _, title) = kind, Path(page).stem.partition("_")
+        before, kind = kind, page.partition("/")[0]
         if kind != before:
-            lines += ["", {"box": "## Boxes", "package": "## Packages"}[kind]]
+            lines += ["", {"boxes": "## Boxes", "reference": "## Packages"}[kind]]
+        title = Path(page).stem.removeprefix("package_")
         links = ", ".join(f"[`{name}`]({page}#{_place(name)})" for name in names)
         lines += ["", f"**[`{title}`]({page})**: {links}."]
     links = ", ".join(f"[`{name}`](reference/equations_{name}.md)" for name in MECHANICS)

@@ -9,6 +9,7 @@ import subprocess
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 import yaml
 from site_pages import LARGEST_PAGE, MOST_WORDS, faults
@@ -22,7 +23,7 @@ DOCS = Path(__file__).parents[1] / "docs"
 
 
 def names_of(script):
-    names = {"__name__": script}
+    names = {"__name__": script, "__file__": str(DOCS / script)}
     exec(compile((DOCS / script).read_text(encoding="utf-8"), script, "exec"), names)
     return names
 
@@ -33,8 +34,8 @@ def hooks():
 
 
 @pytest.fixture(scope="module")
-def blocks_page(hooks):
-    return hooks["blocks_page"]()
+def box_pages(hooks):
+    return hooks["box_pages"]()
 
 
 def test_every_public_name_is_once_in_the_reference_and_in_its_index():
@@ -46,11 +47,11 @@ def test_every_public_name_is_once_in_the_reference_and_in_its_index():
         for name in re.findall(r"(?m)^(?:::: (?!.*mechanics\.\w+$).*\.|## )(\w+)", text)
     ]
     public = {name for name in drake_nonstop.__all__ if not name.startswith("__")}
-    blocks = {p.__name__ for box in BOXES.values() for p in (*box.variants, *box.configs)}
-    assert sorted(found) == sorted(public | blocks)
+    blocks = {variant.__name__ for box in BOXES.values() for variant in box.variants}
+    assert sorted(found) == sorted(public - blocks)
     linked = dict(re.findall(r"\[`(\w+)`\]\(([\w/]+\.md)", script["index_page"]()))
     assert {*linked} >= public | blocks
-    assert {*linked.values()} == {*pages}
+    assert {*linked.values()} == {*pages} | {f"boxes/{name}.md" for name in BOXES}
 
 
 def test_every_signal_has_its_layout(hooks):
@@ -62,21 +63,39 @@ def test_every_signal_has_its_layout(hooks):
             assert f"| {part.name} | {part.size} | {part.unit} | {part.frame} |" in section
 
 
-def test_every_block_has_its_parameters(blocks_page):
+def test_a_box_leads_to_its_equations_and_each_of_its_blocks_to_its_parameters(box_pages):
     for name, box in BOXES.items():
-        section = blocks_page.partition(f"## `{name}` ")[2].partition("\n## ")[0]
+        page = box_pages[f"boxes/{name}.md"]
+        assert re.search(r"\]\(\.\./theory\.md#.*\n\n\$\$", page), name
         for block, config in zip(box.variants, box.configs, strict=True):
-            own = section.partition(f"### {block.__name__} ")[2].partition("\n### ")[0]
+            own = page.partition(f"::: {block.__module__}.{block.__name__}\n")[2]
+            own = own.partition("\n:::")[0]
+            assert own
             for field in config.__dataclass_fields__:
                 assert f"| `{field}` |" in own, f"{block.__name__}.{field}"
 
 
-def test_every_field_of_a_scenario_has_a_meaning_or_a_place(blocks_page):
+@pytest.mark.parametrize("name", BOXES)
+def test_the_block_to_start_from_flies_as_the_default(name, box_pages, tmp_path, monkeypatch):
+    code = re.search(r"```python\n(.*?)```", box_pages[f"boxes/{name}.md"], re.DOTALL)[1]
+    assert len(re.findall(r"(?m)^ *[^ #\n]", code)) <= 10
+    code = code.replace('("quintic")', '("quintic", ["simulation_duration=0.1"])')
+    (tmp_path / f"own_{name}.py").write_text(code)
+    monkeypatch.syspath_prepend(tmp_path)
+    own = importlib.import_module(f"own_{name}").run
+    scenario = drake_nonstop.load_scenario("quintic", ["simulation_duration=0.1"])
+    run = drake_nonstop.simulate(scenario, **{name: BOXES[name].configs[0]()})
+    assert own.engine.startswith("compiled")
+    assert np.array_equal(own.signal("load_state"), run.signal("load_state"))
+
+
+def test_every_field_of_a_scenario_has_a_meaning_or_a_place(hooks, box_pages):
+    page = hooks["scenario_page"]()
     for field in dataclasses.fields(Scenario):
-        assert f"`{field.name}`" in blocks_page, field.name
+        assert f"`{field.name}`" in page or f"boxes/{field.name}.md" in box_pages, field.name
     for config in (SystemParameters, AircraftParameters, RunLimits, SceneConfig):
         for field in dataclasses.fields(config):
-            assert f"| `{field.name}` |" in blocks_page, f"{config.__name__}.{field.name}"
+            assert f"| `{field.name}` |" in page, f"{config.__name__}.{field.name}"
 
 
 def test_faults_of_built_pages_are_found(tmp_path):
@@ -131,7 +150,7 @@ def test_the_citation_and_the_changelog_have_the_version():
 def test_every_box_of_the_figure_is_a_link(hooks):
     page = hooks["figure_page"]()
     for name in BOXES:
-        assert f'<a href="blocks.html#{name}"><g data-block="{name}">' in page
+        assert f'<a href="boxes/{name}.html"><g data-block="{name}">' in page
 
 
 def test_the_theory_names_functions_that_exist_of_every_module_with_equations():
@@ -143,7 +162,7 @@ def test_the_theory_names_functions_that_exist_of_every_module_with_equations():
         own = importlib.import_module(f"drake_nonstop.mechanics.{module}")
         assert hasattr(own, function), f"{module}.{function}"
     algebra = {"rotation", "signals", "signal_layouts"}
-    assert modules - algebra == {module for module, _ in named}
+    assert modules - algebra == {module for module, _ in named} - algebra
 
 
 def test_every_equation_of_the_theory_names_what_computes_it():
@@ -189,7 +208,7 @@ def test_formulas_can_be_typeset():
 def test_every_page_is_in_the_navigation():
     text = (DOCS.parent / "mkdocs.yml").read_text(encoding="utf-8")
     named = set(re.findall(r": ([\w/]+\.(?:md|ipynb))$", text, re.MULTILINE))
-    made = {"figure.md", "blocks.md", "signals.md", "reference.md"}
+    made = {"figure.md", "scenario.md", "signals.md", "reference.md"}
     pages = {path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md")}
     notebooks = {path.relative_to(DOCS).as_posix() for path in DOCS.glob("notebooks/*.ipynb")}
     assert named == pages | notebooks | made

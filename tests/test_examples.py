@@ -251,7 +251,7 @@ def test_a_block_of_a_page_is_the_same_in_both_engines_and_on_autodiff(tmp_path,
 @pytest.mark.parametrize("page", PAGES)
 def test_links_of_a_page_lead_somewhere(page):
     """Pages that are made from the code are `make docs`'s concern."""
-    made = {"figure.md", "blocks.md", "signals.md", "reference.md"}
+    made = {"figure.md", "scenario.md", "signals.md", "reference.md"}
     for link in re.findall(r"\]\((?!http)([^)#]+)", PAGES[page]):
-        is_made = link in made or link.startswith(("reference/", "replays/"))
+        is_made = link in made or link.startswith(("boxes/", "reference/", "replays/"))
         assert is_made or (ROOT / page).parent.joinpath(link).exists(), link

@@ -89,7 +89,7 @@ def _blocks(options: argparse.Namespace) -> int:
             _print_wrapped(made, f"{name} -> ")
             for signal, layout in box.signals.items():
                 if layout is not None:
-                    _print_wrapped("; ".join(map(str, layout.parts)), f"    {signal} = ")
+                    _print_wrapped(str(layout), f"    {signal} = ")
         for i, choice in enumerate(choices):
             print(f"\n  {choice.name}{' (default)' if i == 0 else ''}")
             _print_wrapped(choice.summary, "    ")

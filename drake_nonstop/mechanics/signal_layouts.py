@@ -173,6 +173,14 @@ class SomeOf(Layout):
         """In words."""
         return "some"
 
+    def __str__(self) -> str:
+        """Its parts in words; of those with numbers in their names the first and the last."""
+        series: dict[str, list[Part]] = {}
+        for part in self.parts:
+            series.setdefault(part.name.rstrip("0123456789"), []).append(part)
+        ends = [own[:: max(1, len(own) - 1)] for own in series.values()]
+        return "; ".join(" to ".join(map(str, each)) for each in ends)
+
 
 def numbered_entries(signal: str, size: int) -> tuple[Entry, ...]:
     """The entries of a signal of which no layout is known."""

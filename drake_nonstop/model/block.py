@@ -25,7 +25,7 @@ from drake_nonstop.model.system import AIRCRAFT, OFFSET, Model
 from drake_nonstop.systems.block import is_of_package
 from drake_nonstop.systems.documentation import own_config_class
 from drake_nonstop.systems.equation_block import EquationBlock, rates_in
-from drake_nonstop.systems.equations import STATE, BetweenSamples, Equations
+from drake_nonstop.systems.equations import STATE, TIME, BetweenSamples, Equations
 from drake_nonstop.systems.parameters import NumericParameters
 from drake_nonstop.systems.tracing import where
 from drake_nonstop.validation import (
@@ -322,8 +322,9 @@ class Block(EquationBlock):
 
     def _require_pure(self, equations: Equations) -> None:
         """Raises ScenarioError where the equations are others when they are traced again."""
-        given = [np.linspace(0.3, 0.9, size) for size in equations.arguments.values()]
-        values = dict(zip(equations.arguments, given, strict=True))
+        # Outputs that move between samples are functions of other outputs, and of two times.
+        sizes = {TIME: 1, SAMPLE_TIME: 1} | equations.outputs | equations.arguments
+        values = {name: np.linspace(0.3, 0.9, size) for name, size in sizes.items()}
         for group in equations.groups:
             again = Equations._traced(equations)
             read = [values[name] for name in group.reads]
