@@ -7,7 +7,7 @@
 #   kills, claims on speed, `make docs adversary mutants`, `make lowest TESTS=`.
 #   make sample: one test of each class of them, and some of the adversary and of the mutants.
 # make adversary: bad and extreme inputs, signals and kills; COUNT=2000 SEED=1 for more and others.
-# make mutants: which tests catch faults that are planted in a copy of the code.
+# make mutants: which faults the tests catch: chosen ones, and DRAWN=120 of the seed SEED=0.
 # make golden: writes golden numbers that changed, and lists them; see tests/golden.
 # make docs: the documentation, in site/; EXECUTE_NOTEBOOKS=false: notebooks without outputs.
 # make pictures: those of the README; needs Chromium (on Debian: apt-get install chromium).
@@ -44,7 +44,7 @@ nightly: $(VENV)/.installed-dev
 sample: $(VENV)/.installed-dev
 	$(PYTEST) -m nightly --sample 1
 	$(MAKE) adversary COUNT=24
-	cd tests && ../$(BIN)/python -m mutants --only 1 38
+	cd tests && ../$(BIN)/python -m mutants --drawn 0 --file mechanics/wrench.py --brief
 
 check: $(VENV)/.installed-dev
 	$(BIN)/ruff check .
@@ -55,11 +55,12 @@ check: $(VENV)/.installed-dev
 
 COUNT ?= 200
 SEED ?= 0
+DRAWN ?= 120
 adversary: $(VENV)/.installed-dev
 	cd tests && ../$(BIN)/python -m adversary --count $(COUNT) --seed $(SEED)
 
 mutants: $(VENV)/.installed-dev
-	cd tests && ../$(BIN)/python -m mutants
+	cd tests && ../$(BIN)/python -m mutants --drawn $(DRAWN) --seed $(SEED)
 
 golden: $(VENV)/.installed-dev
 	cd tests && ../$(BIN)/python -m golden

@@ -1,198 +1,181 @@
-"""Tests the tests by faults of a single line: `python -m mutants --only 3 7`, in `tests`."""
+"""Tests the tests by faults of a single line: `python -m mutants --drawn 120 --seed 0`, in `tests`.
+
+Each fault is made in a copy of the checkout, whose tests are run until one fails: first those that
+are named after the faulty file, then those of its room, golden flights, whole loops, and the rest.
+"""
 
 import argparse
+import contextlib
+import os
 import queue
+import random
+import re
+import shutil
 import signal
+import subprocess
 import sys
 import tempfile
-import time
-from collections.abc import Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor, as_completed
-from pathlib import Path
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from pathlib import Path, PurePosixPath
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from mutants import drawing
-from mutants.copies import Copy, EndedError, Processes, Ran
-from mutants.faults import FILE, ORIGINS, ROOT, Fault, FaultError, read_faults
-from mutants.results import LEAST_CAUGHT, LEAST_WITHOUT_GOLDEN, Result, line_of, summary
-from mutants.stages import (
-    TIME_LIMIT,
-    Ending,
-    Stage,
-    files_of_tests,
-    group_of,
-    judge,
-    stages_of,
-)
+from mutants.faults import ROOT, Fault, chosen_faults, drawn_faults
 
-_LEAST_LIMIT = 600.0  # s, of a stage, and of a group of tests of which no time is known
-_SLOWER = 3.0  # times as long as without a fault a stage may take
-_TOLD = 4000  # characters of what tests print that fail without a fault
-_LONGEST = 4 * 3600.0  # s, of a group of tests without a fault
+LEAST_CHOSEN, LEAST_DRAWN = 0.95, 0.85  # shares that have to be caught
+_LONGEST = 4 * 3600.0  # s, of all tests
+_LONGEST_TEST = 300  # s
+_FIRST = ("golden", "evals")  # rooms that judge whole loops
+# Those of a fault itself, and of processes that are slow and tell little of the rooms below.
+_NOT_RUN = ("mutants", "adversary", "benchmarks")
+_FAILED = re.compile(r"^(?:FAILED|ERROR) (\S+)", re.M)
+_running: set[subprocess.Popen] = set()
 
 
-class _UnsoundError(RuntimeError):
-    """The unchanged checkout does not do for tests of faults."""
+def files_of(file: str, root: Path = ROOT, *, is_brief: bool = False) -> list[str]:
+    """The files of tests that look for a fault in a file, those first that are the likeliest.
+
+    Those are all of them, or where it `is_brief` those of the file's room.
+    """
+    room, name = PurePosixPath(file).parts[-2], PurePosixPath(file).stem
+
+    def order(test: Path) -> tuple[int, str]:
+        own = test.parent.name
+        if own == room:
+            return (0 if test.stem.startswith(f"test_{name}") else 1), str(test)
+        return (2 if own in _FIRST else 3), str(test)
+
+    found = sorted((root / "tests").glob("*/test_*.py"), key=order)
+    found = [path for path in found if path.parent.name not in _NOT_RUN]
+    if is_brief:
+        found = [path for path in found if path.parent.name == room]
+    return [str(path.relative_to(root)) for path in found]
 
 
-class _Copies:
-    """Copies for some processes at a time, and what is known of the tests in them."""
+def copy_of_checkout(folder: Path) -> Path:
+    """A copy of what git tracks, or would, with the content of the working tree."""
+    call = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
+    names = subprocess.run(call, cwd=ROOT, capture_output=True, check=True).stdout
+    for name in filter(None, os.fsdecode(names).split("\0")):
+        if os.path.lexists(ROOT / name):  # or it is deleted, and git does not know yet
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(ROOT / name, folder / name, follow_symlinks=False)
+    return folder
 
-    def __init__(self, folder: Path, jobs: int):
-        self._processes, self._free = Processes(), queue.SimpleQueue[Copy]()
-        self._pool = ThreadPoolExecutor(jobs)
-        self._seconds: dict[str, float] = {}  # that groups of tests take without a fault
+
+def run_tests(copy: Path, tests: list[str]) -> tuple[int, str]:
+    """The exit code of tests up to the first one that fails, and which one that is."""
+    (copy / "out").mkdir(exist_ok=True)
+    kept = {k: v for k, v in os.environ.items() if not k.startswith("PYTEST_") and k != "CI"}
+    environment = kept | {"PYTHONPATH": str(copy), "OPENBLAS_NUM_THREADS": "1"}
+    environment |= {"XDG_CACHE_HOME": str(copy / "out"), "PYTHONDONTWRITEBYTECODE": "1"}
+    call = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "-n", "0"]
+    call += ["-m", "not nightly", f"--basetemp={copy / 'out' / 'tests'}", "--tb=no", "-W", "ignore"]
+    call += ["-o", f"faulthandler_timeout={_LONGEST_TEST}"]
+    call += ["-o", "faulthandler_exit_on_timeout=true", *tests]
+    log = copy / "out" / "log"  # no pipe, which would stay open as long as a child has it
+    with log.open("w") as out:
+        process = subprocess.Popen(
+            call, cwd=copy, env=environment, stdout=out, stderr=out, start_new_session=True
+        )
+        _running.add(process)
+        try:
+            code = process.wait(_LONGEST)
+        except subprocess.TimeoutExpired:
+            code = 1
+        finally:
+            with contextlib.suppress(ProcessLookupError):  # and all that it has started
+                os.killpg(process.pid, signal.SIGKILL)
+            _running.discard(process)
+    failed = _FAILED.findall(log.read_text(errors="replace"))
+    return code, failed[-1] if failed else f"exit code {code}"
+
+
+def examined(
+    fault: Fault, copies: "queue.SimpleQueue[Path]", *, is_brief: bool = False
+) -> tuple[bool, str]:
+    """Whether tests catch a fault, and which one does so first."""
+    copy = copies.get()
+    path = copy / fault.file
+    text = path.read_text(encoding="utf-8")
+    try:
+        path.write_text(fault.made_in(text), encoding="utf-8")
+        code, by = run_tests(copy, files_of(fault.file, copy, is_brief=is_brief))
+    finally:
+        path.write_text(text, encoding="utf-8")
+        copies.put(copy)
+    return code not in (0, -signal.SIGKILL, -signal.SIGTERM), by
+
+
+def examine(faults: list[Fault], jobs: int, *, is_brief: bool) -> int:
+    """Prints what becomes of faults; 1 where too few are caught, 2 where tests fail without one."""
+    caught: dict[Fault, bool] = {}
+    with tempfile.TemporaryDirectory(prefix="mutants-", ignore_cleanup_errors=True) as folder:
+        copies: queue.SimpleQueue[Path] = queue.SimpleQueue()
         for number in range(jobs):
-            copy = Copy(ROOT, folder / str(number), self._processes)
-            found = copy.imported_from()
-            if found != copy.root / "drake_nonstop":
-                raise _UnsoundError(f"in the copy Python imports drake_nonstop from {found}")
-            self._free.put(copy)
-        self.tests = files_of_tests(copy.root)
+            copies.put(copy_of_checkout(Path(folder) / str(number)))
+        with ThreadPoolExecutor(jobs) as pool:
+            try:
+                looking = {t for f in faults for t in files_of(f.file, is_brief=is_brief)}
+                copy = copies.get()
+                code, by = pool.submit(run_tests, copy, sorted(looking)).result()
+                copies.put(copy)
+                if code:
+                    print(f"without a fault the tests fail: {by}", file=sys.stderr)
+                    return 2
+                futures = {
+                    pool.submit(examined, fault, copies, is_brief=is_brief): fault
+                    for fault in faults
+                }
+                for future in as_completed(futures):
+                    fault = futures[future]
+                    caught[fault], by = future.result()
+                    said = f"caught by {by}" if caught[fault] else "SURVIVED"
+                    print(f"{fault.file}:{fault.number} {said}", flush=True)
+            except KeyboardInterrupt:
+                pool.shutdown(wait=False, cancel_futures=True)
+                for process in [*_running]:
+                    os.killpg(process.pid, signal.SIGKILL)
+                print(f"interrupted after {len(caught)} of {len(faults)}")
+                return 130
+    return summary(caught)
 
-    def end(self) -> None:
-        """Ends all that is running."""
-        self._processes.end()
-        self._pool.shutdown(cancel_futures=True)
 
-    def check_unchanged(self, groups: Sequence[str]) -> Iterator[str]:
-        """Runs groups of tests without a fault; tells of each as it passes.
-
-        Raises:
-            _UnsoundError: one of them does not.
-        """
-        futures = {self._pool.submit(self._unchanged, group): group for group in groups}
-        for future in as_completed(futures):
-            group, ran = futures[future], future.result()
-            verdict = judge(ran.code, ran.output)
-            if verdict.ending not in (Ending.PASSED, Ending.SKIPPED):
-                raise _UnsoundError(
-                    f"without a fault the tests fail, so that no figure would say anything: "
-                    f"{verdict.by}, in tests/{group}\n{ran.output[-_TOLD:]}"
-                )
-            self._seconds[group] = ran.seconds
-            yield f"without a fault: tests/{group:22}{verdict.ending.value:8} {ran.seconds:6.0f} s"
-
-    def _unchanged(self, group: str) -> Ran:
-        tests = [test for test in self.tests if group_of(test) == group]
-        copy = self._free.get()
-        try:
-            return copy.run_tests(tests, _LONGEST)
-        finally:
-            self._free.put(copy)
-
-    def examine(self, faults: Sequence[tuple[int, Fault]]) -> Iterator[Result]:
-        """What becomes of numbered faults, each as it is known."""
-        futures: list[Future[Result]] = [
-            self._pool.submit(self._examined, number, fault) for number, fault in faults
-        ]
-        for future in as_completed(futures):
-            yield future.result()
-
-    def _examined(self, number: int, fault: Fault) -> Result:
-        copy, start = self._free.get(), time.monotonic()
-        try:
-            line = fault.line_number((copy.root / fault.file).read_text(encoding="utf-8"))
-            result = Result(number, fault, line)
-            with copy.with_fault(fault):
-                for stage in stages_of(fault.file, self.tests):
-                    ran = copy.run_tests(stage.tests, self._limit(stage))
-                    verdict = judge(ran.code, ran.output)
-                    if verdict.ending in (Ending.CAUGHT, Ending.UNCLEAR):
-                        result = result._replace(verdict=verdict, stage=stage.number)
-                        break
-            test = result.verdict.test
-            again = (test,) if test else ()
-            if result.verdict.by == TIME_LIMIT:
-                again = stage.tests
-            if again:
-                ran = copy.run_tests(again, self._limit(Stage(0, again)))
-                if judge(ran.code, ran.output).ending is Ending.CAUGHT:
-                    said = f"{test or TIME_LIMIT} ends it now and then without the fault, too"
-                    result = result._replace(
-                        verdict=result.verdict._replace(ending=Ending.UNCLEAR, by=said)
-                    )
-            return result._replace(seconds=time.monotonic() - start)
-        finally:
-            self._free.put(copy)
-
-    def _limit(self, stage: Stage) -> float:
-        """The longest time of a stage, s."""
-        known = self._seconds
-        groups = {group_of(test) for test in stage.tests}
-        times = (_SLOWER * known[g] if g in known else _LEAST_LIMIT for g in groups)
-        return max(_LEAST_LIMIT, sum(times))
+def summary(caught: dict[Fault, bool]) -> int:
+    """Prints what survived, and the shares of what is caught; 1 where one is too small."""
+    for fault, is_caught in caught.items():
+        if not is_caught:
+            print(f"SURVIVED {fault.file}:{fault.number}\n    {fault.line}\n -> {fault.becomes}")
+    is_enough = True
+    for name, is_drawn, least in (("chosen", False, LEAST_CHOSEN), ("drawn", True, LEAST_DRAWN)):
+        some = [is_caught for fault, is_caught in caught.items() if fault.is_drawn == is_drawn]
+        is_enough &= sum(some) >= least * len(some)
+        print(f"{name}: {sum(some)} of {len(some)} are caught (at least {least:.0%} asked)")
+    return 0 if is_enough else 1
 
 
 def main() -> int:
     """Runs the command; returns the exit code."""
     parser = argparse.ArgumentParser(prog="python -m mutants", description=__doc__)
-    parser.add_argument("--only", type=int, nargs="+", metavar="N", help="these faults, from 1 on")
+    parser.add_argument("--chosen", type=int, metavar="N", help="so many of faults.yaml (all)")
+    parser.add_argument("--drawn", type=int, default=120, metavar="N", help="drawn ones (120)")
+    parser.add_argument("--seed", type=int, default=0, help="of what is drawn (0)")
+    parser.add_argument("--file", default="", metavar="PART", help="in files of such a path")
     parser.add_argument("--jobs", type=int, default=2, metavar="N", help="copies at a time (2)")
-    parser.add_argument("--origin", choices=ORIGINS, help="faults of that origin")
-    commands = parser.add_subparsers(dest="command", metavar="")
-    draw = commands.add_parser("draw", help="append faults that are drawn at random")
-    draw.add_argument("--seed", type=int, required=True, help="of what is drawn")
-    draw.add_argument("--count", type=int, default=24, metavar="N", help="of faults (24)")
-    draw.add_argument("--file", type=Path, default=FILE, help="that they are appended to")
+    parser.add_argument("--brief", action="store_true", help="run the tests of its room alone")
+    parser.add_argument("--list", action="store_true", help="print the faults, run no tests")
     options = parser.parse_args()
-    if options.command == "draw":
-        return drawing.append(options.file, options.seed, options.count)
-    faults = list(enumerate(read_faults(), start=1))
-    wrong = [number for number in options.only or [] if not 1 <= number <= len(faults)]
-    if wrong or options.jobs < 1:
-        parser.error(f"give numbers from 1 to {len(faults)}, and at least one job")
-    faults = [
-        (number, fault)
-        for number, fault in faults
-        if (options.only is None or number in options.only)
-        and options.origin in (None, fault.origin)
-    ]
-    for _, fault in faults:
-        fault.line_number((ROOT / fault.file).read_text(encoding="utf-8"))  # or an error at once
-    for number in (signal.SIGINT, signal.SIGTERM):  # in the background the first is ignored
-        signal.signal(number, signal.default_int_handler)
-    with tempfile.TemporaryDirectory(
-        prefix="drake-nonstop-mutants-", ignore_cleanup_errors=True
-    ) as folder:
-        return _run(Path(folder), faults, options.jobs, is_whole=options.only is None)
-
-
-def _run(folder: Path, faults: list[tuple[int, Fault]], jobs: int, *, is_whole: bool) -> int:
-    results: list[Result] = []
-    copies = None
-    try:
-        copies = _Copies(folder, jobs)
-        looked_at = copies.tests
-        if not is_whole:
-            stages = [stage for _, fault in faults for stage in stages_of(fault.file, looked_at)]
-            looked_at = [test for stage in stages if stage.number == 1 for test in stage.tests]
-        for said in copies.check_unchanged(sorted({group_of(test) for test in looked_at})):
-            print(said, flush=True)
-        for result in copies.examine(faults):
-            results.append(result)
-            print(line_of(result), flush=True)
-    except _UnsoundError as error:
-        print(error, file=sys.stderr)
-        return 2
-    except (KeyboardInterrupt, EndedError):
-        print(f"interrupted after {len(results)} of {len(faults)} faults")
-        print(summary(results))
-        return 130
-    finally:
-        if copies is not None:
-            copies.end()
-    print(summary(results))
-    shares = [result.is_caught for result in results], [r.is_caught_early for r in results]
-    least = LEAST_CAUGHT, LEAST_WITHOUT_GOLDEN
-    is_enough = all(sum(s) >= share * len(s) for s, share in zip(shares, least, strict=True))
-    return 0 if is_enough else 1
+    chosen = chosen_faults()
+    if options.chosen is not None:
+        chosen = random.Random(options.seed).sample(chosen, min(options.chosen, len(chosen)))
+    faults = [*chosen, *drawn_faults(options.seed, options.drawn)]
+    faults = [fault for fault in faults if options.file in fault.file]
+    if options.list:
+        for fault in faults:
+            print(f"{fault.file}:{fault.number}\n    {fault.line}\n -> {fault.becomes}")
+        return 0
+    return examine(faults, options.jobs, is_brief=options.brief)
 
 
 if __name__ == "__main__":
-    try:
-        sys.exit(main())
-    except FaultError as error:
-        print(error, file=sys.stderr)
-        sys.exit(2)
+    sys.exit(main())

@@ -1,68 +1,124 @@
-"""The faults that the tests are tested by: what faults.yaml has, and how one of them is made."""
+"""Faults of one line: chosen ones, of faults.yaml, and others that operators of cosmic-ray draw."""
 
+import random
+from collections import defaultdict
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import yaml
+from cosmic_ray.ast import ast_nodes, get_ast
+from cosmic_ray.mutating import mutate_code
+from cosmic_ray.plugins import get_operator
 
 ROOT = Path(__file__).parents[2]
-FILE = Path(__file__).parent / "faults.yaml"
-CHOSEN, DRAWN = ORIGINS = "chosen", "drawn"
-
-
-class FaultError(ValueError):
-    """A fault cannot be made; the message tells why."""
+CHOSEN = Path(__file__).parent / "faults.yaml"
+DRAWN_OF = ("mechanics", "planning", "blocks", "loop", "systems", "run")
+_BINARY = "Add_Sub Sub_Add Mul_Div Div_Mul Pow_Mul FloorDiv_Div BitOr_BitAnd BitAnd_BitOr"
+_COMPARISON = "Lt_LtE Lt_Gt LtE_Lt LtE_Gt Gt_GtE Gt_Lt GtE_Gt GtE_Lt Eq_NotEq NotEq_Eq Is_IsNot"
+_OTHERS = "TrueWithFalse FalseWithTrue AndWithOr OrWithAnd BreakWithContinue"
+# Those whose changes are plausible mistakes in numerical code.
+_OPERATORS = [
+    *(f"ReplaceBinaryOperator_{name}" for name in _BINARY.split()),
+    *(f"ReplaceComparisonOperator_{name}" for name in _COMPARISON.split()),
+    *(f"ReplaceUnaryOperator_Delete_{name}" for name in ("USub", "Not")),
+    *(f"Replace{name}" for name in _OTHERS.split()),
+    "NumberReplacer",
+]
 
 
 class Fault(NamedTuple):
-    """A line of the source, and what it becomes; both without leading blanks."""
+    """A line of a file, and what it becomes; both without leading blanks."""
 
     file: str  # from the checkout's root
+    number: int  # of the line, from 1 on
     line: str
     becomes: str
-    kind: str  # in a word or two, such as "sign"
-    origin: str  # one of ORIGINS
-
-    def line_number(self, text: str) -> int:
-        """That of the line in the file's text, from 1 on.
-
-        Raises:
-            FaultError: it is not found exactly once.
-        """
-        lines = text.split("\n")
-        found = [k for k, line in enumerate(lines, start=1) if line.lstrip(" ") == self.line]
-        if len(found) != 1:
-            raise FaultError(
-                f"{self.file}: the line {self.line!r} is found {len(found)} times; give one that "
-                "is found once"
-            )
-        return found[0]
+    is_drawn: bool = False
 
     def made_in(self, text: str) -> str:
         """The file's text with the fault."""
-        lines, k = text.split("\n"), self.line_number(text) - 1
-        blanks = len(lines[k]) - len(self.line)
-        lines[k] = lines[k][:blanks] + self.becomes
+        lines, k = text.split("\n"), self.number - 1
+        lines[k] = lines[k].replace(self.line, self.becomes)
         return "\n".join(lines)
 
 
-def read_faults(path: Path = FILE) -> list[Fault]:
-    """The faults of a file.
+def chosen_faults() -> list[Fault]:
+    """The faults of the file.
 
     Raises:
-        FaultError: an entry lacks a field, or has another one, or one that is no text.
+        ValueError: lines are not found exactly once in their files.
     """
-    entries: list[Any] = yaml.safe_load(path.read_text(encoding="utf-8")) or []
-    for number, entry in enumerate(entries, start=1):
-        is_entry = isinstance(entry, dict) and [*entry] == [*Fault._fields]
-        if not is_entry or not all(isinstance(v, str) and v for v in entry.values()):
-            raise FaultError(f"entry {number}: give a text for each of {', '.join(Fault._fields)}")
-        if entry["origin"] not in ORIGINS:
-            raise FaultError(f"entry {number}: give an origin of {' or '.join(ORIGINS)}")
-    return [Fault(**entry) for entry in entries]
+    found, wrong = [], []
+    for file, faults in yaml.safe_load(CHOSEN.read_text(encoding="utf-8")).items():
+        lines = (ROOT / file).read_text(encoding="utf-8").split("\n")
+        for line, becomes in faults.items():
+            numbers = [k for k, other in enumerate(lines, start=1) if other.strip() == line]
+            found.append(Fault(file, (numbers or [0])[0], line, becomes))
+            if len(numbers) != 1:
+                wrong.append(f"{file}: {line!r} is there {len(numbers)} times, not once")
+    if wrong:
+        raise ValueError("\n".join(wrong))
+    return found
 
 
-def as_yaml(fault: Fault) -> str:
-    """The entry of a fault."""
-    entry = [fault._asdict()]
-    return yaml.safe_dump(entry, sort_keys=False, allow_unicode=True, width=10**6)
+def drawn_faults(seed: int, count: int) -> list[Fault]:
+    """So many faults, each at another line; a place in the code is as likely as any other."""
+    draw = random.Random(seed)
+    paths = sorted(
+        path for room in DRAWN_OF for path in (ROOT / "drake_nonstop" / room).glob("*.py")
+    )
+    places = [
+        (path, place) for path in paths for place in _places(path.read_text(encoding="utf-8"))
+    ]
+    draw.shuffle(places)
+    found: dict[tuple[str, int], Fault] = {}
+    for path, place in places:
+        if len(found) == count:
+            break
+        fault = _made(path, *draw.choice(place))
+        if fault is not None:
+            found.setdefault((fault.file, fault.number), fault)
+    return [*found.values()]
+
+
+def _places(text: str) -> Iterator[list[tuple[str, int]]]:
+    """For each place that may be changed the operators, and its number among those of each."""
+    nodes, places = [*ast_nodes(get_ast(text))], defaultdict(list)
+    for name in _OPERATORS:
+        operator = get_operator(f"core/{name}")()
+        found = [(node, place) for node in nodes for place in operator.mutation_positions(node)]
+        for number, (node, (begin, _)) in enumerate(found):
+            if _is_code(node):
+                places[begin].append((name, number))
+    yield from (places[begin] for begin in sorted(places))
+
+
+def _is_code(node: Any) -> bool:
+    """Whether a node of parso is in a function's body, and no type, message or decorator."""
+    is_inside = False
+    while (parent := node.parent) is not None:
+        is_type = parent.type == "annassign" and parent.children[1] is node
+        if is_type or parent.type in ("decorator", "fstring", "raise_stmt"):
+            return False
+        if parent.type == "funcdef":
+            is_inside = True
+            if node is not parent.children[-1] or parent.name.value == "__repr__":
+                return False
+        node = parent
+    return is_inside
+
+
+def _made(path: Path, operator: str, number: int) -> Fault | None:
+    """The fault; None: it is none of a single line, or does not compile."""
+    text = path.read_text(encoding="utf-8")
+    changed = mutate_code(text, get_operator(f"core/{operator}")(), number) or text
+    pairs = enumerate(zip(text.split("\n"), changed.split("\n"), strict=False), start=1)
+    different = [(k, old.strip(), new.strip()) for k, (old, new) in pairs if old != new]
+    if len(different) != 1:
+        return None
+    try:
+        compile(changed, path.name, "exec")
+    except SyntaxError:
+        return None
+    return Fault(path.relative_to(ROOT).as_posix(), *different[0], is_drawn=True)
