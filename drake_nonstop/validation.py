@@ -50,15 +50,7 @@ def show_warning(message: Warning | str, *about: Any, **where: Any) -> None:
 
 def one_line(error: BaseException) -> str:
     """An error's type and message in one line."""
-    return " ".join(f"{type(error).__name__}: {message_of(error)}".split())
-
-
-def message_of(error: BaseException) -> str:
-    """An error's message, which a user's own class may fail to make."""
-    try:
-        return str(error)
-    except BaseException as failed:
-        return f"its message cannot be read, {type(failed).__name__}"
+    return " ".join(f"{type(error).__name__}: {error}".split())
 
 
 def require(condition: Any, field: str, value: Any, remedy: str) -> None:
@@ -95,7 +87,7 @@ def called(field: str, remedy: str, function: Any, *arguments: Any, **named: Any
         if len([*traceback.walk_tb(error.__traceback__)]) > 1:  # it was called, and failed
             raise
         name = getattr(function, "__name__", type(function).__name__)
-        cause = message_of(error).partition("\n")[0]
+        cause = str(error).partition("\n")[0]
         raise _refusal(field, name, f"it cannot be called so ({cause}); {remedy}") from None
 
 
@@ -229,8 +221,7 @@ def require_period(field: str, value: float) -> None:
 
 def require_seed(field: str, value: Any) -> None:
     """Raises ScenarioError for what is no seed of a random generator."""
-    is_seed = isinstance(value, int) and not isinstance(value, bool) and 0 <= value < 2**63
-    require(is_seed, field, value, "give 0 or a whole number above it, of 18 digits at most")
+    require_whole(field, value, 0, 10**18)
 
 
 def require_known(key: Any, valid: Collection[str], field: str, value: Any) -> None:

@@ -120,10 +120,10 @@ DRAWN: dict[str, tuple[str, list[str]]] = {
             *("optimization_layer.amplitude=0.5", "optimization_layer.speed_bound=0.2"),
         ],
     ),
-    "four_by_a_pattern_of_ones_own": (
+    "four_above_the_measured_load": (
         "quintic",
         [
-            *("simulation_duration=2", "pattern=!LinearPattern {}"),
+            *("simulation_duration=2", "pattern=!HamiltonianCycle {}"),
             *("carrier_trajectory=MeasuredCarrierTrajectory", "carrier_controller=CarrierPid"),
             "wrench_controller=!WrenchController {feedforward: 0, position_integral_gain: 0, "
             "orientation_integral_gain: 0}",

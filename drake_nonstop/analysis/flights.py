@@ -17,7 +17,7 @@ from drake_nonstop.run.run_quantities import RunQuantities
 from drake_nonstop.run.simulate import simulate
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.systems.block import release
-from drake_nonstop.validation import ScenarioWarning, message_of
+from drake_nonstop.validation import ScenarioWarning
 
 _SHARE = 0.01  # of a limit, a margin that is narrow without a spread
 _DEVIATIONS = 3.0  # standard deviations of a margin over seeds, within which it is narrow
@@ -105,7 +105,7 @@ def fly(
         elif not found or not isinstance(run, Exception):
             raise run
         else:
-            found.append(CheckedFlight(name, scenario, RunOutcome.STOPPED, (message_of(run),)))
+            found.append(CheckedFlight(name, scenario, RunOutcome.STOPPED, (str(run),)))
     return found
 
 

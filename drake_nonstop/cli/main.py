@@ -103,7 +103,6 @@ def _main(arguments: list[str], interruption: CommandInterruption) -> int:
     from drake_nonstop.validation import (
         ScenarioError,
         ScenarioWarning,
-        message_of,
         one_line,
         show_warning,
     )
@@ -121,9 +120,9 @@ def _main(arguments: list[str], interruption: CommandInterruption) -> int:
         finally:
             interruption.patience = ALL
     except ScenarioError as error:
-        message, code = message_of(error).replace("\n", "\\n"), BAD_INPUT
+        message, code = str(error).replace("\n", "\\n"), BAD_INPUT
     except KeyboardInterrupt as interrupted:
-        rest = message_of(interrupted)
+        rest = str(interrupted)
         if interruption.number:
             return say_end(interruption, rest)
         message, code = f"stopped by a KeyboardInterrupt in its code{rest and ': '}{rest}", FAILED

@@ -31,7 +31,7 @@ from drake_nonstop.studies.presets import (
 )
 from drake_nonstop.studies.study import Study, planned_calls, study, study_settings
 from drake_nonstop.systems.tracing import NotFiniteError
-from drake_nonstop.validation import ScenarioError, message_of, require
+from drake_nonstop.validation import ScenarioError, require
 from drake_nonstop.view.progress import TaskProgress
 
 
@@ -104,7 +104,7 @@ def _stability(options: argparse.Namespace) -> int:
         with TaskProgress() as progress:
             found = linearize(scenario, progress)
     except (ScenarioError, NotFiniteError) as error:
-        raise ScenarioError(f"stability: {message_of(error)}") from None
+        raise ScenarioError(f"stability: {error!s}") from None
     shares = sorted(found.shares.items(), key=lambda item: -item[1])
     told = ", ".join(f"{name} {share:.0%}" for name, share in shares if share > 0.005)
     print(

@@ -6,7 +6,7 @@ import math
 import numbers
 import pickle
 import types
-from collections.abc import Callable, Collection, Hashable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from operator import attrgetter
 from typing import Any, ClassVar
@@ -224,9 +224,14 @@ class Block(EquationBlock):
             self.signal_layouts = layouts
         fixed = self.fixed_outputs()
         outputs = signal_sizes(self, model, [name for name in makes if name not in fixed])
-        self._require_sound(constants, parameters, reads, makes, has_state)
+        remedy = "write a @staticmethod of arrays, see drake_nonstop.Block"
+        require(self.equations is not None, self._said("equations"), "none", remedy)
         ports = self.state_ports if has_state else ()
         between = self.between_samples(model, config) if period > 0 else None
+        if between is not None:
+            sizes = {name: outputs[name] for name in between.makes}
+            reads_between = (*between.reads,)
+            between = between._replace(reads=reads_between, makes=sizes, title=type(self).__name__)
         moved = () if between is None else between.makes
         kept = {k: _frozen(v) for k, v in constants.items()}
         own: Any = type(self)
@@ -237,12 +242,9 @@ class Block(EquationBlock):
             equations = _without_state(equations, state)
             kept[STATE] = state.tobytes()
         own_period = self.step_period(model, config)
-        is_time = math.isfinite(own_period) and own_period >= 0
-        require(is_time, self._said("step_period"), own_period, "give a time in s, 0 or more")
         remedy = "return a first state by `state`, and a time above 0 by `step_period`"
-        has_steps = has_state and own_period > 0
-        is_sound = self.answer is None or has_steps
-        require(is_sound, self._said("answer"), "that of no sampled state", remedy)
+        is_sampled = self.answer is None or (has_state and own_period > 0)
+        require(is_sampled, self._said("answer"), "that of no sampled state", remedy)
         samples = own_period / period if period > 0 else 0.0
         is_multiple = round(samples) > 0 and abs(samples - round(samples)) < 1e-9
         block = Equations(
@@ -268,7 +270,7 @@ class Block(EquationBlock):
             else (own.equations, own.start, has_state, *kept.items()),
             joint=self.is_joint,
             title=own.__name__,
-            motion=None if between is None else self._motion(between, outputs),
+            motion=between,
         )
         if not is_of_package(self):
             self._require_pure(block)
@@ -282,43 +284,6 @@ class Block(EquationBlock):
     def _said(self, member: str) -> str:
         """Name of a member of the class in errors."""
         return f"{type(self).__name__}.{member}"
-
-    def _require_sound(
-        self,
-        constants: Mapping[str, Any],
-        parameters: BlockParameters,
-        reads: Collection[str],
-        makes: Collection[str],
-        has_state: bool,
-    ) -> None:
-        """Raises ScenarioError for declarations that contradict each other."""
-        remedy = "write a @staticmethod of arrays, see drake_nonstop.Block"
-        require(self.equations is not None, self._said("equations"), "none", remedy)
-        for port in self.state_ports:
-            remedy = "name signals that it makes, of a state"
-            require(port in makes and has_state, self._said("state_ports"), port, remedy)
-        for name in self.optional_inputs:
-            remedy = "name signals that it reads"
-            is_read = name in reads or name in self.reads
-            require(is_read, self._said("optional_inputs"), name, remedy)
-        for name, value in constants.items():
-            is_bound = isinstance(value, types.MethodType) and value.__self__ is self
-            remedy = "it would be kept with the block; make it a @staticmethod"
-            require(not is_bound, self._said("constants"), f"{name}, a method of it", remedy)
-        last_parts = [name.rpartition(".")[2] for name in self.of_model]
-        names = [*{*constants} - {*last_parts}, *last_parts]
-        names += [*parameters.of_system, *parameters.own]
-        twice = [name for name in dict.fromkeys(names) if names.count(name) > 1]
-        remedy = "constants, fields of the system and of the config need different names"
-        require(not twice, type(self).__name__, ", ".join(twice), remedy)
-
-    def _motion(self, between: BetweenSamples, outputs: Mapping[str, int]) -> BetweenSamples:
-        """How outputs move between samples, checked, with their sizes."""
-        for name in (*between.reads, *between.makes):
-            remedy = f"name signals that it makes: {', '.join(outputs)}"
-            require(name in outputs, self._said("between_samples"), name, remedy)
-        sizes = {name: outputs[name] for name in between.makes}
-        return between._replace(reads=(*between.reads,), makes=sizes, title=type(self).__name__)
 
     def _require_pure(self, equations: Equations) -> None:
         """Raises ScenarioError where the equations are others when they are traced again."""

@@ -7,7 +7,6 @@
 | `SpreadCarousel` | 2 | the same and C r_i |
 | `EllipticCarousel` | 2 | C r_i and an ellipse that leans |
 | `ConstantSpread` | 1 | C r_i alone |
-| `LinearPattern` | any | the user's |
 
 r_i is outward and β_i its angle. A config makes N₀, φ and f̃⁰ (see `mechanics.internal_force`) for
 given attachments; any class with such a `make` is one.
@@ -34,6 +33,7 @@ from drake_nonstop.mechanics.taylor import Quantity
 from drake_nonstop.validation import (
     StrictFields,
     checked,
+    fulfilling,
     non_negative,
     number_with,
     positive,
@@ -178,11 +178,8 @@ class SpreadCarouselConfig(_Ellipses):
 
 
 _MAX_TURNS = 100
-_MAX_SIZE = 1e6
 _CIRCULAR = "vertical = 0 and radial = tangential"
-_check_size = number_with(
-    lambda size: abs(size) <= _MAX_SIZE, f"give a number of at most {_MAX_SIZE:g}"
-)
+_finite = number_with(math.isfinite, "give a finite number")
 
 
 @dataclass(kw_only=True)
@@ -206,16 +203,12 @@ class EllipticCarouselConfig(_Ellipses):
     spread: float = non_negative(2.5)  # N, the constant outward pull C of every cable
     # κ: turns of the phase in one round of the attachments
     phase_turns: int = whole(-2, -_MAX_TURNS, _MAX_TURNS)
-    radial: float = checked(1.0, _check_size)  # A_r / A
-    tangential: float = checked(  # A_t / A
-        1.0,
-        _check_size,
-        number_with(
-            lambda size: size != 0,
-            "give another number than 0: a carrier that swings on a line would stop",
-        ),
+    radial: float = checked(1.0, _finite)  # A_r / A
+    # A_t / A, and not 0: a carrier that swings on a line would stop
+    tangential: float = fulfilling(
+        1.0, lambda size: size != 0 and math.isfinite(size), "give a finite number other than 0"
     )
-    vertical: float = checked(0.0, _check_size)  # B / A
+    vertical: float = checked(0.0, _finite)  # B / A
 
 
 @dataclass(kw_only=True)
@@ -232,32 +225,6 @@ class ConstantSpreadConfig(_Pattern):
     def _forces(self, attachments: NDArray) -> InternalForcePattern:
         nothing, outward = np.zeros((attachments.size, 1)), self.spread * spread(attachments)
         return InternalForcePattern(nothing, np.zeros(1), outward)
-
-
-@dataclass(kw_only=True)
-class LinearPatternConfig(_Pattern):
-    """A user's pattern: any matrix and offset in the null space, any phases."""
-
-    has_directions = False
-
-    # N₀, 3n rows of m numbers, in L; none: that of the cycle
-    basis: list[list[float]] = field(default_factory=list)
-    phases: list[float] = field(default_factory=list)  # φ, m numbers, rad; none: 2π (k-1)/m
-    offset: list[float] = field(default_factory=list)  # f̃⁰, 3n numbers, N, in L; none: 0
-
-    def _forces(self, attachments: NDArray) -> InternalForcePattern:
-        rows = attachments.size
-        basis, offset = hamiltonian_cycle(attachments), np.zeros(rows)
-        if self.basis:
-            meaning = "3n rows, a column per phase"
-            basis = require_array("pattern.basis", self.basis, [rows, None], meaning)
-        count = basis.shape[1]
-        phases = even_phases(count)
-        if self.phases:
-            phases = require_array("pattern.phases", self.phases, [count], "one per column")
-        if self.offset:
-            offset = require_array("pattern.offset", self.offset, [rows], "3 per cable")
-        return InternalForcePattern(basis, phases, offset)
 
 
 def check_pattern(

@@ -244,8 +244,7 @@ class Model:
     @property
     def offset_parameter(self) -> tuple[str, ...]:
         """The name of the pattern's offset among a block's parameters; none where it has none."""
-        has_offset = hasattr(self.pattern_config, "offset") or bool(np.any(self.pattern.offset))
-        return (OFFSET,) if has_offset else ()
+        return (OFFSET,) if np.any(self.pattern.offset) else ()
 
     def number(self, name: str) -> Any:
         """A field of the system, or one of "aircraft.mass" and the like, or `OFFSET`'s (3n,)."""

@@ -19,7 +19,6 @@ from drake_nonstop.model.pattern import (
     ConstantSpreadConfig,
     EllipticCarouselConfig,
     HamiltonianCycleConfig,
-    LinearPatternConfig,
     SpreadCarouselConfig,
 )
 from drake_nonstop.validation import ScenarioError, one_line, require, require_known
@@ -33,7 +32,6 @@ PATTERNS: tuple[type, ...] = (
     SpreadCarouselConfig,
     EllipticCarouselConfig,
     ConstantSpreadConfig,
-    LinearPatternConfig,
 )
 
 # The configs that each tagged field may hold, the default first.

@@ -10,7 +10,7 @@ from pydrake.systems.framework import Diagram
 from drake_nonstop.run.many import fly_many
 from drake_nonstop.run.run import Run, RunStopped
 from drake_nonstop.systems.block import release
-from drake_nonstop.validation import ScenarioError, message_of, one_line
+from drake_nonstop.validation import ScenarioError, one_line
 
 # How a run may end.
 COMPLETED = "completed"
@@ -43,7 +43,7 @@ class Attempt:
             return cls(ending=ending, message=str(outcome), run=run, told=said)
         if isinstance(outcome, BaseException):  # whatever the user's own blocks may raise
             is_bad = isinstance(outcome, ScenarioError)
-            message = message_of(outcome) if is_bad else one_line(outcome)
+            message = str(outcome) if is_bad else one_line(outcome)
             return cls(ending=UNBUILDABLE, message=message, error=outcome, told=said)
         run = outcome if len(outcome.time) > 0 else None
         return cls(ending=COMPLETED, run=run, told=said)

@@ -38,7 +38,7 @@ from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.scenario.overrides import as_override, changed
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.studies.design_request import GRAVITY, LUMPED, DesignRequest
-from drake_nonstop.validation import ScenarioError, message_of
+from drake_nonstop.validation import ScenarioError
 
 PEAK = 2.1875  # the largest speed of a septic move, over its mean
 _MOST_RESERVE = 2.0  # that is looked for
@@ -227,7 +227,7 @@ class FormationSearch:
             try:
                 found.append(self._flown(program, values))
             except ScenarioError as error:
-                found.append(self._refusal(values, f"it cannot be flown: {message_of(error)}"))
+                found.append(self._refusal(values, f"it cannot be flown: {error!s}"))
         return found
 
     def _best_of_starts(self) -> NDArray:

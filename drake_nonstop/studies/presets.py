@@ -38,7 +38,7 @@ from drake_nonstop.studies.study import (
 )
 from drake_nonstop.studies.workers import Progress, no_progress
 from drake_nonstop.systems.tracing import NotFiniteError
-from drake_nonstop.validation import ScenarioError, listed, message_of, require, require_flags
+from drake_nonstop.validation import ScenarioError, listed, require, require_flags
 
 BASE = "as it is"  # the name of the scenario without any change
 GRIDS = diagrams.FOLDER / "grids"
@@ -368,7 +368,7 @@ def linearize_each(calls: list[Call]) -> list[Row]:
         try:
             found = linearize(at_rest(call.scenario()[0]))
         except (ScenarioError, NotFiniteError) as error:
-            rows.append(failed_row(UNBUILDABLE, message_of(error)))
+            rows.append(failed_row(UNBUILDABLE, str(error)))
             continue
         values = {"rate_1_s": found.rate, "largest_multiplier": found.largest}
         rows.append(failed_row(COMPLETED, "") | {"metrics": values})

@@ -44,7 +44,6 @@ from drake_nonstop.studies.workers import (
 )
 from drake_nonstop.validation import (
     ScenarioError,
-    message_of,
     require,
     require_flags,
     require_seed,
@@ -293,7 +292,7 @@ def run_study(
         for batch, rows in results_of(work, named, executor):
             if isinstance(rows, ScenarioError):
                 raise rows
-            error = message_of(rows) if isinstance(rows, Exception) else ""
+            error = str(rows) if isinstance(rows, Exception) else ""
             found = [failed_row(FAILED, error)] * len(batch) if error else rows
             assert isinstance(found, list)
             for (key, _), row in zip(batch, found, strict=True):
@@ -410,7 +409,7 @@ def fly(calls: list[Call]) -> list[Row]:
         try:
             scenario, others, drawn = call.scenario()
         except ScenarioError as error:
-            rows[k] = failed_row(UNBUILDABLE, message_of(error))
+            rows[k] = failed_row(UNBUILDABLE, str(error))
             continue
         runs.append((scenario, others))
         about.append((k, drawn))

@@ -119,7 +119,6 @@ _CALLS = (
     "Model(SystemParameters(), HamiltonianCycleConfig(), {})",
     "HamiltonianCycleConfig(phases={}).make(np.eye(3))",
     "HamiltonianCycleConfig().make({})",
-    "LinearPatternConfig(matrix={}).make(np.array(SystemParameters().attachments))",
     "SpreadCarouselConfig().make({})",
     "SampleAndHold({})",
     "LoadTrajectory({})",

@@ -8,7 +8,7 @@ sys.path[:0] = [str(Path(__file__).parents[2]), str(Path(__file__).parents[1])]
 
 from benchmarks import claims  # noqa: E402
 from benchmarks.pictures import make_pictures  # noqa: E402
-from drake_nonstop.validation import ScenarioError, message_of, require  # noqa: E402
+from drake_nonstop.validation import ScenarioError, require  # noqa: E402
 
 
 def _report(options: argparse.Namespace) -> int:
@@ -53,7 +53,7 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         return options.action(options)
     except ScenarioError as error:
-        print(f"benchmarks: {message_of(error)}", file=sys.stderr)
+        print(f"benchmarks: {error!s}", file=sys.stderr)
         return 2
 
 

@@ -13,7 +13,7 @@ from drake_nonstop import load_scenario, simulate
 from drake_nonstop.diagrams.nonstop import BOXES
 from drake_nonstop.scenario.overrides import changed
 
-PATTERNS = ("HamiltonianCycle", "Carousel", "SpreadCarousel", "EllipticCarousel", "LinearPattern")
+PATTERNS = ("HamiltonianCycle", "Carousel", "SpreadCarousel", "EllipticCarousel")
 VARIANTS = {name: box.variants for name, box in BOXES.items()}
 NAMES = {box: [block.__name__ for block in blocks] for box, blocks in VARIANTS.items()}
 EACH = NAMES | {"pattern": PATTERNS}

@@ -9,7 +9,6 @@ from pydrake.autodiffutils import AutoDiffXd
 
 from drake_nonstop import Block, Layout, Part, load_scenario, make_nonstop, set_parameter, simulate
 from drake_nonstop.systems.block import number
-from drake_nonstop.systems.equations import BetweenSamples
 from drake_nonstop.validation import ScenarioError
 
 POSITION = slice(4, 7)
@@ -250,26 +249,6 @@ REFUSED = {
     },
     "Own.system = mass: give fields of the scenario's system": {
         "system": ("mass",),
-        "equations": ZEROS,
-    },
-    "Own.state_ports = disturbance_wrench: name signals": {
-        "state_ports": ("disturbance_wrench",),
-        "equations": ZEROS,
-    },
-    "Own.optional_inputs = wind: name signals that it reads": {
-        "optional_inputs": ("wind",),
-        "equations": ZEROS,
-    },
-    "Own = load_mass: constants, fields of the system and of the config need different names": {
-        "system": ("load_mass", "load_mass"),
-        "equations": ZEROS,
-    },
-    "Own.constants = help, a method of it: it would be kept": {
-        "constants": lambda self, model, config: {"help": self.inputs},
-        "equations": ZEROS,
-    },
-    "Own.between_samples = wrenc: name signals that it makes": {
-        "between_samples": lambda self, model, config: BetweenSamples(len, ["wrenc"], []),
         "equations": ZEROS,
     },
     "Own.state = 3.0: give n finite numbers": {

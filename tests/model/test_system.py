@@ -6,7 +6,7 @@ import pytest
 from helpers import INERTIA, irregular, regular, spatial
 
 from drake_nonstop.mechanics.grasp import grasp_matrix
-from drake_nonstop.model.pattern import HamiltonianCycleConfig, LinearPatternConfig
+from drake_nonstop.model.pattern import HamiltonianCycleConfig
 from drake_nonstop.model.system import Model, SystemOverrides, SystemParameters, overridden
 from drake_nonstop.validation import ScenarioError
 
@@ -149,13 +149,6 @@ def test_inertia_of_a_thin_plate_is_accepted():
         np.diag(make(load_inertia=[[0.1, 0, 0], [0, 0.2, 0], [0, 0, 0.3]]).load.inertia),
         [0.1, 0.2, 0.3],
     )
-
-
-def test_pattern_with_a_net_wrench_is_refused():
-    basis = np.zeros((12, 2))
-    basis[0, 0] = basis[1, 1] = 1
-    with pytest.raises(ScenarioError, match=r"pattern\.basis = .*net wrench"):
-        make(pattern=LinearPatternConfig(basis=basis.tolist(), phases=[0.0, 1.0]))
 
 
 def test_overrides_replace_single_fields():
