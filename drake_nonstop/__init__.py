@@ -8,7 +8,6 @@ import functools
 import importlib
 import os
 import re
-import sys
 from typing import TYPE_CHECKING, Any
 
 from drake_nonstop.version import __version__ as __version__
@@ -32,8 +31,6 @@ else:  # what type checkers must not see: with it any name would do
             return [*_modules(), "__version__"]
         if name in _modules():
             found = getattr(importlib.import_module(_modules()[name]), name)
-            if "IPython" in sys.modules:  # which shows runs and scenarios by tables and pictures
-                importlib.import_module(f"{__name__}.view.rich_display")
             return globals().setdefault(name, found)
         try:
             return importlib.import_module(f"{__name__}.{name}")

@@ -6,7 +6,6 @@ import os
 import shutil
 import signal
 import tempfile
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -113,8 +112,7 @@ def run_into(
     """Runs a scenario, writes its results and prints its table; returns the exit code.
 
     A new folder is removed where the scenario cannot be run. A run that ends before its time does
-    not replace the results of a whole one: `stopped_folder`. Restarts in the page of a live run
-    are further runs; the results of a whole one replace those before.
+    not replace the results of a whole one: `stopped_folder`.
 
     Raises:
         ScenarioError: the scenario cannot be built, or the folder not be written.
@@ -123,17 +121,16 @@ def run_into(
     own_code = own_code_of(dump_scenario(scenario))  # before somebody edits it
     progress = None if is_quiet else RunProgress(scenario.name, scenario.simulation_duration)
 
-    def runs() -> Iterator[Run]:
+    def flown() -> Run:
         if live_rate is not None:
             from drake_nonstop.view.live import run_live
             from drake_nonstop.view.meshcat_server import start_meshcat
 
             meshcat = start_meshcat()
             print(f"watch and steer it at {meshcat.web_url()}", flush=True)
-            yield from run_live(scenario, meshcat, realtime_rate=live_rate, progress=progress)
-        else:
-            run = simulate(scenario, progress=progress)
-            yield verify_step(run, progress=progress) if verifies_step else run
+            return run_live(scenario, meshcat, realtime_rate=live_rate, progress=progress)
+        run = simulate(scenario, progress=progress)
+        return verify_step(run, progress=progress) if verifies_step else run
 
     def write(run: Run) -> tuple[dict[str, Any], str, bool]:
         """Writes the results; returns the metrics, where all is, in words, and if pictures miss."""
@@ -169,27 +166,24 @@ def run_into(
             with contextlib.suppress(OSError):
                 folder.rmdir()
 
-    code = 0
     with current_interruption() as interruption, interruption.patient(ALL):
         interruption.keep = keep
         try:
             require_writable(folder, RUN_FILES, room=least_size(scenario))
-            for run in runs():
-                metrics, where, is_partial = write(run)
-                if interruption.number:
-                    return say_end(interruption, f"the results are in {where}")
-                code = _EXIT_CODES.get(RunOutcome(metrics["outcome"]), NOT_OK)
-                if is_live and code == FAILED:
-                    code = 0  # somebody pressed "stop" in the page
-                if not is_quiet:
-                    _report(metrics, run, where)
-                if code != 0:
-                    complain(f"{metrics['outcome']}: {in_brief(metrics['reasons'])}")
-                if is_live and not is_quiet:
-                    print("while a page is open: restart or stop there; Ctrl-C ends it", flush=True)
-                if is_partial:
-                    complain(f"the results are in {where}")
-                    return FAILED
+            run = flown()
+            metrics, where, is_partial = write(run)
+            if interruption.number:
+                return say_end(interruption, f"the results are in {where}")
+            code = _EXIT_CODES.get(RunOutcome(metrics["outcome"]), NOT_OK)
+            if is_live and code == FAILED:
+                code = 0  # somebody pressed "stop" in the page
+            if not is_quiet:
+                _report(metrics, run, where)
+            if code != 0:
+                complain(f"{metrics['outcome']}: {in_brief(metrics['reasons'])}")
+            if is_partial:
+                complain(f"the results are in {where}")
+                return FAILED
             return code
         except ScenarioError:
             remove_new()

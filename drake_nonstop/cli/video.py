@@ -1,4 +1,4 @@
-"""`drake-nonstop video`: make a GIF or MP4 of a run."""
+"""`drake-nonstop video`: make a GIF of a run."""
 
 import argparse
 import re
@@ -16,15 +16,13 @@ def add_to(commands: Commands) -> None:
     """Adds the subcommand."""
     parser = commands.add_parser(
         "video",
-        help="make a GIF or MP4 of a run",
         description="Takes a run's replay frame by frame with Chromium, which opens no window. "
         "Needs pip install 'drake-nonstop[video]', and Chromium, of the system or by "
-        "`playwright install chromium`; an MP4 needs ffmpeg.",
+        "`playwright install chromium`.",
     )
     parser.set_defaults(action=_video)
     parser.add_argument("run", type=Path, metavar="RUN", help="the folder with a run's results")
-    about = "with a name in .gif or .mp4 (RUN/video.gif)"
-    parser.add_argument("--out", type=Path, metavar="FILE", help=about)
+    parser.add_argument("--out", type=Path, metavar="FILE", help="a name in .gif (RUN/video.gif)")
     for name, default, about in (
         ("start", None, "s, the first instant shown (the run's)"),
         ("stop", None, "s, the last (the run's)"),
@@ -34,28 +32,21 @@ def add_to(commands: Commands) -> None:
         parser.add_argument(f"--{name}", type=float, default=default, metavar="X", help=about)
     size = "{}x{}".format(*SIZE)
     parser.add_argument("--size", default=size, metavar="WxH", help=f"in pixels ({size})")
-    parser.add_argument("--no-strip", action="store_true", help="without the plot below the scene")
     add_trust(parser)
 
 
 def _video(options: argparse.Namespace) -> int:
     file: Path = options.out or options.run / "video.gif"
-    require(file.suffix in (".gif", ".mp4"), "--out", file, "give a name in .gif or .mp4")
+    require(file.suffix == ".gif", "--out", file, "give a name in .gif")
     size = re.fullmatch(r"(\d{1,6})x(\d{1,6})", options.size)
     require(size, "--size", options.size, "give width and height in pixels, such as 640x480")
     assert size is not None
     run = Run.load(options.run, trust=options.trust)
     require_writable_file(file)
     names = ("start", "stop", "speed", "frame_rate")
+    chosen = {name: getattr(options, name) for name in names}
     with TaskProgress() as progress:
-        content = record_video(
-            run,
-            file.suffix[1:],
-            **{name: getattr(options, name) for name in names},
-            size=(int(size[1]), int(size[2])),
-            has_strip=not options.no_strip,
-            progress=progress,
-        )
+        content = record_video(run, **chosen, size=(int(size[1]), int(size[2])), progress=progress)
     with replacing_file(file) as opened:
         opened.write(content)
     print(f"written: {file}")

@@ -1,6 +1,7 @@
 """The paper's style, and figures that have it wherever they are drawn and saved."""
 
 import functools
+import io
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -36,3 +37,9 @@ class PaperFigure(Figure):
     def savefig(self, *arguments: Any, **options: Any) -> None:  # noqa: D102
         with paper_style():
             super().savefig(*arguments, **options)
+
+    def _repr_png_(self) -> bytes:
+        """What a notebook shows where the figure is the result of a cell."""
+        file = io.BytesIO()
+        self.savefig(file, format="png", dpi=180)
+        return file.getvalue()

@@ -1,7 +1,7 @@
 """A server in front of another, which lets pages of its own address in, and no others.
 
-Run as a script, in a process of its own, it serves sockets that listen already until its standard
-input ends: `reverse_proxy.py HOST PORT DESCRIPTOR...` with the address of the server behind it. It
+Run as a script, in a process of its own, it serves a socket that listens already until its standard
+input ends: `reverse_proxy.py HOST PORT DESCRIPTOR` with the address of the server behind it. It
 needs nothing but Python's standard library.
 """
 
@@ -13,7 +13,7 @@ import sys
 import threading
 
 _LONGEST_HEAD = 1 << 16  # bytes, of a request
-_OWN_NAMES = ("localhost", "127.0.0.1", "[::1]")
+_OWN_NAMES = ("localhost", "127.0.0.1")
 _FORBIDDEN = (
     b"HTTP/1.1 403 Forbidden\r\nContent-Type: text/plain\r\nConnection: close\r\n\r\n"
     b"Open this page at the address that was printed: pages of others are refused.\n"
@@ -29,22 +29,21 @@ def is_own(head: bytes) -> bool:
     """
     request, *lines = head.decode("latin-1").split("\r\n")
     cut = [line.partition(":") for line in lines]
-    pairs = [(name.strip().lower(), value.strip()) for name, _, value in cut]
+    pairs = [(name.strip().lower(), value.strip().lower()) for name, _, value in cut]
     hosts = [value for name, value in pairs if name == "host"]
     origins = [value for name, value in pairs if name == "origin"]
     if not request.startswith(("GET ", "HEAD ")) or len(hosts) != 1:
         return False
-    host = hosts[0].lower()
-    name, colon, port = host.rpartition(":")
-    is_local = host in _OWN_NAMES or (colon and name in _OWN_NAMES and port.isdigit())
-    return bool(is_local) and all(origin.lower() == f"http://{host}" for origin in origins)
+    name, colon, port = hosts[0].partition(":")
+    is_local = name in _OWN_NAMES and (not colon or port.isdigit())
+    return is_local and all(origin == f"http://{hosts[0]}" for origin in origins)
 
 
-async def _serve(host: str, port: int, sockets: list[socket.socket]) -> None:
+async def _serve(host: str, port: int, listening: socket.socket) -> None:
     async def answer(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        behind = None
+        """Asks the server behind each request until one opens a WebSocket, and then all."""
+        behind, is_open = None, False
         with contextlib.suppress(OSError, asyncio.IncompleteReadError, asyncio.LimitOverrunError):
-            is_open = False
             while not is_open:
                 head = await reader.readuntil(b"\r\n\r\n")
                 if not is_own(head):
@@ -64,8 +63,7 @@ async def _serve(host: str, port: int, sockets: list[socket.socket]) -> None:
             if end is not None:
                 end.close()
 
-    for listening in sockets:
-        await asyncio.start_server(answer, sock=listening, limit=_LONGEST_HEAD)
+    await asyncio.start_server(answer, sock=listening, limit=_LONGEST_HEAD)
     await asyncio.Event().wait()
 
 
@@ -83,6 +81,4 @@ def _end_with_input() -> None:
 
 if __name__ == "__main__":
     threading.Thread(target=_end_with_input, daemon=True).start()
-    asyncio.run(
-        _serve(sys.argv[1], int(sys.argv[2]), [socket.socket(fileno=int(n)) for n in sys.argv[3:]])
-    )
+    asyncio.run(_serve(sys.argv[1], int(sys.argv[2]), socket.socket(fileno=int(sys.argv[3]))))

@@ -1,8 +1,6 @@
 """Moving pictures of a run: its replay, taken frame by frame by a browser."""
 
 import io
-import shutil
-import subprocess
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
@@ -11,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from drake_nonstop.run.run import Run
-from drake_nonstop.validation import ScenarioError, require, require_positive, require_whole
+from drake_nonstop.validation import require, require_positive, require_whole
 from drake_nonstop.view.browser import open_browser
 from drake_nonstop.view.replay import record_replay
 
 FRAME_RATE, SIZE = 20.0, (640, 480)  # 1/s of the video; pixels
-_MOST_RATE = {"gif": 50.0, "mp4": 120.0}  # 1/s; browsers slow down faster GIFs
+_MOST_RATE = 50.0  # 1/s; browsers slow down faster GIFs
 _MOST_PICTURES = 10_000
 _PALETTE_FRAMES = 6  # whose colours a GIF has
 
@@ -53,41 +51,34 @@ def replay_pictures(
 
 def record_video(
     run: Run,
-    kind: str = "gif",
     *,
     start: float | None = None,
     stop: float | None = None,
     speed: float = 1.0,
     frame_rate: float = FRAME_RATE,
     size: tuple[int, int] = SIZE,
-    has_strip: bool = True,
     progress: Callable[[str, float], None] | None = None,
 ) -> bytes:
-    """The content of a file with a moving picture of the run's replay.
+    """The content of a GIF of the run's replay.
 
     Args:
         run: what is shown.
-        kind: of file, "gif" or "mp4"; the latter needs ffmpeg.
         start: s, the first instant shown (the run's).
         stop: s, the last (the run's).
         speed: simulated s per s of the video.
         frame_rate: pictures per s of the video.
-        size: width and height in pixels, even numbers for an mp4.
-        has_strip: whether the plot of the slowest carrier's speed and ε is below the scene.
+        size: width and height in pixels.
         progress: called with what is being done and the share of it that is done.
 
     Raises:
-        ScenarioError: an argument is out of range, or Chromium, Playwright or ffmpeg is missing.
+        ScenarioError: an argument is out of range, or Chromium or Playwright is missing.
     """
-    require(kind in _MOST_RATE, "kind", kind, f"give {' or '.join(_MOST_RATE)}")
     require_positive("speed", speed)
     require_positive("frame_rate", frame_rate)
-    most = _MOST_RATE[kind]
-    remedy = f"give 1 to {most:g} pictures per s for {kind}"
-    require(1 <= frame_rate <= most, "frame_rate", frame_rate, remedy)
+    remedy = f"give 1 to {_MOST_RATE:g} pictures per s"
+    require(1 <= frame_rate <= _MOST_RATE, "frame_rate", frame_rate, remedy)
     for name, pixels in zip(("width", "height"), size, strict=True):
         require_whole(name, pixels, 64, 4096)
-        require(kind == "gif" or pixels % 2 == 0, name, pixels, "give an even number for an mp4")
     require(len(run.time) > 0, "run", run, "give one that has flown")
     first, last = float(run.time[0]), float(run.time[-1])
     start, stop = first if start is None else start, last if stop is None else stop
@@ -97,17 +88,14 @@ def record_video(
     count = (stop - start) * frame_rate / speed
     remedy = f"give at least {speed * count / _MOST_PICTURES:.3g}, for {_MOST_PICTURES} pictures"
     require(count <= _MOST_PICTURES, "speed", speed, remedy)
-    encode = encode_gif if kind == "gif" else encode_mp4
-    if kind == "mp4":
-        _find_ffmpeg()
     times = np.arange(start, stop + 1e-6, speed / frame_rate)
     pictures: list[bytes] = []
     with open_browser(*size) as page:
-        for picture in replay_pictures(page, run, times, has_strip=has_strip):
+        for picture in replay_pictures(page, run, times, has_strip=True):
             pictures.append(picture)
             if progress is not None:
                 progress("video", len(pictures) / len(times))
-    return encode(pictures, frame_rate)
+    return encode_gif(pictures, frame_rate)
 
 
 def encode_gif(pictures: Sequence[bytes], frame_rate: float) -> bytes:
@@ -128,25 +116,3 @@ def encode_gif(pictures: Sequence[bytes], frame_rate: float) -> bytes:
     file, options = io.BytesIO(), {"save_all": True, "loop": 0, "duration": times}
     next(frames).save(file, format="GIF", append_images=frames, **options)
     return file.getvalue()
-
-
-def _find_ffmpeg() -> str:
-    path = shutil.which("ffmpeg")
-    remedy = "install it (`apt install ffmpeg`, `brew install ffmpeg`), or write a .gif"
-    require(path is not None, "ffmpeg", "none", remedy)
-    return str(path)
-
-
-def encode_mp4(pictures: Sequence[bytes], frame_rate: float) -> bytes:
-    """An MP4 (H.264) of pictures in PNG; raises ScenarioError without an ffmpeg that has H.264."""
-    path = _find_ffmpeg()
-    taken = f"-loglevel error -f image2pipe -c:v png -framerate {frame_rate:g} -i -"
-    made = "-c:v libx264 -pix_fmt yuv420p -movflags +faststart"  # what all players show
-    with tempfile.TemporaryDirectory() as folder:
-        video = Path(folder) / "video.mp4"  # of which a pipe could not be
-        command = [path, *taken.split(), *made.split(), str(video)]
-        done = subprocess.run(command, input=b"".join(pictures), capture_output=True, check=False)
-        if done.returncode != 0:
-            cause = done.stderr.decode(errors="replace").strip().rpartition("\n")[2]
-            raise ScenarioError(f"ffmpeg = {path}: install one with libx264 ({cause})")
-        return video.read_bytes()

@@ -124,8 +124,7 @@ _CALLS = (
     "LoadTrajectory({})",
     "NonstopVisualizer({}, Scenario())",
     "show_in({})",
-    "next(iter(run_live({}, {})))",
-    "start_meshcat({})",
+    "run_live({}, {})",
     "RunProgress({}, {})(0.5)",
     "RunProgress('a', 1.0)({})",
     "TaskProgress()({}, {})",
@@ -166,7 +165,7 @@ _CALLS = (
 _OF_OBJECTS = (
     *("set_equilibrium(", "compute_metrics(", "record_replay(", "draw_diagram(", "verify_step("),
     *("Model(", "SampleAndHold(", "LoadTrajectory("),
-    *("NonstopVisualizer(", "show_in(", "next(iter(run_live(", "RunProgress(", "TaskProgress("),
+    *("NonstopVisualizer(", "show_in(", "run_live(", "RunProgress(", "TaskProgress("),
     *("HamiltonianCycleConfig().make(", "SpreadCarouselConfig().make("),
 )
 

@@ -1,6 +1,5 @@
 """A live run, controlled from a browser."""
 
-import json
 import os
 import re
 import subprocess
@@ -17,11 +16,10 @@ pytestmark = pytest.mark.nightly("browsers")
 
 
 @pytest.fixture
-def flight(tmp_path, request):
-    """A live run of some s in a process of its own: (process, address, results)."""
-    duration = f"simulation_duration={getattr(request, 'param', 60)}"
-    options = ["--live", "--quiet", "--no-figures", "--no-replay", "--set", duration]
-    options += ["scene.trail_pieces=2"]  # a browser without a GPU has enough to draw
+def flight(tmp_path):
+    """A live run in a process of its own: (process, address, results)."""
+    options = ["--live", "--quiet", "--no-figures", "--no-replay"]
+    options += ["--set", "simulation_duration=60"]
     command = [sys.executable, "-m", "drake_nonstop.cli", "run", "quintic", *options]
     process = subprocess.Popen(
         [*command, "--out", str(tmp_path)],
@@ -61,7 +59,6 @@ def test_sliders_and_stop_do_what_they_say(watched, flight):
         "viewer.scene_tree.find(['nonstop', 'carriers']).object.children.length == 4"
     )
     assert shown(page, live.BOUND) == pytest.approx(0.55)
-    page.wait_for_function(f"viewer.gui_controllers[{live.SLOWEST!r}].getValue() > 0.5")
     page.evaluate("viewer.gui.open()")
     slide(page, live.BOUND, 0.66)
     page.wait_for_timeout(1000)
@@ -78,7 +75,6 @@ def test_sliders_and_stop_do_what_they_say(watched, flight):
     assert [error for error in watched.errors if "WebSocket" not in error] == []
 
 
-@pytest.mark.parametrize("flight", [4], indirect=True)
 def test_viewers_that_come_and_leave_do_not_change_a_run(watched, flight):
     process, address, results = flight
     page = opened(watched, address)
@@ -86,26 +82,11 @@ def test_viewers_that_come_and_leave_do_not_change_a_run(watched, flight):
     second.goto(address)
     second.wait_for_timeout(500)
     second.close()
-    assert process.poll() is None
-    page.close()
-    assert process.wait(timeout=60) == 0
-    alone = simulate(load_scenario("quintic", ["simulation_duration=4"]), engine="diagram")
-    with np.load(results / "signals.npz") as signals:
-        assert set(signals) >= {"time", "entries", *alone.signals}
-        for name, values in alone.signals.items():
-            np.testing.assert_array_equal(signals[name], values, err_msg=name)
-
-
-def test_restart_and_pace_from_the_page(watched, flight):
-    process, address, results = flight
-    page = opened(watched, address)
-    page.wait_for_timeout(1500)
     page.evaluate("viewer.gui.open()")
-    slide(page, live.RATE, 0.2)
-    page.get_by_text(live.RESTART, exact=True).click()
-    page.wait_for_timeout(2000)
     page.get_by_text(live.STOP, exact=True).click()
     assert process.wait(timeout=60) == 0
-    # That of the whole run, so that it has to be one which started after the change.
-    factor = json.loads((results / "metrics.json").read_text())["real_time_factor"]
-    assert 0 < factor < 0.25
+    with np.load(results / "signals.npz") as signals:
+        count, duration = len(signals["time"]), signals["time"][-1]
+        scenario = load_scenario("quintic", [f"simulation_duration={duration}"])
+        for name, values in simulate(scenario, engine="diagram").signals.items():
+            np.testing.assert_array_equal(signals[name], values[:count], err_msg=name)

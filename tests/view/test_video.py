@@ -3,8 +3,6 @@
 import io
 import itertools
 import shutil
-import subprocess
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,8 +14,7 @@ from drake_nonstop.run.simulate import simulate
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.studies.results_folder import write_results
 from drake_nonstop.validation import ScenarioError
-from drake_nonstop.view import video
-from drake_nonstop.view.video import encode_gif, encode_mp4, record_video
+from drake_nonstop.view.video import encode_gif, record_video
 
 
 def pictures(count):
@@ -45,57 +42,30 @@ def test_a_gif_has_all_pictures_and_their_time_to_the_rounding_of_a_frame(rate):
 
 
 @pytest.mark.parametrize(
-    ("given", "said"),
+    ("given", "field", "value", "remedy"),
     [
-        ({"kind": "avi"}, "kind = avi: give gif or mp4"),
-        (
-            {"start": 0.4, "stop": 0.4},
-            "stop = 0.4: give times from 0 s to 0.5 s, which the run has, later than the start",
-        ),
-        ({"stop": 9.0}, "stop = 9.0: give times from 0 s to 0.5 s, which"),
-        ({"start": -1.0}, "start = -1.0: give times from 0 s to 0.5 s"),
-        ({"frame_rate": 60.0}, "frame_rate = 60.0: give 1 to 50 pictures per s for gif"),
-        ({"frame_rate": 1e-9}, "frame_rate = 1e-09: give 1 to 50"),
-        ({"speed": 1e-7}, "speed = 1e-07: give at least 0.001, for 10000 pictures"),
-        ({"speed": 0.0}, "speed = 0.0: give a finite number greater than zero"),
-        ({"size": (640, 20)}, "height = 20: give a whole number from 64 to 4096"),
-        ({"kind": "mp4", "size": (641, 480)}, "width = 641: give an even number"),
+        ({"start": 0.4, "stop": 0.4}, "stop", "0.4", "0 s to 0.5 s"),
+        ({"stop": 9.0}, "stop", "9.0", "0 s to 0.5 s"),
+        ({"start": -1.0}, "start", "-1.0", "0 s to 0.5 s"),
+        ({"frame_rate": 60.0}, "frame_rate", "60.0", "1 to 50"),
+        ({"frame_rate": 1e-9}, "frame_rate", "1e-09", "1 to 50"),
+        ({"speed": 1e-7}, "speed", "1e-07", "at least 0.001"),
+        ({"speed": 0.0}, "speed", "0.0", "greater than zero"),
+        ({"size": (640, 20)}, "height", "20", "64 to 4096"),
     ],
 )
-def test_arguments_out_of_range_are_refused(given, said):
+def test_arguments_out_of_range_are_refused(given, field, value, remedy):
     with pytest.raises(ScenarioError) as refused:
         record_video(circling_run(duration=0.5), **given)
-    assert said in str(refused.value)
+    assert str(refused.value).startswith(f"{field} = {value}: ")
+    assert remedy in str(refused.value)
 
 
-def test_without_ffmpeg_or_a_browser_one_sentence_says_what_to_install(monkeypatch):
+def test_without_a_browser_one_sentence_says_what_to_install(monkeypatch):
     monkeypatch.setattr(shutil, "which", lambda name: None)
-    with pytest.raises(ScenarioError, match=r"^ffmpeg = none: install it .*, or write a \.gif$"):
-        record_video(circling_run(duration=0.5), "mp4")
     monkeypatch.setenv("PLAYWRIGHT_BROWSERS_PATH", "/nowhere")
     with pytest.raises(ScenarioError, match=r"^browser = none: install one .*`playwright install"):
         record_video(circling_run(duration=0.5))
-
-
-def test_ffmpeg_gets_all_pictures_at_their_rate_and_its_errors_are_told(monkeypatch):
-    called = {}
-
-    def run(command, *, input, **others):
-        called["command"], called["input"] = command, input
-        code = 1 if called.get("fails") else 0
-        if code == 0:
-            Path(command[-1]).write_bytes(b"a video")
-        return subprocess.CompletedProcess(command, code, b"", b"first\nUnknown encoder\n")
-
-    monkeypatch.setattr(video, "_find_ffmpeg", lambda: "ffmpeg")
-    monkeypatch.setattr(subprocess, "run", run)
-    given = [*pictures(2)]
-    assert encode_mp4(given, 12.5) == b"a video"
-    assert called["input"] == b"".join(given)
-    assert called["command"][called["command"].index("-framerate") + 1] == "12.5"
-    called["fails"] = True
-    with pytest.raises(ScenarioError, match=r"libx264.*Unknown encoder"):
-        encode_mp4(given, 12.5)
 
 
 @pytest.mark.nightly("browsers")
