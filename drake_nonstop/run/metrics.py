@@ -227,14 +227,9 @@ _ROWS: dict[str, Metric] = {
         lambda run: run.position_error[-1], Quantity("final position error", "mm", 1e3, LOWER)
     ),
     "load.reference_delay_max_s": Metric(
-        lambda run: run.reference_delays and run.reference_delays[0],
+        lambda run: run.reference_delay,
         Quantity("largest delay of the reference", "s", better=LOWER),
         RunText("reference", "late by up to {:.3g} {unit}"),
-    ),
-    "load.reference_delay_final_s": Metric(
-        lambda run: run.reference_delays and run.reference_delays[1],
-        Quantity("final delay of the reference", "s", better=LOWER),
-        RunText("reference", "{:.3g} {unit} at the end"),
     ),
     "load.orientation_error_mean_rad": Metric(
         lambda run: np.mean(run.orientation_error),
@@ -279,17 +274,8 @@ _ROWS: dict[str, Metric] = {
         RunText("closest", "carriers {:g} {unit}", decimals=3),
         TableColumn("apart (m)", "carr."),
     ),
-    "carriers.normal_acceleration_max_m_s2": Metric(
-        lambda run: run.turns[1], Quantity("largest normal acceleration", "m/s²")
-    ),
     "carriers.acceleration_max_m_s2": Metric(
-        lambda run: run.turns[0], Quantity("largest acceleration", "m/s²")
-    ),
-    "carriers.climb_angle_max_rad": Metric(
-        lambda run: run.steepest_angle, Quantity("steepest climb or descent", "rad")
-    ),
-    "carriers.turn_radius_min_m": Metric(
-        lambda run: run.turns[2], Quantity("smallest turn radius", "m")
+        lambda run: run.largest_acceleration, Quantity("largest acceleration", "m/s²")
     ),
     "cables.tension_min_N": Metric(
         lambda run: np.min(run.tensions),
@@ -309,29 +295,9 @@ _ROWS: dict[str, Metric] = {
         TableColumn("slack", "s"),
     ),
     "bowed_cables.bow_max_m": Metric(
-        lambda run: np.max(run.bows_and_chords[0]),
+        lambda run: np.max(run.bows),
         Quantity("largest bow", "m"),
         RunText("bowed cables", "up to {:.3g} {unit} from the chord"),
-    ),
-    "bowed_cables.chord_min_m": Metric(
-        lambda run: np.min(run.bows_and_chords[1]),
-        Quantity("shortest chord", "m"),
-        RunText("bowed cables", "chord {:.5g}"),
-    ),
-    "bowed_cables.chord_max_m": Metric(
-        lambda run: np.max(run.bows_and_chords[1]),
-        Quantity("longest chord", "m"),
-        RunText("bowed cables", "{:.5g} {unit}", " to "),
-    ),
-    "bowed_cables.carrier_tension_min_N": Metric(
-        lambda run: np.min(run.carrier_tensions),
-        Quantity("least tension at a carrier", "N", better=HIGHER),
-        RunText("bowed cables", "tension at carriers {:.3g}"),
-    ),
-    "bowed_cables.carrier_tension_max_N": Metric(
-        lambda run: np.max(run.carrier_tensions),
-        Quantity("largest tension at a carrier", "N"),
-        RunText("bowed cables", "{:.3g} {unit}", " to "),
     ),
     "cables.separation_min_m": Metric(
         lambda run: np.min(run.cable_separations),
@@ -361,10 +327,6 @@ _ROWS: dict[str, Metric] = {
         lambda run: run.ranges.airspeed[0],
         Quantity("least airspeed", "m/s", better=HIGHER),
         RunText("aircraft", "airspeed from {:.3g} {unit}"),
-    ),
-    "aircraft.airspeed_above_bound_min_m_s": Metric(
-        lambda run: np.min(run.bounded_speeds - run.speed_bounds[:, None]),
-        Quantity("least airspeed above the bound", "m/s", better=HIGHER),
     ),
     "aircraft.airspeed_over_stall_min": Metric(
         lambda run: run.ranges.over_stall[0],
@@ -477,11 +439,6 @@ _ROWS: dict[str, Metric] = {
     ),
 }
 METRICS = tuple(metric._replace(path=path) for path, metric in _ROWS.items())
-
-
-def metric_at(path: str) -> Metric:
-    """The row of `METRICS` with that path."""
-    return next(metric for metric in METRICS if metric.path == path)
 
 
 def in_brief(sentences: Sequence[str]) -> str:

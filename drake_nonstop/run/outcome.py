@@ -203,7 +203,7 @@ LIMITS = (
         path="limits.acceleration",
         sentence="not plausible: a carrier was accelerated by {}",
         unit="m/s²",
-        measure=lambda run: run.turns[0],
+        measure=lambda run: run.largest_acceleration,
     ),
     RunLimit(
         path="limits.tension",

@@ -93,15 +93,14 @@ class RunQuantities:
         """The load's angle (samples,) to its reference at 100 Hz, rad."""
         return _norms(self._load_errors[1])
 
-    @cached_property
-    def reference_delays(self) -> tuple[float, float] | None:
-        """The governor's delay of the reference, the largest and the last, s; None: no governor."""
+    @property
+    def reference_delay(self) -> float | None:
+        """The governor's largest delay of the reference, s; None: no governor."""
         if self.scenario.reference_governor is None:
             return None
         if not any(name.endswith(".reference_delay") for name in self.run.signals):
-            return 0.0, 0.0  # the trajectory is left as it is
-        delays = self.run.signal("reference_delay")
-        return float(np.max(delays)), float(delays[-1, 0])
+            return 0.0  # the trajectory is left as it is
+        return float(np.max(self.run.signal("reference_delay")))
 
     @cached_property
     def _load_errors(self) -> tuple[NDArray, NDArray]:
@@ -171,45 +170,17 @@ class RunQuantities:
         return least
 
     @cached_property
-    def steepest_angle(self) -> float:
-        """The largest angle of a carrier's velocity to the horizontal, rad, up or down.
-
-        It is found at the steps and between them, where velocities are taken to change linearly.
-        """
-        return max(map(_steepest_angle, _overlapping_chunks(self.carrier_velocities)))
-
-    @cached_property
-    def turns(self) -> tuple[float | None, float | None, float | None]:
-        """Carriers' largest acceleration and normal acceleration, m/s², and least turn radius, m.
-
-        Each is measured over 0.1 s of a carrier's path; None: unknown.
-        """
+    def largest_acceleration(self) -> float | None:
+        """Carriers' largest acceleration, m/s², each over 0.1 s of the path; None: unknown."""
         time, states = self.run.time, self.run.signal("carrier_state")
         if len(time) < 3:
-            return None, None, None
-        apart = max(1, min(round(_TURN / 2 / (time[1] - time[0])), (len(time) - 1) // 2))
-        acceleration = normal_acceleration = curvature = 0.0
-        is_moving = False
-        for start in range(apart, len(time) - apart, _CHUNK):
-            rows = slice(start - apart, min(start + _CHUNK, len(time) - apart) + apart)
-            velocities = laid_apart(CarrierStates.view(states[rows]).velocities)
-            times = time[rows]
-            intervals = (times[2 * apart :] - times[: -2 * apart])[:, None, None]
-            accelerations = (velocities[2 * apart :] - velocities[: -2 * apart]) / intervals
-            velocities = velocities[apart:-apart]
-            # v × a is speed × normal acceleration, and stays defined where a carrier stops.
-            crossed, speeds = _norms(np.cross(velocities, accelerations)), _norms(velocities)
-            moving = speeds > 0
-            is_moving |= bool(np.any(moving))
-            crossed, speeds = crossed[moving], speeds[moving]
-            acceleration = max(acceleration, float(np.max(_norms(accelerations))))
-            normal_acceleration = max(
-                normal_acceleration, float(np.max(crossed / speeds, initial=0.0))
-            )
-            curvature = max(curvature, float(np.max(crossed / speeds**3, initial=0.0)))
-        if not is_moving:
-            return acceleration, None, None
-        return acceleration, normal_acceleration, 1 / curvature if curvature > 0 else None
+            return None
+        apart = max(1, min(round(_TURN / (time[1] - time[0])), len(time) - 1))
+        changes = states[apart:] - states[:-apart]
+        accelerations = (
+            CarrierStates.view(changes).velocities / (time[apart:] - time[:-apart])[:, None, None]
+        )
+        return float(np.max(_norms(accelerations)))
 
     @cached_property
     def largest_commanded_acceleration(self) -> float | None:
@@ -388,24 +359,21 @@ class RunQuantities:
         return any(name.endswith(".cable_state") for name in self.run.signals)
 
     @cached_property
-    def bows_and_chords(self) -> tuple[NDArray, NDArray]:
-        """Of each cable, (samples, n), at 100 Hz; only where `has_nodes`.
+    def bows(self) -> NDArray:
+        """The largest distance (samples, n), m, of a cable's nodes from the line between its ends.
 
-        The largest distance, m, of a node from the line between the cable's ends, and the distance,
-        m, between these.
+        Only where `has_nodes`.
         """
 
         def of_rows(nodes: NDArray, load: NDArray, carriers: NDArray) -> NDArray:
             low, high = attachment_positions(self.run, load), CarrierStates.view(carriers).positions
             positions = nodes[:, : nodes.shape[1] // 2].reshape(len(nodes), -1, *low.shape[1:])
             chords = high - low
-            lengths = _norms(chords)
             apart = _norms(np.cross(positions - low[:, None], chords[:, None]))
-            return np.stack([apart.max(axis=1) / lengths, lengths], axis=1)
+            return apart.max(axis=1) / _norms(chords)
 
         signals = map(self.run.signal, ("cable_state", "load_state", "carrier_state"))
-        found = _in_chunks(of_rows, *signals)
-        return found[:, 0], found[:, 1]
+        return _in_chunks(of_rows, *signals)
 
     @cached_property
     def slack_time(self) -> float:
@@ -547,27 +515,6 @@ def laid_apart(vectors: NDArray) -> NDArray:
 
 def _norms(vectors: NDArray) -> NDArray:
     return np.linalg.norm(vectors, axis=-1)
-
-
-def _steepest_angle(velocities: NDArray) -> float:
-    """The largest angle of velocities (k, n, 3) to the horizontal, rad, also between two rows."""
-    rise, level = np.abs(velocities[..., 2]), _norms(velocities[..., :2])
-    steepest = float(np.max(np.arctan2(rise, level)))
-    changes = np.diff(velocities, axis=0)
-    # Between two rows a velocity rises by no more than at them, and its level part is no less than:
-    least_level = (level[:-1] + level[1:] - _norms(changes[..., :2])) / 2
-    most_rise = np.maximum(rise[:-1], rise[1:])
-    may_be_steeper = ~(most_rise * math.cos(steepest) < least_level * math.sin(steepest))
-    starts, changes = velocities[:-1][may_be_steeper], changes[may_be_steeper]
-    level, level_change = starts[..., :2], changes[..., :2]
-    rise, rise_change = starts[..., 2], changes[..., 2]
-    mixed = (level * level_change).sum(axis=-1)
-    numerator = rise * mixed - rise_change * (level * level).sum(axis=-1)
-    denominator = rise_change * mixed - rise * (level_change * level_change).sum(axis=-1)
-    shares = (numerator / np.where(denominator == 0, np.inf, denominator)).clip(0, 1)
-    between = starts + shares[..., None] * changes
-    angles = np.arctan2(np.abs(between[..., 2]), _norms(between[..., :2]))
-    return float(np.max(angles, initial=steepest))
 
 
 def _overlapping_chunks(values: NDArray) -> Iterator[NDArray]:

@@ -31,7 +31,6 @@ _GRAINS = {
     "share_max": 0.005,
     "_stall_min": 0.005,
     "_s": 0.02 + 1e-9,  # a step of 10 ms at either end
-    "turn_radius_min_m": 1e-3,
 }
 _LENGTH = 1e-3  # m, by which others may move
 _COUNT = 2  # updates

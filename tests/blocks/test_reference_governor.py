@@ -128,7 +128,7 @@ def test_a_bound_that_is_missed_at_full_speed_is_kept_and_the_load_arrives_late(
     assert figures[0]["load"]["reference_delay_max_s"] is None
     delays = governed.signal("reference_delay")[:, 0]
     assert figures[1]["load"]["reference_delay_max_s"] == np.max(delays) > 0.5
-    assert figures[1]["load"]["reference_delay_final_s"] == delays[-1] == np.max(delays)
+    assert delays[-1] == np.max(delays)
     for run in flights:  # 1 m away
         assert run.signal("load_state")[-1, 4] == pytest.approx(1.0, abs=1e-3)
     middle = np.searchsorted(governed.time, 3.0)

@@ -12,7 +12,7 @@ from pydrake.systems.framework import LeafSystem
 from drake_nonstop import DisturbanceForceConfig, load_scenario, study
 from drake_nonstop.blocks.phase import AccumulatedPhase, PaperPhase, PaperPhaseConfig
 from drake_nonstop.cli.main import main
-from drake_nonstop.run.metrics import metric_at
+from drake_nonstop.run.metrics import METRICS
 from drake_nonstop.studies.attempts import (
     COMPLETED,
     DIVERGED,
@@ -218,7 +218,9 @@ class TestSummary:
         done = made([[1, 2], [2, 3.1], [2, 1]], [{"a": k} for k in "xyz"])
         ((_, _, better),) = [
             column
-            for column in Summary(done.table, done.settings).columns([metric_at(ERROR)])
+            for column in Summary(done.table, done.settings).columns(
+                [m for m in METRICS if m.path == ERROR]
+            )
             if column[0] == "change"
         ]
         assert better == [None, False, None]
