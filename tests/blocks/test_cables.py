@@ -1,34 +1,12 @@
 """Straight cables."""
 
-import math
-
 import numpy as np
 import pytest
-from helpers import Motion, fix, model, output, regular
+from helpers import fix, model, output, regular
 
 from drake_nonstop.blocks.cables import Cables
-from drake_nonstop.mechanics.cable import cable_forces_and_tensions
 from drake_nonstop.run.simulate import simulate
 from drake_nonstop.scenario.loading import load_scenario
-from drake_nonstop.systems.tracing import NotFiniteError
-from drake_nonstop.validation import ScenarioError
-
-counts = pytest.mark.parametrize("n", [3, 4, 6])
-
-
-@counts
-def test_cables_pull_on_the_load(rng, n):
-    block = Cables(model(n))
-    context = block.CreateDefaultContext()
-    state = Motion(60).state(0.3)
-    carriers = rng.uniform(-0.3, 0.3, 6 * n) + np.concatenate([[0, 0, 1.3] * n, np.zeros(3 * n)])
-    fix(block, context, load_state=state, carrier_state=carriers)
-    forces, tensions = cable_forces_and_tensions(
-        state, carriers, attachments=regular(n), rest_length=0.8, stiffness=500.0, damping=0.1
-    )
-    np.testing.assert_allclose(output(block, context, "cable_forces"), forces.ravel(), rtol=1e-12)
-    np.testing.assert_allclose(output(block, context, "tensions"), tensions, rtol=1e-12)
-    assert np.min(tensions) > 1
 
 
 def test_resting_carriers_straight_above_hold_a_load_by_stretched_cables():
@@ -45,21 +23,6 @@ def test_resting_carriers_straight_above_hold_a_load_by_stretched_cables():
     np.testing.assert_allclose(
         output(block, context, "cable_forces"), [0, 0, 2.5] * 4, rtol=0, atol=1e-12
     )
-
-
-def test_simulated_cables_need_a_finite_stiffness():
-    with pytest.raises(ScenarioError, match=r"simulated\.cable_stiffness = inf: simulated cables"):
-        Cables(model(cable_stiffness=math.inf))
-
-
-def test_cable_of_no_length_is_named():
-    block = Cables(model())
-    block.set_name("cables")
-    context = block.CreateDefaultContext()
-    carriers = np.concatenate([regular(4).ravel(), np.zeros(12)])
-    fix(block, context, load_state=np.array([1.0, *np.zeros(12)]), carrier_state=carriers)
-    with pytest.raises(NotFiniteError, match="cables"):
-        block.GetOutputPort("tensions").Eval(context)
 
 
 @pytest.mark.nightly("flights")

@@ -10,9 +10,7 @@ from drake_nonstop.blocks.carrier_controller import (
     FeedforwardCarrierPid,
     FeedforwardCarrierPidConfig,
     TunedFeedforwardCarrierPid,
-    TunedFeedforwardCarrierPidConfig,
 )
-from drake_nonstop.validation import ScenarioError
 
 counts = pytest.mark.parametrize("n", [3, 4, 6])
 
@@ -34,52 +32,6 @@ def test_carrier_pid_in_closed_form(rng, n):
     np.testing.assert_allclose(
         block.EvalTimeDerivatives(context).CopyToVector(), error[: 3 * n], rtol=0, atol=1e-15
     )
-
-
-def test_carrier_pid_without_integral_gain_has_no_state(rng):
-    block = CarrierPid(model())
-    context = block.CreateDefaultContext()
-    assert context.num_continuous_states() == 0
-    reference, state = rng.normal(size=(2, 24))
-    fix(block, context, carrier_reference=reference, carrier_state=state)
-    error = reference - state
-    np.testing.assert_allclose(
-        output(block, context, "carrier_forces"), 1000 * error[:12] + 10 * error[12:], rtol=1e-12
-    )
-    assert block.EvalTimeDerivatives(context).size() == 0
-
-
-@pytest.mark.parametrize("gain", ["position_gain", "velocity_gain", "integral_gain"])
-@pytest.mark.parametrize("value", [-1.0, np.nan, np.inf, False, None])
-def test_bad_gain_of_the_carrier_controller_is_named(gain, value):
-    with pytest.raises(ScenarioError, match=f"carrier_controller.{gain} = {value}: give"):
-        CarrierPid(model(), CarrierPidConfig(**{gain: value}))
-
-
-@pytest.mark.parametrize(
-    ("make", "config", "message"),
-    [
-        (CarrierPid, CarrierPidConfig(integral_gain=-1.0), r"integral_gain = -1\.0"),
-        (
-            TunedFeedforwardCarrierPid,
-            TunedFeedforwardCarrierPidConfig(frequency=0.0),
-            r"frequency = 0\.0",
-        ),
-        (
-            TunedFeedforwardCarrierPid,
-            TunedFeedforwardCarrierPidConfig(damping=-0.1),
-            r"damping = -0\.1",
-        ),
-        (
-            FeedforwardCarrierPid,
-            FeedforwardCarrierPidConfig(position_gain=np.inf),
-            "position_gain = inf",
-        ),
-    ],
-)
-def test_parameters_out_of_range_are_named(make, config, message):
-    with pytest.raises(ScenarioError, match=message):
-        make(model(), config)
 
 
 @pytest.mark.parametrize("n", [3, 4])

@@ -7,7 +7,6 @@ from pydrake.autodiffutils import ExtractGradient, InitializeAutoDiff
 from pydrake.systems.analysis import Simulator
 
 from drake_nonstop.blocks.carrier_dynamics import (
-    CarrierDynamics,
     LimitedCarriers,
     LimitedCarriersConfig,
 )
@@ -15,43 +14,8 @@ from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.run.metrics import compute_metrics
 from drake_nonstop.run.simulate import simulate
 from drake_nonstop.scenario.loading import load_scenario
-from drake_nonstop.systems.tracing import NotFiniteError
-from drake_nonstop.validation import ScenarioError
 
 counts = pytest.mark.parametrize("n", [3, 4, 6])
-
-
-@counts
-def test_carriers_are_double_integrators(rng, n):
-    block = CarrierDynamics(model(n, carrier_mass=0.25))
-    context = block.CreateDefaultContext()
-    state, forces = rng.normal(size=6 * n), rng.normal(size=3 * n)
-    context.SetContinuousState(state)
-    fix(block, context, carrier_forces=forces)
-    rate = block.EvalTimeDerivatives(context)
-    np.testing.assert_allclose(
-        rate.CopyToVector(), [*state[3 * n :], *(4 * forces)], rtol=0, atol=1e-15
-    )
-    np.testing.assert_array_equal(output(block, context, "carrier_state"), state)
-
-
-def test_pushed_carrier_moves_on_a_parabola():
-    block = CarrierDynamics(model(3, carrier_mass=0.1))
-    simulator = Simulator(block)
-    context = simulator.get_mutable_context()
-    fix(block, context, carrier_forces=np.arange(9.0))
-    simulator.AdvanceTo(0.5)
-    expected = np.concatenate([np.arange(9) / 0.1 * 0.5**2 / 2, np.arange(9) / 0.1 * 0.5])
-    np.testing.assert_allclose(output(block, context, "carrier_state"), expected, rtol=1e-9)
-
-
-def test_carrier_that_gets_no_number_is_named():
-    block = CarrierDynamics(model())
-    block.set_name("carrier_dynamics")
-    context = block.CreateDefaultContext()
-    fix(block, context, carrier_forces=np.full(12, np.inf))
-    with pytest.raises(NotFiniteError, match="carrier_dynamics"):
-        block.EvalTimeDerivatives(context)
 
 
 LOADED = {"has_weight": True, "feels_cable": True}
@@ -129,12 +93,6 @@ def test_a_run_starts_with_the_accelerations_that_the_references_need():
     desired = output(loop, context, "carrier_reference_acceleration").reshape(4, 3)
     expected = desired + pull / 0.1 + [0, 0, 9.81]
     np.testing.assert_allclose(own.reshape(4, 3), expected, atol=1e-6)
-
-
-@pytest.mark.parametrize(("field", "value"), [("lag", 0.0), ("max_acceleration", -1.0)])
-def test_bad_limits_of_carriers_are_named(field, value):
-    with pytest.raises(ScenarioError, match=f"carrier_dynamics.{field} = {value}: give"):
-        LimitedCarriers(model(), LimitedCarriersConfig(**{field: value}))
 
 
 @pytest.mark.nightly("flights")

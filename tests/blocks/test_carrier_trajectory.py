@@ -12,17 +12,11 @@ from pydrake.trajectories import PiecewisePolynomial
 
 from drake_nonstop.blocks.along_trajectory import LoadTrajectory
 from drake_nonstop.blocks.carrier_controller import (
-    CarrierPid,
-    FeedforwardCarrierPid,
     TunedFeedforwardCarrierPid,
 )
 from drake_nonstop.blocks.carrier_trajectory import (
     CarrierTrajectory,
     CarrierTrajectoryConfig,
-    MeasuredCarrierTrajectory,
-)
-from drake_nonstop.blocks.internal_force import (
-    PlannedInternalForceConfig,
 )
 from drake_nonstop.blocks.load_feedback import DesiredStateFeedback
 from drake_nonstop.blocks.load_trajectory import (
@@ -33,34 +27,16 @@ from drake_nonstop.blocks.load_trajectory import (
 )
 from drake_nonstop.blocks.optimization_layer import ConstantParametersConfig
 from drake_nonstop.diagrams.nonstop import make_nonstop
-from drake_nonstop.mechanics.carrier import carrier_motion
 from drake_nonstop.model.pattern import (
     CarouselConfig,
     ConstantSpreadConfig,
     EllipticCarouselConfig,
-    HamiltonianCycleConfig,
 )
 from drake_nonstop.model.system import SystemParameters
-from drake_nonstop.run.simulate import simulate
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.systems.compiled_loop import CompiledLoop
 from drake_nonstop.systems.wiring import connections, input_names
-from drake_nonstop.validation import ScenarioError, ScenarioWarning
-
-counts = pytest.mark.parametrize("n", [3, 4, 6])
-
-
-def expected_motion(inputs, n, compliance):
-    reference, forces, rates = inputs.values()
-    return carrier_motion(
-        reference,
-        forces.reshape(n, 3),
-        rates.reshape(n, 3),
-        attachments=regular(n),
-        rest_length=0.8,
-        compliance=compliance,
-    )
 
 
 def generator_inputs(rng, n):
@@ -69,33 +45,6 @@ def generator_inputs(rng, n):
         "desired_cable_forces": rng.uniform(0.5, 2.0, 3 * n),
         "desired_cable_force_rates": rng.normal(size=3 * n),
     }
-
-
-@counts
-@pytest.mark.parametrize(("stiffness", "compliance"), [(500.0, 1 / 500), (math.inf, 0.0)])
-def test_carrier_trajectory_stands_on_the_desired_load_pose(rng, n, stiffness, compliance):
-    block = CarrierTrajectory(model(n, cable_stiffness=stiffness))
-    context = block.CreateDefaultContext()
-    inputs = generator_inputs(rng, n)
-    fix(block, context, **inputs)
-    expected = np.ravel(expected_motion(inputs, n, compliance))
-    np.testing.assert_allclose(
-        output(block, context, "carrier_reference"), expected, rtol=1e-12, atol=1e-13
-    )
-
-
-def test_sampled_carrier_trajectory_goes_on_along_its_velocity(rng):
-    block = CarrierTrajectory(model(4, 0.01), CarrierTrajectoryConfig(hold="velocity"))
-    context = block.CreateDefaultContext()
-    inputs = generator_inputs(rng, 4)
-    positions, velocities = expected_motion(inputs, 4, 1 / 500)
-    fix(block, context, **inputs, sample_time=np.array([2.0]))
-    for time in (2.0, 2.004, 2.01):
-        context.SetTime(time)
-        expected = np.ravel([positions + (time - 2.0) * velocities, velocities])
-        np.testing.assert_allclose(
-            output(block, context, "carrier_reference"), expected, rtol=1e-12, atol=1e-13
-        )
 
 
 SIGNALS = {"measured_load_state": Motion(3).state(0.3), "reference": Motion(4).reference(0.3)}
@@ -127,23 +76,6 @@ def test_references_move_against_the_measured_error():
         carried(CarrierTrajectory(model()), {"reference": moved}),
         rtol=1e-12,
     )
-
-
-def test_two_integrals_of_one_error_are_warned_of():
-    twice = load_scenario("quintic", ["carrier_trajectory.correction_rates=[0, 0, 0.1]"])
-    with pytest.warns(ScenarioWarning, match=r"^carrier_trajectory.correction_rates = .* twice"):
-        make_nonstop(twice)
-    with pytest.raises(ScenarioError, match=r"^carrier_trajectory.correction_rates\[2\] = -1"):
-        CarrierTrajectory(model(), CarrierTrajectoryConfig(correction_rates=[0.0, 0.0, -1.0]))
-
-
-def test_measured_pose_carries_the_cables():
-    state = SIGNALS["measured_load_state"]
-    measured = carried(MeasuredCarrierTrajectory(model()), {"measured_load_state": state})
-    same = carried(CarrierTrajectory(model()), {"reference": np.concatenate([state, np.zeros(9)])})
-    np.testing.assert_array_equal(measured, same)
-    ends = measured[:12].reshape(4, 3) - state[4:7]
-    assert np.all(np.linalg.norm(ends, axis=1) < np.linalg.norm(regular(4), axis=1).max() + 0.81)
 
 
 DERIVATIVES = ("carrier_reference_acceleration", "carrier_reference_jerk")
@@ -181,17 +113,6 @@ def loop_on_its_reference(**boxes):
     ends = {"load_feedback": DesiredStateFeedback, "optimization_layer": layer}
     diagram = make_nonstop(scenario, **ends, **boxes)
     return diagram, diagram.CreateDefaultContext()
-
-
-def test_derivatives_in_the_loop_are_differences_of_the_velocities():
-    diagram, context = loop_on_its_reference(load_trajectory=SteadyJerk)
-    for time in (0.3, 1.1):
-        _, acceleration, jerk = carriers_at(diagram, context, time)
-        velocity = difference(lambda t: carriers_at(diagram, context, t)[0][12:], time)
-        np.testing.assert_allclose(acceleration, velocity, rtol=0, atol=1e-8)
-        expected = difference(lambda t: carriers_at(diagram, context, t)[1], time)
-        np.testing.assert_allclose(jerk, expected, rtol=0, atol=1e-8)
-        assert np.max(np.abs(acceleration)) > 1
 
 
 ELLIPSES = EllipticCarouselConfig(
@@ -241,77 +162,6 @@ def set_carriers(diagram, context, motion):
     np.testing.assert_array_equal(shown, motion)
 
 
-class Plan(LeafSystem):
-    """A phase, a frequency and an amplitude that swing, and all their rates."""
-
-    def __init__(self, model):
-        super().__init__()
-        self.DeclareVectorOutputPort("planned", 8, self._calc)
-        self.DeclareVectorOutputPort("phase", 2, lambda context, phase: None)
-
-    def _calc(self, context, planned):
-        time = context.get_time()
-        angles = [
-            0.2 * 1.3**k * np.sin(1.3 * time + k * np.pi / 2) + 2.0 * (time, 1, 0, 0)[k]
-            for k in range(4)
-        ]
-        sizes = [0.3 * 0.8**k * np.cos(0.8 * time + k * np.pi / 2) for k in range(4)]
-        rates = [angles[2], sizes[1], angles[3], sizes[2], sizes[3]]
-        planned.SetFromVector([angles[0], angles[1], 1.2 + sizes[0], *rates])
-
-
-@pytest.mark.parametrize("pattern", [HamiltonianCycleConfig(), ELLIPSES], ids=["cycle", "ellipses"])
-def test_derivatives_have_the_rates_of_a_plan_in_them(pattern):
-    boxes = {"phase": Plan, "internal_force": PlannedInternalForceConfig()}
-    scenario = Scenario(control_period=0.0, pattern=pattern)
-    diagram = make_nonstop(
-        scenario,
-        load_feedback=DesiredStateFeedback,
-        optimization_layer=ConstantParametersConfig(frequency=2.0, amplitude=1.2),
-        load_trajectory=SteadyJerk,
-        **boxes,
-    )
-    context = diagram.CreateDefaultContext()
-
-    def at(time, name):
-        context.SetTime(time)
-        return output(diagram, context, name)
-
-    for time in (0.3, 1.1):
-        velocity = difference(lambda t: at(t, "carrier_reference")[12:], time)
-        np.testing.assert_allclose(at(time, DERIVATIVES[0]), velocity, rtol=0, atol=1e-8)
-        acceleration = difference(lambda t: at(t, DERIVATIVES[0]), time)
-        np.testing.assert_allclose(at(time, DERIVATIVES[1]), acceleration, rtol=0, atol=1e-8)
-
-
-class OwnInternalForce(LeafSystem):
-    """Internal forces whose higher rates are not known."""
-
-    def __init__(self, model):
-        super().__init__()
-        self.DeclareVectorOutputPort("internal_force", 2 * model.m, lambda context, force: None)
-
-
-def test_accelerations_that_cannot_be_made_are_told_with_a_remedy():
-    third_order = CarrierTrajectoryConfig()
-    first_order = CarrierTrajectoryConfig(hold="velocity")
-    own = {"at_equilibrium": False, "internal_force": OwnInternalForce}
-    without = {"carrier_trajectory": first_order, "carrier_controller": CarrierPid}
-    assert make_nonstop(Scenario(), **own, **without)  # nothing needs them
-    for boxes in (
-        {},
-        {"carrier_trajectory": third_order},
-        {"carrier_controller": TunedFeedforwardCarrierPid},
-    ):
-        with pytest.raises(ScenarioError, match=r"^internal_force = OwnInternalForce: it does not"):
-            make_nonstop(Scenario(), **own, **({**without, **boxes} if boxes else {}))
-    boxes = {"carrier_trajectory": MeasuredCarrierTrajectory}
-    assert make_nonstop(Scenario(), at_equilibrium=False, carrier_controller=CarrierPid, **boxes)
-    for controller in (FeedforwardCarrierPid, TunedFeedforwardCarrierPid):
-        with pytest.raises(ScenarioError, match="= MeasuredCarrierTrajectory does"):
-            make_nonstop(Scenario(), carrier_controller=controller, **boxes)
-
-
 def mistakes(diagram, context, time):
     """The largest of the carriers' accelerations, by differences of velocities and positions."""
 
@@ -339,13 +189,6 @@ def test_accelerations_have_the_snap_of_the_reference_in_them(move):
     diagram, context = loop_on_its_reference(load_trajectory=move)
     for time in (0.8, 1.2, 5.0):
         assert max(mistakes(diagram, context, time)) < 1e-8
-
-
-def test_accelerations_of_a_load_that_turns_lack_its_angular_snap_only():
-    move = RestToRestConfig(roll_pitch_yaw=[0.3, 0.2, 0.8], move_time=3.0)
-    diagram, context = loop_on_its_reference(load_trajectory=move)
-    for time in (0.8, 1.7):
-        assert max(mistakes(diagram, context, time)) < 0.003
 
 
 class OnlyReference(LeafSystem):
@@ -429,25 +272,6 @@ def test_references_go_on_with_the_derivatives_of_the_sample(rng):
     assert "sample_time" not in input_names(continuous)
 
 
-def test_an_unknown_hold_is_refused():
-    with pytest.raises(ScenarioError) as error:
-        CarrierTrajectory(model(), CarrierTrajectoryConfig(hold="second_order"))
-    assert str(error.value) == (
-        "carrier_trajectory.hold = second_order: give third_order or velocity"
-    )
-
-
-def test_what_the_derivatives_need_may_be_left_unconnected(rng):
-    block = CarrierTrajectory(model(4))
-    context = block.CreateDefaultContext()
-    fix(block, context, **generator_inputs(rng, 4))
-    found = [output(block, context, name) for name in ("carrier_reference", DERIVATIVES[0])]
-    fix(block, context, internal_force_higher_rates=np.zeros(8), wind_estimate=np.zeros(3))
-    expected = [output(block, context, name) for name in ("carrier_reference", DERIVATIVES[0])]
-    for values, zeros in zip(found, expected, strict=True):
-        np.testing.assert_array_equal(values, zeros)
-
-
 AIRCRAFT = ["simulation_duration=0.2", "carrier_trajectory=!BowedCarrierTrajectory {nodes: 2}"]
 
 
@@ -461,21 +285,6 @@ def test_references_on_lines_without_mass_and_drag_are_straight():
             found.append([output(diagram, context, n) for n in ("carrier_reference", *DERIVATIVES)])
         for straight, bowed, factor in zip(*found, (1, 10, 100), strict=True):
             np.testing.assert_allclose(bowed, straight, rtol=0, atol=factor * allowed)
-
-
-def test_bowed_references_fly_alike_as_a_diagram_and_as_one_function():
-    scenario = load_scenario("aircraft_rest", [*AIRCRAFT, "cables=!LumpedCables {nodes: 2}"])
-    run = simulate(scenario, engine="diagram")
-    loop = CompiledLoop(
-        *(make_nonstop(run.scenario), run.scenario.simulator_config, 0.04),
-        signal_period=0.01,
-        compiles=False,
-    )
-    _, rows = loop.run(loop.diagram.CreateDefaultContext(), 0.2)
-    for name in ("carrier_state", "carrier_reference", "tensions"):
-        np.testing.assert_allclose(run.signal(name), rows[name], rtol=1e-12, atol=1e-9)
-    drag = rows["cable_drag_and_weight"].reshape(-1, 4, 3) @ [0, 0, 1]
-    assert drag == pytest.approx(np.full(drag.shape, 1.1), abs=0.6)  # N, the weight
 
 
 def turning_path():

@@ -1,7 +1,5 @@
 """Aircraft as a block: states, trim, energies, stall and parameters of the context."""
 
-import warnings
-
 import numpy as np
 import pytest
 from aircraft_loops import controller, flying
@@ -9,23 +7,15 @@ from helpers import ends_run, fix, model, output
 from pydrake.systems.analysis import Simulator
 
 from drake_nonstop import (
-    ScenarioError,
-    ScenarioWarning,
     compute_metrics,
-    get_parameter,
     kinetic_energy,
-    load_scenario,
     make_nonstop,
     potential_energy,
-    set_parameter,
     simulate,
 )
-from drake_nonstop.blocks.carrier_controller import CarrierPidConfig, FixedWingControllerConfig
 from drake_nonstop.blocks.carrier_dynamics import (
-    CarrierDynamicsConfig,
     FixedWingDynamics,
     FixedWingDynamicsConfig,
-    LimitedCarriersConfig,
 )
 from drake_nonstop.mechanics.aircraft import FlightStates, air_force
 from drake_nonstop.mechanics.signals import AircraftState
@@ -114,15 +104,6 @@ def test_a_stall_ends_a_run(cause):
     assert not other.ends_run(its_context, output(block, context, "aircraft_state"))
 
 
-def test_without_aircraft_it_is_refused():
-    with pytest.raises(ScenarioError) as error:
-        FixedWingDynamics(model())
-    assert str(error.value) == (
-        "system.aircraft = none: carrier_dynamics = FixedWingDynamics flies aircraft; give "
-        "{model: rascal_110}, or choose another block for carrier_dynamics"
-    )
-
-
 @pytest.fixture(scope="module")
 def loop():
     return make_nonstop(flying(), carrier_controller=controller)
@@ -140,89 +121,6 @@ def test_new_contexts_start_in_trim(loop):
     assert np.all(shown.lift < 0.8 * 1.4)
     assert kinetic_energy(loop, context) > 0
     assert potential_energy(loop, context) > 0
-
-
-def test_parameters_are_those_of_a_loop_built_with_them(loop):
-    context = loop.CreateDefaultContext()
-    changes = {"mass": 6.6, "lift_slope": 4.5, "max_thrust": [60.0, -1.2, 0.01]}
-    for name, value in changes.items():
-        set_parameter(loop, context, f"simulated.aircraft.{name}", value)
-    other = make_nonstop(
-        flying(*(f"simulated.aircraft.{name}={value}" for name, value in changes.items())),
-        carrier_controller=controller,
-        at_equilibrium=False,
-    )
-    own = other.CreateDefaultContext()
-    state = context.get_continuous_state_vector().CopyToVector()
-    own.SetContinuousState(state)
-    np.testing.assert_array_equal(
-        output(loop, context, "carrier_acceleration"), output(other, own, "carrier_acceleration")
-    )
-    assert get_parameter(loop, context, "simulated.aircraft.mass") == 6.6
-
-
-@pytest.mark.parametrize(
-    ("blocks", "said"),
-    [
-        (
-            {"carrier_dynamics": CarrierDynamicsConfig(), "carrier_controller": controller},
-            "carrier_dynamics = CarrierDynamics: it reads carrier_forces, which "
-            "carrier_controller = EquationBlock does not make; give "
-            "carrier_controller=FeedforwardCarrierPid, "
-            "or carrier_dynamics=FixedWingDynamics",
-        ),
-        (
-            {"carrier_controller": CarrierPidConfig()},
-            "carrier_dynamics = FixedWingDynamics: it reads aircraft_command, which "
-            "carrier_controller = CarrierPid does not make; give "
-            "carrier_controller=FixedWingController, or carrier_dynamics=CarrierDynamics",
-        ),
-        (
-            {
-                "carrier_dynamics": LimitedCarriersConfig(),
-                "carrier_controller": FixedWingControllerConfig(),
-            },
-            "carrier_controller = FixedWingController: it reads aircraft_state, which "
-            "carrier_dynamics = LimitedCarriers does not make; give "
-            "carrier_dynamics=FixedWingDynamics, or carrier_controller=FeedforwardCarrierPid",
-        ),
-    ],
-)
-def test_half_a_pair_is_refused(blocks, said):
-    with pytest.raises(ScenarioError) as error:
-        make_nonstop(flying(), **blocks)
-    assert str(error.value) == said
-
-
-def test_aircraft_that_are_not_flown_are_told():
-    scenario = load_scenario("real_scale_spread", ["system.aircraft.model=rascal_110"])
-    with pytest.warns(ScenarioWarning, match="its carriers are points of the aircraft's mass"):
-        make_nonstop(scenario, at_equilibrium=False)
-
-
-def test_a_layer_that_plans_for_straight_cables_is_told_where_they_bow():
-    def over(layer, **fields):
-        fields |= {"speed_bound": 10}
-        return [f"optimization_layer=!{layer} {fields}", "pattern=!SpreadCarousel {spread: 6.75}"]
-
-    own = over("NlpLayer", period=0.04)
-    with pytest.warns(ScenarioWarning, match="= NlpLayer: it plans for straight") as warned:
-        make_nonstop(load_scenario("aircraft_rest_cables", own), at_equilibrium=False)
-    assert len(warned) == 1
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        make_nonstop(load_scenario("aircraft_rest", own), at_equilibrium=False)
-        planned = over("RecedingHorizonOptimizer", max_lift_share=0.85)
-        other = load_scenario("aircraft_rest_cables", planned)
-        make_nonstop(other, at_equilibrium=False)
-
-
-def test_a_short_flight_is_ok_and_keeps_to_its_references():
-    run = simulate(flying("simulation_duration=0.3"), carrier_controller=controller)
-    assert compute_metrics(run)["outcome"] == RunOutcome.OK
-    lag = run.signal("carrier_state") - run.signal("carrier_reference")
-    assert np.max(np.abs(lag[:, :9])) < 0.02
-    assert run.steps["aircraft_state"].shape[1] == 12
 
 
 @pytest.mark.parametrize("stops", [True, False])

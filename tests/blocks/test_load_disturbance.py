@@ -1,21 +1,12 @@
 """The disturbances of the load."""
 
 import numpy as np
-import pytest
 from helpers import model, output
 
 from drake_nonstop.blocks.load_disturbance import (
     DisturbanceForce,
     DisturbanceForceConfig,
-    NoDisturbance,
 )
-from drake_nonstop.validation import ScenarioError
-
-
-def test_no_disturbance_is_no_wrench():
-    block = NoDisturbance(model())
-    wrench = output(block, block.CreateDefaultContext(), "disturbance_wrench")
-    np.testing.assert_array_equal(wrench, np.zeros(6))
 
 
 def wrenches(config, times):
@@ -48,12 +39,3 @@ def test_a_gust_has_its_deviation_and_correlation_time():
     np.testing.assert_array_equal(forces[:9], wrenches(config, times[:9])[:, 3:])
     config.seed = 4
     assert np.abs(forces[:9] - wrenches(config, times[:9])[:, 3:]).max() > 0.01
-
-
-@pytest.mark.parametrize(
-    ("field", "value"),
-    [("force", [1.0]), ("gust_force", -1.0), ("gust_time", 0.0), ("seed", 0.5)],
-)
-def test_bad_force(field, value):
-    with pytest.raises(ScenarioError, match=f"^load_disturbance\\.{field} = "):
-        DisturbanceForce(model(), DisturbanceForceConfig(**{field: value}))

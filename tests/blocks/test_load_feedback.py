@@ -8,10 +8,8 @@ from scipy.linalg import solve_discrete_are
 from scipy.spatial.transform import Rotation
 
 from drake_nonstop.blocks.load_feedback import (
-    DesiredStateFeedback,
     FilteredFeedback,
     FilteredFeedbackConfig,
-    IdealFeedback,
     NoisyFeedback,
     NoisyFeedbackConfig,
 )
@@ -25,23 +23,6 @@ from drake_nonstop.mechanics.signals import LoadState
 from drake_nonstop.run.simulate import simulate
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.systems.documentation import own_config_class
-from drake_nonstop.validation import ScenarioError
-
-
-def test_ideal_feedback_passes_the_state_on():
-    block = IdealFeedback(model())
-    context = block.CreateDefaultContext()
-    state = Motion(50).state(0.1)
-    fix(block, context, load_state=state)
-    np.testing.assert_array_equal(output(block, context, "measured_load_state"), state)
-
-
-def test_desired_state_feedback_passes_the_reference_on():
-    block = DesiredStateFeedback(model())
-    context = block.CreateDefaultContext()
-    reference = Motion(50).reference(0.1)
-    fix(block, context, reference=reference)
-    np.testing.assert_array_equal(output(block, context, "measured_load_state"), reference[:13])
 
 
 def measured(config, times, states):
@@ -90,15 +71,6 @@ def test_a_delayed_state_is_that_of_so_many_samples_ago():
         for k in (10, 17, 29):
             np.testing.assert_allclose(held[k], load[k - 1 - periods], rtol=0, atol=1e-9)
             assert np.abs(held[k] - load[k - periods]).max() > 1e-9
-
-
-@pytest.mark.parametrize(
-    ("field", "value"),
-    [("delay", 0.015), ("delay", -0.01), ("position_noise", -1.0), ("period", 0.0), ("seed", -1)],
-)
-def test_bad_feedback(field, value):
-    with pytest.raises(ScenarioError, match=f"^load_feedback\\.{field} = "):
-        NoisyFeedback(model(), NoisyFeedbackConfig(**{field: value}))
 
 
 @pytest.mark.parametrize("noises", [(0.01, 0.05), (0.002, 1.0), (0.05, 0.3)])
@@ -188,21 +160,6 @@ def test_a_late_measurement_of_a_load_beside_its_moving_reference_is_exact():
     states = [state_with_error(off, reference[:13]) for reference in references]
     shown, _ = filtered(FilteredFeedbackConfig(delay=0.2), states, references)
     np.testing.assert_allclose(shown, states, atol=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("field", "value"),
-    [
-        ("delay", 0.015),
-        ("delay", 10.01),
-        ("believed_position_noise", -1.0),
-        ("process_acceleration", 0.0),
-        ("process_angular_acceleration", -1.0),
-    ],
-)
-def test_bad_filtered_feedback(field, value):
-    with pytest.raises(ScenarioError, match=f"^load_feedback\\.{field} = "):
-        FilteredFeedback(model(), FilteredFeedbackConfig(**{field: value}))
 
 
 @pytest.mark.parametrize("block", [NoisyFeedback, FilteredFeedback])

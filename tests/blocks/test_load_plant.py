@@ -2,36 +2,12 @@
 
 import numpy as np
 import pytest
-from helpers import INERTIA, Motion, fix, model, output, regular
+from helpers import fix, model, output
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import VectorLogSink
 
 from drake_nonstop.blocks.load_plant import LoadPlant, MultibodyLoadPlant
-from drake_nonstop.mechanics.rigid_load import RigidLoad, load_state_rate
-from drake_nonstop.systems.tracing import NotFiniteError
-
-LOAD = RigidLoad(mass=1.0, inertia=INERTIA, drag=0.7, gravity=9.81)
-
-
-@pytest.mark.parametrize("n", [3, 4, 6])
-def test_load_plant_integrates_newton_euler(rng, n):
-    block = LoadPlant(model(n))
-    context = block.CreateDefaultContext()
-    state, forces, wrench = Motion(50).state(0.3), rng.normal(size=3 * n), rng.normal(size=6)
-    context.SetContinuousState(state)
-    wind = rng.normal(size=3)
-    fix(block, context, cable_forces=forces, disturbance_wrench=wrench, load_wind=wind)
-    expected = load_state_rate(LOAD, state, forces, wrench, wind, attachments=regular(n))
-    rate = block.EvalTimeDerivatives(context).CopyToVector()
-    np.testing.assert_allclose(rate, expected, rtol=0, atol=1e-10)
-    np.testing.assert_array_equal(output(block, context, "load_state"), state)
-
-
-def test_load_plant_starts_at_rest_at_the_origin():
-    block = LoadPlant(model())
-    state = output(block, block.CreateDefaultContext(), "load_state")
-    np.testing.assert_array_equal(state, [1, *[0] * 12])
 
 
 def test_falling_load_in_closed_form():
@@ -50,17 +26,6 @@ def test_falling_load_in_closed_form():
     velocity = -9.81 / 0.7 * (1 - np.exp(-0.7 * 2.0))  # m = 1 kg
     expected = [1, 0, 0, 0, 0, 0, -(9.81 * 2.0 + velocity) / 0.7, 0, 0, 0, 0, 0, velocity]
     np.testing.assert_allclose(output(block, context, "load_state"), expected, rtol=0, atol=1e-7)
-
-
-def test_load_plant_that_gets_no_number_is_named():
-    block = LoadPlant(model())
-    block.set_name("load_plant")
-    context = block.CreateDefaultContext()
-    forces = np.zeros(12)
-    forces[4] = np.nan
-    fix(block, context, cable_forces=forces, disturbance_wrench=np.zeros(6), load_wind=np.zeros(3))
-    with pytest.raises(NotFiniteError, match="load_plant"):
-        block.EvalTimeDerivatives(context)
 
 
 def test_angular_drag_brings_a_spinning_load_to_rest():

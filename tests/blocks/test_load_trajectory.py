@@ -19,8 +19,6 @@ from drake_nonstop.blocks.load_trajectory import (
     Waypoints,
     WaypointsConfig,
 )
-from drake_nonstop.loop.box import block_of
-from drake_nonstop.validation import ScenarioError
 
 START = {"start_position": [0.5, -1.0, 2.0], "start_roll_pitch_yaw": [0.2, -0.3, 0.4]}
 REST_TO_REST = RestToRestConfig(
@@ -112,19 +110,6 @@ def test_preview_is_the_reference_to_the_bit_at_any_time(block, config, breaks):
             assert np.array_equal(result, expected) or np.array_equal(result, expected[::-1])
 
 
-def test_preview_is_the_same_object_in_every_context():
-    made = RestToRest(model(), REST_TO_REST)
-    context = made.CreateDefaultContext()
-    preview = made.GetOutputPort("reference_preview").Eval(context)
-    context.SetTime(3.0)
-    for own in (made.CreateDefaultContext(), made.CreateDefaultContext().Clone()):
-        assert made.GetOutputPort("reference_preview").Eval(own) is preview
-    for block in (made.Clone(), made.ToAutoDiffXd(), made.ToSymbolic()):
-        other = block.GetOutputPort("reference_preview").Eval(block.CreateDefaultContext())
-        np.testing.assert_array_equal(other(4.0), preview(4.0))
-    assert made.GetOutputPort("reference_preview").Eval(context) is preview
-
-
 SEPTIC = {
     name: (block, dataclasses.replace(config, blend="c4"), breaks)
     for name, (block, config, breaks) in EVERY_KIND.items()
@@ -155,15 +140,6 @@ def test_with_c4_one_more_derivative_is_continuous_where_polynomials_meet(block,
             np.testing.assert_allclose(smooth(time)[16:], 0, rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize(("block", "config", "breaks"), SEPTIC.values(), ids=SEPTIC.keys())
-def test_with_c4_the_same_poses_are_reached(block, config, breaks):
-    smooth = reference_of(block, config)
-    quintic = reference_of(block, dataclasses.replace(config, blend="c3"))
-    for time in (0.0, *breaks, 20.0):
-        np.testing.assert_allclose(smooth(time)[:13], quintic(time)[:13], rtol=0, atol=1e-12)
-        check_rates(smooth, time + 0.35)
-
-
 @pytest.mark.parametrize("kind", [*EVERY_KIND, *(f"{name}, c4" for name in SEPTIC)])
 def test_higher_rates_are_the_differences_of_the_reference(kind):
     name, *septic = kind.split(", ")
@@ -180,12 +156,6 @@ def test_higher_rates_are_the_differences_of_the_reference(kind):
         np.testing.assert_allclose(now, expected, rtol=0, atol=1e-8, err_msg=f"at {time}")
         largest = max(largest, np.max(np.abs(now)))
     assert largest > 0.01 or name in ("blend 0", "samples")
-
-
-def test_blend_names_a_polynomial():
-    with pytest.raises(ScenarioError) as error:
-        RestToRest(model(), RestToRestConfig(blend="c5"))
-    assert str(error.value) == "load_trajectory.blend = c5: give c3 or c4"
 
 
 def check_rates(reference, time):
@@ -211,12 +181,6 @@ def test_each_rate_is_the_difference_of_what_it_is_the_rate_of(case):
     assert len(times) > 110
     for time in times:
         check_rates(reference, time)
-
-
-def test_quaternion_has_unit_norm(case):
-    reference, _ = case
-    for time in np.linspace(0, 12, 25):
-        assert np.linalg.norm(reference(time)[:4]) == pytest.approx(1, abs=1e-14)
 
 
 def test_load_rests_before_and_after(case):
@@ -247,12 +211,6 @@ def test_rest_to_rest_reaches_its_end_halfway_at_half_time():
     )
 
 
-def test_rest_to_rest_starts_and_ends_without_velocity_and_acceleration():
-    reference = reference_of(RestToRest, REST_TO_REST)
-    for time in (1.0, 5.0):
-        np.testing.assert_allclose(reference(time)[7:19], 0, rtol=0, atol=1e-13)
-
-
 @pytest.mark.parametrize("blend_time", [0.0, 1.0, 4.0])
 def test_move_covers_its_line_at_its_velocity(blend_time):
     reference = reference_of(ConstantVelocityMove, move(blend_time))
@@ -263,27 +221,6 @@ def test_move_covers_its_line_at_its_velocity(blend_time):
         np.testing.assert_allclose(now[4:7], start + (time - 2.5) * velocity, rtol=0, atol=1e-12)
         np.testing.assert_allclose(now[10:13], velocity, rtol=0, atol=1e-12)
         np.testing.assert_allclose(now[13:], 0, rtol=0, atol=1e-12)
-
-
-@pytest.mark.parametrize("blend_time", [1.0, 4.0])
-def test_blended_move_has_a_continuous_jerk(blend_time):
-    _, config, breaks = CASES[f"blend {blend_time:.0f}"]
-    reference = reference_of(ConstantVelocityMove, config)
-    for time in breaks:
-        jump = reference(time + 1e-7) - reference(time - 1e-7)
-        # Over 2e-7 s the jerk changes by 60 v / blend³ times that, at most 9e-6.
-        np.testing.assert_allclose(jump, 0, rtol=0, atol=1e-5)
-    largest = max(np.max(np.abs(reference(t)[19:])) for t in np.linspace(0, 12, 241))
-    assert largest > 0.01
-
-
-def test_unblended_move_steps_in_velocity_and_nothing_else():
-    reference = reference_of(ConstantVelocityMove, move(0.0))
-    for time, step in ((2.5, 1.0), (8.5, -1.0)):
-        jump = reference(time + 1e-9) - reference(time - 1e-9)
-        np.testing.assert_allclose(jump[10:13], step * np.array([0.7, -0.2, 0.1]), atol=1e-12)
-        jump[10:13] = 0
-        np.testing.assert_allclose(jump, 0, rtol=0, atol=1e-8)
 
 
 def check_pose(now, position, angles):
@@ -308,29 +245,6 @@ def test_waypoints_are_reached_and_rested_at():
         assert np.linalg.norm(reference(half)[10:13]) > 0.5
 
 
-def test_one_waypoint_is_a_move_from_rest_to_rest():
-    start, end = np.array(START["start_position"]), [1.5, -3.0, 2.5]
-    waypoint = WaypointsConfig(
-        **START, positions=[end], roll_pitch_yaw=[[0.5, 0.2, 0.0]], move_times=[4], rest_times=[1]
-    )
-    move = dataclasses.replace(
-        REST_TO_REST, displacement=(end - start).tolist(), roll_pitch_yaw=[0.3, 0.5, -0.4]
-    )
-    one, other = reference_of(Waypoints, waypoint), reference_of(RestToRest, move)
-    for time in np.linspace(0, 6, 13):
-        np.testing.assert_allclose(one(time), other(time), rtol=0, atol=1e-13)
-
-
-def test_waypoints_without_angles_and_rests_keep_the_attitude_and_go_on_at_once():
-    config = WaypointsConfig(**START, positions=[[1, 0, 2], [2, 0, 2]], move_times=[2, 3])
-    reference = reference_of(Waypoints, config)
-    for time, position in ((0.0, START["start_position"]), (2.0, [1, 0, 2]), (5.0, [2, 0, 2])):
-        check_pose(reference(time), position, START["start_roll_pitch_yaw"])
-    for time in (0.1, 1.9, 2.1, 4.9):
-        assert np.linalg.norm(reference(time)[10:13]) > 0.01
-        np.testing.assert_array_equal(reference(time)[7:10], 0)
-
-
 def test_samples_are_passed_by_a_curve_that_begins_and_ends_without_velocity():
     reference = reference_of(SampledTrajectory, SampledTrajectoryConfig(samples=SAMPLES))
     for row in SAMPLES:
@@ -344,14 +258,6 @@ def test_samples_are_passed_by_a_curve_that_begins_and_ends_without_velocity():
     for (before, *_), (after, *_) in itertools.pairwise(SAMPLES):  # cubic: a constant jerk
         quarter, half = (reference(before + share * (after - before)) for share in (0.25, 0.5))
         np.testing.assert_allclose(quarter[19:], half[19:], rtol=0, atol=1e-12)
-
-
-def test_samples_without_angles_keep_the_load_level():
-    samples = [[0.0, 0.0, 0.0, 1.0], [3.0, 3.0, 0.0, 2.0]]
-    reference = reference_of(SampledTrajectory, SampledTrajectoryConfig(samples=samples))
-    for time in np.linspace(0, 3, 7):
-        np.testing.assert_array_equal(reference(time)[:4], [1, 0, 0, 0])
-    np.testing.assert_allclose(reference(1.5)[4:7], [1.5, 0, 1.5], rtol=0, atol=1e-14)
 
 
 @pytest.mark.parametrize("columns", [4, 7])
@@ -369,110 +275,6 @@ def test_samples_from_a_file_are_those_in_it(tmp_path, columns):
         np.testing.assert_array_equal(one(time), other(time))
 
 
-def test_a_relative_file_is_in_the_current_folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "way.csv").write_text("t,x,y,z\n0,0,0,0\n1,1,0,0\n")
-    samples = SampledTrajectoryConfig(file="way.csv").resolved().samples
-    assert samples == [[0, 0, 0, 0], [1, 1, 0, 0]]
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        (None, "can be read"),
-        (b"t,x,y,z\n0,0,0,\xff\n", "can be read"),
-        ("", "named in its first line"),
-        ("t,x,y\n0,0,0\n1,0,0\n", "named in its first line"),
-        (
-            "x,t,y,z\n0,0,0,0\n1,0,0,0\n",
-            "x, y, z or of t, x, y, z, roll, pitch, yaw, named in",
-        ),
-        ("0,0,0,0\n1,0,0,0\n", "named in its first line"),
-        ("t;x;y;z\n0;0;0;0\n", "named in its first line"),
-        ("secret:x:0:0\n", "named in its first line"),
-        ("t,x,y,z\nsecret:x:0:0\n", "2 to 20000 rows"),
-        ("t,x,y,z\n0,0,0,0\n1,secret,0,0\n", "unlike in row 2"),
-        ("t,x,y,z\n0,0,0,0\n1,0,0\n", "4 numbers in each row"),
-        ("t,x,y,z\n0,0,0,0\n\n1,0,zero,0\n", "finite numbers up to 1e6, unlike in row 2"),
-        ("t,x,y,z\n0,0,0,0\n1,0,0,\n", "unlike in row 2"),
-        ("t,x,y,z\n0,0,0,0\n1,0,nan,0\n", "finite numbers up to 1e6, unlike in row 2"),
-        ("t,x,y,z\n0,0,0,0\n1,inf,0,0\n", "finite numbers up to 1e6, unlike in row 2"),
-        ("t,x,y,z\n0,0,0,0\n1e300,1,0,0\n", "finite numbers up to 1e6, unlike in row 2"),
-        ("t,x,y,z\n0,0,0,0\n2,0,0,0\n2,1,0,0\n", "by 1e-6 s or more, unlike in row 3"),
-        ("t,x,y,z\n0,0,0,0\n2,0,0,0\n1.5,1,0,0\n", "by 1e-6 s or more, unlike in row 3"),
-        ("t,x,y,z\n-1,0,0,0\n2,0,0,0\n", "by 1e-6 s or more, unlike in row 1"),
-        ("t,x,y,z\n0,0,0,0\n", "2 to 20000 rows"),
-        ("t,x,y,z\n", "2 to 20000 rows"),
-    ],
-)
-def test_a_bad_file_is_told_in_a_sentence(tmp_path, text, words):
-    path = tmp_path / "way.csv"
-    if text is not None:
-        path.write_bytes(text.encode() if isinstance(text, str) else text)
-    with pytest.raises(ScenarioError) as caught:
-        SampledTrajectory(model(), SampledTrajectoryConfig(file=str(path)))
-    message = str(caught.value)
-    assert message.startswith(f"load_trajectory.file = {path}: give ")
-    assert words in message
-    assert "secret" not in message
-    assert "\n" not in message
-
-
-@pytest.mark.parametrize(
-    ("config", "field"),
-    [
-        (RestToRestConfig(move_time=0.0), "move_time = 0.0"),
-        (RestToRestConfig(move_time=np.nan), "move_time = nan"),
-        (RestToRestConfig(start_time=-1.0), "start_time = -1.0"),
-        (RestToRestConfig(displacement=[1.0, 2.0]), r"displacement = \[1.0, 2.0\]"),
-        (RestToRestConfig(displacement=[1.0, 2.0, np.inf]), "displacement"),
-        (RestToRestConfig(roll_pitch_yaw=[0.1]), r"roll_pitch_yaw = \[0.1\]"),
-        (RestToRestConfig(start_position=[1.0]), r"start_position = \[1.0\]"),
-        (RestToRestConfig(start_roll_pitch_yaw=[[1.0, 2, 3]]), "start_roll_pitch_yaw"),
-        (ConstantVelocityMoveConfig(move_time=-2.0), "move_time = -2.0"),
-        (ConstantVelocityMoveConfig(velocity=[1.0]), r"velocity = \[1.0\]"),
-        (ConstantVelocityMoveConfig(blend_time=-0.1), "blend_time = -0.1"),
-        (ConstantVelocityMoveConfig(start_time=0.4, blend_time=1.0), "blend_time = 1.0"),
-        (ConstantVelocityMoveConfig(move_time=0.9, blend_time=1.0), "blend_time = 1.0"),
-        (ConstantVelocityMoveConfig(start_time=np.inf), "start_time = inf"),
-        (WaypointsConfig(start_position=[1.0]), r"start_position = \[1.0\]"),
-        (WaypointsConfig(positions=[[1.0, 2.0]]), r"positions = \[\[1.0, 2.0\]\]"),
-        (WaypointsConfig(positions=[]), r"positions = \[\]"),
-        (WaypointsConfig(positions=[[1.0, 2.0, np.nan]]), "positions"),
-        (WaypointsConfig(roll_pitch_yaw=[[0, 0, 0], [0, 0, 1]]), "roll_pitch_yaw"),
-        (WaypointsConfig(move_times=[1.0, 2.0]), r"move_times = \[1.0, 2.0\]"),
-        (WaypointsConfig(move_times=[0.0]), r"move_times = \[0.0\]"),
-        (WaypointsConfig(rest_times=[1.0, 2.0]), r"rest_times = \[1.0, 2.0\]"),
-        (WaypointsConfig(rest_times=[-1.0]), r"rest_times = \[-1.0\]"),
-        (SampledTrajectoryConfig(samples=[]), r"samples = \[\]"),
-        (SampledTrajectoryConfig(samples=[[0.0] * 4]), r"samples = \[\[0.0"),
-        (SampledTrajectoryConfig(samples=[[0.0] * 4, [1.0] * 7]), "samples"),
-        (SampledTrajectoryConfig(samples=[[0.0] * 5, [1.0] * 5]), "samples"),
-        (SampledTrajectoryConfig(samples=[[0.0] * 4, [1.0, 0, 0, np.nan]]), "samples"),
-        (SampledTrajectoryConfig(samples=[[0.0] * 4, [0.0] * 4]), "samples"),
-        (SampledTrajectoryConfig(samples=[0.0, 1.0]), "samples"),
-    ],
-    ids=str,
-)
-def test_bad_parameter_is_named(config, field):
-    with pytest.raises(ScenarioError, match=f"load_trajectory.{field}.*: give"):
-        block_of(type(config))(model(), config)
-
-
-@pytest.mark.parametrize(
-    "config",
-    [
-        RestToRestConfig(start_time=1e8, move_time=1e-9),
-        WaypointsConfig(positions=[[1, 0, 0]] * 2, move_times=[1, 1], rest_times=[0, 1e-17]),
-        ConstantVelocityMoveConfig(start_time=1e8, blend_time=1e-9),
-    ],
-    ids=lambda config: type(config).__name__,
-)
-def test_times_lost_in_rounding_end_with_a_sentence(config):
-    with pytest.raises(ScenarioError, match=r"load_trajectory \(instants in s\) = .*: give times"):
-        block_of(type(config))(model(), config)
-
-
 def test_steady_turn_is_the_rest_to_rest_move_of_a_load_that_turns_at_all_times():
     turning = reference_of(SteadyTurn, STEADY_TURN)
     plain = RestToRestConfig(
@@ -488,9 +290,3 @@ def test_steady_turn_is_the_rest_to_rest_move_of_a_load_that_turns_at_all_times(
         np.testing.assert_array_equal(now[13:16], 0)
         for part in (slice(4, 7), slice(10, 13), slice(16, 22)):
             np.testing.assert_array_equal(now[part], still[part])
-
-
-@pytest.mark.parametrize("rate", [0.0, np.nan, 1e-9, 1e3, "fast"])
-def test_steady_turn_needs_a_rate(rate):
-    with pytest.raises(ScenarioError, match=r"^load_trajectory\.yaw_rate = .*RestToRest is for"):
-        SteadyTurn(model(), SteadyTurnConfig(yaw_rate=rate))

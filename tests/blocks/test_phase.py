@@ -12,33 +12,8 @@ from drake_nonstop.blocks.phase import (
     ShapedPhase,
     ShapedPhaseConfig,
 )
-from drake_nonstop.validation import ScenarioError
 
 PARAMETERS = np.array([1.7, 0.9])
-
-
-def test_continuous_phase_grows_with_the_frequency():
-    block = AccumulatedPhase(model())
-    context = block.CreateDefaultContext()
-    fix(block, context, parameters=PARAMETERS)
-    np.testing.assert_array_equal(output(block, context, "phase"), [0, 0])
-    np.testing.assert_array_equal(block.EvalTimeDerivatives(context).CopyToVector(), [1.7, 0.0])
-    context.SetContinuousState([0.6, 0.0])
-    np.testing.assert_array_equal(output(block, context, "phase"), [0.6, 0])
-
-
-def test_sampled_phase_steps_once_a_period():
-    block = AccumulatedPhase(model(4, 0.02))
-    simulator = Simulator(block)
-    context = simulator.get_mutable_context()
-    fix(block, context, parameters=PARAMETERS)
-    simulator.Initialize()
-    for time, steps in ((0.0, 0), (0.01, 0), (0.03, 1), (0.05, 2), (0.07, 3)):
-        simulator.AdvanceTo(time)
-        np.testing.assert_allclose(
-            output(block, context, "phase"), [steps * 0.02 * 1.7, 0], rtol=1e-14
-        )
-    assert block.EvalTimeDerivatives(context).size() == 0
 
 
 class DoublingFrequency(LeafSystem):
@@ -76,14 +51,6 @@ def test_phase_of_the_paper_jumps_with_the_frequency():
     for frequency in (1.7, 2.7):
         fix(block, context, parameters=np.array([frequency, 1.0]))
         np.testing.assert_allclose(output(block, context, "phase"), [3 * frequency, 3], rtol=1e-15)
-
-
-def test_sampled_phase_of_the_paper_is_constant_between_samples():
-    block = PaperPhase(model(4, 0.01))
-    context = block.CreateDefaultContext()
-    fix(block, context, parameters=PARAMETERS, sample_time=np.array([2.0]))
-    context.SetTime(2.009)
-    np.testing.assert_allclose(output(block, context, "phase"), [3.4, 2], rtol=1e-15)
 
 
 class Layer(LeafSystem):
@@ -184,16 +151,3 @@ def test_a_plan_takes_the_place_of_the_parameters(period):
     simulator.AdvanceTo(0.05)
     np.testing.assert_array_equal(output(block, simulator.get_context(), "planned"), plan)
     np.testing.assert_array_equal(output(block, simulator.get_context(), "phase"), [plan[0], 0.0])
-
-
-@pytest.mark.parametrize(
-    ("field", "value", "remedy"),
-    [
-        ("bandwidth", np.inf, "give a finite number greater than zero"),
-        ("bandwidth", 0.0, "give a finite number greater than zero"),
-    ],
-)
-def test_what_cannot_shape_is_refused(field, value, remedy):
-    with pytest.raises(ScenarioError) as error:
-        ShapedPhase(model(), ShapedPhaseConfig(**{field: value}))
-    assert str(error.value) == f"phase.{field} = {value}: {remedy}"

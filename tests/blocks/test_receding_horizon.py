@@ -3,9 +3,8 @@ import dataclasses
 import numpy as np
 import pytest
 from helpers import fix, model, output
-from pydrake.autodiffutils import AutoDiffXd
 from pydrake.common.value import Value
-from pydrake.systems.analysis import Simulator, Simulator_
+from pydrake.systems.analysis import Simulator
 
 from drake_nonstop.blocks.load_trajectory import RestToRest, RestToRestConfig
 from drake_nonstop.blocks.receding_horizon import (
@@ -16,7 +15,6 @@ from drake_nonstop.mechanics.carrier import carrier_motion
 from drake_nonstop.mechanics.reference_preview import ReferencePreview
 from drake_nonstop.mechanics.signals import PlannedParameters
 from drake_nonstop.planning.diagnostics import Diagnostics
-from drake_nonstop.validation import ScenarioError
 
 MOVE = RestToRestConfig(displacement=[1.5, 0.5, 0.2], start_time=1.0, move_time=6.0)
 SAMPLE = 0.01
@@ -239,34 +237,3 @@ def test_parameters_of_the_context_are_those_of_the_first_plan():
     np.testing.assert_array_equal(output(block, context, "plan")[:3], [0, 2.5, 1.2])
     simulator.Initialize()
     np.testing.assert_allclose(output(block, context, "parameters"), [2.5, 1.2])
-
-
-def test_a_preview_that_ends_before_the_horizon_is_refused():
-    preview = dataclasses.replace(previewed(), end_time=3.0)
-    with pytest.raises(ScenarioError, match=r"reference_preview.end_time = 3.0: it ends before"):
-        Flight(layer(), preview)
-
-
-@pytest.mark.parametrize(
-    ("fields", "sentence"),
-    [
-        ({"frequency_bounds": [2.5, 3.0]}, r"frequency_bounds = \[2.5, 3.0\]: give bounds"),
-        ({"intervals": 5}, r"intervals = 5: give a whole number from 9 to 200"),
-        ({"knot_spacing": 0.405}, r"knot_spacing = 0.405: give"),
-        ({"max_iterations": 0}, r"max_iterations = 0: give 1 to 100"),
-        ({"speed_bound": -1.0}, r"speed_bound = -1.0: give 0"),
-    ],
-)
-def test_what_cannot_be_used_is_refused(fields, sentence):
-    with pytest.raises(ScenarioError, match=sentence):
-        layer(**fields)
-
-
-def test_numbers_of_another_type_keep_the_plan_and_refuse_a_new_one():
-    block = layer().ToAutoDiffXd()
-    context = block.CreateDefaultContext()
-    fix_time(block, context, 0.0)
-    values = output(block, context, "plan")
-    assert [float(value.value()) for value in values[:3]] == [0.0, 2.0, 1.2]
-    with pytest.raises(ScenarioError, match="give ConstantParameters"):
-        Simulator_[AutoDiffXd](block, context).Initialize()

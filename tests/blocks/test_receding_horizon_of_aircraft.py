@@ -12,13 +12,11 @@ from drake_nonstop.blocks.receding_horizon import (
     RecedingHorizonOptimizer,
     RecedingHorizonOptimizerConfig,
 )
-from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.model.system import Model
 from drake_nonstop.planning.diagnostics import Diagnostics, Outcome
 from drake_nonstop.run.metrics import compute_metrics
 from drake_nonstop.run.simulate import simulate
 from drake_nonstop.scenario.loading import load_scenario
-from drake_nonstop.validation import ScenarioError
 
 AT_REST = np.concatenate([[1.0], np.zeros(21)])
 WIND = np.array([2.0, 0.0, 0.0])
@@ -79,19 +77,6 @@ def test_a_limit_that_no_plan_keeps_is_counted():
     _, told, counts = planned(speed_bound=10.0, max_lift_share=0.4, **bounds)
     assert told.outcome == Outcome.RELAXED
     assert counts == {"airspeed": 0, "lift": 1}
-
-
-def test_a_load_that_turns_with_its_aircraft_is_refused_with_what_can_be_used():
-    layer = "optimization_layer=RecedingHorizonOptimizer"
-    with pytest.raises(ScenarioError) as error:
-        make_nonstop(load_scenario("aircraft_co_rotating", [layer]), at_equilibrium=False)
-    assert str(error.value) == (
-        "optimization_layer = RecedingHorizonOptimizer: the pattern has no orbits that it could "
-        "change; give !TurnRateOptimizer and load_trajectory: !PlannedTurn, whose load turns with "
-        "its aircraft"
-    )
-    others = ["optimization_layer=!TurnRateOptimizer {}", "load_trajectory=!PlannedTurn {}"]
-    make_nonstop(load_scenario("aircraft_co_rotating", others), at_equilibrium=False)
 
 
 @pytest.mark.nightly("flights")

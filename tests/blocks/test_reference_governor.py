@@ -3,17 +3,11 @@
 import numpy as np
 import pytest
 from helpers import difference, model, output, resting_orbits
-from pydrake.autodiffutils import AutoDiffXd
-from pydrake.common.value import Value
-from pydrake.systems.framework import LeafSystem
 
 from drake_nonstop import (
-    ReferencePreview,
     compute_metrics,
-    dump_scenario,
     load_scenario,
     make_nonstop,
-    parse_scenario,
     simulate,
 )
 from drake_nonstop.blocks.load_trajectory import (
@@ -32,7 +26,6 @@ from drake_nonstop.blocks.reference_governor import (
 from drake_nonstop.mechanics.signals import CarrierStates
 from drake_nonstop.planning.problem_config import LimitsConfig
 from drake_nonstop.systems.wiring import output_sizes
-from drake_nonstop.validation import ScenarioError
 
 # A line with ξ and A that do not change, and a bound that their orbit keeps at rest only.
 FAST_LINE = [
@@ -97,22 +90,6 @@ def test_its_higher_rates_are_differences():
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-5)
 
 
-def test_it_does_not_differentiate_by_time():
-    block, _ = governor()
-    converted = block.ToAutoDiffXd()
-    context = converted.CreateDefaultContext()
-    context.SetTime(AutoDiffXd(2.0))
-    value = converted.GetOutputPort("reference").Eval(context)[4].value()
-    own = block.CreateDefaultContext()
-    own.SetTime(2.0)
-    assert value == output(block, own, "reference")[4]
-    context.SetTime(AutoDiffXd(2.0, [1.0]))
-    with pytest.raises(
-        ScenarioError, match=r"time of .* = a number with derivatives: the governor"
-    ):
-        converted.GetOutputPort("reference").Eval(context)
-
-
 @pytest.mark.slow
 def test_a_bound_that_is_missed_at_full_speed_is_kept_and_the_load_arrives_late(flights):
     without, governed = flights
@@ -147,81 +124,6 @@ def test_a_motion_that_needs_none_is_the_same_to_the_bit():
     assert compute_metrics(runs[1])["load"]["reference_delay_max_s"] == 0
 
 
-def test_a_scenario_has_none_unless_it_is_given_and_can_be_written():
-    assert load_scenario("quintic").reference_governor is None
-    assert "governor" not in dump_scenario(load_scenario("quintic"))
-    scenario = load_scenario("quintic", ["reference_governor.least_rate=0.5"])
-    assert scenario.reference_governor.change_time == 2.0
-    assert parse_scenario(dump_scenario(scenario)) == scenario
-
-
-@pytest.mark.parametrize(
-    ("overrides", "said"),
-    [
-        (
-            ["reference_governor.least_rate=0"],
-            "reference_governor.least_rate = 0.0: give 0.01 to 1",
-        ),
-        (
-            ["reference_governor.change_time=0.01"],
-            "reference_governor.change_time = 0.01: give at least 0.1 s",
-        ),
-        (
-            [
-                "reference_governor={}",
-                "pattern=ConstantSpread",
-                "optimization_layer.amplitude=0",
-                "load_trajectory=SteadyTurn",
-            ],
-            "reference_governor = with this pattern: give one with orbits, or leave this out",
-        ),
-    ],
-)
-def test_what_cannot_be_used_is_told(overrides, said):
-    with pytest.raises(ScenarioError) as error:
-        make_nonstop(
-            load_scenario("quintic", ["optimization_layer=ConstantParameters", *overrides])
-        )
-    assert str(error.value).startswith(said)
-
-
-class OwnTrajectory(LeafSystem):
-    """A load at rest, of which a preview is known until a time, or not at all."""
-
-    def __init__(self, end_time, higher_rates=None):
-        super().__init__()
-        rest = np.eye(22)[0]
-        self.DeclareVectorOutputPort("reference", 22, lambda c, output: output.SetFromVector(rest))
-        preview = ReferencePreview(
-            lambda time: rest, end_time=end_time or 0.0, higher_rates=higher_rates
-        )
-        if end_time is not None:
-            self.DeclareAbstractOutputPort(
-                "reference_preview", lambda: Value(preview), lambda c, o: o.set_value(preview)
-            )
-
-
-def test_the_motion_has_to_be_known_for_ever():
-    scenario = load_scenario("quintic", ["optimization_layer=ConstantParameters", GOVERNED])
-    for end_time in (None, 9.0, np.inf):
-        with pytest.raises(ScenarioError) as error:
-            make_nonstop(scenario, load_trajectory=lambda model, end=end_time: OwnTrajectory(end))
-        assert str(error.value) == (
-            "reference_governor = with load_trajectory = OwnTrajectory: give this block, without "
-            "inputs, an output reference_preview of a ReferencePreview with higher_rates that is "
-            "known for ever, of end_time inf"
-        )
-    with pytest.raises(ScenarioError, match=r"^load_trajectory = None: give a block for load_traj"):
-        make_nonstop(scenario, load_trajectory=None)
-    known = OwnTrajectory(np.inf, higher_rates=lambda time: np.zeros(6))
-    make_nonstop(scenario, load_trajectory=lambda model: known, at_equilibrium=False)
-
-
-def test_aircraft_have_none():
-    with pytest.raises(ScenarioError, match=r"^reference_governor = with system.aircraft: it does"):
-        make_nonstop(load_scenario("aircraft_rest", ["reference_governor={}"]))
-
-
 def test_a_bound_that_no_rate_keeps_leaves_the_motion_as_it_is():
     overrides = [*FAST_LINE, "optimization_layer.speed_bound=3", GOVERNED]
     loop = make_nonstop(load_scenario("line_without_optimization", overrides))
@@ -253,23 +155,6 @@ def found(bound, preview=None, **changes):
     settings = {"least_rate": 0.1, "change_time": 1.0} | changes
     config = ReferenceGovernorConfig(**settings)
     return delay_of(model(), limits(bound), preview or line(), DURATION, config)
-
-
-def test_rates_of_a_delay_are_its_differences_and_it_stays_at_its_end():
-    rates = np.zeros(30)
-    rates[3:27] = np.random.default_rng(1).uniform(-0.2, 0.8, 24)
-    delay = PathDelay(0.25, rates)
-
-    def at(time):
-        return delay.at(np.array([time]))[0]
-
-    for time in (0.3, 2.111, 5.1):
-        slope = difference(at, time, 1e-3)
-        np.testing.assert_allclose(at(time)[1:], slope[:4], rtol=0, atol=1e-6)
-    np.testing.assert_array_equal(at(0.0)[:4], 0)
-    np.testing.assert_array_equal(at(-1.0), 0)
-    assert delay.end_time == pytest.approx(27 * 0.25)
-    np.testing.assert_allclose(at(50.0), [0.25 * rates.sum(), 0, 0, 0, 0], rtol=0, atol=1e-12)
 
 
 def test_a_load_at_rest_is_feasible_up_to_the_speed_of_its_slowest_orbit():

@@ -55,16 +55,6 @@ def loop():
     return diagram, simulator, reference
 
 
-def test_first_sample_is_taken_at_the_start(loop):
-    diagram, simulator, reference = loop
-    context = simulator.get_context()
-    np.testing.assert_array_equal(output(diagram, context, "held_reference"), reference(0))
-    np.testing.assert_array_equal(
-        output(diagram, context, "held_measured_load_state"), Motion(80).state(0)
-    )
-    np.testing.assert_array_equal(output(diagram, context, "sample_time"), [0])
-
-
 def test_sample_is_held_until_the_next(loop):
     diagram, simulator, reference = loop
     context = simulator.get_context()
@@ -76,33 +66,6 @@ def test_sample_is_held_until_the_next(loop):
             expected = reference(sampled, name.removeprefix("held_"))
             np.testing.assert_array_equal(output(diagram, context, name), expected)
         assert np.max(np.abs(expected)) > 1
-
-
-def test_higher_rates_that_nothing_makes_are_held_as_zero():
-    hold = SampleAndHold(model(4, PERIOD))
-    simulator = Simulator(hold)
-    fixed = {"measured_load_state": Motion(80).state(0), "reference": Motion(80).reference(0)}
-    fix(hold, simulator.get_mutable_context(), **fixed)
-    simulator.AdvanceTo(0.05)
-    held = output(hold, simulator.get_context(), "held_reference_higher_rates")
-    np.testing.assert_array_equal(held, np.zeros(6))
-    np.testing.assert_array_equal(
-        output(hold, simulator.get_context(), "held_reference"), fixed["reference"]
-    )
-
-
-def test_each_of_the_two_signals_is_sampled(loop):
-    diagram, simulator, _ = loop
-    context = simulator.get_mutable_context()
-    simulator.AdvanceTo(0.31)
-    fix(diagram, context, measured_load_state=Motion(80).state(1))
-    np.testing.assert_array_equal(
-        output(diagram, context, "held_measured_load_state"), Motion(80).state(0)
-    )
-    simulator.AdvanceTo(0.33)
-    np.testing.assert_array_equal(
-        output(diagram, context, "held_measured_load_state"), Motion(80).state(1)
-    )
 
 
 def test_discrete_update_at_the_same_instant_reads_the_new_sample(loop):

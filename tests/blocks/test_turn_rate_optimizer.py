@@ -7,11 +7,9 @@ import pytest
 from helpers import difference
 from pydrake.systems.analysis import Simulator
 
-from drake_nonstop import ScenarioError, load_scenario, make_nonstop
+from drake_nonstop import load_scenario, make_nonstop
 from drake_nonstop.blocks.load_trajectory import PlannedTurn, PlannedTurnConfig
-from drake_nonstop.blocks.turn_rate_optimizer import TurnRateOptimizer, TurnRateOptimizerConfig
 from drake_nonstop.model.system import Model
-from drake_nonstop.systems.wiring import input_names, output_sizes
 
 LAYER = "optimization_layer=!TurnRateOptimizer {speed_bound: 1.8 V_s, max_frequency_rate: 0.1}"
 TURN = "load_trajectory=!PlannedTurn {displacement: [5.0, 0.0, 0.0], move_time: 20.0}"
@@ -21,19 +19,6 @@ SHAPED = "phase=!ShapedPhase {bandwidth: 4.0}"
 def turning_model():
     scenario = load_scenario("aircraft_co_rotating")
     return Model(scenario.system, scenario.pattern, scenario.control_period)
-
-
-def test_its_ports_are_those_of_the_box_and_nothing_feeds_through():
-    block = TurnRateOptimizer(turning_model())
-    assert input_names(block) == ["reference", "wrench", "wrench_rate", "wind_estimate"]
-    assert output_sizes(block) == {
-        "parameters": 2,
-        "diagnostics": 7,
-        "solve_time": 1,
-        "speed_bound": 1,
-        "missed_limits": 4,
-    }
-    assert not block.HasAnyDirectFeedthrough()
 
 
 @pytest.mark.slow
@@ -85,51 +70,3 @@ def test_the_planned_turn_has_the_rates_of_its_pose():
     np.testing.assert_allclose(
         higher[:3], difference(lambda t: references(t)[0][13:16], 1.3), atol=1e-8
     )
-
-
-def test_a_pattern_with_orbits_is_refused():
-    with pytest.raises(ScenarioError) as error:
-        make_nonstop(load_scenario("aircraft_rest", [LAYER, TURN, SHAPED]))
-    assert str(error.value) == (
-        "optimization_layer = TurnRateOptimizer: the pattern has orbits, which it does not size; "
-        "give pattern: !ConstantSpread and load_trajectory: !PlannedTurn, or another "
-        "optimization_layer"
-    )
-
-
-def test_a_phase_without_rates_is_refused():
-    """The load's angular acceleration would be told as zero while ξ changes."""
-    with pytest.raises(ScenarioError) as error:
-        make_nonstop(load_scenario("aircraft_co_rotating", [LAYER, TURN, "phase=AccumulatedPhase"]))
-    assert str(error.value) == (
-        "phase = AccumulatedPhase: its ξ has no rates, which the load's turn follows; give "
-        "!ShapedPhase"
-    )
-
-
-def test_a_load_that_turns_at_another_rate_is_refused():
-    with pytest.raises(ScenarioError) as error:
-        make_nonstop(load_scenario("aircraft_co_rotating", [LAYER, SHAPED]))
-    assert str(error.value) == (
-        "load_trajectory = SteadyTurn: the load does not turn at the rate that optimization_layer "
-        "= TurnRateOptimizer makes; give !PlannedTurn, and phase: !ShapedPhase, or another "
-        "optimization_layer"
-    )
-
-
-@pytest.mark.parametrize(
-    ("field", "value", "said"),
-    [
-        ("orbit_points", 0, "give 1 to 64"),
-        ("max_bank", -1.0, "greater than 0"),
-        ("max_lift_share", 1.2, "give at most 1"),
-        ("frequency_bounds", [0.5, 1.0], "that hold the initial frequency 0.4"),
-        ("speed_bound", "fast", '"1.4 V_s"'),
-        ("period", 0.05, "a multiple of the control period 0.04"),
-    ],
-)
-def test_fields_out_of_range_are_refused(field, value, said):
-    with pytest.raises(ScenarioError) as error:
-        TurnRateOptimizer(turning_model(), TurnRateOptimizerConfig(**{field: value}))
-    assert f"optimization_layer.{field} = " in str(error.value)
-    assert said in str(error.value)

@@ -1,21 +1,17 @@
 """The wind, what it does to the load, and what the controllers believe of it."""
 
-import warnings
-
 import numpy as np
 import pytest
 from helpers import fix, model, output
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import LeafSystem
 
-from drake_nonstop import ScenarioWarning, load_scenario, make_nonstop, simulate
+from drake_nonstop import load_scenario, make_nonstop, simulate
 from drake_nonstop.blocks.load_plant import LoadPlant, MultibodyLoadPlant
 from drake_nonstop.blocks.wind import (
     GustyWind,
     GustyWindConfig,
     SteadyWind,
     SteadyWindConfig,
-    StillAir,
 )
 from drake_nonstop.mechanics.wind import GUST_STEP, gust_samples, turbulence_at
 from drake_nonstop.systems import wiring
@@ -40,11 +36,6 @@ def gusts(times, n=4, **fields):
     """The wind (k, 3n) at n carriers."""
     block = GustyWind(model(n), GustyWindConfig(**fields))
     return signals(block, times)["wind"]
-
-
-def test_still_air_does_not_move():
-    for name, values in signals(StillAir(model()), [0.0, 1.0]).items():
-        np.testing.assert_array_equal(values, 0, err_msg=name)
 
 
 def test_a_steady_wind_rises_linearly_and_is_the_same_everywhere():
@@ -200,48 +191,3 @@ def test_sampled_controllers_hold_an_estimate_that_changes():
         scenario = load_scenario("quintic", settings)
         nonstop = make_nonstop(scenario, at_equilibrium=False)
         assert wire.format(*source) in wiring.connections(nonstop)
-
-
-class DeafLoadPlant(LeafSystem):
-    """A load that stays where it is, and reads no wind."""
-
-    def __init__(self, model):
-        super().__init__()
-        self.DeclareVectorInputPort("cable_forces", 3 * model.n)
-        state = self.DeclareDiscreteState(np.eye(13)[0])
-        self.DeclareStateOutputPort("load_state", state)
-
-
-def test_a_load_that_does_not_read_the_wind_is_told():
-    scenario = load_scenario("quintic", [CONSTANT])
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", ScenarioWarning)
-        make_nonstop(scenario, load_plant=DeafLoadPlant, at_equilibrium=False)
-    said = r"^load_plant = DeafLoadPlant: no wind acts on the load, since this block does not read"
-    with pytest.warns(ScenarioWarning, match=said) as caught:
-        make_nonstop(
-            scenario, load_plant=DeafLoadPlant, wind=SteadyWindConfig(), at_equilibrium=False
-        )
-    assert len(caught) == 1
-
-
-@pytest.mark.parametrize(
-    ("config", "field"),
-    [
-        (SteadyWindConfig(velocity=[1.0, 2.0]), "velocity"),
-        (SteadyWindConfig(velocity=[80.0, 80.0, 0.0]), "velocity"),
-        (SteadyWindConfig(velocity=[np.nan, 0.0, 0.0]), "velocity"),
-        (SteadyWindConfig(rise_time=-1.0), "rise_time"),
-        (GustyWindConfig(gust=-1.0), "gust"),
-        (GustyWindConfig(load_gust=200.0), "load_gust"),
-        (GustyWindConfig(airspeed=0.0), "airspeed"),
-        (GustyWindConfig(airspeed=90.0, altitude=4.0), "airspeed"),
-        (GustyWindConfig(altitude=310.0), "altitude"),
-        (GustyWindConfig(load_altitude=0.0), "load_altitude"),
-        (GustyWindConfig(seed=0.5), "seed"),
-    ],
-)
-def test_bad_wind(config, field):
-    block = SteadyWind if type(config) is SteadyWindConfig else GustyWind
-    with pytest.raises(ScenarioError, match=f"^wind\\.{field} = "):
-        block(model(), config)

@@ -11,11 +11,9 @@ from drake_nonstop.blocks.wind import GustyWind, GustyWindConfig, SteadyWind, St
 from drake_nonstop.blocks.wind_estimator import (
     LoadAnemometer,
     LoadAnemometerConfig,
-    NoWind,
     WindObserver,
     WindObserverConfig,
 )
-from drake_nonstop.validation import ScenarioError
 
 PERIOD = 0.05  # s
 QUIET = {"airspeed_noise": 0.0}
@@ -91,12 +89,12 @@ def test_noise_of_an_anemometer_passes_with_its_time_constant():
     fix(block, context, load_wind=np.ones(3), wind=np.ones(12))
     simulator.Initialize()
     found = []
-    for time in np.arange(5.0, 605.0, 1.0):
+    for time in np.arange(5.0, 205.0, 1.0):
         simulator.AdvanceTo(time)
         found.append(output(block, context, "wind_estimate").copy())
-    assert np.mean(found) == pytest.approx(1.0, abs=0.02)
+    assert np.mean(found) == pytest.approx(1.0, abs=0.04)
     expected = 0.5 * np.sqrt(PERIOD / 2)
-    assert np.std(found) == pytest.approx(expected, rel=0.1)
+    assert np.std(found) == pytest.approx(expected, rel=0.15)
 
 
 def test_in_gusts_of_half_a_metre_a_second_the_estimate_is_good_to_three_decimetres():
@@ -127,16 +125,10 @@ def test_noise_of_airspeeds_is_averaged_over_carriers_and_samples():
     context = simulator.get_mutable_context()
     fix(calm, context, wind=np.zeros(12))
     found = []
-    for time in np.arange(5.0, 605.0, 1.0):
+    for time in np.arange(5.0, 205.0, 1.0):
         simulator.AdvanceTo(time)
         found.append(output(calm, context, "wind_estimate").copy())
-    assert np.std(found) == pytest.approx(2.0 * np.sqrt(PERIOD / 8), rel=0.1)
-
-
-def test_no_wind_is_what_it_says():
-    block = NoWind(model())
-    estimate = output(block, block.CreateDefaultContext(), "wind_estimate")
-    np.testing.assert_array_equal(estimate, [0, 0, 0])
+    assert np.std(found) == pytest.approx(2.0 * np.sqrt(PERIOD / 8), rel=0.15)
 
 
 def test_a_loop_starts_with_what_its_carriers_observe():
@@ -148,15 +140,3 @@ def test_a_loop_starts_with_what_its_carriers_observe():
     np.testing.assert_allclose(estimate[0], wind[0].reshape(4, 3).mean(axis=0), rtol=1e-12)
     np.testing.assert_array_equal(*(run.signal("wind_estimate") for run in runs))
     assert runs[0].engine.startswith("compiled")
-
-
-@pytest.mark.parametrize(
-    ("fields", "field"),
-    [
-        ({"time_constant": 0.0}, "time_constant"),
-        ({"seed": -1}, "seed"),
-    ],
-)
-def test_bad_observer(fields, field):
-    with pytest.raises(ScenarioError, match=f"^wind_estimator\\.{field} = "):
-        WindObserver(model(), WindObserverConfig(**fields))

@@ -1,15 +1,11 @@
-"""Contracts of any block: of each variant of each box, and of blocks of a user's own."""
+"""Equations of blocks of a user's own: what cannot be is told, and layers."""
 
-import functools
 import itertools
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 import pytest
-from pydrake.autodiffutils import AutoDiffXd, ExtractValue
-from pydrake.symbolic import Expression
-from pydrake.systems.framework import PortDataType
 
 from drake_nonstop import (
     Block,
@@ -18,160 +14,8 @@ from drake_nonstop import (
     make_nonstop,
     simulate,
 )
-from drake_nonstop.diagrams.nonstop import BOXES
-from drake_nonstop.mechanics.rotation import norm
 from drake_nonstop.mechanics.signal_layouts import Layout, Part
-from drake_nonstop.mechanics.signals import HELD
-from drake_nonstop.systems.block import set_state_values, state_values
-from drake_nonstop.systems.equation_block import EquationBlock
-from drake_nonstop.systems.equations import STATE, Equations
-
-SCENARIOS = "quintic", "aircraft_transfer_gusty", "aircraft_rest_cables"
-VARIANTS = {f"{box}-{kind.__name__}": kind for box in BOXES for kind in BOXES[box].variants}
-
-
-@functools.cache
-def loop_of(name):
-    """The diagram of a scenario, its context at rest, and its signals there."""
-    diagram = make_nonstop(load_scenario(name))
-    context = diagram.CreateDefaultContext()
-    ports = [diagram.get_output_port(k) for k in range(diagram.num_output_ports())]
-    return diagram, context, {port.get_name(): port.Eval(context) for port in ports}
-
-
-def block_of(kind):
-    """A block of a class with its default config, by the first model that fits, and its loop."""
-    for name, box in itertools.product(SCENARIOS, ("wrench_controller", "load_plant")):
-        loop = loop_of(name)
-        try:
-            return kind(loop[0].GetSubsystemByName(box).model), loop
-        except ScenarioError as error:
-            reason = error
-    raise reason
-
-
-def context_of(block, loop, rng):
-    """A context with inputs and a state near those of a loop at rest, or else near 1."""
-    context, own = block.CreateDefaultContext(), block.equations_of_block
-    diagram, root, signals = loop
-    for k in range(block.num_input_ports()):
-        port = block.get_input_port(k)
-        if port.get_data_type() != PortDataType.kVectorValued:
-            return None
-        value = signals.get(port.get_name().removeprefix(HELD))
-        known = value is not None and np.size(value) == port.size()
-        moved = rng.uniform(0.005, 0.02, port.size())
-        port.FixValue(context, value + moved if known else 0.5 + 10 * moved)
-    context.SetTime(0.1)
-    if len(own.state):
-        state = own.state
-        for other in diagram.GetSystems():
-            if type(other) is type(block) and len(other.equations_of_block.state) == len(state):
-                state = state_values(other.GetMyContextFromRoot(root))
-        set_state_values(context, state + rng.uniform(0.005, 0.02, len(state)))
-    return context
-
-
-def results_of(block, context):
-    """The vector outputs of a block, and the rates of its state, by name."""
-    ports = [block.get_output_port(k) for k in range(block.num_output_ports())]
-    vectors = [port for port in ports if port.get_data_type() == PortDataType.kVectorValued]
-    found = {port.get_name(): port.Eval(context) for port in vectors}
-    if context.num_continuous_states():
-        rates = block.EvalTimeDerivatives(context).get_vector()
-        found[STATE] = rates.CopyToVector()
-    return found
-
-
-def evaluated(other, block, context):
-    """The results of a block of another scalar type in the context of one of floats."""
-    own = other.CreateDefaultContext()
-    own.SetTimeStateAndParametersFrom(context)
-    other.FixInputPortsFrom(block, context, own)
-    return results_of(other, own)
-
-
-with_equations = pytest.mark.parametrize(
-    "kind", [pytest.param(kind, id=name) for name, kind in VARIANTS.items()]
-)
-
-
-def made(kind, rng):
-    """A block, if it is one of equations, and a context of it."""
-    block, loop = block_of(kind)
-    context = context_of(block, loop, rng) if isinstance(block, EquationBlock) else None
-    if context is None:
-        pytest.skip("it has no equations, or reads objects")
-    return block, context
-
-
-@with_equations
-def test_all_scalar_types_show_the_same(kind, rng):
-    block, context = made(kind, rng)
-    expected = results_of(block, context)
-    for other, scalar in ((block.ToAutoDiffXd(), AutoDiffXd), (block.ToSymbolic(), Expression)):
-        for name, values in evaluated(other, block, context).items():
-            if scalar is AutoDiffXd:
-                numbers = ExtractValue(values).ravel()
-            else:
-                numbers = [value.Evaluate() for value in values]
-            np.testing.assert_allclose(
-                numbers, expected[name], rtol=1e-9, atol=1e-9, err_msg=f"{scalar} {name}"
-            )
-
-
-@with_equations
-def test_what_feeds_through_is_what_the_trace_reads(kind, rng):
-    block, context = made(kind, rng)
-    own, shown = block.equations_of_block, results_of(block, context)
-    moved = {} if own.motion is None else own.motion.makes
-
-    def read_by(output):
-        reads = own.group_of[output].reads
-        inputs = {name for name in reads if name in own.inputs}
-        return inputs.union(
-            *(read_by(k) for k in reads if k in own.outputs and k not in own.arguments)
-        )
-
-    expected = {(k, output) for output in (*own.outputs, *moved) for k in read_by(output)}
-    names = [name for name in shown if name != STATE]
-    ports = {
-        (name, output)
-        for name, output in itertools.product(own.inputs, names)
-        if block.HasDirectFeedthrough(
-            block.GetInputPort(name).get_index(), block.GetOutputPort(output).get_index()
-        )
-    }
-    assert ports == expected
-    for name in own.inputs:
-        other = context.Clone()
-        block.GetInputPort(name).FixValue(other, 1.1 * block.GetInputPort(name).Eval(context))
-        for output, values in results_of(block, other).items():
-            if output != STATE and (name, output) not in expected:
-                np.testing.assert_array_equal(values, shown[output])
-
-
-@with_equations
-def test_a_state_that_is_set_is_found_and_a_clone_keeps_it(kind, rng):
-    block, context = made(kind, rng)
-    own = block.equations_of_block
-    if not len(own.state):
-        pytest.skip("it has no state")
-    read = block._reader(STATE)
-    values = own.state + rng.uniform(0.01, 0.05, len(own.state))
-    set_state_values(context, values)
-    clone, start = context.Clone(), 0
-    set_state_values(context, own.state)
-    np.testing.assert_array_equal(read(clone), values)
-    np.testing.assert_array_equal(read(context), own.state)
-    np.testing.assert_array_equal(read(block.CreateDefaultContext()), own.state)
-    for name, size in own.shown.items():
-        shown = block.GetOutputPort(name).Eval(clone)
-        np.testing.assert_array_equal(shown, values[start : start + size])
-        start += size
-
-
-# Bad input
+from drake_nonstop.systems.equations import Equations
 
 
 @dataclass
@@ -265,12 +109,6 @@ def test_equations_that_cannot_be_are_named_with_the_remedy(function, remedy):
     with pytest.raises(ScenarioError, match=rf"Shows\.equations = .*: .*{remedy}") as raised:
         simulate(load_scenario("quintic"), extra={"own": own_block(function)})
     assert "\n" not in str(raised.value)
-
-
-def test_two_blocks_that_make_one_signal_are_both_named():
-    good = own_block(lambda load_state: norm(load_state[4:7]) * load_state[4:7])
-    with pytest.raises(ScenarioError, match=r"one.*other|other.*one"):
-        make_nonstop(load_scenario("quintic"), extra={"one": good, "other": good})
 
 
 @pytest.mark.parametrize(
