@@ -12,7 +12,7 @@ from drake_nonstop.blocks.load_trajectory import SampledTrajectory, SampledTraje
 from drake_nonstop.systems.documentation import own_config_class
 
 NOT_NEGATIVE, POSITIVE = "number that is not negative", "number greater than zero"
-THREE, SEED, SOLVERS = "give 3 finite numbers", "0 or a whole number above", "snopt, ipopt"
+THREE, SEED, SOLVERS = "give 3 finite numbers", "a whole number from 0", "snopt, ipopt"
 HOLD = "above zero that hold the initial"
 
 # Fields of a block's config, values that they cannot have, and what is in the remedy.

@@ -181,8 +181,6 @@ class Answers(Own):
     [
         ({"state": lambda self, model: None, "state_ports": ()}, r"Answers\.answer = that of no"),
         ({"step_period": lambda self, model, config: 0.0}, r"Answers\.answer = that of no"),
-        ({"step_period": lambda self, model, config: -0.01}, r"Answers\.step_period = -0.01: give"),
-        ({"step_period": lambda self, model, config: np.nan}, r"Answers\.step_period = nan: give"),
     ],
 )
 def test_layers_need_a_state_and_time_to_step(members, said):
