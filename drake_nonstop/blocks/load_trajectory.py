@@ -26,6 +26,7 @@ from drake_nonstop.validation import (
     require_array,
     require_ranges,
     vector,
+    warn_user,
 )
 
 _BOX = "load_trajectory"
@@ -316,7 +317,8 @@ class SampledTrajectory(_PathTrajectory):
     Velocity and acceleration are continuous between the first sample and the last. At these two
     the velocity is zero, and the acceleration steps: samples that begin and end at rest for a
     while make these steps small. The jerk steps at each sample. Omitted angles are zero; given
-    ones are not unwrapped, so that a yaw that jumps by 2π makes the load rotate once.
+    ones are not unwrapped: a yaw that jumps by 2π makes the load rotate once, and a warning says
+    so.
 
     Raises:
         ScenarioError: the file cannot be read, or the samples cannot be used.
@@ -326,9 +328,25 @@ class SampledTrajectory(_PathTrajectory):
     def path(config: SampledTrajectoryConfig) -> PiecewisePolynomial:
         rows = config.resolved().samples
         samples, rest = _sample_array(rows, f"{_BOX}.samples", rows), np.zeros((6, 1))
+        _warn_of_angles(samples[:, 4:])
         return PiecewisePolynomial.CubicWithContinuousSecondDerivatives(
             samples[:, 0], samples[:, [4, 5, 6, 1, 2, 3]].T, rest, rest
         )
+
+
+def _warn_of_angles(angles: NDArray) -> None:
+    """Warns of samples (n, 3), rad, by which the load turns in a way that may not be meant."""
+    jumps = np.abs(np.diff(angles, axis=0)).max(axis=1)
+    if np.any(jumps > np.pi):
+        row = int(np.argmax(jumps > np.pi)) + 1
+        warn_user(
+            f"{_BOX}.samples: an angle changes by {jumps[row - 1]:.3g} rad from row {row} to row "
+            f"{row + 1}, and the load turns as far; unwrap angles that pass through π "
+            "(numpy.unwrap), and give them in rad"
+        )
+    elif np.any(np.abs(angles) > 2 * np.pi):
+        farthest = float(np.max(np.abs(angles)))
+        warn_user(f"{_BOX}.samples: an angle of {farthest:.4g} rad, beyond 2π: degrees given?")
 
 
 def _read_samples(path: str, field: str) -> list[list[float]]:
