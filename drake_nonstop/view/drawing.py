@@ -4,19 +4,19 @@ The boxes are the diagram's subsystems and the wires its connections, so that th
 shows what runs. The places of the known boxes, and the paper's symbols of signals, are given in
 `diagrams.nonstop`.
 
-Boxes stand in columns and rows with lanes between them. The A* algorithm routes each wire along the
-lanes; those without a wire are removed.
+Boxes stand in columns and rows with lanes between them. The wires of a signal run along one line
+across, a lane between two rows or the line of a port, and along one lane down in front of each
+column that they lead to. Of two signals side by side the order is the one with fewer crossings.
 """
 
 import functools
-import heapq
 import html
 import itertools
 import math
 import re
 import textwrap
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
@@ -42,17 +42,14 @@ COLOURS = {
 
 UNIT = 10  # px between neighbouring lanes; lengths are in units unless they say px
 BOX_WIDTH = 12
-INPUT_SPACING = 2
+INPUT_SPACING = 3
+GAP = 2  # between a lane and a box
 NAME_SIZE, CLASS_SIZE, LABEL_SIZE = 13, 11, 12  # px
 BOLD_WIDTH = 1.25  # over that of the same text in regular
 LABEL_LIFT = 4  # px from the wire
 LINE_HEIGHT = 1.1  # of the size of a font
 LABEL_CHARACTERS = 13  # in one line
 NARROW, WIDE = set("fijlrt I,"), set("mwMW")
-FREE_LANES = 3  # in front of an input, where no other wire turns
-MOST_TRIES = 8
-LANES = 8  # between boxes, of which those without a wire are removed
-BEND_COST, CROSSING_COST, BRANCH_COST = 5, 9, 2  # units of length
 
 CORNER_RADIUS = 5  # px
 WIRE_COLOUR, UNREAD_COLOUR = "#333", "#999"
@@ -76,8 +73,11 @@ ARROWHEADS = [
 
 Subsystem = tuple[str, str, tuple[str, ...]]  # its name, its class and its output ports
 Node = tuple[int, int]
-Pixel = Callable[[Node], Node]  # where a node is, in px
-ACROSS, DOWN = 0, 1
+# Where something is, across or down: the number of its column or row, odd, or of the gap before
+# it, even; and the units from the start of that.
+Spot = tuple[int, int]
+Lines = dict[str, Spot | None]  # where the wires of each signal run across; None: nowhere
+Lanes = dict[tuple[int, str], int]  # of each signal, by gap and name
 
 
 @dataclass
@@ -85,25 +85,21 @@ class _Signal:
     """An output port and the wires that leave it, by name "block.port -> block.port"."""
 
     name: str  # "block.port"
-    flow: int
-    source: Node = (0, 0)
-    sinks: dict[str, Node] = field(default_factory=dict)
-    paths: dict[str, list[Node]] = field(default_factory=dict)  # each from the trunk to its sink
+    box: "_Box"
+    down: Spot = (0, 0)
+    sinks: dict[str, "_Box"] = field(default_factory=dict)
 
     @cached_property
     def lines(self) -> list[str]:
-        """The label, in lines of about the same length, and the paper's symbol."""
+        """The label, in lines, with the paper's symbol."""
         port = self.name.partition(".")[2]
-        words = port.replace("_", " ")
-        count = len(textwrap.wrap(words, LABEL_CHARACTERS))
-        width = next(w for w in range(1, 99) if len(textwrap.wrap(words, w)) <= count)
-        lines = textwrap.wrap(words, width, break_long_words=False)
-        symbol = SYMBOLS.get(port.removeprefix("held_"))
-        if symbol is None:
-            return lines
-        if len(lines[-1]) + len(symbol) <= LABEL_CHARACTERS + 2:
-            return [*lines[:-1], f"{lines[-1]} {symbol}"]
-        return [*lines, symbol]
+        *lines, last = textwrap.wrap(
+            port.replace("_", " "), LABEL_CHARACTERS, break_long_words=False
+        )
+        symbol = SYMBOLS.get(port.removeprefix("held_"), "")
+        if len(last) + len(symbol) <= LABEL_CHARACTERS + 2:
+            return [*lines, f"{last} {symbol}".strip()]
+        return [*lines, last, symbol]
 
     @property
     def label_width(self) -> int:
@@ -111,10 +107,11 @@ class _Signal:
         return math.ceil((max(text_width(line, LABEL_SIZE) for line in self.lines) + 8) / UNIT)
 
     @property
-    def label_height(self) -> int:
-        """Units above the wire."""
+    def height(self) -> int:
+        """Units from the wire to what is above the label, an even number."""
         lines_above = len(self.lines) - 1
-        return int((LABEL_LIFT + (0.75 + lines_above * LINE_HEIGHT) * LABEL_SIZE + 3) / UNIT)
+        label = (LABEL_LIFT + (0.75 + lines_above * LINE_HEIGHT) * LABEL_SIZE + 3) / UNIT
+        return 2 * math.ceil((int(label) + 1) / 2)
 
 
 @dataclass
@@ -124,10 +121,12 @@ class _Box:
     name: str
     class_name: str
     place: Place
-    outputs: list[_Signal]
+    outputs: list[_Signal] = field(default_factory=list)
     inputs: dict[str, _Signal] = field(default_factory=dict)  # by wire
-    left: int = 0
-    top: int = 0
+    sinks: dict[str, Spot] = field(default_factory=dict)  # where these arrive, down
+    column: int = 0
+    row: int = 0
+    top: int = 0  # below the start of its row
 
     @cached_property
     def texts(self) -> list[tuple[str, str, int]]:
@@ -141,19 +140,42 @@ class _Box:
     def height(self) -> int:
         """The height that the texts and the ports on either side need."""
         texts = math.ceil(sum(size for _, _, size in self.texts) * LINE_HEIGHT / UNIT) + 2
-        inputs = INPUT_SPACING * (len(self.inputs) + 1) + 2
-        outputs = [signal.label_height + 1 for signal in self.outputs]
-        return max(texts, inputs, sum(outputs) + max(outputs, default=0))
+        inputs = INPUT_SPACING * len(self.inputs) + 1
+        return max(texts, inputs, sum(signal.height for signal in self.outputs) + 3)
 
     @property
-    def middle(self) -> int:
-        return self.top + self.height // 2
+    def middle(self) -> Spot:
+        return self.row, self.top + self.height // 2
+
+    def gap(self, way: int) -> int:
+        """The gap in front of its outputs (way 1), or of its inputs (-1)."""
+        return self.column + way * self.place.flow
+
+    def covers(self, down: Spot) -> bool:
+        """Whether that is in its height, or next to it."""
+        return (self.row, self.top - 1) <= down <= (self.row, self.top + self.height + 1)
+
+
+@dataclass
+class _Run:
+    """A straight part of a signal's wires in a gap: its ends, and where others leave it."""
+
+    name: str
+    leaves: list[tuple[Spot, int]]  # at that spot along it, to which side: -1 or 1
 
     @property
-    def sides(self) -> tuple[int, int]:
-        """The columns of the edges with the inputs and with the outputs."""
-        left, right = self.left, self.left + BOX_WIDTH
-        return (left, right) if self.place.flow > 0 else (right, left)
+    def ends(self) -> tuple[Spot, Spot]:
+        spots = [spot for spot, _ in self.leaves]
+        return min(spots), max(spots)
+
+    def meets(self, spot: Spot) -> bool:
+        first, last = self.ends
+        return first <= spot <= last
+
+    def crossings(self, other: "_Run") -> int:
+        """Of the two, with this one before the other."""
+        after = sum(side > 0 and other.meets(spot) for spot, side in self.leaves)
+        return after + sum(side < 0 and self.meets(spot) for spot, side in other.leaves)
 
 
 def draw_diagram(diagram: Diagram) -> str:
@@ -161,9 +183,6 @@ def draw_diagram(diagram: Diagram) -> str:
 
     Each box has its instance name as `data-block`, each wire its connection (see
     `wiring.connections`) as `data-wire`, and each label its output port as `data-signal`.
-
-    Raises:
-        RuntimeError: there is no room for all wires.
     """
     subsystems = tuple(
         (system.get_name(), type(system).__name__, tuple(wiring.output_names(system)))
@@ -175,15 +194,13 @@ def draw_diagram(diagram: Diagram) -> str:
 @functools.lru_cache(maxsize=32)  # most runs of a process have the same diagram
 def _drawn(title: str, subsystems: tuple[Subsystem, ...], wires: tuple[str, ...]) -> str:
     boxes = _boxes(subsystems, wires)
-    urgent: list[str] = []  # signals that had no way, which are routed before all others
-    while True:
-        grid = _place(boxes, LANES + 2 * len(urgent))
-        stuck = grid.route(urgent)
-        if stuck is None:
-            return _svg(title, boxes, *grid.pixels())
-        urgent.insert(0, stuck)
-        if urgent.count(stuck) > MOST_TRIES:
-            raise RuntimeError(f"{stuck} of {title} cannot be drawn: it has no way between boxes")
+    _place(boxes)
+    across = {signal.name: _line_across(signal, boxes) for box in boxes for signal in box.outputs}
+    signals = [signal for box in boxes for signal in box.outputs if signal.sinks]
+    rows = _lanes(_runs_across(signals, across))
+    across |= {name: (gap, GAP + lane) for (gap, name), lane in rows.items()}
+    columns = _lanes(_runs_down(signals, across))
+    return _Drawing(boxes, across, rows, columns).svg(title)
 
 
 def _boxes(subsystems: tuple[Subsystem, ...], wires: tuple[str, ...]) -> list[_Box]:
@@ -199,320 +216,298 @@ def _boxes(subsystems: tuple[Subsystem, ...], wires: tuple[str, ...]) -> list[_B
             row, column = next(below)
             place = Place(column, row, 1, Kind.ADDITION)
         taken.add(place)
-        outputs = [_Signal(f"{name}.{port}", place.flow) for port in output_names]
-        signals.update({signal.name: signal for signal in outputs})
-        boxes[name] = _Box(name, class_name, place, outputs)
+        box = boxes[name] = _Box(name, class_name, place)
+        box.outputs = [_Signal(f"{name}.{port}", box) for port in output_names]
+        signals.update({signal.name: signal for signal in box.outputs})
     for wire in wires:
         source, target = wire.split(" -> ")
-        boxes[target.partition(".")[0]].inputs[wire] = signals[source]
-        signals[source].sinks[wire] = (0, 0)
+        box = boxes[target.partition(".")[0]]
+        box.inputs[wire] = signals[source]
+        signals[source].sinks[wire] = box
     return list(boxes.values())
 
 
-def _place(boxes: list[_Box], lanes: int) -> "_Grid":
-    """Puts the boxes and their ports in columns and rows with that many lanes between them."""
-    across, down = _Axis(lanes), _Axis(lanes)
-    for column in sorted({box.place.column for box in boxes}):
-        members = [box for box in boxes if box.place.column == column]
-        rooms = [_label_room(members, flow) for flow in (-1, 1)]
-        for box in members:
-            box.left = across.end + rooms[0]
-        across.add([rooms[0], BOX_WIDTH, rooms[1]])
-    for row in sorted({box.place.row for box in boxes}):
-        members = [box for box in boxes if box.place.row == row]
+def _place(boxes: list[_Box]) -> None:
+    """Puts the boxes and their ports in columns and rows.
+
+    Ports on the right of boxes are at even heights and those on the left at odd ones, so that
+    no two of one gap are at the same: but for those that a straight wire connects.
+    """
+    columns, rows = ({*places} for places in zip(*(box.place[:2] for box in boxes), strict=True))
+    for box in boxes:
+        box.column = 1 + 2 * sorted(columns).index(box.place.column)
+        box.row = 1 + 2 * sorted(rows).index(box.place.row)
+    for row in {box.row for box in boxes}:
+        members = [box for box in boxes if box.row == row]
         height = max(box.height for box in members)
         for box in members:
-            box.top = down.end + (height - box.height) // 2
-        down.add([1] * height)
-    for place in (_place_outputs, _place_inputs):
-        for box in boxes:
-            place(box, boxes)
-    return _Grid(boxes, across, down)
+            box.top = (height - box.height) // 2
+    for box in boxes:
+        _place_outputs(box)
+    for box in boxes:
+        _place_inputs(box, boxes)
 
 
-class _Axis:
-    """Positions across or down: the edges of what stands there, and the lanes between."""
-
-    def __init__(self, lanes: int) -> None:
-        self._lanes = lanes
-        self.positions: list[int] = []
-        self.parts: dict[int, int] = {}  # from edge to edge
-        self.end = 0
-        self.add([])
-
-    def add(self, lengths: Sequence[int]) -> None:
-        """Adds what has parts of these lengths at the end, and lanes behind it."""
-        edges = [*dict.fromkeys(itertools.accumulate(lengths, initial=self.end))]
-        self.parts |= dict(pairwise(edges))
-        self.positions += [*edges, *range(edges[-1] + 1, edges[-1] + 1 + self._lanes)]
-        self.end = edges[-1] + 1 + self._lanes
-
-    @property
-    def lanes(self) -> set[int]:
-        """The positions that are no edges."""
-        return {*self.positions} - {*self.parts, *self.parts.values()}
-
-    def pixels(self, used: set[int]) -> dict[int, int]:
-        """The positions in px, without the lanes that are not used."""
-        lanes = self.lanes
-        kept = [place for place in self.positions if place in used or place not in lanes]
-        pixels = {kept[0]: UNIT}
-        for before, place in pairwise(kept):
-            is_part = self.parts.get(before) == place
-            is_empty = lanes.isdisjoint({before, place})  # there is no wire between two boxes
-            length = place - before if is_part else 3 if is_empty else 1
-            pixels[place] = pixels[before] + UNIT * length
-        return pixels
+def _bearing(box: _Box, way: int, other: Spot, gap: int) -> float:
+    """The angle downwards from a side of a box (see `gap`) to what is at that height and gap."""
+    ahead = way * box.place.flow * (gap - box.gap(way))
+    return math.atan2(other[0] - box.row + (other[1] - box.middle[1]) / 100, ahead + 1)
 
 
-class _Grid:
-    """Routes wires along the lanes: around boxes and labels, across other wires."""
-
-    def __init__(self, boxes: list[_Box], across: _Axis, down: _Axis):
-        self._across, self._down = across, down
-        self._lanes = across.lanes
-        self._signals = [signal for box in boxes for signal in box.outputs]
-        across_at: dict[Node, str] = {}  # the signal that may run across there; "": none
-        for box in boxes:
-            labels = [signal.source[1] - signal.label_height for signal in box.outputs]
-            rows = range(min([box.top, *labels]) - 1, box.top + box.height + 2)
-            edges = box.left, box.left + BOX_WIDTH
-            across_at |= dict.fromkeys(itertools.product(edges, rows), "")
-        stems = [(self._stem(each.source, each.flow), each) for each in self._signals]
-        for box in boxes:
-            for wire, signal in box.inputs.items():
-                stems.append((self._stem(signal.sinks[wire], -box.place.flow, FREE_LANES), signal))
-        for stem, signal in stems:
-            across_at |= dict.fromkeys(stem, signal.name)
-        # By direction, the signal that alone may run so at a node.
-        self._owners: tuple[dict[Node, str], dict[Node, str]] = (across_at, {})
-        rows_used = down.lanes | {stem[0][1] for stem, _ in stems}
-        self._next = [_neighbours(across.positions), _neighbours(sorted(rows_used))]
-
-    def _stem(self, port: Node, flow: int, lanes: int = 1) -> list[Node]:
-        """The nodes from a port to the lane in front of it, or to one of the next ones."""
-        places = self._across.positions[::flow]
-        stem = [(place, port[1]) for place in places[places.index(port[0]) :]]
-        return stem[: lanes + next(k for k, node in enumerate(stem) if node[0] in self._lanes)]
-
-    def route(self, urgent: Sequence[str]) -> str | None:
-        """Routes the wires of all signals around those that are there: urgent and short ones first.
-
-        Returns:
-            The name of a signal that has no way, if there is one.
-        """
-
-        def order(signal: _Signal) -> tuple[int, int]:
-            far = max((_far(signal.source, sink) for sink in signal.sinks.values()), default=0)
-            return (urgent.index(signal.name) if signal.name in urgent else len(urgent)), far
-
-        for signal in sorted(self._signals, key=order):
-            signal.paths = {}
-            stem = self._stem(signal.source, signal.flow)
-            starts = [(0, stem[-1], ACROSS)]
-            for wire, sink in sorted(signal.sinks.items(), key=lambda w: _far(w[1], signal.source)):
-                path = self._cheapest_path(signal.name, starts, sink)
-                if not path:
-                    return signal.name
-                if not signal.paths:
-                    path, starts = stem[:-1] + path, []
-                signal.paths[wire] = path
-                lanes = [node for node in path if node[0] in self._lanes]
-                starts += [(BRANCH_COST, node, turn) for node in lanes for turn in (ACROSS, DOWN)]
-                for a, b in pairwise(path):
-                    self._owners[_direction(a, b)].update({a: signal.name, b: signal.name})
-        return None
-
-    def _cheapest_path(
-        self,
-        name: str,
-        starts: list[tuple[int, Node, int]],
-        sink: Node,
-    ) -> list[Node]:
-        """The cheapest path by the A* algorithm; empty: there is none.
-
-        A state is a node and the direction of the wire there.
-        """
-        owners = self._owners
-        queue = [(cost + _far(node, sink), cost, node, turn) for cost, node, turn in starts]
-        heapq.heapify(queue)
-        costs = {(node, turn): cost for cost, node, turn in starts}
-        came_from: dict[tuple[Node, int], tuple[Node, int]] = {}
-        while queue:
-            _, cost, node, turn = heapq.heappop(queue)
-            state = node, turn
-            if node == sink:
-                path = [node]
-                while state in came_from:
-                    state = came_from[state]
-                    path.append(state[0])
-                return [*dict.fromkeys(reversed(path))]
-            if cost > costs[state]:
-                continue
-            for direction in (ACROSS, DOWN):
-                longer = cost
-                if direction != turn:
-                    if owners[direction].get(node, name) != name:
-                        continue  # no turns on another wire
-                    longer += BEND_COST
-                if direction == DOWN and node[0] not in self._lanes:
-                    continue
-                for place in self._next[direction][node[direction]]:
-                    onto = (place, node[1]) if direction == ACROSS else (node[0], place)
-                    if owners[direction].get(onto, name) != name:
-                        continue
-                    crossed = owners[1 - direction].get(onto, name) != name
-                    further = longer + _far(node, onto) + CROSSING_COST * crossed
-                    if further < costs.get((onto, direction), math.inf):
-                        costs[onto, direction] = further
-                        came_from[onto, direction] = state
-                        heapq.heappush(
-                            queue, (further + _far(onto, sink), further, onto, direction)
-                        )
-        return []
-
-    def pixels(self) -> tuple[dict[int, int], dict[int, int]]:
-        """Columns and rows in px, without the lanes that no wire runs along."""
-        used: tuple[set[int], set[int]] = set(), set()
-        for path in (path for signal in self._signals for path in signal.paths.values()):
-            for a, b in pairwise(path):
-                direction = _direction(a, b)
-                used[1 - direction].add(a[1 - direction])
-        return self._across.pixels(used[ACROSS]), self._down.pixels(used[DOWN])
-
-
-def _neighbours(places: list[int]) -> dict[int, list[int]]:
-    """Of each place the one before and the one after it."""
-    found: dict[int, list[int]] = {place: [] for place in places}
-    for before, after in pairwise(places):
-        found[before].append(after)
-        found[after].append(before)
-    return found
-
-
-def _direction(a: Node, b: Node) -> int:
-    return ACROSS if a[1] == b[1] else DOWN
-
-
-def _far(a: Node, b: Node) -> int:
-    return abs(a[0] - b[0]) + abs(a[1] - b[1])
-
-
-def _label_room(boxes: list[_Box], flow: int) -> int:
-    signals = [signal for box in boxes if box.place.flow == flow for signal in box.outputs]
-    return max((signal.label_width for signal in signals), default=0)
-
-
-def _place_outputs(box: _Box, boxes: list[_Box]) -> None:
+def _place_outputs(box: _Box) -> None:
     """Puts outputs that lead upwards above those that lead downwards, and unread ones last."""
 
-    def bearing(signal: _Signal) -> float:
-        readers = [other for other in boxes for wire in other.inputs if wire in signal.sinks]
-        ahead = [box.place.flow * (reader.sides[0] - box.sides[1]) for reader in readers]
-        down = [reader.middle - box.middle for reader in readers]
-        return sum(map(math.atan2, down, ahead)) / len(readers) if readers else math.inf
+    def leads_to(signal: _Signal) -> float:
+        sinks = signal.sinks.values()
+        bearings = [_bearing(box, 1, sink.middle, sink.gap(-1)) for sink in sinks]
+        return sum(bearings) / len(bearings) if bearings else math.inf
 
-    box.outputs.sort(key=bearing)
-    heights = [signal.label_height + 1 for signal in box.outputs[1:]]
-    rows = itertools.accumulate([box.middle - sum(heights) // 2, *heights])
-    for signal, row in zip(box.outputs, rows, strict=False):
-        signal.source = (box.sides[1], row)
+    box.outputs.sort(key=leads_to)
+    heights = [signal.height for signal in box.outputs]
+    row = box.top + (box.height - sum(heights)) // 2
+    row += (row + (box.place.flow < 0)) % 2
+    for signal in box.outputs:
+        row += signal.height
+        signal.down = box.row, row
 
 
 def _place_inputs(box: _Box, boxes: list[_Box]) -> None:
     """Puts inputs from above on top, and those with a straight wire at the height of its source."""
-    low, high = box.top + 1, box.top + box.height - 1
-    straight = {wire for wire, signal in box.inputs.items() if _is_straight(signal, box, boxes)}
 
-    def comes_from(wire: str) -> float:
-        x, y = box.inputs[wire].source
-        ahead = box.place.flow * (box.sides[0] - x)
-        if ahead > 0 and low <= y <= high and wire not in straight:
-            return math.copysign(math.pi / 2, y - box.middle + INPUT_SPACING)
-        return math.atan2(y - box.middle - 0.5, ahead)
+    def comes_from(wire: str) -> tuple[float, str]:
+        signal = box.inputs[wire]
+        return _bearing(box, -1, signal.down, signal.box.gap(1)), wire
 
-    wires = sorted(box.inputs, key=comes_from)
-    fixed = {i: box.inputs[wire].source[1] for i, wire in enumerate(wires) if wire in straight}
-    heights: list[int] = []
-    for i in range(len(wires)):
-        y = box.top + round(box.height * (i + 1) / (len(wires) + 1))
-        for k, height in fixed.items():
-            bound = height + INPUT_SPACING * (i - k)
-            y = max(y, bound) if k <= i else min(y, bound)
-        y = fixed.get(i, y)
-        heights.append(max(y, heights[-1] + INPUT_SPACING if heights else low))
-    for wire, y in zip(reversed(wires), reversed(heights), strict=True):
-        y = min(y, high)
-        high = y - INPUT_SPACING
-        box.inputs[wire].sinks[wire] = (box.sides[0], y)
+    straight = {w: s.down for w, s in box.inputs.items() if _is_straight(s, box, boxes)}
+    start = box.top + 1 + (box.top + (box.place.flow < 0)) % 2
+    taken = [row for _, row in straight.values()]
+    rows = range(start, box.top + box.height, 2)
+    free = [row for row in rows if all(abs(row - other) > 1 for other in taken)]
+    wires = sorted(box.inputs.keys() - straight.keys(), key=comes_from)
+    above = sum(comes_from(wire)[0] < 0 for wire in wires)
+    if straight:
+        free = free[:above] + free[len(free) - len(wires) + above :]
+    box.sinks = straight | {
+        wire: (box.row, free[(2 * k + 1) * len(free) // (2 * len(wires))])
+        for k, wire in enumerate(wires)
+    }
 
 
 def _is_straight(signal: _Signal, box: _Box, boxes: list[_Box]) -> bool:
     """Whether a straight wire can connect the signal with the box."""
-    x, y = signal.source
-    between = range(*sorted((x, box.sides[0])))
-    is_ahead = box.place.flow * (box.sides[0] - x) > 0 and box.top < y < box.top + box.height
-    others = (other for other in boxes if other is not box and other.left in between)
-    return is_ahead and not any(other.top <= y <= other.top + other.height for other in others)
+    row, height = signal.down
+    is_beside = row == box.row and box.top < height < box.top + box.height
+    flow = box.place.flow
+    is_ahead = flow == signal.box.place.flow and flow * (box.gap(-1) - signal.box.gap(1)) >= 0
+    return is_beside and is_ahead and _is_clear(signal, box, signal.down, boxes)
 
 
-def _svg(title: str, boxes: list[_Box], columns: dict[int, int], rows: dict[int, int]) -> str:
-    width, height = (max(lanes.values()) + UNIT for lanes in (columns, rows))
-
-    def pixel(node: Node) -> Node:
-        return columns[node[0]], rows[node[1]]
-
-    size = f'width="{width}" height="{height}"'
-    lines = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" {size} viewBox="0 0 {width} {height}">',
-        f"<title>{html.escape(title, quote=False)}</title>",
-        f"<style>{STYLE}</style>",
-        *ARROWHEADS,
-        f'<rect {size} fill="white"/>',
-    ]
-    lines += [line for b in boxes for s in b.outputs for line in _signal_svg(s, pixel)]
-    lines += [line for box in boxes for line in _box_svg(box, pixel)]
-    return "\n".join([*lines, "</svg>", ""])
+def _is_clear(signal: _Signal, box: _Box, down: Spot, boxes: list[_Box]) -> bool:
+    """Whether there is no box at that height between the gaps of the signal and of the box."""
+    low, high = sorted((signal.box.gap(1), box.gap(-1)))
+    return not any(low < other.column < high and other.covers(down) for other in boxes)
 
 
-def _signal_svg(signal: _Signal, pixel: Pixel) -> list[str]:
-    kind = "wire" if signal.paths else "unread"
-    lines = [f'<g data-signal="{html.escape(signal.name)}">']
-    neighbours: dict[Node, set[Node]] = defaultdict(set)
-    for wire, path in signal.paths.items():
-        data = _path_data(path, pixel)
-        lines.append(f'<path class="wire" data-wire="{html.escape(wire)}" d="{data}"/>')
-        for node, other in (*pairwise(path), *pairwise(path[::-1])):
-            neighbours[node].add(other)
-    for node, around in neighbours.items():
-        if len(around) > 2:
-            dot = 'cx="{}" cy="{}"'.format(*pixel(node))
-            lines.append(f'<circle {dot} r="2.5" fill="{WIRE_COLOUR}"/>')
-    x, y = pixel(signal.source)
-    end = x + signal.flow * signal.label_width * UNIT
-    if not signal.paths:
-        lines.append(f'<path class="unread" d="M{x},{y} L{end},{y}"/>')
-    baseline = y - LABEL_LIFT - (len(signal.lines) - 1) * LINE_HEIGHT * LABEL_SIZE
-    for line in signal.lines:
-        lines.append(_text_svg(f"{kind}-label", line, (x + end) / 2, baseline))
-        baseline += LINE_HEIGHT * LABEL_SIZE
-    return [*lines, "</g>"]
+def _line_across(signal: _Signal, boxes: list[_Box]) -> Spot | None:
+    """Where the wires of a signal run across: its own line, its only sink's, or a gap's.
+
+    None: they stay in one gap.
+    """
+    far = {w: box for w, box in signal.sinks.items() if box.gap(-1) != signal.box.gap(1)}
+    if not far:
+        return None
+    lines = [signal.down, *(box.sinks[wire] for wire, box in far.items() if len(far) == 1)]
+    for line in lines:
+        if all(_is_clear(signal, box, line, boxes) for box in far.values()):
+            return line
+    ends = [signal.box.row, *(box.row for box in far.values())]
+    gaps = range(min(ends) - 1, max(ends) + 2, 2)
+    return min(gaps, key=lambda gap: sum(abs(gap - end) for end in ends)), 0
 
 
-def _box_svg(box: _Box, pixel: Pixel) -> list[str]:
-    left, top = pixel((box.left, box.top))
-    right, bottom = pixel((box.left + BOX_WIDTH, box.top + box.height))
-    fill, border = COLOURS[box.place.kind]
-    lines = [
-        f'<g data-block="{html.escape(box.name)}">',
-        f'<rect x="{left}" y="{top}" width="{right - left}" height="{bottom - top}" rx="5"'
-        f' fill="{fill}" stroke="{border}"/>',
-    ]
-    baseline = (top + bottom - sum(size for _, _, size in box.texts) * LINE_HEIGHT) / 2
-    for kind, text, size in box.texts:
-        baseline += LINE_HEIGHT * size
-        lines.append(_text_svg(kind, text, (left + right) / 2, baseline - 0.25 * size))
-    return [*lines, "</g>"]
+def _runs_across(signals: Sequence[_Signal], across: Lines) -> dict[int, list[_Run]]:
+    """The parts of wires in the gaps between rows, by gap."""
+    runs: dict[int, list[_Run]] = defaultdict(list)
+    for signal in signals:
+        line = across[signal.name]
+        if line is not None and line[0] % 2 == 0:
+            ends = [(signal.box.gap(1), signal.box.row)]
+            ends += [(box.gap(-1), box.row) for box in signal.sinks.values()]
+            leaves = [((gap, 0), 1 if row > line[0] else -1) for gap, row in ends]
+            runs[line[0]].append(_Run(signal.name, leaves))
+    return runs
+
+
+def _runs_down(signals: Sequence[_Signal], across: Lines) -> dict[int, list[_Run]]:
+    """The parts of wires in the gaps between columns, by gap."""
+    runs: dict[int, list[_Run]] = defaultdict(list)
+    for signal in signals:
+        leaves: dict[int, list[tuple[Spot, int]]] = defaultdict(list)
+        leaves[signal.box.gap(1)].append((signal.down, -signal.box.place.flow))
+        for wire, box in signal.sinks.items():
+            leaves[box.gap(-1)].append((box.sinks[wire], box.place.flow))
+        line = across[signal.name]
+        for gap, own in leaves.items():
+            if line is not None:
+                own += [(line, 1 if other > gap else -1) for other in leaves if other != gap]
+            run = _Run(signal.name, own)
+            if run.ends[0] != run.ends[1]:
+                runs[gap].append(run)
+    return runs
+
+
+def _lanes(runs: dict[int, list[_Run]]) -> Lanes:
+    """The lane of each run in its gap, by the gap and the signal's name: of few crossings."""
+    lanes: Lanes = {}
+    for gap, members in runs.items():
+        ordered: list[_Run] = []
+        for run in members * 2:  # each where it crosses the fewest of the others
+            ordered = [other for other in ordered if other is not run]
+            costs = [
+                sum(other.crossings(run) for other in ordered[:k])
+                + sum(run.crossings(other) for other in ordered[k:])
+                for k in range(len(ordered) + 1)
+            ]
+            ordered.insert(costs.index(min(costs)), run)
+        placed: list[_Run] = []
+        for run in ordered:
+            beside = [
+                lanes[gap, other.name]
+                for other in placed
+                if other.meets(run.ends[0]) or run.meets(other.ends[0])
+            ]
+            lanes[gap, run.name] = 1 + max(beside, default=-1)
+            placed.append(run)
+    return lanes
+
+
+class _Drawing:
+    """The boxes and wires at their places in px."""
+
+    def __init__(
+        self,
+        boxes: list[_Box],
+        across: Lines,
+        rows: Lanes,
+        columns: Lanes,
+    ):
+        self._boxes, self._across, self._columns = boxes, across, columns
+        gaps = range(0, 2 + max(box.column for box in boxes), 2)
+        self._labels = {gap: _label_room(boxes, gap, 1) for gap in gaps}  # left of the lanes
+        widths = {gap: _lane_room(columns, gap) + _label_room(boxes, gap, -1) for gap in gaps}
+        widths = {gap: width + self._labels[gap] for gap, width in widths.items()}
+        widths |= {box.column: BOX_WIDTH for box in boxes}
+        gaps = range(0, 2 + max(box.row for box in boxes), 2)
+        heights = {gap: _lane_room(rows, gap) for gap in gaps}
+        for box in boxes:
+            heights[box.row] = max(box.height, heights.get(box.row, 0))
+        self._lefts, self._tops = (
+            [*itertools.accumulate((sizes[k] for k in range(len(sizes))), initial=0)]
+            for sizes in (widths, heights)
+        )
+
+    def _x(self, box: _Box, way: int) -> int:
+        """The side of a box with its outputs (way 1), or its inputs (-1), in px."""
+        return UNIT * (self._lefts[box.column] + BOX_WIDTH * (way * box.place.flow > 0))
+
+    def _y(self, down: Spot) -> int:
+        return UNIT * (self._tops[down[0]] + down[1])
+
+    def _lane(self, gap: int, signal: _Signal, *rows: Spot) -> list[Node]:
+        """Nodes on the lane of a signal in a gap, at these heights; none where it has no lane."""
+        lane = self._columns.get((gap, signal.name))
+        if lane is None:
+            return []
+        return [
+            (UNIT * (self._lefts[gap] + self._labels[gap] + GAP + lane), self._y(r)) for r in rows
+        ]
+
+    def _path(self, signal: _Signal, wire: str, sink: _Box) -> list[Node]:
+        """The ends and corners of a wire."""
+        first, last, line = signal.box.gap(1), sink.gap(-1), self._across[signal.name]
+        start, end = signal.down, sink.sinks[wire]
+        if line is None or first == last:
+            path = self._lane(first, signal, start, end)
+        else:
+            path = self._lane(first, signal, start, line) + self._lane(last, signal, line, end)
+        ends = (self._x(signal.box, 1), self._y(start)), (self._x(sink, -1), self._y(end))
+        return [*dict.fromkeys([ends[0], *path, ends[1]])]
+
+    def svg(self, title: str) -> str:
+        """The text of the file."""
+        width, height = UNIT * self._lefts[-1], UNIT * self._tops[-1]
+        size = f'width="{width}" height="{height}"'
+        lines = [
+            f'<svg xmlns="http://www.w3.org/2000/svg" {size} viewBox="0 0 {width} {height}">',
+            f"<title>{html.escape(title, quote=False)}</title>",
+            f"<style>{STYLE}</style>",
+            *ARROWHEADS,
+            f'<rect {size} fill="white"/>',
+        ]
+        lines += [line for b in self._boxes for s in b.outputs for line in self._signal_svg(s)]
+        lines += [line for box in self._boxes for line in self._box_svg(box)]
+        return "\n".join([*lines, "</svg>", ""])
+
+    def _signal_svg(self, signal: _Signal) -> list[str]:
+        kind = "wire" if signal.sinks else "unread"
+        lines = [f'<g data-signal="{html.escape(signal.name)}">']
+        neighbours: dict[Node, set[Node]] = defaultdict(set)
+        for wire, sink in signal.sinks.items():
+            path = self._path(signal, wire, sink)
+            data = _path_data(path)
+            lines.append(f'<path class="wire" data-wire="{html.escape(wire)}" d="{data}"/>')
+            for node, other in pairwise(_nodes(path)):
+                neighbours[node].add(other)
+                neighbours[other].add(node)
+        for (x, y), around in neighbours.items():
+            if len(around) > 2:
+                lines.append(f'<circle cx="{x}" cy="{y}" r="2.5" fill="{WIRE_COLOUR}"/>')
+        x, y = self._x(signal.box, 1), self._y(signal.down)
+        end = x + signal.box.place.flow * signal.label_width * UNIT
+        if not signal.sinks:
+            lines.append(f'<path class="unread" d="M{x},{y} L{end},{y}"/>')
+        baseline = y - LABEL_LIFT - (len(signal.lines) - 1) * LINE_HEIGHT * LABEL_SIZE
+        for line in signal.lines:
+            lines.append(_text_svg(f"{kind}-label", line, (x + end) / 2, baseline))
+            baseline += LINE_HEIGHT * LABEL_SIZE
+        return [*lines, "</g>"]
+
+    def _box_svg(self, box: _Box) -> list[str]:
+        left, top = UNIT * self._lefts[box.column], self._y((box.row, box.top))
+        width, height = UNIT * BOX_WIDTH, UNIT * box.height
+        fill, border = COLOURS[box.place.kind]
+        lines = [
+            f'<g data-block="{html.escape(box.name)}">',
+            f'<rect x="{left}" y="{top}" width="{width}" height="{height}" rx="5"'
+            f' fill="{fill}" stroke="{border}"/>',
+        ]
+        baseline = top + (height - sum(size for _, _, size in box.texts) * LINE_HEIGHT) / 2
+        for kind, text, size in box.texts:
+            baseline += LINE_HEIGHT * size
+            lines.append(_text_svg(kind, text, left + width / 2, baseline - 0.25 * size))
+        return [*lines, "</g>"]
+
+
+def _lane_room(lanes: Lanes, gap: int) -> int:
+    """Units from box to box, without labels."""
+    return 2 * GAP + max((lane for (place, _), lane in lanes.items() if place == gap), default=0)
+
+
+def _label_room(boxes: list[_Box], gap: int, flow: int) -> int:
+    """Units for the labels of the outputs that run into a gap this way."""
+    signals = (s for b in boxes if b.place.flow == flow and b.gap(1) == gap for s in b.outputs)
+    return max((signal.label_width for signal in signals), default=0)
+
+
+def _nodes(path: list[Node]) -> list[Node]:
+    """All nodes of a path, a unit from one another."""
+    nodes = path[:1]
+    for (x, y), (to_x, to_y) in pairwise(path):
+        count = (abs(to_x - x) + abs(to_y - y)) // UNIT
+        nodes += [
+            (x + (to_x - x) * k // count, y + (to_y - y) * k // count) for k in range(1, count + 1)
+        ]
+    return nodes
 
 
 def _text_svg(kind: str, text: str, x: float, y: float) -> str:
@@ -521,11 +516,11 @@ def _text_svg(kind: str, text: str, x: float, y: float) -> str:
     return f'<text class="{kind}" x="{x:.1f}" y="{y:.1f}">{shown}</text>'
 
 
-def _path_data(path: list[Node], pixel: Pixel) -> str:
+def _path_data(path: list[Node]) -> str:
     """A line along the path, with its corners rounded."""
     triples = zip(path, path[1:], path[2:], strict=False)
     corners = [node for a, node, b in triples if a[0] != b[0] and a[1] != b[1]]
-    points = [pixel(node) for node in (path[0], *corners, path[-1])]
+    points = [path[0], *corners, path[-1]]
     data = "M{},{}".format(*points[0])
     for before, corner, after in zip(points, points[1:], points[2:], strict=False):
         start, end = _towards(corner, before), _towards(corner, after)

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from drake_nonstop.cli import run
-from drake_nonstop.cli.ending import BAD_INPUT
 from drake_nonstop.cli.main import commands, main
 from drake_nonstop.scenario.loading import dump_scenario, load_scenario, scenario_names
 
@@ -189,16 +188,6 @@ def test_run_says_all_its_exit_codes(capsys):
         main(["run", "--help"])
     said = capsys.readouterr().out.split("Exit codes:")[1]
     assert set(re.findall(r"\d+", said)) == {"0", "1", "2", "3", "129", "130", "143"}
-
-
-def test_a_backend_that_matplotlib_does_not_know_is_refused_first(tmp_path):
-    environment = os.environ | {"MPLBACKEND": "no_such", "PYTHONPATH": os.pathsep.join(sys.path)}
-    call = [sys.executable, "-m", "drake_nonstop.cli", "run", "line", "--out", str(tmp_path / "o")]
-    done = subprocess.run(call, capture_output=True, text=True, env=environment)
-    remedy = "give a backend of Matplotlib, such as agg, or unset the variable"
-    assert done.stderr == f"drake-nonstop: MPLBACKEND = no_such: {remedy}\n"
-    assert done.returncode == BAD_INPUT
-    assert not (tmp_path / "o").exists()
 
 
 def test_the_help_names_all_commands_and_imports_none():
