@@ -268,6 +268,7 @@ def plain_value(value: Any, field: str, depth: int = 0) -> Any:
     return value
 
 
+@functools.cache
 def members_of(kind: Any) -> tuple[Any, ...]:
     """The types that a value of a type may have: the members of a union, or the type itself."""
     is_union = typing.get_origin(kind) in (typing.Union, types.UnionType)

@@ -7,6 +7,7 @@ from drake_nonstop.blocks.wind import StillAirConfig
 from drake_nonstop.blocks.wind_estimator import KnownWindConfig
 from drake_nonstop.diagrams.nonstop import BOXES
 from drake_nonstop.model.system import SystemOverrides
+from drake_nonstop.scenario.errors import NONE
 from drake_nonstop.scenario.schema import Scenario, has_distributions
 
 _GUSTS = ("gust", "load_gust", "gust_force")  # fields of blocks, standard deviations
@@ -38,8 +39,8 @@ def without_noise(scenario: Scenario) -> Scenario:
 def without_errors(scenario: Scenario) -> Scenario:
     """The scenario as its controllers believe it to be.
 
-    Besides noise and gusts it has no disturbance, no delay of the feedback and no `simulated`
-    fields, and the wind is known.
+    Besides noise and gusts it has no `errors`, no disturbance, no delay of the feedback and no
+    `simulated` fields, and the wind is known.
     """
     quiet = without_noise(scenario)
     feedback, has_wind = quiet.load_feedback, quiet.wind != StillAirConfig()
@@ -47,6 +48,7 @@ def without_errors(scenario: Scenario) -> Scenario:
         feedback = dataclasses.replace(feedback, delay=0.0)
     return dataclasses.replace(
         quiet,
+        errors=NONE,
         simulated=SystemOverrides(),
         load_feedback=feedback,
         load_disturbance=NoDisturbanceConfig(),

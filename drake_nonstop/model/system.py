@@ -98,7 +98,10 @@ class SystemParameters(StrictFields):
 # `simulated` in a scenario: any field of SystemParameters, for the simulated plant only.
 SystemOverrides: Any = dataclasses.make_dataclass(
     "SystemOverrides",
-    [(f.name, Optional[f.type], None) for f in dataclasses.fields(SystemParameters)],  # noqa: UP045
+    [
+        (f.name, Optional[f.type], field(default=None, metadata=f.metadata))  # noqa: UP045
+        for f in dataclasses.fields(SystemParameters)
+    ],
     bases=(StrictFields,),
     kw_only=True,
 )

@@ -17,7 +17,6 @@ from pydrake.common.schema import (
     DistributionVector,
     Gaussian,
     Sample,
-    ToDistribution,
     Uniform,
     UniformDiscrete,
 )
@@ -90,8 +89,8 @@ def from_entry(path: str, entry: dict[str, Any]) -> Any:
     return _KINDS[name](**values)
 
 
-def mean(path: str, distribution: Any, kind: Any) -> Any:
-    """The mean of a distribution for a field of that type.
+def ends(path: str, distribution: Any, kind: Any) -> tuple[Any, Any]:
+    """The least and the largest number that is drawn for a field of that type; of a Gaussian means.
 
     Raises:
         ScenarioError: nothing can be drawn from it for such a field.
@@ -112,8 +111,11 @@ def mean(path: str, distribution: Any, kind: Any) -> Any:
     are_whole = all(value == math.floor(value) for value in entry.get("values", ()))
     fits = not is_whole or (are_whole and not isinstance(distribution, Gaussian))
     require(fits, path, text, _WHOLE)
-    value = ToDistribution(distribution).Mean()
-    return math.floor(value) if is_whole else value
+    numbers = entry.get("values") or [
+        entry[name] for name in ("mean", "min", "max") if name in entry
+    ]
+    least, most = min(numbers), max(numbers)
+    return (math.floor(least), math.floor(most)) if is_whole else (least, most)
 
 
 def draw(distribution: Any, kind: Any, generator: RandomGenerator) -> Any:

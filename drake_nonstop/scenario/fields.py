@@ -11,6 +11,7 @@ import copy
 import dataclasses
 import functools
 import math
+import operator
 import types
 import typing
 from collections.abc import Callable
@@ -28,10 +29,10 @@ from drake_nonstop.scenario.choices import (
     tag_of,
 )
 from drake_nonstop.scenario.distributions import (
+    ends,
     from_entry,
     is_distribution,
     is_entry,
-    mean,
     to_entry,
 )
 from drake_nonstop.scenario.yaml_text import dump_plain
@@ -70,6 +71,7 @@ def parts_of(kind: Any) -> tuple[type, ...]:
     return tuple(m for m in members if dataclasses.is_dataclass(m) or hasattr(m, "__fields__"))
 
 
+@functools.cache
 def item_of(kind: Any) -> Any:
     """The type of the items of a field of lists; None where it holds none."""
     lists = [member for member in members_of(kind) if typing.get_origin(member) is list]
@@ -78,7 +80,7 @@ def item_of(kind: Any) -> Any:
 
 def kept(path: str, distribution: Any, kind: Any) -> Any:
     """The distribution itself, from which a number for the field can be drawn."""
-    mean(path, distribution, kind)
+    ends(path, distribution, kind)
     return distribution
 
 
@@ -125,7 +127,10 @@ class Walk:
         if parts:
             return self._part(path, parts, given, present)
         if isinstance(given, list) and item is not None:
-            return [self.read(f"{path}[{i}]", item, value) for i, value in enumerate(given)]
+            read = [self.read(f"{path}[{i}]", item, value) for i, value in enumerate(given)]
+            return given if all(map(operator.is_, read, given)) else read
+        if isinstance(given, dict) and any(typing.get_origin(each) is dict for each in members):
+            return given  # of fields to values, as a tree
         scalars = [member for member in members if member in _SCALARS]
         if scalars:
             is_text = isinstance(given, str) and str in scalars
@@ -159,10 +164,11 @@ class Walk:
                 remedy = f"{block_name(type(config))} has none; make {path} one of {names}"
                 require(not owners, field, value, remedy)
             require_known(key, kinds, field, value)
+            present = getattr(config, key, None)
             try:
-                setattr(
-                    config, key, self.read(field, kinds[key], value, getattr(config, key, None))
-                )
+                read = self.read(field, kinds[key], value, present)
+                if read is not present:
+                    setattr(config, key, read)
             except ScenarioError:
                 raise
             except Exception as error:  # what Drake's class, or a user's own, does not take
@@ -199,6 +205,8 @@ def write(value: Any, kind: Any, path: str = "") -> Any:
         return fields | tag
     if isinstance(value, list):
         return [write(item, item_of(kind)) for item in value]
+    if isinstance(value, dict):
+        return {key: write(each, None) for key, each in value.items()}
     is_number = float in members_of(kind) and isinstance(value, int)
     return float(value) if is_number else plain_value(value, path)
 

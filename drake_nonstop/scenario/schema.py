@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from pydrake.common import RandomGenerator
+from pydrake.common.schema import Sample, Uniform
 from pydrake.systems.analysis import SimulatorConfig
 
 from drake_nonstop.blocks.reference_governor import ReferenceGovernorConfig
@@ -20,6 +21,7 @@ from drake_nonstop.model.system import SystemOverrides, SystemParameters, aircra
 from drake_nonstop.planning.problem_config import stated_speed_bound
 from drake_nonstop.scenario import distributions
 from drake_nonstop.scenario.choices import PATTERNS
+from drake_nonstop.scenario.errors import NONE, check_errors, with_errors
 from drake_nonstop.scenario.fields import Walk, write
 from drake_nonstop.scenario.obstacles import Obstacle, require_obstacles
 from drake_nonstop.scenario.run_limits import RunLimits
@@ -60,6 +62,9 @@ class _Common(StrictFields):
     description: str = ""
     # of the numbers that are drawn where fields hold distributions
     random_seed: int = checked(0, lambda f, seed: require_whole(f, seed, 0, _LARGEST_SEED))
+    # The name of a set, light or rough, or a mapping of fields of simulated, load_feedback and wind
+    # to values that may be distributions: what nobody tells the controllers.
+    errors: str | dict[str, Any] = checked(NONE, check_errors)
     simulation_duration: float = positive(15.0)  # s
     control_period: float = fulfilling(  # s, sample time of the controllers; 0: continuous
         0.01,
@@ -177,8 +182,9 @@ def check(scenario: Scenario) -> None:
     require(is_scenario, "scenario", scenario, 'give a Scenario, such as load_scenario("quintic")')
     is_drawn = distributions.is_distribution(scenario.random_seed)
     require(not is_drawn, "random_seed", "a distribution", "give the whole number to draw with")
-    walk = Walk(change=distributions.mean, reads_trees=False)
-    scenario = walk.read("", Scenario, scenario)
+    scenario = _checked(scenario)
+    if isinstance(scenario.errors, dict):
+        _checked(with_errors(scenario, lambda: 0.0, _read_into)[0])
     require_obstacles("obstacles", scenario.obstacles)
     for owner in ("system", "simulated"):  # a file that was named after the scenario was loaded
         remedy = f"it is read with a scenario: give {owner}.load_file in its file or an override"
@@ -196,6 +202,22 @@ def check(scenario: Scenario) -> None:
     step = min(step, scenario.control_period or _LONGEST_PERIOD)
     remedy = f"give at most {_MAX_STEPS * step:g} s, which are {_MAX_STEPS:.0e} steps of {step:g} s"
     require(duration <= _MAX_STEPS * step, "simulation_duration", duration, remedy)
+
+
+def _checked(scenario: Scenario) -> Scenario:
+    """The scenario, whose fields are usable, with the least number that is drawn for each."""
+    are_drawn = False
+
+    def end(side: int, *of: Any) -> Any:
+        nonlocal are_drawn
+        are_drawn = True
+        return distributions.ends(*of)[side]
+
+    least, most = (Walk(change=functools.partial(end, side), reads_trees=False) for side in (0, 1))
+    found = least.read("", Scenario, scenario)
+    if are_drawn:
+        most.read("", Scenario, scenario)
+    return found
 
 
 def sample(
@@ -221,7 +243,9 @@ def drawn(
         scenario = copy.copy(scenario)
         scenario.random_seed = generator()
     random = RandomGenerator(scenario.random_seed)
-    values: dict[str, Any] = {}
+    even = Uniform(min=-1.0, max=1.0)
+    scenario, errors = with_errors(scenario, lambda: Sample(even, random), _read_into)
+    values: dict[str, Any] = {**errors}
 
     def draw(path: str, distribution: Any, kind: Any) -> Any:
         drawn = distributions.draw(distribution, kind, random)
@@ -232,12 +256,16 @@ def drawn(
         return drawn
 
     sampled = Walk(change=draw, reads_trees=False).read("", Scenario, scenario)
-    scenario = sampled if values else scenario
+    scenario = sampled if len(values) > len(errors) else scenario
     if isinstance(getattr(scenario.optimization_layer, "speed_bound", None), str):
         bound, scenario = scenario.speed_bound, copy.copy(scenario)
         scenario.optimization_layer = copy.copy(scenario.optimization_layer)
         scenario.optimization_layer.speed_bound = bound
     return scenario, values
+
+
+def _read_into(tree: dict[str, Any], scenario: Scenario) -> None:
+    Walk().read("", Scenario, tree, scenario)
 
 
 def has_distributions(scenario: Scenario) -> bool:

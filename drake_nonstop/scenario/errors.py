@@ -1,0 +1,170 @@
+"""Errors that a scenario states: of the plant, of the measurements, and an untold wind.
+
+`errors` is the name of a set, such as `light`, or a mapping of fields of `simulated`,
+`load_feedback` and `wind` to their values, which may be distributions:
+
+    errors: {simulated.load_mass: !Uniform {min: 0.9, max: 1.1}, wind: !SteadyWind {...}}
+
+A set has a range for each of its errors, relative to what the scenario has, from which each flight
+draws evenly. It draws when numbers are drawn for the scenario's distributions.
+"""
+
+import copy
+import dataclasses
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from drake_nonstop.blocks.load_feedback import (
+    DesiredAttitudeFeedbackConfig,
+    FilteredFeedbackConfig,
+    IdealFeedbackConfig,
+    MeasurementConfig,
+)
+from drake_nonstop.blocks.wind import SteadyWindConfig, StillAirConfig
+from drake_nonstop.blocks.wind_estimator import KnownWindConfig, NoWindConfig
+from drake_nonstop.model.system import overridden
+from drake_nonstop.validation import require, require_known
+
+if TYPE_CHECKING:
+    from drake_nonstop.scenario.schema import Scenario
+
+NONE = "none"
+OWNERS = ("simulated", "load_feedback", "wind")  # whose fields a mapping may have
+_AXES = ("x", "y")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ErrorSet:
+    """Sizes of errors; those with a sign are drawn evenly from within it, to either side."""
+
+    load_mass: float = 0.05  # of the load's mass
+    centre: float = 0.01  # of the load's width, of its centre of mass along each of two axes
+    attachments: float = 0.005  # of the load's width, of each attachment along two axes
+    cable_length: float = 0.002  # of each cable's length
+    cable_drag: float = 0.1  # of C_D and C_f of the cables
+    cable_stiffness: float = 0.1  # of the cables' stiffness
+    wind: float = 0.5  # m/s, from any side; NoWind takes the place of a KnownWind of still air
+    position_noise: float = 0.0005  # m, of the measured load on each axis
+    velocity_noise: float = 0.002  # m/s, likewise
+    aircraft_position_noise: float = 0.02  # m, in place of these where the carriers are aircraft
+    aircraft_delay: float = 0.04  # s, of the measured load, likewise
+
+
+def _larger(errors: ErrorSet, factor: float, **others: float) -> ErrorSet:
+    sizes = {name: factor * size for name, size in vars(errors).items()}
+    return ErrorSet(**(sizes | others))
+
+
+LIGHT = ErrorSet()
+SETS: dict[str, ErrorSet] = {"light": LIGHT, "rough": _larger(LIGHT, 3.0, wind=1.0)}
+
+
+def check_errors(field: str, errors: Any) -> None:
+    """Raises ScenarioError for what is neither the name of a set nor a mapping."""
+    if not isinstance(errors, dict):
+        require_known(errors, (NONE, *SETS), field, errors)
+        return
+    for path, value in errors.items():
+        is_text = isinstance(path, str) and path != "_tag"
+        require(is_text, field, path, "give fields, such as simulated.load_mass")
+        require_known(path.partition(".")[0], OWNERS, f"{field}.{path}", value)
+
+
+def with_errors(
+    scenario: "Scenario", draw: Callable[[], float], read: Callable[[dict[str, Any], Any], Any]
+) -> tuple["Scenario", dict[str, float]]:
+    """The scenario whose plant and measurements have its errors, and what was drawn for a set.
+
+    Args:
+        scenario: with errors; itself returned where it has none.
+        draw: a number from -1 to 1.
+        read: changes a scenario by a tree.
+    """
+    check_errors("errors", scenario.errors)
+    if scenario.errors == NONE or not scenario.errors:
+        return scenario, {}
+    errors, scenario = scenario.errors, copy.deepcopy(scenario)
+    scenario.errors = NONE
+    if isinstance(errors, str):
+        return _with_set(scenario, SETS[errors], draw)
+    for path, value in errors.items():
+        for key in reversed(path.split(".")):
+            value = {key: value}
+        read(value, scenario)
+    return scenario, {}
+
+
+def _with_set(
+    scenario: "Scenario", errors: ErrorSet, draw: Callable[[], float]
+) -> tuple["Scenario", dict[str, float]]:
+    plant = overridden(scenario.system, scenario.simulated)
+    places = np.array(plant.attachments, dtype=float)
+    width = np.linalg.norm(places[:, None] - places, axis=-1).max()
+    drawn: dict[str, float] = {}
+
+    def number(name: str, size: float) -> float:
+        drawn[f"errors.{name}"] = size * draw()
+        return drawn[f"errors.{name}"]
+
+    def factor(name: str) -> float:
+        return 1 + number(name, getattr(errors, name))
+
+    def each(values: Any, factors: Any) -> Any:
+        return (np.asarray(values) * factors).tolist()
+
+    scenario.simulated = dataclasses.replace(
+        scenario.simulated, load_mass=factor("load_mass") * plant.load_mass
+    )
+    for k, axis in enumerate(_AXES):
+        places[:, k] -= number(f"centre_{axis}", errors.centre * width)
+        for i in range(len(places)):
+            name = f"attachment_{i + 1}_{axis}"
+            places[i, k] += number(name, errors.attachments * width)
+    lengths = [1 + number(f"cable_length_{i + 1}", errors.cable_length) for i in range(len(places))]
+    drag = factor("cable_drag")
+    scenario.simulated = dataclasses.replace(
+        scenario.simulated,
+        attachments=places.tolist(),
+        cable_length=each(plant.cable_length, lengths),
+        cable_drag=each(plant.cable_drag, drag),
+        cable_friction=each(plant.cable_friction, drag),
+        cable_stiffness=each(plant.cable_stiffness, factor("cable_stiffness")),
+    )
+    _add_wind(scenario, errors.wind, number("wind_direction", math.pi))
+    _add_noise(scenario, errors)
+    return scenario, drawn
+
+
+def _add_wind(scenario: "Scenario", speed: float, direction: float) -> None:
+    untold = speed * np.array([math.cos(direction), math.sin(direction), 0.0])
+    if scenario.wind == StillAirConfig():
+        scenario.wind = SteadyWindConfig(velocity=untold.tolist())
+        if scenario.wind_estimator == KnownWindConfig():
+            scenario.wind_estimator = NoWindConfig()
+    elif hasattr(scenario.wind, "velocity"):
+        velocity = (np.asarray(scenario.wind.velocity) + untold).tolist()
+        scenario.wind = dataclasses.replace(scenario.wind, velocity=velocity)
+
+
+def _add_noise(scenario: "Scenario", errors: ErrorSet) -> None:
+    """A measurement with the noise and the delay, filtered where the scenario has none."""
+    feedback: Any = scenario.load_feedback
+    sizes: dict[str, Any]
+    if scenario.system.aircraft is None:
+        sizes = {"position_noise": errors.position_noise, "velocity_noise": errors.velocity_noise}
+    else:
+        sizes = {"position_noise": errors.aircraft_position_noise, "delay": errors.aircraft_delay}
+    if isinstance(feedback, (IdealFeedbackConfig, DesiredAttitudeFeedbackConfig)):
+        feedback = FilteredFeedbackConfig(
+            measures_attitude=isinstance(feedback, IdealFeedbackConfig),
+            period=scenario.control_period or MeasurementConfig.period,
+            **{f"believed_{name}": size for name, size in sizes.items() if name != "delay"},
+        )
+    if isinstance(feedback, MeasurementConfig):
+        periods = round(sizes.get("delay", 0.0) / feedback.period)
+        sizes["delay"] = max(feedback.delay, periods * feedback.period)
+        scenario.load_feedback = dataclasses.replace(feedback, **sizes)
