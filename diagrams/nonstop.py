@@ -282,7 +282,6 @@ def make_nonstop(
     """The closed loop of a scenario as a diagram, one subsystem per box of the figure.
 
     Every signal is exported under its name: `diagram.GetOutputPort("load_state")`.
-    `CalcKineticEnergy` and `CalcPotentialEnergy` sum those of its blocks, see `LoopDiagram`.
 
     New contexts of the diagram start at its equilibrium, see `set_equilibrium`; a ScenarioWarning
     names a block whose default state cannot be set, see `loop/start.py`. Where the diagram

@@ -80,10 +80,6 @@ from drake_nonstop.systems.wiring import (
 from drake_nonstop.blocks.sample_and_hold import add_sample_and_hold as add_sample_and_hold
 from drake_nonstop.systems.compiled_loop import CompiledLoop as CompiledLoop
 from drake_nonstop.systems.compiled_system import CompiledSystem as CompiledSystem
-from drake_nonstop.systems.energy import (
-    kinetic_energy as kinetic_energy,
-    potential_energy as potential_energy,
-)
 from drake_nonstop.loop.start import (
     set_equilibrium as set_equilibrium,
     set_default_equilibrium as set_default_equilibrium,

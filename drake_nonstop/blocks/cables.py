@@ -4,17 +4,15 @@ from dataclasses import dataclass
 from typing import Any
 
 from numpy.typing import NDArray
-from pydrake.systems.framework import Context
 
 from drake_nonstop.blocks.lumped_cables import (
     LumpedCables,
     LumpedCablesConfig,  # noqa: F401
     require_stretch,
 )
-from drake_nonstop.mechanics.cable import cable_forces_and_tensions, cables_elastic_energy
+from drake_nonstop.mechanics.cable import cable_forces_and_tensions
 from drake_nonstop.model.block import Block
 from drake_nonstop.model.system import Model
-from drake_nonstop.systems.parameters import parameters_in
 from drake_nonstop.validation import StrictFields
 
 
@@ -60,18 +58,6 @@ class Cables(Block):
     @classmethod
     def check(cls, model: Model, config: Any) -> None:
         require_stretch(model)
-
-    def CalcPotentialEnergy(self, context: Context) -> float:
-        """That of the stretched cables, J; the context is the block's own."""
-        states = (self.GetInputPort(name).Eval(context) for name in self.reads)
-        own = parameters_in(self, context)
-        energy = cables_elastic_energy(
-            *states,
-            attachments=self.model.attachments,
-            rest_length=own["cable_length"],
-            stiffness=own["cable_stiffness"],
-        )
-        return float(energy[0])
 
 
 VARIANTS = (Cables, LumpedCables)

@@ -22,7 +22,6 @@ from drake_nonstop.mechanics.carrier import (
     limited_acceleration,
     limited_carrier_rate,
 )
-from drake_nonstop.mechanics.signals import CarrierStates
 from drake_nonstop.model.block import (
     AIRCRAFT_NUMBERS,
     Block,
@@ -39,33 +38,10 @@ _PULL = "carrier_cable_forces"
 _UP = np.array([0.0, 0.0, 1.0])
 
 
-class _Carriers(Block):
-    """Carriers of one mass, and their energies, J; a context is the block's own."""
+class _Points(Block):
+    """Carriers without wings."""
 
     makes: ClassVar[tuple[str, ...]] = ("carrier_state",)
-
-    def _weight(self, context: Context) -> tuple[Any, Any]:
-        """The mass of a carrier, kg, and its gravity, m/s²: 0 where it has no weight."""
-        return parameters_in(self, context)["carrier_mass"], 0.0
-
-    def CalcKineticEnergy(self, context: Context) -> float:
-        """½ m Σ ‖v_i‖², J."""
-        velocities = self._carriers(context).velocities
-        mass, _ = self._weight(context)
-        return float(np.sum(mass * velocities**2) / 2)
-
-    def CalcPotentialEnergy(self, context: Context) -> float:
-        """Potential energy of the weights, m g Σ z_i, J."""
-        heights = self._carriers(context).positions[:, 2]
-        mass, gravity = self._weight(context)
-        return float(np.sum(mass * gravity * heights))
-
-    def _carriers(self, context: Context) -> CarrierStates:
-        return CarrierStates.view(self.GetOutputPort("carrier_state").Eval(context))
-
-
-class _Points(_Carriers):
-    """Carriers without wings."""
 
     def requires(self, loop: LoopBlocks) -> Iterator[str]:
         """Tells of aircraft that cannot stall, since they move as points."""
@@ -163,17 +139,14 @@ class LimitedCarriers(_Points):
 
     def trim(self, context: Context, carrier_reference_acceleration: NDArray | float = 0.0) -> None:
         """Sets the carriers' own accelerations for those (3n,) of their references, m/s²."""
-        mass, gravity = self._weight(context)
-        own = carrier_reference_acceleration + gravity * np.tile(_UP, self.model.n)
+        numbers = parameters_in(self, context)
+        weight = numbers["gravity"] * self.config.has_weight * np.tile(_UP, self.model.n)
+        own = carrier_reference_acceleration + weight
         if self.config.feels_cable:
-            own = own + self.GetInputPort(_PULL).Eval(context) / mass
-        limit = parameters_in(self, context)["max_acceleration"]
+            own = own + self.GetInputPort(_PULL).Eval(context) / numbers["carrier_mass"]
+        limit = numbers["max_acceleration"]
         state = self.GetOutputPort("carrier_state").Eval(context)
         context.SetContinuousState(np.append(state, limited_acceleration(own, limit)))
-
-    def _weight(self, context: Context) -> tuple[Any, Any]:
-        own = parameters_in(self, context)
-        return own["carrier_mass"], own["gravity"] * self.config.has_weight
 
 
 @dataclass(kw_only=True)
@@ -185,7 +158,7 @@ class FixedWingDynamicsConfig(StrictFields):
     )
 
 
-class FixedWingDynamics(_Carriers):
+class FixedWingDynamics(Block):
     """Fixed-wing aircraft: 3-DoF point masses with lift, bank and thrust that lag their commands.
 
     With the airspeed V, forward x, the lift's direction l at the bank μ, and q = ½ ρ V²,
@@ -247,10 +220,6 @@ class FixedWingDynamics(_Carriers):
     def _aircraft_in(self, context: Context) -> Aircraft:
         own = aircraft_of(parameters_in(self, context))
         return flown_aircraft(own, self.model.bears_cable_drag)
-
-    def _weight(self, context: Context) -> tuple[Any, Any]:
-        own = self._aircraft_in(context)
-        return own.mass, own.gravity
 
 
 VARIANTS = (CarrierDynamics, LimitedCarriers, FixedWingDynamics)

@@ -10,7 +10,6 @@ from pydrake.symbolic import Expression
 from pydrake.systems.framework import Context, DiagramBuilder
 
 from drake_nonstop.mechanics.rigid_load import load_state_rate
-from drake_nonstop.mechanics.rotation import rotation_matrix
 from drake_nonstop.mechanics.signals import (
     LOAD_STATE_SIZE,
     WIND_SIZE,
@@ -21,7 +20,7 @@ from drake_nonstop.mechanics.signals import (
 from drake_nonstop.model.block import LOAD, Block, BlockParameters, rigid_load
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import DiagramBlock, InnerBlock
-from drake_nonstop.systems.parameters import declare_parameters, parameters_in
+from drake_nonstop.systems.parameters import declare_parameters
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
 from drake_nonstop.validation import StrictFields
 
@@ -59,20 +58,6 @@ class LoadPlant(Block):
 
     def state(self, model: Model) -> NDArray:
         return model.initial_load_state
-
-    def CalcKineticEnergy(self, context: Context) -> float:
-        """½ m ‖ṗ‖² + ½ ω·J ω, J; the context is the block's own."""
-        state = LoadState.view(self.GetOutputPort("load_state").Eval(context))
-        load = rigid_load(**parameters_in(self, context))
-        turning = state.angular_velocity @ rotation_matrix(state.quaternion)
-        energy = load.mass * (state.velocity @ state.velocity) + turning @ load.inertia @ turning
-        return float(energy[0] / 2)
-
-    def CalcPotentialEnergy(self, context: Context) -> float:
-        """That of the weight, m g z, J; the context is the block's own."""
-        height = LoadState.view(self.GetOutputPort("load_state").Eval(context)).position[2]
-        load = rigid_load(**parameters_in(self, context))
-        return float((load.mass * load.gravity * height)[0])
 
 
 @dataclass(kw_only=True)

@@ -18,7 +18,6 @@ from drake_nonstop.mechanics.load_motion import LoadMotion
 from drake_nonstop.mechanics.lumped_cable import (
     CableMaterial,
     lumped_cables,
-    lumped_cables_energies,
     straight_nodes,
 )
 from drake_nonstop.mechanics.planned_orbit import FlightTerms
@@ -238,20 +237,6 @@ class LumpedCables(Block):
         """The cables of a context of the block."""
         numbers = self.constants(self.model, self.config)
         return cable_material(numbers | parameters_in(self, context))
-
-    def CalcKineticEnergy(self, context: Context) -> float:
-        """½ Σ m v², J; the context is the block's own."""
-        return self._energies(context)[0]
-
-    def CalcPotentialEnergy(self, context: Context) -> float:
-        """That of the stretched segments and of the weights, J."""
-        return self._energies(context)[1]
-
-    def _energies(self, context: Context) -> tuple[float, float]:
-        state = context.get_continuous_state_vector().CopyToVector()
-        ends = (self.GetInputPort(name).Eval(context) for name in self.reads[:2])
-        cable, attachments = self._cable(context), self.model.attachments
-        return lumped_cables_energies(state, *ends, attachments=attachments, cable=cable)
 
 
 def _by_cable(values: NDArray, n: int) -> NDArray:

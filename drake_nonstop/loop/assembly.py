@@ -19,10 +19,9 @@ from drake_nonstop.model.system import (
     overridden,
 )
 from drake_nonstop.systems import wiring
-from drake_nonstop.systems.block import LOOP
+from drake_nonstop.systems.block import LOOP, DiagramBlock
 from drake_nonstop.systems.diagnosis import block_blamed
 from drake_nonstop.systems.documentation import config_class, declared_by
-from drake_nonstop.systems.energy import LoopDiagram
 from drake_nonstop.systems.requirements import LoopBlocks
 from drake_nonstop.validation import ScenarioError, called, require, warn_user
 
@@ -132,7 +131,7 @@ def connected(boxes: Boxes, parts: Parts, inputs: Collection[str]) -> Diagram:
     outside = dict.fromkeys(left_out) | wiring.sizes_of_inputs(parts.blocks, inputs)
     builder = DiagramBuilder()
     wiring.connect_by_name(builder, parts.blocks, inputs=[*outside])
-    diagram = LoopDiagram()
+    diagram = DiagramBlock()
     with block_blamed():  # Drake asks the blocks which outputs feed through
         builder.BuildInto(diagram)
     diagram.set_name(LOOP)

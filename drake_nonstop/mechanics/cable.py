@@ -94,20 +94,6 @@ def tensions_and_directions(
     return damped - positive_part(damped - 2 * spring), direction
 
 
-def cables_elastic_energy(
-    load_state: NDArray,
-    carrier_state: NDArray,
-    *,
-    attachments: NDArray,
-    rest_length: float | NDArray,
-    stiffness: float | NDArray,
-) -> NDArray:
-    """Σ ½ K_c max(ℓ_i − L₀, 0)² (1,), J; arguments as of `cable_forces_and_tensions`."""
-    (low, high), _ = ends_of_cables(load_state, carrier_state, attachments)
-    stretch = positive_part(norm(high - low) - beside_vectors(rest_length))
-    return (beside_vectors(stiffness) * stretch * stretch).sum(axis=0) / 2
-
-
 def forces_under_other_wrench(
     forces: NDArray,
     levers: NDArray,

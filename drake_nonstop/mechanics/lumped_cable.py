@@ -23,11 +23,10 @@ from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.cable import (
     ends_of_cables,
-    positive_part,
     tensions_and_directions,
     within,
 )
-from drake_nonstop.mechanics.rotation import absolute, norm
+from drake_nonstop.mechanics.rotation import absolute
 
 _UP = np.array([0.0, 0.0, 1.0])
 _LEAST = 1e-12  # m²/s², beside the square of a speed, which may vanish
@@ -173,22 +172,3 @@ def node_drag(
     speed = np.sqrt((across * across).sum(axis=-1, keepdims=True) + _LEAST)
     pressure = cable.air_density / 2 * cable.diameter * cable.rest_length / nodes
     return pressure * (cable.drag * speed * across + rubbing * tangents)
-
-
-def lumped_cables_energies(
-    state: NDArray,
-    load_state: NDArray,
-    carrier_state: NDArray,
-    *,
-    attachments: NDArray,
-    cable: CableMaterial,
-) -> tuple[float, float]:
-    """Kinetic energy of the nodes, and potential energy of them and of the segments, J; floats."""
-    positions, velocities = nodes_of(state, len(attachments))
-    (low, high), _ = ends_of_cables(load_state, carrier_state, attachments)
-    points = np.concatenate([low[None], positions, high[None]])
-    shares, mass = segment_shares(len(positions)), cable.mass / len(positions)
-    stretch = positive_part(norm(points[1:] - points[:-1]) - cable.rest_length * shares)
-    elastic = np.sum(cable.stiffness / shares * stretch**2) / 2
-    weight = np.sum(mass * cable.gravity * positions[..., 2:])
-    return float(np.sum(mass * velocities**2) / 2), float(elastic + weight)

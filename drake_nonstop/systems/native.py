@@ -15,7 +15,6 @@ import platform
 import re
 import shutil
 import signal
-import stat
 import subprocess
 import tempfile
 import threading
@@ -382,11 +381,6 @@ def native(function: casadi.Function, *, lanes: int = 1, builds: bool = True) ->
     return None if made._library is None else made
 
 
-def is_cached(function: casadi.Function, lanes: int = 1) -> bool:
-    """Whether `native` has a function without a compilation."""
-    return native(function, lanes=lanes, builds=False) is not None
-
-
 def cache_folder() -> Path:
     """Where compiled functions are kept: $DRAKE_NONSTOP_CACHE, or in the user's cache folder.
 
@@ -398,7 +392,7 @@ def cache_folder() -> Path:
     try:
         base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     except RuntimeError:
-        raise OSError(0, f"there is no home directory; set {CACHE}") from None
+        raise OSError(0, "there is no home directory") from None
     return Path(base) / "drake_nonstop"
 
 
@@ -450,7 +444,7 @@ def shared_library(text: str, symbol: str, *, lanes: int = 1) -> ctypes.CDLL:
 def _library(
     text: str, options: list[str], builds: bool, symbol: str = "fly"
 ) -> ctypes.CDLL | None:
-    """A C text as a library of the cache folder, or of one for this process where that fails."""
+    """A C text as a library of the cache folder; None: it would have to be built."""
     program = compiler()
     if program is None:
         named = os.environ.get(COMPILER)
@@ -462,58 +456,26 @@ def _library(
         raise CompilationError(reason)
     parts = text, version, *call, platform.machine(), _processor()
     key = hashlib.sha256("\0".join(parts).encode()).hexdigest()
-    own = [Path(_own_folder().name)] if _own_folder.cache_info().currsize else []
-    with contextlib.suppress(OSError):
-        for folder in (*own, cache_folder()):
-            library = _cached(folder, key, symbol)
-            if library is not None:
-                return library
-    if not builds:
-        return None
-    if key in _failures:  # which may have taken long
-        raise CompilationError(_failures[key])
     try:
-        return _built(cache_folder(), key, text, call, symbol)
-    except OSError as error:
-        reason = f"{error.filename or CACHE} cannot be used ({error.strerror or error})"
-    try:
-        library = _built(Path(_own_folder().name), key, text, call, symbol)
-    except OSError:
-        raise CompilationError(reason) from None
-    _tell(f"compiled loop: {reason}; what is compiled is kept for this process alone")
-    return library
-
-
-@functools.cache
-def _own_folder() -> "tempfile.TemporaryDirectory[str]":
-    """A folder that ends with this process."""
-    return tempfile.TemporaryDirectory(prefix="drake_nonstop-")
-
-
-def _cached(folder: Path, key: str, symbol: str) -> ctypes.CDLL | None:
-    """The library of a key, if it is as it was built; what is not is thrown away."""
-    for path in folder.glob(f"{key}-*.so"):
-        library = _loaded(path, symbol) if _is_sound(path) else None
-        with contextlib.suppress(OSError):  # as of a folder that can be read only
-            path.unlink() if library is None else os.utime(path)
-        if library is not None:
+        path = cache_folder() / f"{key}.so"
+        library = _cached(path, symbol)
+        if library is not None or not builds:
             return library
-    return None
+        if key in _failures:  # which may have taken long
+            raise CompilationError(_failures[key])
+        return _built(path, text, call, symbol)
+    except OSError as error:
+        reason = f"{error.filename or 'the cache'} cannot be used ({error.strerror or error})"
+        raise CompilationError(f"{reason}; set {CACHE} to a folder") from None
 
 
-def _is_sound(path: Path) -> bool:
-    """Whether a library is this user's own, nobody else may write to it, and its name is right."""
-    try:
-        status = path.lstat()
-        is_own = stat.S_ISREG(status.st_mode) and status.st_uid == os.getuid()
-        is_open = status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
-        return is_own and not is_open and path.stem.endswith(_checksum(path))
-    except OSError:
-        return False
-
-
-def _checksum(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+def _cached(path: Path, symbol: str) -> ctypes.CDLL | None:
+    """The library of a path, if it can be loaded."""
+    library = _loaded(path, symbol) if path.is_file() else None
+    if library is not None:
+        with contextlib.suppress(OSError):  # as of a folder that can be read only
+            os.utime(path)
+    return library
 
 
 def _loaded(path: Path, symbol: str) -> ctypes.CDLL | None:
@@ -528,8 +490,9 @@ def _loaded(path: Path, symbol: str) -> ctypes.CDLL | None:
     return None
 
 
-def _built(folder: Path, key: str, text: str, call: list[str], symbol: str) -> ctypes.CDLL:
-    """A library that is compiled now, in a folder of its own, and moved to its place at the end."""
+def _built(path: Path, text: str, call: list[str], symbol: str) -> ctypes.CDLL:
+    """A library that is compiled now, in a folder of its own, and moved to its path at the end."""
+    folder = path.parent
     folder.mkdir(parents=True, exist_ok=True, mode=0o700)
     with tempfile.TemporaryDirectory(prefix=_SCRATCH, dir=folder) as scratch:
         source, made = Path(scratch) / "loop.c", Path(scratch) / "loop.so"
@@ -537,10 +500,10 @@ def _built(folder: Path, key: str, text: str, call: list[str], symbol: str) -> c
         _, reason = _run([*call, str(source), "-o", str(made), "-lm"], _TIME_LIMIT, scratch)
         library = None if reason else _loaded(made, symbol)
         if library is None:
-            _failures[key] = reason or f"{call[0]} has made nothing that can be loaded"
-            raise CompilationError(_failures[key])
+            _failures[path.stem] = reason or f"{call[0]} has made nothing that can be loaded"
+            raise CompilationError(_failures[path.stem])
         made.chmod(0o600)
-        made.replace(folder / f"{key}-{_checksum(made)}.so")
+        made.replace(path)
     _prune(folder)
     return library
 
@@ -596,7 +559,7 @@ def _prune(folder: Path) -> None:
     for path in folder.iterdir():
         with contextlib.suppress(OSError):  # another process removes it
             status = path.lstat()
-            if re.fullmatch(r"[0-9a-f]{64}\b.*", path.name):
+            if re.fullmatch(r"[0-9a-f]{64}\.so", path.name):
                 entries.append((status.st_mtime, status.st_size, path))
             elif path.name.startswith(_SCRATCH) and time.time() - status.st_mtime > 2 * _TIME_LIMIT:
                 shutil.rmtree(path, ignore_errors=True)

@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 import pytest
-from helpers import Motion, fix, model, nightly_beyond, output, outputs, regular
+from helpers import Motion, fix, model, nightly_beyond, outputs, regular
 
 from drake_nonstop.blocks.cables import Cables
 from drake_nonstop.blocks.carrier_trajectory import (
@@ -108,32 +108,6 @@ def test_each_cable_is_as_one_of_many_that_are_all_like_it(rng, block, config):
 def _sizes(block):
     ports = (block.get_input_port(i) for i in range(block.num_input_ports()))
     return {port.get_name(): port.size() for port in ports}
-
-
-def test_energies_are_those_of_each_spring_and_each_node():
-    springs = Cables(model(**UNLIKE))
-    context = springs.CreateDefaultContext()
-    above = regular(4) + 1.2 * UP
-    carriers = np.concatenate([above.ravel(), np.zeros(12)])
-    fix(springs, context, load_state=np.eye(13)[0], carrier_state=carriers)
-    stretch = np.maximum(1.2 - np.array(UNLIKE["cable_length"]), 0)
-    tensions = np.array(UNLIKE["cable_stiffness"]) * stretch
-    np.testing.assert_allclose(output(springs, context, "tensions"), tensions, rtol=1e-12)
-    assert springs.CalcPotentialEnergy(context) == pytest.approx(tensions @ stretch / 2)
-    made = model(**UNLIKE)
-    length, diameter, density = (
-        np.array(UNLIKE[f"cable_{name}"]) for name in ("length", "diameter", "density")
-    )
-    mass = density * np.pi / 4 * diameter**2 * length
-    np.testing.assert_allclose(made.cable_mass, mass)
-    nodes = LumpedCables(made, LumpedCablesConfig(nodes=3))
-    context = nodes.CreateDefaultContext()
-    speeds = np.array([1.0, 2.0, 3.0, 4.0])
-    velocities = np.tile(speeds[:, None] * [0.6, 0.0, 0.8], (3, 1, 1))
-    state = context.get_continuous_state_vector().CopyToVector()
-    context.SetContinuousState(np.concatenate([state[:36], velocities.ravel()]))
-    fix(nodes, context, load_state=np.eye(13)[0], carrier_state=carriers)
-    assert nodes.CalcKineticEnergy(context) == pytest.approx(mass @ speeds**2 / 2)
 
 
 @pytest.mark.parametrize(

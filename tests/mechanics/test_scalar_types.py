@@ -92,10 +92,6 @@ EQUATIONS = {
         lambda *a: rigid_load.load_state_rate(LOAD, *a, attachments=ATTACHMENTS),
         [13, 3 * N, 6, 3],
     ),
-    "cables_elastic_energy": (
-        lambda *a: cable.cables_elastic_energy(*a, stiffness=500.0, **CABLES),
-        [13, 6 * N],
-    ),
     "tracking_error": (wrench.tracking_error, [13, 22]),
     "wrench_and_rate": (
         lambda *a: wrench.wrench_and_rate(LOAD, *a, **CONTROL),

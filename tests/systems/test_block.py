@@ -2,7 +2,6 @@
 
 import dataclasses
 import gc
-import itertools
 import math
 import weakref
 
@@ -12,18 +11,15 @@ from pydrake.autodiffutils import AutoDiffXd
 from pydrake.symbolic import Expression, Variable
 from pydrake.systems.framework import BasicVector, Diagram, DiagramBuilder, LeafSystem, LeafSystem_
 
-from drake_nonstop.diagrams.nonstop import BOXES, make_nonstop
+from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.run.simulate import simulate
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.systems.block import (
-    BlockType,
     LeafBlock,
     number,
     of_scalar,
     release,
-    weakly,
 )
-from drake_nonstop.validation import ScenarioError
 
 CONSTANT = "optimization_layer=ConstantParameters"
 # The first two have most blocks between them.
@@ -73,11 +69,6 @@ def test_a_run_leaves_nothing_in_memory(overrides):
     del run
     gc.collect()
     assert [r() for r in references if r() is not None] == []
-
-
-def test_every_block_is_one_that_is_freed():
-    for block in itertools.chain.from_iterable(box.variants for box in BOXES.values()):
-        assert isinstance(block, BlockType)
 
 
 @pytest.mark.parametrize("convert", [Diagram.ToAutoDiffXd, Diagram.ToSymbolic, Diagram.Clone])
@@ -141,26 +132,6 @@ def test_a_block_converts_with_its_name_and_its_first_arguments():
     assert of_scalar(of_scalar(ScaledMore, Expression), float) is ScaledMore
 
 
-def test_a_symbol_has_no_number():
-    time = Variable("t")
-    with pytest.raises(ScenarioError, match=r"^time or state = \(2 \* t\): .*; give the context"):
-        number(2 * time)
-
-
-class Stateful(LeafBlock):
-    """A block without the rates of its state."""
-
-    def __init__(self):
-        super().__init__()
-        self.DeclareContinuousState(2)
-
-
-def test_a_continuous_state_without_rates_is_an_error():
-    block = Stateful()
-    with pytest.raises((RuntimeError, SystemExit)):
-        block.EvalTimeDerivatives(block.CreateDefaultContext())
-
-
 def test_release_frees_the_rest_beside_a_block_of_the_users():
     scenario = load_scenario("line", ["simulation_duration=0.02", CONSTANT])
     run = simulate(scenario, load_disturbance=PlainWind)
@@ -203,17 +174,3 @@ def test_a_function_that_takes_floats_only_feeds_everything_through():
     assert {v.get_name() for v in unknown.GetVariables()} == {"x", "y"}
     with pytest.raises(RuntimeError):
         unknown.Evaluate(dict.fromkeys(unknown.GetVariables(), 1.0))
-
-
-def test_weakly():
-    class Owner:
-        def method(self, *arguments):
-            return self, arguments
-
-    owner = Owner()
-    callback = weakly(owner.method)
-    assert callback(1, 2) == (owner, (1, 2))
-    reference = weakref.ref(owner)
-    del owner
-    assert reference() is None
-    assert weakly(len) is len

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from drake_nonstop.systems import native as module
-from drake_nonstop.systems.native import LANES, Interpreted, asking, compiler, is_cached, native
+from drake_nonstop.systems.native import LANES, Interpreted, asking, compiler, native
 from drake_nonstop.validation import ScenarioWarning
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
@@ -36,7 +36,6 @@ def folder(tmp_path, monkeypatch):
     """A cache folder of its own, and warnings that have not been told yet."""
     monkeypatch.setenv("DRAKE_NONSTOP_CACHE", str(tmp_path / "cache"))
     module._tell.cache_clear()
-    module._own_folder.cache_clear()
     return tmp_path / "cache"
 
 
@@ -102,6 +101,11 @@ def all_operations(x, t, p, row):
     values = casadi.vertcat(*unary, *binary, *powers)
     is_number = casadi.fabs(values) < 100  # to be shown, and not to end the flight
     return [casadi.if_else(is_number, values, -7.0), casadi.if_else(values != values, 5.0, values)]
+
+
+def few(x, t, p, row):
+    """A few operations, which compile at once."""
+    return [casadi.sin(x) * p, casadi.if_else(x > p, x, row), casadi.exp(-(x**2))]
 
 
 def calls(x, t, p, row):
@@ -173,7 +177,7 @@ def test_a_flight_ends_before_what_is_not_finite_and_other_lanes_go_on(place):
 
 @needs_compiler
 def test_lanes_may_have_samples_of_their_own_or_no_flight():
-    f = function(0.1, make=all_operations)
+    f = function(0.1, make=few)
     samples = [5, 0, 3, 1, 5, 2, 4][: LANES - 1]
     flights = [arrays(f, count, seed=k) for k, count in enumerate(samples)]
     begin = [copies(flight) for flight in flights]
@@ -185,7 +189,7 @@ def test_lanes_may_have_samples_of_their_own_or_no_flight():
 
 
 @needs_compiler
-@pytest.mark.parametrize("sizes", [(0, 0, 0), (0, 1, 1), (2, 0, 1), (2, 1, 0)])
+@pytest.mark.parametrize("sizes", [(0, 0, 0), (2, 1, 0)])
 def test_sizes_may_be_zero(sizes):
     f = function(sizes=sizes)
     for samples in (0, 1, 3):
@@ -216,7 +220,7 @@ def test_arrays_and_functions_that_do_not_fit_are_refused():
 
 @needs_compiler
 def test_threads_fly_at_once():
-    f = function(make=all_operations)
+    f = function(make=few)
     for evaluated in (native(f), Interpreted(f)):
         expected = arrays(f, 300)
         evaluated.fly(*expected, np.inf)
@@ -231,104 +235,66 @@ def test_threads_fly_at_once():
                 assert_same_bits(values, expected)
 
 
+def is_cached(function, lanes=1):
+    return native(function, lanes=lanes, builds=False) is not None
+
+
 @needs_compiler
-def test_an_entry_is_used_again_and_each_function_has_its_own(folder):
+def test_an_entry_is_used_again_and_each_function_and_processor_has_its_own(folder, monkeypatch):
     assert not is_cached(function())
-    assert native(function(), builds=False) is None
     assert native(function()) is not None
     before = library(folder).stat().st_ino
     assert native(function()) is not None
     assert library(folder).stat().st_ino == before
-    assert is_cached(function())
     assert not is_cached(function(), LANES)
     assert not is_cached(function(3.0))
     assert [path.suffix for path in folder.iterdir()] == [".so"]
-    assert library(folder).stat().st_mode & 0o777 == 0o600
-
-
-@needs_compiler
-def test_an_entry_is_of_one_processor(monkeypatch):
-    native(function())
+    assert folder.stat().st_mode & 0o777 == 0o700
     monkeypatch.setattr(module, "_processor", lambda: "another")
     assert not is_cached(function())
 
 
 @needs_compiler
-@pytest.mark.parametrize("damage", ["bytes", "no symbol", "mode", "owner", "link", "folder"])
-def test_an_entry_that_is_not_sound_is_made_again(folder, damage, tmp_path, monkeypatch):
+def test_an_entry_that_cannot_be_loaded_is_made_again(folder):
     native(function())
     path = library(folder)
-    if damage == "bytes":
-        path.unlink()  # this process has loaded it
-        path.write_bytes(b"no library")
-    elif damage == "no symbol":  # and a name that is right
-        path.unlink()
-        source, made = tmp_path / "empty.c", tmp_path / "empty.so"
-        source.write_text("int other;")
-        subprocess.run([compiler(), "-shared", str(source), "-o", str(made)], check=True)
-        made.chmod(0o600)
-        path = path.with_name(f"{path.name[:64]}-{module._checksum(made)}.so")
-        made.rename(path)
-    elif damage == "mode":
-        path.chmod(0o666)
-    elif damage == "owner":
-        monkeypatch.setattr(module.os, "getuid", lambda: 12345)
-    else:
-        path.rename(tmp_path / "elsewhere")
-        path.mkdir() if damage == "folder" else path.symlink_to(tmp_path / "elsewhere")
+    path.unlink()  # this process has loaded it
+    path.write_bytes(b"no library")
     assert not is_cached(function())
-    if damage == "folder":
-        (path / "mine").touch()
-        with pytest.warns(ScenarioWarning, match="kept for this process alone"):
-            assert native(function()) is not None
-        assert (path / "mine").exists()
-        return
-    values = arrays(function(), 3)
-    assert native(function()).fly(*values, LARGEST) == 3
-    assert damage == "owner" or is_cached(function())
-    assert not library(folder).is_symlink()
+    assert native(function()).fly(*arrays(function(), 3), LARGEST) == 3
+    assert is_cached(function())
 
 
 @needs_compiler
 def test_entries_used_last_are_kept_and_what_is_no_entry(folder, monkeypatch):
-    for factor in (1.0, 2.0, 3.0):
+    for factor in (1.0, 2.0):
         native(function(factor))
         for path in folder.glob("*.so"):
             os.utime(path, (0, path.stat().st_mtime - 100))
     assert is_cached(function(1.0))  # it is used
     (folder / "mine").write_bytes(bytes(100_000))
-    for name in (".new-old", ".new-now"):
-        (folder / name).mkdir()
-    os.utime(folder / ".new-old", (0, 0))
     monkeypatch.setattr(module, "_LARGEST_CACHE", 2.5 * next(folder.glob("*.so")).stat().st_size)
     native(function(4.0))
-    assert [is_cached(function(factor)) for factor in (1.0, 2.0, 3.0, 4.0)] == [1, 0, 0, 1]
-    others = {path.name for path in folder.iterdir() if path.suffix != ".so"}
-    assert others == {"mine", ".new-now"}
+    assert [is_cached(function(factor)) for factor in (1.0, 2.0, 4.0)] == [1, 0, 1]
+    assert {path.name for path in folder.iterdir() if path.suffix != ".so"} == {"mine"}
 
 
 @needs_compiler
-def test_a_folder_that_cannot_be_written_is_told_and_another_one_used(monkeypatch, tmp_path):
-    (tmp_path / "file").write_text("mine")
-    monkeypatch.setenv("DRAKE_NONSTOP_CACHE", str(tmp_path / "file" / "cache"))
-    with pytest.warns(ScenarioWarning, match=r"file.* cannot be used \(Not a dir") as told:
-        assert native(function()) is not None
-    assert len(told) == 1
-    assert is_cached(function())
-    assert native(function(3.0)) is not None  # and nothing is told once more
-    assert (tmp_path / "file").read_text() == "mine"
-
-
-@needs_compiler
-def test_a_user_without_a_home_directory_is_told(monkeypatch):
+@pytest.mark.parametrize("home", [True, False])
+def test_a_folder_that_cannot_be_used_is_told_with_the_remedy(monkeypatch, tmp_path, home):
     def no_home():
         raise RuntimeError("Could not determine home directory.")
 
+    (tmp_path / "file").write_text("mine")
     for name in ("DRAKE_NONSTOP_CACHE", "XDG_CACHE_HOME"):
         monkeypatch.delenv(name, raising=False)
+    if home:
+        monkeypatch.setenv("DRAKE_NONSTOP_CACHE", str(tmp_path / "file" / "cache"))
     monkeypatch.setattr(module.Path, "home", no_home)
-    with pytest.warns(ScenarioWarning, match="no home directory; set DRAKE_NONSTOP_CACHE"):
-        assert native(function()) is not None
+    with pytest.warns(ScenarioWarning, match=r"cannot be used .*set DRAKE_NONSTOP_CACHE") as told:
+        assert native(function()) is None
+    assert len(told) == 1
+    assert (tmp_path / "file").read_text() == "mine"
 
 
 def test_without_a_compiler_one_line_tells_it_once(monkeypatch):
@@ -347,8 +313,6 @@ FAILURES = [
     (f"{VERSION}\necho note >&2\necho error: out of memory >&2\nexit 1", "error: out of memory"),
     ("while [ $# -gt 1 ]; do [ $1 = -o ] && echo no > $2; shift; done", "nothing that can be"),
     (f"{VERSION}\nsleep 60 &\nsleep 60", r"took more than 0\.5 s"),
-    ("exit 3", "failed"),
-    ("sleep 60", r"took more than 0\.5 s"),
 ]
 
 
@@ -366,14 +330,6 @@ def test_a_compiler_that_fails_is_told(use_compiler, folder, monkeypatch, script
     assert native(function(), lanes=LANES) is None  # which is not tried again
     assert time.monotonic() - begin < 0.4
     assert not [*folder.glob("*")]
-
-
-@needs_compiler
-def test_a_version_that_is_no_utf_8_is_none_the_less_a_version(use_compiler):
-    version = "[ $1 = --version ] && printf 'gcc \\251 FSF\\n' && exit 0"
-    real = compiler()
-    use_compiler(f'{version}\nexec {real} "$@"')
-    assert native(function()) is not None
 
 
 IN_A_PROCESS = """
