@@ -48,7 +48,8 @@ class _Failed:
     """A flight that is not ok."""
 
     flight: CheckedFlight
-    scenario: Scenario  # that was flown
+    stated: Scenario  # with distributions and errors
+    scenario: Scenario  # that was flown, with the numbers that were drawn
 
     def value(self, *names: str) -> float | None:
         """The value of the first of these margins that is missed."""
@@ -60,11 +61,11 @@ _Proposals = Iterator[list[str]]  # from the mildest change on
 
 
 def _modelled(failed: _Failed) -> _Proposals:
-    """A model of the plant as it is."""
-    scenario = failed.scenario
-    names = [name for name in given_fields(scenario.simulated) if "." not in name]
-    if names:
-        yield [as_override(f"system.{name}", getattr(scenario.simulated, name)) for name in names]
+    """A model of the plant as it is; not of one that differs with the seed."""
+    plant = failed.stated.simulated
+    names = [name for name in given_fields(plant) if "." not in name]
+    if names and failed.scenario.simulated == plant:
+        yield [as_override(f"system.{name}", getattr(plant, name)) for name in names]
 
 
 def _known_wind(failed: _Failed) -> _Proposals:
@@ -253,7 +254,7 @@ def find_remedies(
     """
     severity = list(RunOutcome).index
     worst = min(range(len(flights)), key=lambda k: severity(flights[k].outcome))
-    failed = _Failed(flights[worst], scenarios[worst])
+    failed = _Failed(flights[worst], scenarios[worst], scenarios[worst].sampled())
     families = [make(failed) for outcomes, make in _FAMILIES if failed.flight.outcome in outcomes]
     proposals = itertools.chain.from_iterable(itertools.zip_longest(*families))
     end, whole = _end_of_trials(failed), failed.scenario.simulation_duration

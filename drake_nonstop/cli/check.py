@@ -41,7 +41,7 @@ def add_to(commands: Commands) -> None:
 
 
 def _check(options: argparse.Namespace) -> int:
-    scenario = read_scenario(options)
+    scenario = read_scenario(options, sampled=False)
     count = len(flights_of(scenario, options.seeds))
     flights = "a flight" if count == 1 else f"{count} flights"
     print(f"check {scenario.name}: {flights} of {scenario.simulation_duration:g} s", flush=True)

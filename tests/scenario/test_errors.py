@@ -1,6 +1,7 @@
 """Errors that a scenario states as data: sets and mappings, drawn into its plant and blocks."""
 
 import dataclasses
+import json
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import pytest
 from drake_nonstop import ScenarioError, dump_scenario, load_scenario, parse_scenario, study
 from drake_nonstop.analysis.stated_errors import with_seed, without_errors
 from drake_nonstop.analysis.verdict import check_scenario
+from drake_nonstop.cli.main import main
 from drake_nonstop.scenario.errors import SETS
 from drake_nonstop.scenario.loading import scenario_names
 from drake_nonstop.studies.workers import SerialExecutor
@@ -97,6 +99,15 @@ def test_check_flies_them_in_seeds_and_once_without_them():
     assert found.nominal is not None
     values = [flight.margins[0].value for flight in (*found.flights, found.nominal)]
     assert len({*values}) == 3
+
+
+def test_the_command_flies_what_is_drawn_in_each_seed(tmp_path, capsys):
+    short = ["simulation_duration=0.5", "optimization_layer=ConstantParameters"]
+    arguments = ["check", "quintic", "--seeds", "3", "--out", str(tmp_path), "--set", *short]
+    main([*arguments, "errors=rough", "optimization_layer.speed_bound=3"])
+    told = json.loads((tmp_path / "check.json").read_text())
+    assert len({flight["margins"][0]["value"] for flight in told["flights"]}) == 4
+    assert load_scenario(tmp_path / "scenario.yaml").errors == "rough"
 
 
 def test_a_study_takes_them_as_a_factor():
