@@ -1,16 +1,14 @@
 """`drake-nonstop check`: fly what a scenario states, and tell what comes of it."""
 
 import argparse
-from pathlib import Path
 
 from drake_nonstop.analysis.aircraft_margins import margins_table
 from drake_nonstop.analysis.verdict import SEEDS, check_scenario, flights_of
-from drake_nonstop.cli.arguments import Commands, add_scenario, read_scenario
+from drake_nonstop.cli.arguments import Commands, add_scenario, read_scenario, result_folder
 from drake_nonstop.cli.ending import BAD_INPUT, FAILED
 from drake_nonstop.scenario.fields import warn_of_angles
 from drake_nonstop.scenario.loading import dump_scenario
 from drake_nonstop.studies.files import replacing_files, require_writable, write_json
-from drake_nonstop.studies.results_folder import default_folder, require_no_other_run
 from drake_nonstop.view.progress import TaskProgress
 from drake_nonstop.view.task_figures import (
     make_aircraft_margins_figure,
@@ -46,8 +44,7 @@ def _check(options: argparse.Namespace) -> int:
     flights = "a flight" if count == 1 else f"{count} flights"
     print(f"check {scenario.name}: {flights} of {scenario.simulation_duration:g} s", flush=True)
     warn_of_angles(scenario)
-    folder = options.out or default_folder(Path("out") / "check" / scenario.name, scenario)
-    require_no_other_run(folder, scenario)
+    folder = result_folder(options, scenario.name, scenario)
     with TaskProgress() as progress:
         found = check_scenario(scenario, seeds=options.seeds, progress=progress)
     figures = {_TASK: make_check_figure(found)}

@@ -46,14 +46,13 @@ def _design(options: argparse.Namespace) -> int:
     from drake_nonstop.studies import design
     from drake_nonstop.studies.design_request import dump_request, read_request
     from drake_nonstop.studies.files import (
-        read_regular,
+        free_folder,
         replacing_file,
         replacing_files,
         require_writable,
         write_json,
     )
     from drake_nonstop.studies.journal import StudyInterrupted
-    from drake_nonstop.studies.results_folder import first_free
     from drake_nonstop.view.progress import TaskProgress
 
     request = read_request(options.request, options.set)
@@ -62,12 +61,8 @@ def _design(options: argparse.Namespace) -> int:
         print(text, end="")
         return 0
 
-    def is_of_request(folder: Path) -> bool:
-        file = folder / _REQUEST
-        return not os.path.lexists(file) or read_regular(file) == text.encode()
-
     place = Path("out") / "design" / request.name
-    folder: Path = options.out or first_free(place, is_of_request)
+    folder: Path = options.out or free_folder(place, _REQUEST, text)
     files = (_REQUEST, _DATA, _FIGURE, *(f"{request.name}_{k + 1}.yaml" for k in range(_MOST)))
     require_writable(folder, files)
     count = len(request.carriers) * len(request.kinds)
@@ -84,9 +79,9 @@ def _design(options: argparse.Namespace) -> int:
         stopped, found = interrupted, interrupted.found
         if not found.formations:
             raise
-        of_stopped = Path(f"{folder}_stopped")  # not over what a whole search has found
-        folder = first_free(folder, lambda place: not (place / _DATA).exists(), of_stopped)
-        require_writable(folder, files)
+        if (folder / _DATA).exists():  # not over what a whole search has found
+            folder = Path(f"{folder}_stopped")
+            require_writable(folder, files)
     print(found)
     with current_interruption() as interruption:
         with interruption.patient(1), replacing_files(folder, files) as new:

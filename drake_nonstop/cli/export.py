@@ -19,8 +19,8 @@ def add_to(commands: Commands) -> None:
     parser = commands.add_parser(
         "export",
         description="Writes the signals of a run, from the folder with its results. Columns of CSV "
-        "and Parquet have their units in their names; a bag (MCAP) has Odometry, WrenchStamped and "
-        "PoseArray messages of ROS 2; a recording of Rerun has the motion in space and plots.",
+        "and Parquet have their units in their names; a bag (MCAP) has Odometry and WrenchStamped "
+        "messages of ROS 2; a recording of Rerun has the motion in space and plots.",
         epilog="All but CSV need an extra: pip install 'drake-nonstop[export]'.",
     )
     parser.set_defaults(action=_export)

@@ -18,16 +18,17 @@ from pathlib import Path
 from drake_nonstop.cli.ending import (
     BAD_INPUT,
     FAILED,
+    SIGNALS,
     CommandInterruption,
     complain,
     exit_code,
-    handling_signals,
     say_end,
 )
+from drake_nonstop.run.interruption import ALL, handled_by
 from drake_nonstop.version import __version__
 
 # They end in order by themselves.
-_STUDIES = ("design", "stability", "robustness", "ablate", "sweep", "study")
+_STUDIES = ("design", "robustness", "ablate", "sweep", "study")
 _HEADING = re.compile(r'(?m)^(?:""")?`drake-nonstop (?P<name>[a-z]+)`: (?P<about>.*?)\.?(?:"""|$)')
 
 
@@ -36,14 +37,14 @@ def main(arguments: list[str] | None = None) -> int:
 
     Without arguments it takes the process's, and ends the process.
     """
-    with handling_signals() as interruption:
+    interruption = CommandInterruption(has_alarm=arguments is None)
+    with handled_by(interruption, SIGNALS):
         if arguments is not None:
             return _ended(_main(arguments, interruption), interruption)
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # matrices are small, processes several
         for stream in (sys.stdout, sys.stderr):
             if stream is not None:  # characters that a terminal does not have are no errors
                 stream.reconfigure(errors="replace")  # type: ignore[union-attr]
-        interruption.watch()
         try:
             code = _main(sys.argv[1:], interruption)
         except SystemExit as ended:  # argparse's
@@ -98,7 +99,6 @@ def make_parser(command: str) -> argparse.ArgumentParser:
 def _main(arguments: list[str], interruption: CommandInterruption) -> int:
     options = make_parser(next(iter(arguments), "")).parse_args(arguments)
 
-    from drake_nonstop.run.interruption import ALL
     from drake_nonstop.run.run import RunStopped
     from drake_nonstop.validation import (
         ScenarioError,
@@ -110,31 +110,29 @@ def _main(arguments: list[str], interruption: CommandInterruption) -> int:
     gc.freeze()  # the collector need not look at what the imports made
     interruption.waits = options.command in _STUDIES
     try:
-        try:
-            interruption.is_starting = False
-            with warnings.catch_warnings():
-                is_quiet = getattr(options, "quiet", False)
-                warnings.simplefilter("ignore" if is_quiet else "once", ScenarioWarning)
-                warnings.showwarning = show_warning
-                return options.action(options)
-        finally:
-            interruption.patience = ALL
-    except ScenarioError as error:
-        message, code = str(error).replace("\n", "\\n"), BAD_INPUT
+        interruption.is_starting = False
+        with warnings.catch_warnings():
+            is_quiet = getattr(options, "quiet", False)
+            warnings.simplefilter("ignore" if is_quiet else "once", ScenarioWarning)
+            warnings.showwarning = show_warning
+            return options.action(options)
     except KeyboardInterrupt as interrupted:
-        rest = str(interrupted)
         if interruption.number:
-            return say_end(interruption, rest)
-        message, code = f"stopped by a KeyboardInterrupt in its code{rest and ': '}{rest}", FAILED
+            return say_end(interruption, str(interrupted))
+        complain("stopped by a KeyboardInterrupt in its code")
     except BrokenPipeError:
         return 0
-    except (RunStopped, OSError, MemoryError, SystemExit) as error:
-        message, code = one_line(error), FAILED
-    except Exception:
-        if interruption.number == 0:
+    except Exception as error:
+        if interruption.number:  # a KeyboardInterrupt that became another error in C++
+            return say_end(interruption)
+        if isinstance(error, ScenarioError):
+            complain(str(error).replace("\n", "\\n"))
+            return BAD_INPUT
+        if not isinstance(error, (RunStopped, OSError, MemoryError)):
             raise
-        message, code = "", FAILED  # a KeyboardInterrupt that became another error in C++
-    if interruption.number:
-        return say_end(interruption)
-    complain(message)
-    return code
+        complain(one_line(error))
+    except SystemExit as error:  # of a block
+        complain(one_line(error))
+    finally:
+        interruption.patience = ALL
+    return FAILED

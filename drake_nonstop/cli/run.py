@@ -9,7 +9,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from drake_nonstop.cli.arguments import Commands, add_scenario, read_scenario
+from drake_nonstop.cli.arguments import Commands, add_scenario, read_scenario, result_folder
 from drake_nonstop.cli.ending import (
     BAD_INPUT,
     FAILED,
@@ -27,13 +27,10 @@ from drake_nonstop.run.run import Run, RunInterrupted, RunStopped
 from drake_nonstop.run.run_quantities import automatic_gains
 from drake_nonstop.run.simulate import simulate
 from drake_nonstop.run.verify_step import TOLERANCES, verify_step
-from drake_nonstop.scenario.loading import dump_scenario
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.studies.files import require_writable
-from drake_nonstop.studies.journal import own_code_of
 from drake_nonstop.studies.results_folder import (
     RUN_FILES,
-    default_folder,
     stopped_folder,
     write_data,
     write_pictures,
@@ -89,7 +86,7 @@ def _run(options: argparse.Namespace) -> int:
     require(not (options.live and options.verify_step), "--verify-step", "--live", remedy)
     rate = 1.0 if options.realtime is None else options.realtime
     return run_into(
-        options.out or default_folder(Path("out") / scenario.name, scenario),
+        result_folder(options, scenario.name, scenario),
         scenario,
         figures=not options.no_figures and options.figures,
         replay=not options.no_replay,
@@ -118,36 +115,24 @@ def run_into(
         ScenarioError: the scenario cannot be built, or the folder not be written.
     """
     is_new, is_live = not os.path.lexists(folder), live_rate is not None
-    own_code = own_code_of(dump_scenario(scenario))  # before somebody edits it
-    progress = None if is_quiet else RunProgress(scenario.name, scenario.simulation_duration)
-
-    def flown() -> Run:
-        if live_rate is not None:
-            from drake_nonstop.view.live import run_live
-            from drake_nonstop.view.meshcat_server import start_meshcat
-
-            meshcat = start_meshcat()
-            print(f"watch and steer it at {meshcat.web_url()}", flush=True)
-            return run_live(scenario, meshcat, realtime_rate=live_rate, progress=progress)
-        run = simulate(scenario, progress=progress)
-        return verify_step(run, progress=progress) if verifies_step else run
+    bar = None if is_quiet else RunProgress(scenario.name, scenario.simulation_duration)
 
     def write(run: Run) -> tuple[dict[str, Any], str, bool]:
-        """Writes the results; returns the metrics, where all is, in words, and if pictures miss."""
-        interruption.is_writing = True
-        if progress is not None:
-            progress.close()
+        """Writes the results; returns the metrics, where all is, and whether pictures are there."""
+        if bar is not None:
+            bar.close()
         place = stopped_folder(folder) if run.stopped else folder
-        metrics, missing = _write_somewhere(run, place, own_code), ""
+        interruption.is_writing = True
+        metrics, missing = _write_somewhere(run, place), ""
         interruption.is_writing = False
         try:
             interruption.patience = 0
             if interruption.count > 1:
                 raise KeyboardInterrupt
             with TaskProgress() as task:
-                kinds: dict[str, Any] = {"figures": figures, "replay": replay}
                 show = no_progress if is_quiet else task
-                write_pictures(run, place, **kinds, progress=show, may_fork=not is_live)
+                options: dict[str, Any] = {"progress": show, "may_fork": not is_live}
+                write_pictures(run, place, figures=figures, replay=replay, **options)
         except KeyboardInterrupt:
             missing = ", without all pictures"
         except Exception as error:  # what was flown is kept
@@ -155,23 +140,14 @@ def run_into(
         finally:
             interruption.patience = ALL
         earlier = "" if place == folder else f"; those of an earlier run stay in {folder}"
-        return metrics, f"{place}{missing}{earlier}", missing != ""
-
-    def keep(run: Run) -> str:
-        metrics, where, _ = write(run)
-        return f"the results up to {metrics['simulated_s']:.3f} s are in {where}"
-
-    def remove_new() -> None:
-        if is_new:
-            with contextlib.suppress(OSError):
-                folder.rmdir()
+        return metrics, f"{place}{missing}{earlier}", missing == ""
 
     with current_interruption() as interruption, interruption.patient(ALL):
-        interruption.keep = keep
+        run = None
         try:
             require_writable(folder, RUN_FILES, room=least_size(scenario))
-            run = flown()
-            metrics, where, is_partial = write(run)
+            run = _flown(scenario, bar, verifies_step, live_rate)
+            metrics, where, is_whole = write(run)
             if interruption.number:
                 return say_end(interruption, f"the results are in {where}")
             code = _EXIT_CODES.get(RunOutcome(metrics["outcome"]), NOT_OK)
@@ -181,46 +157,55 @@ def run_into(
                 _report(metrics, run, where)
             if code != 0:
                 complain(f"{metrics['outcome']}: {in_brief(metrics['reasons'])}")
-            if is_partial:
+            if not is_whole:
                 complain(f"the results are in {where}")
                 return FAILED
             return code
-        except ScenarioError:
-            remove_new()
-            raise
-        except RunStopped as stopped:
-            complain(str(stopped))
-            if len(stopped.run.time) > 0:
-                complain(keep(stopped.run))
-            return FAILED
-        except RunInterrupted as interrupted:
+        except (RunStopped, RunInterrupted) as ended:
             kept = "nothing had been flown yet"
-            if len(interrupted.run.time) > 1:
-                kept = keep(interrupted.run)
-            else:
-                remove_new()
+            if len(ended.run.time) > (1 if isinstance(ended, RunInterrupted) else 0):
+                metrics, where, _ = write(ended.run)
+                kept = f"the results up to {metrics['simulated_s']:.3f} s are in {where}"
+                run = ended.run
             if interruption.number:
                 return say_end(interruption, kept)
-            complain(f"the run was stopped by a KeyboardInterrupt in its code; {kept}")
+            complain(f"{ended.run.stopped or ended}; {kept}")
             return FAILED
         finally:
-            interruption.keep = None
-            if progress is not None:
-                progress.close()
+            if bar is not None:
+                bar.close()
+            if is_new and run is None:
+                with contextlib.suppress(OSError):
+                    folder.rmdir()
 
 
-def _write_somewhere(run: Run, folder: Path, own_code: str | None) -> dict[str, Any]:
+def _flown(
+    scenario: Scenario, bar: RunProgress | None, verifies_step: bool, live_rate: float | None
+) -> Run:
+    """The run, of which a page is shown where it has a rate."""
+    if live_rate is None:
+        run = simulate(scenario, progress=bar)
+        return verify_step(run, progress=bar) if verifies_step else run
+    from drake_nonstop.view.live import run_live
+    from drake_nonstop.view.meshcat_server import start_meshcat
+
+    meshcat = start_meshcat()
+    print(f"watch and steer it at {meshcat.web_url()}", flush=True)
+    return run_live(scenario, meshcat, realtime_rate=live_rate, progress=bar)
+
+
+def _write_somewhere(run: Run, folder: Path) -> dict[str, Any]:
     """Writes a run's data to the folder and returns the metrics.
 
     Raises:
         ScenarioError: the folder cannot be written; says in what other folder the data are.
     """
     try:
-        return write_data(run, folder, own_code)
+        return write_data(run, folder)
     except ScenarioError as error:
         other = Path(tempfile.mkdtemp(prefix="drake-nonstop-"))
         try:
-            write_data(run, other, own_code)
+            write_data(run, other)
         except ScenarioError:
             shutil.rmtree(other, ignore_errors=True)
             raise error from None

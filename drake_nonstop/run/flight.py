@@ -255,9 +255,6 @@ class Flight:
             RunInterrupted: Ctrl-C.
             ScenarioError: it cannot begin.
         """
-        is_collecting = self._interruption.collect is None
-        if is_collecting:
-            self._interruption.collect = lambda: self._run(self._interrupted)
         try:
             yield
         except KeyboardInterrupt:
@@ -279,9 +276,6 @@ class Flight:
             raise self._stopped(
                 f"stopped{self._now}: {raising_block(error)}{one_line(error)}"
             ) from error
-        finally:
-            if is_collecting:
-                self._interruption.collect = None
 
 
 @contextlib.contextmanager

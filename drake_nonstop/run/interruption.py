@@ -9,13 +9,9 @@ import contextlib
 import math
 import signal
 import threading
-from collections.abc import Callable, Iterator, Sequence
-from typing import Any
+from collections.abc import Iterator, Sequence
 
 ALL = math.inf  # the patience with which no signal raises
-
-# Called before the process is ended at once, from any thread.
-before_end: list[Callable[[], None]] = []
 
 
 class Interruption:
@@ -25,31 +21,21 @@ class Interruption:
         number: of the first signal, such as signal.SIGINT; 0: none has come.
         count: of signals.
         patience: the number of signals that are only noted; later ones raise KeyboardInterrupt.
-        collect: while a run goes on: returns what it has flown so far, from any thread.
-        keep: writes that, and returns where it is.
-        is_writing: whether it is being written, which only SIGKILL breaks off.
-        is_said: whether the user has been told that it is the end.
+        is_writing: whether results are being written, which only SIGKILL breaks off.
     """
 
     def __init__(self) -> None:
         self.number = 0
         self.count = 0
         self.patience = 0.0
-        self.collect: Callable[[], Any] | None = None
-        self.keep: Callable[[Any], str] | None = None
         self.is_writing = False
-        self.is_said = False
 
     def handle(self, number: int, frame: object) -> None:
         """The handler of the signals."""
         self.number = self.number or number
         self.count += 1
         if self.count > self.patience:
-            self.interrupt()
-
-    def interrupt(self) -> None:
-        """Action on a signal that is not only noted."""
-        raise KeyboardInterrupt
+            raise KeyboardInterrupt
 
     def check(self) -> None:
         """Raises KeyboardInterrupt where a signal has been noted: a place to end at."""

@@ -7,7 +7,6 @@ from typing import Any
 
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.run.flight import without_warnings
-from drake_nonstop.run.interruption import current_interruption
 from drake_nonstop.run.metrics import METRICS, Metric, compute_metrics
 from drake_nonstop.run.run import Run, RunInterrupted, RunStopped
 from drake_nonstop.run.simulate import simulate
@@ -62,16 +61,13 @@ def verify_step(run: Run, *, progress: Callable[[float], None] | None = None) ->
     )
     given = {"make_loop": make_nonstop, **(run.replacements or {})}
     try:
-        with without_warnings(), current_interruption() as interruption:
-            interruption.collect = lambda: run
+        with without_warnings():
             half = simulate(scenario, progress=progress, **given)
     except RunInterrupted:
         raise RunInterrupted(run) from None
     except (RunStopped, ScenarioError) as error:
         said = f"with half of the steps of {1e3 * run.step:.3g} ms {error}"
         return dataclasses.replace(run, unresolved=(said,))
-    finally:
-        interruption.collect = None
     moves = moved_metrics(compute_metrics(run), compute_metrics(half))
     unresolved = [f"{_told(*move)} with half the step" for move in moves]
     if unresolved:

@@ -34,9 +34,8 @@ _TYPES = {
     "nav_msgs/msg/Odometry": "std_msgs/Header header\nstring child_frame_id\n"
     "geometry_msgs/PoseWithCovariance pose\ngeometry_msgs/TwistWithCovariance twist",
     "geometry_msgs/msg/WrenchStamped": "std_msgs/Header header\ngeometry_msgs/Wrench wrench",
-    "geometry_msgs/msg/PoseArray": "std_msgs/Header header\ngeometry_msgs/Pose[] poses",
 }
-_ODOMETRY, _WRENCH, _POSES = _TYPES
+_ODOMETRY, _WRENCH = _TYPES
 _NO_COVARIANCE = [0.0] * 36
 
 Message = dict[str, Any]
@@ -50,34 +49,21 @@ def write_csv(table: SignalTable, path: Path, signals: Sequence[str] = ()) -> No
         ScenarioError: there is no such signal, see `SignalTable.columns`, or the file cannot be
             written.
     """
-    columns = table.columns(signals)
-    rows, names = np.column_stack(list(columns.values())), ",".join(columns)
+    frame = table.to_pandas(signals)
     with replacing_file(path) as file:
-        np.savetxt(
-            file, rows, fmt="%.17g", delimiter=",", header=names, comments="", encoding="utf-8"
-        )
+        frame.to_csv(file)
 
 
 def write_parquet(table: SignalTable, path: Path, signals: Sequence[str] = ()) -> None:
-    """Writes a row per sample; each column's metadata has its `unit` and `frame`.
+    """Writes a row per sample; `pandas.read_parquet(path).attrs` has "units" and "frames".
 
     Raises:
         ScenarioError: as of `write_csv`, or PyArrow is not installed.
     """
     require_installed("export", pyarrow="drake-nonstop[export]")
-    import pyarrow
-    from pyarrow import parquet
-
-    columns = table.columns(signals)
-    every = (entry for entries in table.entries.values() for entry in entries)
-    about = {entry.label: {"unit": entry.unit, "frame": entry.frame} for entry in every}
-    time = {"unit": "s", "frame": ""}
-    schema = pyarrow.schema(
-        pyarrow.field(label, pyarrow.float64(), metadata=about.get(label, time))
-        for label in columns
-    )
+    frame = table.to_pandas(signals)
     with replacing_file(path) as file:
-        parquet.write_table(pyarrow.table(list(columns.values()), schema=schema), file)
+        frame.to_parquet(file)
 
 
 def write_mcap(run: Run, path: Path) -> None:
@@ -88,9 +74,7 @@ def write_mcap(run: Run, path: Path) -> None:
     | /load/odometry | nav_msgs/msg/Odometry | the load: pose in `world`, twist in `load` |
     | /load/reference | nav_msgs/msg/Odometry | the desired motion, twist in `desired` |
     | /load/wrench | geometry_msgs/msg/WrenchStamped | what the controller asks for, in `world` |
-    | /load/disturbance | geometry_msgs/msg/WrenchStamped | the disturbance, in `world` |
-    | /carriers | geometry_msgs/msg/PoseArray | the carriers in `world`, along their velocities |
-    | /carriers/K/odometry | nav_msgs/msg/Odometry | one of them, twist along its own axes |
+    | /carriers/K/odometry | nav_msgs/msg/Odometry | a carrier, twist along its own axes |
     | /cables/K/force | geometry_msgs/msg/WrenchStamped | its force on the load, in `world` |
 
     Stamps are the simulated time. A carrier's x axis points along its velocity, its y axis to the
@@ -131,26 +115,17 @@ def _topics(run: Run) -> Iterator[tuple[str, str, str, Callable[[int], Message]]
         state = LoadState.view(run.signal(port))
         yield topic, _ODOMETRY, WORLD, _odometry(state, child)
     ports = {name.partition(".")[2] for name in run.signals}
-    for topic, port in (("/load/wrench", "wrench"), ("/load/disturbance", "disturbance_wrench")):
-        if port in ports:
-            yield topic, _WRENCH, WORLD, _wrench(Wrench.view(run.signal(port)))
+    if "wrench" in ports:
+        yield "/load/wrench", _WRENCH, WORLD, _wrench(Wrench.view(run.signal("wrench")))
     positions, velocities = CarrierStates.view(run.signal("carrier_state"))
     attitudes = _along(velocities)
-    yield (
-        "/carriers",
-        _POSES,
-        WORLD,
-        lambda i: {"poses": [_pose(p, q) for p, q in zip(positions[i], attitudes[i], strict=True)]},
-    )
     zero = np.zeros((len(run.time), 3))
     for k in range(positions.shape[1]):
         motion = LoadState(attitudes[:, k], positions[:, k], zero, velocities[:, k])
         yield f"/carriers/{k + 1}/odometry", _ODOMETRY, WORLD, _odometry(motion, f"carrier_{k + 1}")
-    if "cable_forces" in ports:
-        forces = run.signal("cable_forces").reshape(len(run.time), -1, 3)
-        for k in range(forces.shape[1]):
-            force = _wrench(Wrench(zero, forces[:, k]))
-            yield f"/cables/{k + 1}/force", _WRENCH, WORLD, force
+    for k in range(positions.shape[1] if "cable_forces" in ports else 0):
+        force = _wrench(Wrench(zero, run.signal("cable_forces")[:, 3 * k : 3 * k + 3]))
+        yield f"/cables/{k + 1}/force", _WRENCH, WORLD, force
 
 
 def _odometry(state: LoadState, child: str) -> Callable[[int], Message]:

@@ -1,7 +1,7 @@
 """Files of results: written to a temporary place, then renamed; errors name the folder."""
 
 import contextlib
-import errno
+import itertools
 import json
 import os
 import shutil
@@ -14,7 +14,6 @@ from typing import Any, BinaryIO
 from drake_nonstop.validation import ScenarioError, finite, require
 
 _NEW = ".new-"  # how the names of folders begin that are being written
-_LARGEST_READ = 16_000_000  # bytes
 
 
 def as_path(folder: Path | str) -> Path:
@@ -23,10 +22,29 @@ def as_path(folder: Path | str) -> Path:
     return Path(folder)
 
 
+def has_text(file: Path, text: str) -> bool:
+    """Whether a file is there and has this text."""
+    return file.is_file() and file.read_bytes() == text.encode()
+
+
+def free_folder(folder: Path, name: str, text: str) -> Path:
+    """Where results go unless the user names a folder: not over those of other settings.
+
+    It is the folder itself, or the first of FOLDER_2, FOLDER_3, ... in which there is no file of
+    that name, or one with this text.
+    """
+    numbered = (folder.with_name(f"{folder.name}_{k}") for k in itertools.count(2))
+    return next(
+        place
+        for place in itertools.chain([folder], numbered)
+        if not (place / name).exists() or has_text(place / name, text)
+    )
+
+
 def require_writable(
     folder: Path | str, contents: Iterable[str] = (), *, room: float = 0.0
 ) -> None:
-    """Makes the folder where there is none.
+    """Makes the folder where there is none, and removes what killed processes were writing to it.
 
     Raises ScenarioError where these files, whose paths are relative to it and which take `room` in
     bytes, cannot be written to it.
@@ -34,22 +52,22 @@ def require_writable(
     folder = as_path(folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        remove_unfinished(folder)
         with tempfile.TemporaryFile(dir=folder):
             pass
         for item in map(Path, contents):
             for parent in [folder / part for part in item.parents][:-1]:
-                is_file = os.path.lexists(parent) and not parent.is_dir()
                 remedy = f"its file {parent.name} is in the way: move it, or give another folder"
-                require(not is_file, "--out", folder, remedy)
+                require(parent.is_dir() or not parent.exists(), "--out", folder, remedy)
             remedy = f"its {item} is no file, and in the way: move it, or give another folder"
             require(_is_replaceable(folder / item), "--out", folder, remedy)
         free = shutil.disk_usage(folder).free
+    except ScenarioError:
+        raise
     except (OSError, ValueError) as error:  # ValueError: a path with a null character
-        if isinstance(error, ScenarioError):
-            raise
-        raise ScenarioError(
-            f"--out = {folder}: give a folder that can be written ({_cause(error)})"
-        ) from None
+        cause = getattr(error, "strerror", None) or error
+        remedy = f"give a folder that can be written ({cause})"
+        raise ScenarioError(f"--out = {folder}: {remedy}") from None
     needed = f"give a folder with room for {room / 1e6:.0f} MB, {free / 1e6:.0f} MB are free"
     require(free > room, "--out", folder, f"{needed}; or a shorter simulation_duration")
 
@@ -96,46 +114,25 @@ def replacing_files(folder: Path, contents: Iterable[str]) -> Iterator[Path]:
             prefix=_NEW, dir=folder, ignore_cleanup_errors=True
         ) as name:
             yield Path(name)
-            parents = set()
             for item in contents:
                 new, path = Path(name) / item, folder / item
                 if new.exists():
                     path.parent.mkdir(parents=True, exist_ok=True)
                     os.replace(new, path)
-                else:
-                    path.unlink(missing_ok=True)
-                    parents.add(path.parent)
-        for parent in sorted(parents - {folder}, reverse=True):  # the inner ones first
-            with contextlib.suppress(OSError):  # it has files
-                parent.rmdir()
+                    continue
+                path.unlink(missing_ok=True)
+                if path.parent != folder:
+                    with contextlib.suppress(OSError):  # it has files, or is not there
+                        path.parent.rmdir()
     except OSError as error:
-        raise ScenarioError(
-            f"--out = {folder}: give a folder with room to write to ({_cause(error)})"
-        ) from None
+        remedy = f"give a folder with room to write to ({error.strerror or error})"
+        raise ScenarioError(f"--out = {folder}: {remedy}") from None
 
 
 def remove_unfinished(folder: Path) -> None:
     """Removes what processes that were killed were writing to a folder."""
     for left in folder.glob(f"{_NEW}*"):
         shutil.rmtree(left, ignore_errors=True)
-
-
-def open_regular(path: Path) -> BinaryIO:
-    """Opens a file; raises OSError for others, such as a pipe, which would have the reader wait."""
-    file = os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb")
-    if stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-        return file
-    file.close()
-    raise OSError(errno.EINVAL, "no regular file", str(path))
-
-
-def read_regular(path: Path) -> bytes:
-    """The content of a file; raises OSError for what is none, or larger than 16 MB."""
-    with open_regular(path) as file:
-        content = file.read(_LARGEST_READ + 1)
-    if len(content) > _LARGEST_READ:
-        raise OSError(errno.EFBIG, "larger than 16 MB", str(path))
-    return content
 
 
 def write_json(path: Path, data: Any) -> None:
@@ -145,7 +142,3 @@ def write_json(path: Path, data: Any) -> None:
     """
     with replacing_file(path) as file:
         file.write((json.dumps(finite(data), indent=2, allow_nan=False) + "\n").encode())
-
-
-def _cause(error: OSError | ValueError) -> str:
-    return (isinstance(error, OSError) and error.strerror) or str(error)

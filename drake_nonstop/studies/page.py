@@ -42,9 +42,10 @@ def make_page(
         page, told = f"{quote(place)}/replay.html", html.escape(summary.settings[k].name)
         return (
             f'<figure data-page="{page}"><div class="screen"></div><figcaption>'
-            f'<a href="{page}">{told}</a> {html.escape(summary.outcome(k))}</figcaption></figure>'
+            f'<a href="{page}">{told}</a> {html.escape(outcomes[k])}</figcaption></figure>'
         )
 
+    outcomes = summary.outcomes()
     picture = '<a href="{0}.pdf"><img src="{0}.png" alt="{0}"></a>'
     note = "Changes are those from the first row."
     if summary.seeds > 1:

@@ -1,10 +1,9 @@
-"""Studies that are asked for often: ablations, sweeps, robustness, ranges of stability."""
+"""Studies that are asked for often: ablations, sweeps, robustness."""
 
 import dataclasses
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -12,37 +11,16 @@ from typing import Any
 import numpy as np
 
 from drake_nonstop import diagrams
-from drake_nonstop.analysis.stability import at_rest, linearize
-from drake_nonstop.blocks.load_feedback import (
-    FilteredFeedbackConfig,
-    MeasurementConfig,
-    NoisyFeedbackConfig,
-)
-from drake_nonstop.diagrams.nonstop import make_nonstop
-from drake_nonstop.model.aircraft import values_of
+from drake_nonstop.blocks.load_feedback import FilteredFeedbackConfig, NoisyFeedbackConfig
 from drake_nonstop.model.system import overridden
-from drake_nonstop.run.metrics import LOWER, Metric, Quantity
-from drake_nonstop.run.preparation import LoopMaker
 from drake_nonstop.scenario.overrides import changed, read_mapping, require_override
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.studies.attempts import COMPLETED, UNBUILDABLE
-from drake_nonstop.studies.changes import Change, checked_changes
-from drake_nonstop.studies.journal import Row
-from drake_nonstop.studies.study import (
-    Call,
-    Setting,
-    Study,
-    failed_row,
-    run_study,
-    settings_of_factors,
-)
-from drake_nonstop.studies.workers import Progress, no_progress
-from drake_nonstop.systems.tracing import NotFiniteError
-from drake_nonstop.validation import ScenarioError, listed, require, require_flags
+from drake_nonstop.studies.changes import Change
+from drake_nonstop.studies.study import Study, study
+from drake_nonstop.validation import require
 
 BASE = "as it is"  # the name of the scenario without any change
 GRIDS = diagrams.FOLDER / "grids"
-Variants = Mapping[str, Any] | Iterable[tuple[str, Any]]
 
 # Of a filter: its fields beyond those of what it filters.
 _BELIEFS = [
@@ -50,12 +28,6 @@ _BELIEFS = [
     for part in dataclasses.fields(FilteredFeedbackConfig)
     if not hasattr(NoisyFeedbackConfig, part.name)
 ]
-_GROWTH = (
-    Metric(
-        lambda run: None, Quantity("growth of the least stable mode", "1/s", 1.0, LOWER)
-    )._replace(path="rate_1_s"),
-    Metric(lambda run: None, Quantity("largest multiplier"))._replace(path="largest_multiplier"),
-)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,15 +42,9 @@ class Grid:
     seeds: int | list[int] | None = None
 
     @property
-    def settings(self) -> list[Setting]:
-        """The variants, or every combination of the values."""
-        if self.variants:
-            return settings_of_factors({"variant": self.variants})
-        return settings_of_factors(self.grid)
-
-    def named(self) -> dict[str, list[Change]]:
-        """The changes of each setting by its name."""
-        return {setting.name: setting.changes for setting in self.settings}
+    def factors(self) -> dict[str, Any]:
+        """The factors of a study: the variants, or the values."""
+        return {"variant": self.variants} if self.variants else self.grid
 
 
 def grid_names() -> list[str]:
@@ -152,53 +118,23 @@ def name_overrides(overrides: Sequence[str]) -> str:
 
 def ablate(
     scenario: Scenario,
-    variants: Variants,
+    variants: Mapping[str, Any],
     folder: str | Path,
     *,
     seeds: int | Sequence[int] | None = None,
-    title: str = "",
     replay: bool = True,
-    trust: bool = False,
-    restart: bool = False,
-    make_loop: LoopMaker = make_nonstop,
-    progress: Progress = no_progress,
+    **options: Any,
 ) -> Study:
-    """Compares a scenario, as it is, with its variants; see `study` for the rest.
+    """Compares a scenario, as it is, with its variants; see `study` for the options.
 
     `variants` are by their names: a list of overrides "path=value" and of mappings from boxes to
-    configs, classes or functions, as the replacements of `make_nonstop`; or one such mapping. Equal
-    names get numbers. The first run of each leaves its results in a folder of its own.
-
-    Raises:
-        ScenarioError: as of `study`; or the scenario itself cannot be built.
-        StudyInterrupted: Ctrl-C; the rows that there are stay.
+    configs, classes or functions, as the replacements of `make_nonstop`; or one such mapping.
     """
-    require_flags(replay=replay)
     remedy = 'give a mapping from names to lists of overrides, {"name": ["path=value"]}'
-    pairs: Any = variants.items() if isinstance(variants, Mapping) else variants
-    settings = [Setting(factors={"variant": BASE})]
-    names = Counter([BASE])
-    for pair in listed("variants", pairs, remedy):
-        is_pair = isinstance(pair, (tuple, list)) and len(pair) == 2
-        require(is_pair and isinstance(pair[0], str), "variants", pair, remedy)
-        name, changes = pair
-        names[name] += 1
-        shown = name if names[name] == 1 else f"{name} ({names[name]})"
-        checked = checked_changes(changes, f"variant {name}")
-        settings.append(Setting(factors={"variant": shown}, changes=checked))
-    return run_study(
-        scenario,
-        settings,
-        seeds,
-        folder,
-        title=title,
-        keep="replay" if replay else "results",
-        restart=restart,
-        trust=trust,
-        make_loop=make_loop,
-        needs_first=True,
-        progress=progress,
-    )
+    is_mapping = isinstance(variants, Mapping) and all(isinstance(name, str) for name in variants)
+    require(is_mapping, "variants", variants, remedy)
+    levels = {BASE: [], **variants}
+    return study(scenario, {"variant": levels}, seeds, folder, replay=replay, **options)
 
 
 def sweep(
@@ -206,77 +142,50 @@ def sweep(
     grid: Grid | str | Path,
     folder: str | Path | None = None,
     *,
-    executor: Executor | None = None,
     trust: bool = False,
-    restart: bool = False,
-    progress: Progress = no_progress,
+    **options: Any,
 ) -> Study:
-    """Flies all that a file of a study asks for; see `read_grid`, and `study` for the rest."""
+    """Flies all that a file of a study asks for; see `read_grid`, and `study` for the options."""
     grid = grid if isinstance(grid, Grid) else read_grid(grid, "SPEC")
-    return run_study(
-        changed(scenario, grid.overrides, trust=trust),
-        grid.settings,
-        grid.seeds,
-        folder,
-        title=grid.description or grid.name,
-        executor=executor,
-        restart=restart,
-        trust=trust,
-        progress=progress,
-    )
+    base = changed(scenario, grid.overrides, trust=trust)
+    title = grid.description or grid.name
+    return study(base, grid.factors, grid.seeds, folder, title=title, trust=trust, **options)
 
 
-def robustness(
-    scenario: Scenario,
-    folder: str | Path | None = None,
-    *,
-    seeds: int | Sequence[int] | None = None,
-    restart: bool = False,
-    progress: Progress = no_progress,
-) -> Study:
+def robustness(scenario: Scenario, folder: str | Path | None = None, **options: Any) -> Study:
     """Flies a scenario without error, and with each of some that its controllers do not know of.
 
     The simulated mass, inertia, attachment points and cable length differ from the controllers'
     model; the load's state is measured with noise or delay; a constant or a gusty force pushes
-    the load. See `study` for the rest.
+    the load. See `study` for the options.
     """
     scenario = scenario.sampled()
-    settings = [
-        Setting(factors={"error": error, "level": level}, changes=changes)
-        for error, level, changes in _errors(scenario)
-    ]
-    return run_study(
-        scenario,
-        settings,
-        seeds,
-        folder,
-        title=f"{scenario.name}: errors that controllers do not know of",
-        restart=restart,
-        needs_first=True,
-        progress=progress,
+    title = f"{scenario.name}: errors that controllers do not know of"
+    return study(
+        scenario, {"error": dict(_errors(scenario))}, folder=folder, title=title, **options
     )
 
 
-def _errors(scenario: Scenario) -> Iterator[tuple[str, str, list[Change]]]:
-    """Name, level and changes of each error."""
+def _errors(scenario: Scenario) -> Iterator[tuple[str, list[Change]]]:
+    """Name and changes of each error."""
     system = overridden(scenario.system, scenario.simulated)
-    yield "none", "", []
+    yield "none", []
     for percent in (-20, -10, 10, 20):
         mass = system.load_mass * (1 + percent / 100)
-        yield "load mass", f"{percent:+} %", [f"simulated.load_mass={mass}"]
+        yield f"load mass {percent:+} %", [f"simulated.load_mass={mass}"]
     for percent in (-50, -20, 20, 50):
         inertia = (np.array(system.load_inertia) * (1 + percent / 100)).tolist()
-        yield "load inertia", f"{percent:+} %", [f"simulated.load_inertia={inertia}"]
+        yield f"load inertia {percent:+} %", [f"simulated.load_inertia={inertia}"]
     attachments = np.array(system.attachments)
     radius = np.linalg.norm(attachments, axis=1).max()
     directions = np.random.default_rng(0).standard_normal(attachments.shape)
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     for share in (0.5, 1.0, 2.0, 5.0):
         points = (attachments + share / 100 * radius * directions).tolist()
-        yield "attachment points", f"{share} % of radius", [f"simulated.attachments={points}"]
+        yield f"attachment points {share} % of radius", [f"simulated.attachments={points}"]
     for share in (-1.0, -0.3, 0.3, 1.0):
         length = (np.array(system.cable_length) * (1 + share / 100)).tolist()
-        yield "cable length", f"{share:+} %", [f"simulated.cable_length={length}"]
+        yield f"cable length {share:+} %", [f"simulated.cable_length={length}"]
     period = scenario.control_period or 0.01
     measurement = f"load_feedback=!NoisyFeedback {{period: {period}, "
     if isinstance(scenario.load_feedback, FilteredFeedbackConfig):  # the filter stays
@@ -287,89 +196,15 @@ def _errors(scenario: Scenario) -> Iterator[tuple[str, str, list[Change]]]:
             f"position_noise: {size}, orientation_noise: {size}, velocity_noise: {5 * size}, "
             f"angular_velocity_noise: {5 * size}}}"
         )
-        yield "noise", f"{1e3 * size} mm, mrad (rates: x 5/s)", [measurement + noise]
+        yield f"noise {1e3 * size} mm, mrad (rates: x 5/s)", [measurement + noise]
     for periods in (1, 2, 3, 5):
         delay = periods * period
-        yield "delay", f"{1e3 * delay:g} ms", [f"{measurement}delay: {delay}}}"]
+        yield f"delay {1e3 * delay:g} ms", [f"{measurement}delay: {delay}}}"]
     push = "load_disturbance=!DisturbanceForce"
     weight = system.load_mass * system.gravity
     for share in (1, 2, 5, 10):
         force = f"{push} {{force: [0, {share / 100 * weight}, 0], start_time: 1.0}}"
-        yield "constant force", f"{share} % of weight", [force]
+        yield f"constant force {share} % of weight", [force]
     for share in (0.5, 1.0, 2.0, 5.0):
         force = f"{push} {{gust_force: {share / 100 * weight}}}"
-        yield "gusty force", f"{share} % of weight (standard deviation)", [force]
-
-
-def stability_ranges(
-    scenario: Scenario,
-    folder: str | Path | None = None,
-    *,
-    restart: bool = False,
-    progress: Progress = no_progress,
-) -> Study:
-    """Linearizes the loop around a resting load over carriers' mass and gains, delay, period.
-
-    See `study` for the rest.
-    """
-    scenario = scenario.sampled()
-    settings = [Setting(factors={"parameter": BASE, "value": ""})]
-    for name, unit, override, values in _ranges(scenario):
-        for value in values:
-            factors = {"parameter": name, "value": f"{value:.4g} {unit}"}
-            settings.append(Setting(factors=factors, changes=[override.format(value)]))
-    return run_study(
-        scenario,
-        settings,
-        None,
-        folder,
-        title=f"{scenario.name}: growth at rest",
-        shown=_GROWTH,
-        brief=_GROWTH,
-        restart=restart,
-        measure=linearize_each,
-        needs_first=True,
-        progress=progress,
-    )
-
-
-def _ranges(scenario: Scenario) -> Iterator[tuple[str, str, str, Sequence[float]]]:
-    """Name, unit, override and values of each parameter."""
-    system = overridden(scenario.system, scenario.simulated)
-    path, mass = "simulated.carrier_mass={}", system.carrier_mass
-    if system.aircraft is not None:
-        path, mass = "simulated.aircraft.mass={}", values_of(system.aircraft)["mass"]
-    scaled = [("carrier mass", "kg", path, mass)]
-    for name, unit, part in (
-        ("K_p", "N/m", "position_gain"),
-        ("K_d", "N s/m", "velocity_gain"),
-        ("carrier frequency", "rad/s", "frequency"),
-        ("carrier damping", "of critical", "damping"),
-    ):
-        value = getattr(scenario.carrier_controller, part, None)
-        if isinstance(value, (int, float)):
-            scaled.append((name, unit, f"carrier_controller.{part}={{}}", value))
-    for name, unit, override, nominal in scaled:
-        if nominal > 0:
-            yield name, unit, override, (nominal * np.geomspace(1 / 8, 8, 13)).tolist()
-    period = scenario.control_period or 0.01
-    override = "load_feedback.delay={}"
-    if not isinstance(scenario.load_feedback, MeasurementConfig):
-        override = f"load_feedback=!NoisyFeedback {{{{delay: {{}}, period: {period}}}}}"
-    yield "delay", "s", override, [k * period for k in range(9)]
-    periods = [0.0, 0.0025, 0.005, 0.01, 0.015, 0.02, 0.03, 0.04]
-    yield "control period", "s", "control_period={}", periods
-
-
-def linearize_each(calls: list[Call]) -> list[Row]:
-    """The multipliers of loops in place of flights."""
-    rows = []
-    for call in calls:
-        try:
-            found = linearize(at_rest(call.scenario()[0]))
-        except (ScenarioError, NotFiniteError) as error:
-            rows.append(failed_row(UNBUILDABLE, str(error)))
-            continue
-        values = {"rate_1_s": found.rate, "largest_multiplier": found.largest}
-        rows.append(failed_row(COMPLETED, "") | {"metrics": values})
-    return rows
+        yield f"gusty force {share} % of weight (standard deviation)", [force]

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
+import hashlib
 import itertools
+import json
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from drake_nonstop.analysis.stated_errors import with_seed
 from drake_nonstop.diagrams.nonstop import make_nonstop
-from drake_nonstop.run.metrics import METRICS, Metric, compute_metrics, flattened
+from drake_nonstop.run.metrics import METRICS, compute_metrics, flattened
 from drake_nonstop.run.preparation import LoopMaker
 from drake_nonstop.scenario.loading import dump_scenario, parse_scenario
 from drake_nonstop.scenario.overrides import as_override, require_choices
@@ -30,8 +33,9 @@ from drake_nonstop.studies.changes import (
     varied,
 )
 from drake_nonstop.studies.files import as_path, replacing_files
-from drake_nonstop.studies.journal import Row, is_written, key_of, open_journal, settings_of
+from drake_nonstop.studies.journal import Row, open_journal, settings_of
 from drake_nonstop.studies.page import PAGE, make_page
+from drake_nonstop.studies.results_folder import METRICS as METRICS_FILE
 from drake_nonstop.studies.results_folder import RUN_FILES, write_results
 from drake_nonstop.studies.study_figures import make_study_figure
 from drake_nonstop.studies.summary import Summary, name_of
@@ -54,21 +58,18 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 SEED = "seed"  # the column of seeds
-TABLE = "runs.csv"
+SCENARIO = "scenario.yaml"
+FILES = (SCENARIO, "runs.csv", "summary.csv", "summary.tex", PAGE)
 _MOST_RUNS = 100_000
 _MOST_TOGETHER = 16  # runs that a process gets at a time
 SHOWN = tuple(metric for metric in METRICS if metric.column is not None)
-BRIEF = tuple(
-    metric
-    for metric in SHOWN
-    if metric.path
-    in (
-        "outcome",
-        "load.position_error_mean_m",
-        "carriers.speed_min_m_s",
-        "carriers.time_below_bound_s",
-    )
+_BRIEF = (
+    "outcome",
+    "load.position_error_mean_m",
+    "carriers.speed_min_m_s",
+    "carriers.time_below_bound_s",
 )
+BRIEF = tuple(metric for metric in SHOWN if metric.path in _BRIEF)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,18 +96,13 @@ class Study:
             every metric by its path in metrics.json.
         settings: combinations of the factors, each with the same number of runs one after the
             other in the table.
-        shown: metrics of the page; those in `brief` are in texts and figures.
         folder: of its files; None: there are none.
-        places: folders of the settings that have results.
     """
 
     title: str
     table: DataFrame
     settings: Sequence[Setting]
-    shown: Sequence[Metric] = SHOWN
-    brief: Sequence[Metric] = BRIEF
     folder: Path | None = None
-    places: Mapping[int, str] = field(default_factory=dict)
 
     @functools.cached_property
     def _summary(self) -> Summary:
@@ -127,20 +123,20 @@ class Study:
         Raises:
             ScenarioError: there is no such metric of one number.
         """
-        found = [metric for metric in (*self.shown, *METRICS) if metric.path == path]
-        remedy = f"give the path of a metric, such as {self.brief[-1].path}"
-        require(found and path in self.table, "path", path, remedy)
+        found = [metric for metric in METRICS if metric.path == path]
+        remedy = f"give the path of a metric, such as {_BRIEF[-1]}"
+        require(found and path in self._summary.values, "path", path, remedy)
         return make_study_figure(self._summary, found[0])
 
     def __str__(self) -> str:
-        return self._summary.text(self.brief)
+        return self._summary.text(BRIEF)
 
     def _repr_html_(self) -> str:
-        return self._summary.html(self.brief)
+        return self._summary.html(BRIEF)
 
     def latex(self) -> str:
         """The same table as LaTeX, for booktabs."""
-        return self._summary.latex(self.brief)
+        return self._summary.latex(BRIEF)
 
 
 def study(
@@ -185,19 +181,50 @@ def study(
             cannot be written, or has rows of another scenario.
         StudyInterrupted: Ctrl-C; the rows that there are stay.
     """
-    return run_study(
-        scenario,
-        settings_of_factors(factors),
-        seeds,
-        folder,
-        title=title,
-        keep="replay" if replay else "",
-        executor=executor,
-        restart=restart,
-        trust=trust,
-        make_loop=make_loop,
-        progress=progress,
-    )
+    settings = settings_of_factors(factors)
+    folder = None if folder is None else as_path(folder)
+    require_flags(restart=restart, trust=trust, replay=replay)
+    require(callable(progress), "progress", progress, "give a function, such as a TaskProgress()")
+    require_sendable(make_loop, "make_loop")
+    if executor is None:
+        require_main()
+    numbers = listed_seeds(seeds)
+    count = len(settings) * len(numbers)
+    require(0 < count <= _MOST_RUNS, "study", f"{count} runs", f"give 1 to {_MOST_RUNS}")
+    _require_buildable(scenario, settings, trust=trust)
+    text = dump_scenario(scenario)
+    places = _places(settings) if replay and folder is not None else {}
+    calls: dict[str, Call] = {}
+    for k, call in enumerate(planned_calls(scenario, settings, numbers, trust, make_loop)):
+        setting, number = divmod(k, len(numbers))
+        if folder is not None and setting in places and number == 0:
+            call = dataclasses.replace(call, place=folder / places[setting])
+        key = call.key
+        calls[key if key not in calls else f"{key}_{len(calls)}"] = call
+    contents = [*FILES, *(f"{place}/{item}" for place in places.values() for item in RUN_FILES)]
+    name = settings_of(text, identity([], make_loop))
+    with open_journal(folder, name, contents=contents, restart=restart) as journal:
+        missing = [key for key, call in calls.items() if not call.is_done(journal.rows.get(key))]
+        done = len(calls) - len(missing)
+        kept = [key for key in missing if calls[key].place]  # writing takes as long as flying
+        others = [key for key in missing if not calls[key].place]
+        batches = [*in_batches(kept, 1), *in_batches(others, _MOST_TOGETHER)]
+        named = [[(key, calls[key]) for key in batch] for batch in batches]
+        for batch, rows in results_of(fly, named, executor):
+            if folder is not None and not journal.rows:
+                (folder / SCENARIO).write_text(text, encoding="utf-8")
+            if isinstance(rows, str):
+                rows = [failed_row(FAILED, rows)] * len(batch)
+            for (key, _), row in zip(batch, rows, strict=True):
+                journal.record(key, row)
+            done += len(batch)
+            progress(f"{len(calls)} runs", done / len(calls))
+        table = _table(settings, numbers, [journal.rows[key] for key in calls])
+        title = title or scenario.name
+        made = Study(title=title, table=table, settings=settings, folder=folder)
+        if folder is not None:
+            _write(made, folder, scenario, places)
+    return made
 
 
 def settings_of_factors(factors: Any) -> list[Setting]:
@@ -236,99 +263,16 @@ def _is_list(values: Any) -> bool:
     return isinstance(values, (list, tuple))
 
 
-def run_study(
-    scenario: Scenario,
-    settings: Sequence[Setting],
-    seeds: int | Sequence[int] | None,
-    folder: str | Path | None,
-    *,
-    title: str = "",
-    keep: str = "",
-    shown: Sequence[Metric] = SHOWN,
-    brief: Sequence[Metric] = BRIEF,
-    executor: Executor | None = None,
-    restart: bool = False,
-    trust: bool = False,
-    make_loop: LoopMaker = make_nonstop,
-    measure: Callable[[list[Call]], list[Row]] | None = None,
-    needs_first: bool = False,
-    progress: Progress = no_progress,
-) -> Study:
-    """A study of these settings, see `study`.
-
-    `keep` is "", "results" or "replay": what the first run of each setting leaves; `measure` takes
-    the place of flying, and `needs_first` refuses a first setting that cannot be built.
-    """
-    folder = None if folder is None else as_path(folder)
-    require_flags(restart=restart, trust=trust)
-    require(callable(progress), "progress", progress, "give a function, such as a TaskProgress()")
-    require_sendable(make_loop, "make_loop")
-    if executor is None:
-        require_main()
-    numbers = _seeds(seeds)
-    count = len(settings) * len(numbers)
-    require(0 < count <= _MOST_RUNS, "study", f"{count} runs", f"give 1 to {_MOST_RUNS}")
-    _require_buildable(scenario, settings, trust=trust, only_first=needs_first)
-    places = _places(settings) if keep and folder is not None else {}
-    planned = planned_calls(
-        scenario, settings, seeds, folder, places, keep, trust=trust, make_loop=make_loop
-    )
-    calls: dict[str, Call] = {}
-    for call in planned:
-        key = call.key
-        calls[key if key not in calls else f"{key}_{len(calls)}"] = call
-    contents = [*FILES, *(f"{place}/{item}" for place in places.values() for item in RUN_FILES)]
-    kind = measure.__name__ if measure else "flights"
-    text = dump_scenario(scenario)
-    settings_name = study_settings(kind, text, make_loop)
-    with open_journal(folder, settings_name, contents=contents, restart=restart) as journal:
-        missing = [key for key, call in calls.items() if not call.is_done(journal.rows.get(key))]
-        done = len(calls) - len(missing)
-        kept = [key for key in missing if calls[key].place]  # writing takes as long as flying
-        others = [key for key in missing if not calls[key].place]
-        batches = [*in_batches(kept, 1), *in_batches(others, _MOST_TOGETHER)]
-        work = functools.partial(_measured, measure or fly)
-        named = [[(key, calls[key]) for key in batch] for batch in batches]
-        for batch, rows in results_of(work, named, executor):
-            if isinstance(rows, ScenarioError):
-                raise rows
-            error = str(rows) if isinstance(rows, Exception) else ""
-            found = [failed_row(FAILED, error)] * len(batch) if error else rows
-            assert isinstance(found, list)
-            for (key, _), row in zip(batch, found, strict=True):
-                journal.record(key, row)
-            done += len(batch)
-            progress(f"{len(calls)} runs", done / len(calls))
-        table = _table(settings, numbers, [journal.rows[key] for key in calls])
-        made = Study(
-            title=title or scenario.name,
-            table=table,
-            settings=settings,
-            shown=shown,
-            brief=brief,
-            folder=folder,
-            places={k: p for k, p in places.items() if _has_results(folder, p)},
-        )
-        if folder is not None:
-            _write(made, folder, scenario, text, has_replays=keep == "replay")
-    return made
-
-
-FILES = ("scenario.yaml", TABLE, "summary.csv", "summary.tex", PAGE)
-
-
 @dataclass(frozen=True)
 class Call:
-    """What a process needs for a run; `place` is the folder in `folder` of its results."""
+    """What a process needs for a run; `place` is the folder that gets its results."""
 
     text: str
     changes: Sequence[Change]
     seed: int | None
-    trust: bool
-    make_loop: LoopMaker
-    folder: Path | None = None
-    place: str | None = None
-    keep: str = ""
+    trust: bool = False
+    make_loop: LoopMaker = make_nonstop
+    place: Path | None = None
 
     def scenario(self) -> tuple[Scenario, dict[str, Any], dict[str, Any]]:
         """The scenario, replacements that are no configs, and what was drawn."""
@@ -343,44 +287,25 @@ class Call:
         """Whether there is a row, with the files that belong to it."""
         if row is None or not {"ending", "message", "drawn", "metrics"} <= row.keys():
             return False
-        if self.place is None or not row["metrics"]:
-            return True
-        assert self.folder is not None
-        made, *_ = self.scenario()
-        written = dump_scenario(sample(made)[0])
-        return is_written(self.folder / self.place, "scenario.yaml", written)
+        return self.place is None or not row["metrics"] or (self.place / METRICS_FILE).exists()
 
     @property
     def key(self) -> str:
         """A name of what the run depends on besides the scenario."""
-        own = identity(self.changes, self.make_loop)
-        kept = self.place and [self.place, self.keep]
-        return key_of({"changes": own, "seed": self.seed, "kept": kept})
-
-
-def study_settings(kind: str, text: str, make_loop: LoopMaker = make_nonstop) -> str:
-    """A name of what all rows of a study depend on; see `settings_of`."""
-    return settings_of(kind, text, identity([], make_loop))
+        parts = [identity(self.changes, self.make_loop), self.seed, self.place and self.place.name]
+        return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:20]
 
 
 def planned_calls(
     scenario: Scenario,
     settings: Sequence[Setting],
-    seeds: int | Sequence[int] | None,
-    folder: Path | None = None,
-    places: Mapping[int, str] | None = None,
-    keep: str = "",
-    *,
+    seeds: Sequence[int | None],
     trust: bool = False,
     make_loop: LoopMaker = make_nonstop,
 ) -> list[Call]:
     """The runs of a study, of each setting with each seed."""
-    text, numbers = dump_scenario(scenario), _seeds(seeds)
-    calls = []
-    for (k, setting), seed in itertools.product(enumerate(settings), numbers):
-        place = (places or {}).get(k) if seed == numbers[0] else None
-        calls.append(Call(text, setting.changes, seed, trust, make_loop, folder, place, keep))
-    return calls
+    text, pairs = dump_scenario(scenario), itertools.product(settings, seeds)
+    return [Call(text, setting.changes, seed, trust, make_loop) for setting, seed in pairs]
 
 
 @functools.lru_cache(maxsize=1)
@@ -394,17 +319,11 @@ def failed_row(ending: str, message: str, drawn: Mapping[str, Any] | None = None
     return {"ending": ending, "message": message, "drawn": dict(drawn or {}), "metrics": {}}
 
 
-def _measured(
-    measure: Callable[[list[Call]], list[Row]], batch: list[tuple[str, Call]]
-) -> list[Row]:
-    return measure([call for _, call in batch])
-
-
-def fly(calls: list[Call]) -> list[Row]:
+def fly(calls: list[tuple[str, Call]]) -> list[Row]:
     """The rows of runs, several of which fly side by side; those with a place leave results."""
     rows: dict[int, Row] = {}
     runs, about = [], []
-    for k, call in enumerate(calls):
+    for k, (_, call) in enumerate(calls):
         _base(call.text)  # what cannot be read here is no fault of a setting
         try:
             scenario, others, drawn = call.scenario()
@@ -418,20 +337,17 @@ def fly(calls: list[Call]) -> list[Row]:
         row = rows[k] = failed_row(tried.ending, tried.message, drawn)
         if tried.run is None:
             continue
-        call = calls[k]
-        if call.place is None:
+        place = calls[k][1].place
+        if place is None:
             metrics = compute_metrics(tried.run)
         else:
-            assert call.folder is not None
-            with_replay = call.keep == "replay"
-            place = call.folder / call.place
-            metrics = write_results(tried.run, place, figures=False, replay=with_replay)
+            metrics = write_results(tried.run, place, figures=False)
         metrics["warnings"] = [*dict.fromkeys([*tried.told, *metrics["warnings"]])]
         row["metrics"] = flattened(metrics)
     return [rows[k] for k in range(len(calls))]
 
 
-def _seeds(seeds: Any) -> list[int | None]:
+def listed_seeds(seeds: Any) -> list[int | None]:
     """The seeds; [None] where each run has the scenario's own."""
     if seeds is None:
         return [None]
@@ -444,19 +360,16 @@ def _seeds(seeds: Any) -> list[int | None]:
     return [*dict.fromkeys(seeds)]
 
 
-def _require_buildable(
-    scenario: Scenario, settings: Sequence[Setting], *, trust: bool, only_first: bool
-) -> None:
-    """Raises the first ScenarioError unless a setting, or the first one, can be made."""
-    first = None
-    for setting in settings[: 1 if only_first else 20]:
+def _require_buildable(scenario: Scenario, settings: Sequence[Setting], *, trust: bool) -> None:
+    """Raises the first ScenarioError unless a setting can be made."""
+    errors = []
+    for setting in settings[:20]:
         try:
             varied(scenario, setting.changes, trust=trust)
             return
         except ScenarioError as error:
-            first = first or error
-    assert first is not None
-    raise first
+            errors.append(error)
+    raise errors[0]
 
 
 def _places(settings: Sequence[Setting]) -> dict[int, str]:
@@ -469,10 +382,6 @@ def _places(settings: Sequence[Setting]) -> dict[int, str]:
         places[k] = next(place for place in numbered if place.lower() not in taken)
         taken.add(places[k].lower())
     return places
-
-
-def _has_results(folder: Path | None, place: str) -> bool:
-    return folder is not None and (folder / place / "metrics.json").exists()
 
 
 def _table(
@@ -494,27 +403,19 @@ def _table(
     return table
 
 
-def _write(made: Study, folder: Path, scenario: Scenario, text: str, *, has_replays: bool) -> None:
+def _write(made: Study, folder: Path, scenario: Scenario, places: Mapping[int, str]) -> None:
     """Writes all files of a study but its journal, which replace earlier ones together."""
-    paths = [metric.path for metric in made.brief if metric.path in made.table]
-    numbers = [path for path in paths if path != "outcome"]
-    names = {path: re.sub(r"\W", "_", path) for path in numbers}
+    names = {path: re.sub(r"\W", "_", path) for path in _BRIEF if path in made._summary.values}
     pictures = [f"{name}.{kind}" for name in names.values() for kind in ("png", "pdf")]
     with replacing_files(folder, [*FILES, *pictures]) as new:
-        (new / "scenario.yaml").write_text(text, encoding="utf-8")
-        made.table.to_csv(new / TABLE)
+        (new / SCENARIO).write_text(dump_scenario(scenario), encoding="utf-8")
+        made.table.to_csv(new / "runs.csv")
         made.summary().to_csv(new / "summary.csv")
         (new / "summary.tex").write_text(made.latex(), encoding="utf-8")
         for path, name in names.items():
             figure = made.figure(path)
             for kind in ("png", "pdf"):
                 figure.savefig(new / f"{name}.{kind}", dpi=150)
-        page = make_page(
-            made.title,
-            scenario,
-            made._summary,
-            made.shown,
-            [*names.values()],
-            made.places if has_replays else {},
-        )
+        replays = {k: p for k, p in places.items() if (folder / p / METRICS_FILE).exists()}
+        page = make_page(made.title, scenario, made._summary, SHOWN, [*names.values()], replays)
         (new / PAGE).write_text(page, encoding="utf-8")

@@ -32,13 +32,9 @@ from drake_nonstop.validation import ScenarioError, one_line, require, show_warn
 
 PROCESS_DIED = "its process died: it crashed or ran out of memory"
 BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")
-_GUARD = '`if __name__ == "__main__":`'
 
 Progress = Callable[[str, float], None]  # called with a description and the share that is done
-
-
-class ProcessDiedError(RuntimeError):
-    """A call ended its process, twice."""
+Batches = deque[list[Any]]
 
 
 def no_progress(what: str, share: float) -> None:
@@ -80,7 +76,7 @@ def require_main() -> None:
 def _unguarded(script: str) -> ScenarioError:
     return ScenarioError(
         f"__main__ = {script}: processes import it as they start, and cannot; save it as a .py "
-        f"file, with what it does in a function that is called below {_GUARD}"
+        'file, with what it does in a function that is called below `if __name__ == "__main__":`'
     )
 
 
@@ -94,8 +90,8 @@ def results_of(
     function: Callable[[list[Any]], list[Any]],
     batches: Sequence[list[Any]],
     executor: Executor | None = None,
-) -> Iterator[tuple[list[Any], list[Any] | Exception]]:
-    """Batches of calls with their results, as they come; an error in place of the results.
+) -> Iterator[tuple[list[Any], list[Any] | str]]:
+    """Batches of calls with their results, as they come; an error's text in place of the results.
 
     Args:
         function: returns the results of a list of calls; processes can import it.
@@ -103,17 +99,15 @@ def results_of(
         executor: takes the place of a process per core, and is not shut down.
 
     Raises:
-        ScenarioError: processes end as they start, or the executor cannot be used.
+        ScenarioError: the function raised it, processes end as they start, or the executor cannot
+            be used.
     """
+    waiting: Batches = deque(batches)
     if executor is not None:
-        require(
-            isinstance(executor, Executor),
-            "executor",
-            executor,
-            "give one of concurrent.futures' kind, or None",
-        )
+        remedy = "give one of concurrent.futures' kind, or None"
+        require(isinstance(executor, Executor), "executor", executor, remedy)
         try:
-            yield from _results(executor, function, deque(batches), 200)
+            yield from _results(executor, function, waiting, 200, [])
         except (BrokenExecutor, RuntimeError) as error:  # RuntimeError: it is shut down
             raise ScenarioError(
                 f"executor = {type(executor).__name__}: its workers have ended, or it takes no "
@@ -121,45 +115,32 @@ def results_of(
             ) from None
         return
     require_main()
-    waiting, out, has_any = deque(batches), _Out(), False
-    while waiting:
-        count = os.cpu_count() or 1
+    alone, has_any = Batches(), False
+    while waiting or alone:
+        now, most = (waiting, os.cpu_count() or 1) if waiting else (alone, 1)
+        out: list[list[Any]] = []  # the batches that processes have
         try:
-            with _pool(min(count, len(waiting))) as pool:
-                for answer in _results(pool, function, waiting, count, out.now):
+            with _pool(min(most, len(now))) as pool:
+                for answer in _results(pool, function, now, most, out):
                     has_any = True
                     yield answer
         except BrokenExecutor:
-            out.suspects += out.now
-            out.now.clear()
+            if now is alone:
+                yield out[0], PROCESS_DIED
+                continue
+            alone += [[call] for batch in out for call in batch]
             if not has_any:
                 _require_startable()
-    alone = deque([call] for batch in out.suspects for call in batch)
-    while alone:
-        try:
-            with _pool(1) as pool:
-                yield from _results(pool, function, alone, 1, out.now)
-        except BrokenExecutor:
-            yield out.now.pop(), ProcessDiedError(PROCESS_DIED)
-
-
-class _Out:
-    """The batches that processes have now, and those whose processes died."""
-
-    def __init__(self) -> None:
-        self.now: list[list[Any]] = []
-        self.suspects: list[list[Any]] = []
 
 
 def _results(
     pool: Executor,
     function: Callable[[list[Any]], list[Any]],
-    waiting: deque[list[Any]],
+    waiting: Batches,
     most: int,
-    out: list[list[Any]] | None = None,
-) -> Iterator[tuple[list[Any], list[Any] | Exception]]:
+    out: list[list[Any]],
+) -> Iterator[tuple[list[Any], list[Any] | str]]:
     """The results of waiting batches, of which a pool has so many at a time, those in `out`."""
-    out = [] if out is None else out
     pending: dict[Future, list[Any]] = {}
     try:
         while waiting or pending:
@@ -171,16 +152,11 @@ def _results(
                     break  # a serial executor: recorded before the next one is called
             for future in wait(pending, return_when=FIRST_COMPLETED).done:
                 error = future.exception()
-                if isinstance(error, BrokenExecutor):
+                if isinstance(error, (BrokenExecutor, ScenarioError)):
                     raise error
                 batch = pending.pop(future)
                 out.remove(batch)
-                if error is None:
-                    yield batch, future.result()
-                elif isinstance(error, Exception):
-                    yield batch, error
-                else:
-                    yield batch, RuntimeError(one_line(error))
+                yield batch, one_line(error) if error else future.result()
     finally:
         for future in pending:
             future.cancel()
@@ -278,22 +254,15 @@ def run_all(
     """
     require(callable(progress), "progress", progress, "give a function, such as a TaskProgress()")
     missing = [key for key in keys if key not in done]
-    batches = [[(k, arguments(key))] for k, key in enumerate(missing)]
-    for count, (batch, results) in enumerate(
-        results_of(partial(_each, function), batches, executor), len(keys) - len(missing) + 1
-    ):
-        if isinstance(results, ScenarioError):
-            raise results
-        key = missing[batch[0][0]]
-        if isinstance(results, Exception):
-            error = PROCESS_DIED if isinstance(results, ProcessDiedError) else one_line(results)
-            record(key, failed(key, error))
-        else:
-            record(key, results[0])
+    batches = [[(key, arguments(key))] for key in missing]
+    count = len(keys) - len(missing)
+    for ((key, _),), results in results_of(partial(_each, function), batches, executor):
+        count += 1
+        record(key, failed(key, results) if isinstance(results, str) else results[0])
         progress(what() if callable(what) else what, count / len(keys))
 
 
-def _each(function: Callable[..., Any], calls: list[tuple[int, tuple]]) -> list[Any]:
+def _each(function: Callable[..., Any], calls: list[tuple[Any, tuple]]) -> list[Any]:
     try:
         return [function(*arguments) for _, arguments in calls]
     except SystemExit as error:  # of a block

@@ -10,7 +10,7 @@ from PIL import Image
 from drake_nonstop.cli import check
 from drake_nonstop.cli.ending import BAD_INPUT, FAILED
 from drake_nonstop.cli.main import main
-from drake_nonstop.scenario.loading import dump_scenario, load_scenario
+from drake_nonstop.scenario.loading import load_scenario
 
 # Refused by what the loop is built from, and by what a run is flown with.
 REFUSED = [
@@ -105,16 +105,3 @@ def test_seeds_are_flown_and_a_failure_is_the_exit_code(tmp_path, capsys):
     shown = capsys.readouterr().out
     assert shown.startswith("check quintic: 2 flights of 1 s\n")
     assert "without the errors that the scenario states the flight is ok" in shown
-
-
-@pytest.mark.usefixtures("plain_figures")
-def test_the_scenario_of_a_run_of_other_settings_is_kept(tmp_path, capsys):
-    (tmp_path / "metrics.json").write_text("{}")
-    (tmp_path / "scenario.yaml").write_text("line: {}")
-    arguments = ["check", "aircraft_co_rotating", "--out", str(tmp_path), "--set", SHORT]
-    assert main(arguments) == BAD_INPUT
-    assert "a run of other settings has its scenario.yaml there" in capsys.readouterr().err
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["metrics.json", "scenario.yaml"]
-    text = dump_scenario(load_scenario("aircraft_co_rotating", [SHORT]))
-    (tmp_path / "scenario.yaml").write_text(text)
-    assert main(arguments) == 0

@@ -82,30 +82,3 @@ def test_in_any_order_what_is_whole_stays(tmp_path, monkeypatch, capsys, end, op
             assert contents(folder) == kept
             assert outcome(stopped) == "stopped"
             assert f"{stopped.name}; those of an earlier run stay in " in said
-
-
-def test_an_interrupt_while_writing_keeps_the_pictures_of_an_equal_run(tmp_path, monkeypatch, end):
-    folder = tmp_path / "a"
-    assert end("whole", "--out", str(folder), "--no-figures", "--no-replay") == 0
-    (folder / "figures").mkdir()
-    for name in ("replay.html", "figures/tensions.png"):
-        (folder / name).write_text("shows it")
-    before = set(contents(folder))
-
-    def interrupted(diagram):
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch:
-        patch.setattr(results_folder, "draw_diagram", interrupted)
-        end("whole", "--out", str(folder))
-        assert set(contents(folder)) == before
-        end("whole", "--out", str(folder), change=["scene.wing_span=0.3"])
-        names = {
-            "scenario.yaml",
-            "metrics.json",
-            "signals.npz",
-        }  # others would not show it
-        assert {path.name for path in contents(folder)} == names
-    (folder / "replay.html").write_text("shows it")
-    assert end("whole", "--out", str(folder), "--no-figures", "--no-replay") == 0
-    assert not (folder / "replay.html").exists()

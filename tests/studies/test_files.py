@@ -2,14 +2,13 @@
 
 import contextlib
 import os
-import socket
 
 import numpy as np
 import pytest
 
 from drake_nonstop.studies.files import (
     as_path,
-    read_regular,
+    free_folder,
     replacing_file,
     replacing_files,
     require_writable,
@@ -70,17 +69,17 @@ def test_a_folder_that_is_gone_is_one_sentence(tmp_path):
         pass
 
 
-def test_nobody_waits_for_what_is_no_file(tmp_path):
-    os.mkfifo(tmp_path / "pipe")
-    with socket.socket(socket.AF_UNIX) as bound:
-        bound.bind(str(tmp_path / "socket"))
-        for name in ("pipe", "socket", "."):
-            with pytest.raises(OSError, match=r"regular|No such device|directory"):
-                read_regular(tmp_path / name)
-
-
 def test_numbers_of_numpy_are_written_as_those_of_python(tmp_path):
     write_json(tmp_path / "a.json", {"a": np.float64(0.5), "b": np.nan, "c": [np.int64(3)]})
     assert (tmp_path / "a.json").read_text().split() == (
         ["{", '"a":', "0.5,", '"b":', "null,", '"c":', "[", "3", "]", "}"]
     )
+
+
+def test_results_of_other_settings_have_folders_of_their_own(tmp_path):
+    place = tmp_path / "quintic"
+    assert free_folder(place, "scenario.yaml", "a") == place
+    place.mkdir()
+    (place / "scenario.yaml").write_text("a")
+    assert free_folder(place, "scenario.yaml", "a") == place
+    assert free_folder(place, "scenario.yaml", "b") == tmp_path / "quintic_2"

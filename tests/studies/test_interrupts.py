@@ -34,7 +34,6 @@ COMMANDS = {
     "sweep": ["sweep", "line", "spec.yaml"],
     "ablate": ["ablate", "line", "--grid", "departures", "--no-replay"],
     "robustness": ["robustness", "line"],
-    "stability": ["stability", "line", "--ranges"],
 }
 # The imports, in which Python itself answers signals, are behind it as it begins.
 PROGRAM = """
@@ -153,7 +152,7 @@ def test_a_block_that_never_returns_keeps_no_process(
 ):
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([*sys.path, str(faulty_blocks)]))
     block = "load_disturbance=!faulty_blocks.FaultyWind {}"
-    swap = ["--swap", "load_disturbance.fault=hangs", "--trust", "--no-replay", "--out", "out"]
+    swap = ["--swap", "load_disturbance.fault=hangs", "--trust", "--out", "out"]
     process = begun(tmp_path, ["ablate", "line", *swap, "--set", *SHORT, block])
     while len(journalled(tmp_path / "out")) < 2:  # the unchanged scenario
         time.sleep(0.05)

@@ -1,19 +1,13 @@
 """The journal of a study, and where results go."""
 
-import json
-
 import pytest
 
-from drake_nonstop.scenario.loading import dump_scenario, load_scenario
 from drake_nonstop.studies.journal import (
     JOURNAL,
     StudyInterrupted,
-    journalled_settings,
     open_journal,
-    own_code_of,
     settings_of,
 )
-from drake_nonstop.studies.results_folder import default_folder
 from drake_nonstop.validation import ScenarioError
 
 
@@ -31,7 +25,6 @@ def rows(folder, settings="s", **options):
 def test_rows_stay_until_a_restart(tmp_path):
     write(tmp_path)
     assert rows(tmp_path) == {"a": {"value": "aaa"}, "b": {"value": "bbb"}}
-    assert journalled_settings(tmp_path) == "s"
     assert rows(tmp_path, restart=True) == {}
     assert not (tmp_path / JOURNAL).exists()
 
@@ -107,25 +100,6 @@ def test_other_code_is_other_settings(tmp_path, monkeypatch):
     module = tmp_path / "my_block_of_settings.py"
     module.write_text("a = 1\n")
     text = "phase: !my_block_of_settings.Mine {}"
-    before = settings_of("x", text), own_code_of(text)
+    before = settings_of("x", text)
     module.write_text("a = 2\n")
-    assert settings_of("x", text) != before[0]
-    assert own_code_of(text) != before[1]
-    assert own_code_of("phase: !PaperPhase {}") is None
-
-
-def test_default_folders_hold_one_kind_of_settings_each(tmp_path):
-    place = tmp_path / "quintic"
-    assert default_folder(place, "s") == place
-    write(place)
-    assert default_folder(place, "s") == place
-    assert default_folder(place, "t") == tmp_path / "quintic_2"
-    scenario = load_scenario("quintic")
-    run = tmp_path / "quintic_2"
-    run.mkdir()
-    (run / "scenario.yaml").write_text(dump_scenario(scenario))
-    (run / "metrics.json").write_text(json.dumps({"is_steered": False, "versions": {}}))
-    assert default_folder(place, scenario) == run
-    assert default_folder(place, load_scenario("line")) == tmp_path / "quintic_3"
-    (run / "metrics.json").write_text(json.dumps({"is_steered": True, "versions": {}}))
-    assert default_folder(place, scenario) == tmp_path / "quintic_3"
+    assert settings_of("x", text) != before

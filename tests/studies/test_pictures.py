@@ -37,13 +37,6 @@ def test_a_fork_draws_the_figures(write):
     assert pids["tensions.png"] == pids["limits.png"] != str(os.getpid())
 
 
-def test_figures_have_the_format_that_is_asked_for_and_replace_those_of_another(write):
-    for kind, other in (("png", "pdf"), ("pdf", "svg"), ("svg", "png")):
-        names = write(lambda item: 0, figures=kind)
-        assert {f"tensions.{kind}", f"limits.{kind}"} < set(names)
-        assert f"tensions.{other}" not in names
-
-
 def test_what_a_fork_does_not_draw_is_drawn(write):
     own = os.getpid()
 
