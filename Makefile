@@ -5,8 +5,8 @@
 # make test: what a change has to pass, in some minutes.
 # make nightly: all the rest: studies, both engines on everything, browsers, notebooks, signals and
 #   kills, claims on speed, `make docs adversary mutants`, `make lowest TESTS=`.
-#   make sample: one test of each class of them, and some of the adversary and of the mutants.
-# make adversary: bad and extreme inputs, signals and kills; COUNT=2000 SEED=1 for more and others.
+#   make sample: one test of each class of them, and one of the mutants.
+# make adversary: bad and extreme inputs, and signals: COUNT=200 examples of each property, SEED=0.
 # make mutants: which faults the tests catch: chosen ones, and DRAWN=120 of the seed SEED=0.
 # make golden: writes golden numbers that changed, and lists them; see tests/golden.
 # make docs: the documentation, in site/; EXECUTE_NOTEBOOKS=false: notebooks without outputs.
@@ -43,7 +43,6 @@ nightly: $(VENV)/.installed-dev
 
 sample: $(VENV)/.installed-dev
 	$(PYTEST) -m nightly --sample 1
-	$(MAKE) adversary COUNT=24
 	cd tests && ../$(BIN)/python -m mutants --drawn 0 --file mechanics/wrench.py --brief
 
 check: $(VENV)/.installed-dev
@@ -57,7 +56,8 @@ COUNT ?= 200
 SEED ?= 0
 DRAWN ?= 120
 adversary: $(VENV)/.installed-dev
-	cd tests && ../$(BIN)/python -m adversary --count $(COUNT) --seed $(SEED)
+	ADVERSARY_COUNT=$(COUNT) $(PYTEST) tests/adversary -m "nightly or not nightly" \
+	  --hypothesis-seed=$(SEED)
 
 mutants: $(VENV)/.installed-dev
 	cd tests && ../$(BIN)/python -m mutants --drawn $(DRAWN) --seed $(SEED)

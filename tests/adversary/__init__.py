@@ -1,6 +1,4 @@
-"""An adversary: bad and extreme inputs, signals and kills, drawn at random but repeatably.
+"""Bad and extreme inputs, drawn by Hypothesis: one sentence for each, and nothing is lost.
 
-Each module in `CLASSES` draws one class of inputs. `python -m adversary --count 2000` from the
-folder `tests`, or `make adversary`, tries them and prints a table; each fault comes with the
-line that repeats it alone.
+`make adversary COUNT=2000 SEED=1` tries more and others; a failure prints the smallest input.
 """

@@ -20,7 +20,7 @@ from pathlib import Path, PurePosixPath
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from mutants.faults import ROOT, Fault, chosen_faults, drawn_faults
+from mutants.faults import CHOSEN, ROOT, Fault, chosen_faults, drawn_faults
 
 LEAST_CHOSEN, LEAST_DRAWN = 0.95, 0.85  # shares that have to be caught
 _LONGEST = 4 * 3600.0  # s, of all tests
@@ -165,7 +165,9 @@ def main() -> int:
     parser.add_argument("--brief", action="store_true", help="run the tests of its room alone")
     parser.add_argument("--list", action="store_true", help="print the faults, run no tests")
     options = parser.parse_args()
-    chosen = chosen_faults()
+    chosen, gone = chosen_faults()
+    for line in gone:
+        print(f"change {CHOSEN.name}: {line}", file=sys.stderr)
     if options.chosen is not None:
         chosen = random.Random(options.seed).sample(chosen, min(options.chosen, len(chosen)))
     faults = [*chosen, *drawn_faults(options.seed, options.drawn)]

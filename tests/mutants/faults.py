@@ -43,23 +43,18 @@ class Fault(NamedTuple):
         return "\n".join(lines)
 
 
-def chosen_faults() -> list[Fault]:
-    """The faults of the file.
-
-    Raises:
-        ValueError: lines are not found exactly once in their files.
-    """
-    found, wrong = [], []
+def chosen_faults() -> tuple[list[Fault], list[str]]:
+    """The faults of the file, and what is not found exactly once in its file any more."""
+    found, gone = [], []
     for file, faults in yaml.safe_load(CHOSEN.read_text(encoding="utf-8")).items():
-        lines = (ROOT / file).read_text(encoding="utf-8").split("\n")
+        text = (ROOT / file).read_text(encoding="utf-8") if (ROOT / file).exists() else ""
+        lines = [line.strip() for line in text.split("\n")]
         for line, becomes in faults.items():
-            numbers = [k for k, other in enumerate(lines, start=1) if other.strip() == line]
-            found.append(Fault(file, (numbers or [0])[0], line, becomes))
-            if len(numbers) != 1:
-                wrong.append(f"{file}: {line!r} is there {len(numbers)} times, not once")
-    if wrong:
-        raise ValueError("\n".join(wrong))
-    return found
+            if lines.count(line) == 1:
+                found.append(Fault(file, lines.index(line) + 1, line, becomes))
+            else:
+                gone.append(f"{file}: {line!r} is there {lines.count(line)} times, not once")
+    return found, gone
 
 
 def drawn_faults(seed: int, count: int) -> list[Fault]:

@@ -10,8 +10,8 @@ from mutants.faults import ROOT, chosen_faults, drawn_faults
 
 
 def test_chosen_faults_change_a_line_that_is_found_once_and_compile():
-    found = chosen_faults()
-    assert len(found) >= 60
+    found, gone = chosen_faults()
+    assert len(gone) <= len(found) / 10, "\n".join(gone)
     for fault in found:
         made = fault.made_in((ROOT / fault.file).read_text(encoding="utf-8"))
         assert made.split("\n")[fault.number - 1].strip() == fault.becomes.strip()
@@ -20,9 +20,12 @@ def test_chosen_faults_change_a_line_that_is_found_once_and_compile():
 
 def test_a_line_that_is_not_found_once_is_told(tmp_path, monkeypatch):
     monkeypatch.setattr(faults, "CHOSEN", tmp_path / "faults.yaml")
-    faults.CHOSEN.write_text("Makefile: {no such line: another, 'PYTHON ?= python3': a}")
-    with pytest.raises(ValueError, match=r"^Makefile: 'no such line' is there 0 times, not once$"):
-        chosen_faults()
+    faults.CHOSEN.write_text(
+        "Makefile: {no such line: another, 'PYTHON ?= python3': a}\na.py: {b: c}"
+    )
+    found, gone = chosen_faults()
+    assert [fault.becomes for fault in found] == ["a"]
+    assert [line.partition(": ")[0] for line in gone] == ["Makefile", "a.py"]
 
 
 def test_drawn_faults_are_those_of_their_seed_and_of_a_line_each(monkeypatch):

@@ -1,0 +1,253 @@
+"""The command with drawn options, files and folders: an exit code, one sentence, nothing lost."""
+
+import argparse
+import hashlib
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from adversary.drawn import SHORT
+from adversary.judging import judge_sentence, limited
+from drake_nonstop.cli.main import commands, main, make_parser
+
+FLOWN, FAILED, REFUSED = (0, 3), 1, 2
+QUICK = ["--set", SHORT, "optimization_layer=ConstantParameters"]
+WORDS = (
+    *("0", "-1", "1", "1.5", "nan", "inf", "1e400", "abc", "", "0x1", "9" * 30, "1_0", "٣", "é"),
+    *("🛩", "a\nb", "x" * 3000, "--", "-", "-h", "a=b", "=", "/dev/zero", "[]", "!x", "%s", "{0}"),
+    *("../..", "quintic", "no_such.yaml", "LINE", "phase=PaperPhase", "system.load_mass=0", "640x"),
+)
+
+
+def actions_of(command: str) -> list[argparse.Action]:
+    """The arguments that a command has."""
+    (subparsers,) = (
+        action
+        for action in make_parser(command)._actions
+        if isinstance(action, argparse._SubParsersAction)
+    )
+    return [a for a in subparsers.choices[command]._actions if a.dest not in ("help", "live")]
+
+
+ACTIONS = {command: actions_of(command) for command in commands()}
+# Studies fly in processes, which takes seconds: here what they are asked for is refused before.
+BRIEF = {"run": [*QUICK, "--no-figures", "--no-replay"], "check": [*QUICK, "--seeds", "1"]}
+REFUSED_ANYHOW = ["--set", "system.load_mass=0"]
+NEED_NOTHING = ("list", "blocks", "init")
+
+
+@st.composite
+def calls(draw: st.DrawFn) -> list[str]:
+    """A command with options that it has, and words for them, or with others."""
+    command = draw(st.sampled_from([*ACTIONS]))
+    word, call = st.sampled_from(WORDS), [command]
+    for action in ACTIONS[command]:
+        if not action.option_strings:
+            call.append(draw(st.one_of(st.sampled_from(["line", "quintic"]), word)))
+        elif draw(st.booleans()) and draw(st.booleans()):
+            call.append(draw(st.sampled_from(action.option_strings)))
+            call += [draw(word)] if action.nargs != 0 else []
+    call += draw(st.lists(word, max_size=1))
+    options = {option for action in ACTIONS[command] for option in action.option_strings}
+    return [*call, *BRIEF.get(command, REFUSED_ANYHOW if "--set" in options else [])]
+
+
+def judged(arguments: list[str], capfd: pytest.CaptureFixture[str]) -> int:
+    """The exit code of a call, whose output is as it should be."""
+    capfd.readouterr()
+    with limited():
+        try:
+            code = main([argument.replace("\0", "") for argument in arguments])
+        except SystemExit as ended:  # argparse's
+            code = int(ended.code or 0)
+    _judge_output(code, *capfd.readouterr())
+    return code
+
+
+def _judge_output(code: int, out: str, error: str) -> None:
+    said = [line for line in error.splitlines() if re.match(r"drake-nonstop( [\w-]+)*: ", line)]
+    assert "Traceback" not in out + error, error
+    assert code in (*FLOWN, FAILED, REFUSED), code
+    if code == REFUSED:
+        (sentence,) = said
+        if not re.match(r"drake-nonstop( [\w-]+)*: error: ", sentence):  # argparse's
+            judge_sentence(sentence.removeprefix("drake-nonstop: "))
+    else:
+        assert code == FAILED or not said, error
+        assert code != FAILED or said or out, "exit code 1 without a word"
+
+
+@given(calls())
+def test_any_options_are_one_sentence_or_a_result(tmp_path, monkeypatch, capfd, arguments):
+    monkeypatch.chdir(tmp_path)
+    judged(arguments, capfd)
+
+
+@pytest.mark.parametrize("command", ACTIONS)
+def test_each_command_has_a_help_with_all_its_options(command, capfd):
+    assert judged([command, "--help"], capfd) == 0
+    with pytest.raises(SystemExit):
+        main([command, "--help"])
+    told = capfd.readouterr().out
+    assert all(option in told for a in ACTIONS[command] for option in a.option_strings)
+
+
+CSV = "t,x,y,z\n0,0,0,0\n1,0.1,0,0\n2,0.2,0,0\n"
+SDF = """<sdf version="1.7"><model name="crate"><link name="box"><inertial><mass>1.2</mass>
+<inertia><ixx>0.01</ixx><ixy>0</ixy><ixz>0</ixz><iyy>0.01</iyy><iyz>0</iyz><izz>0.02</izz></inertia>
+</inertial></link><frame name="a" attached_to="box"><pose>0.5 0 0 0 0 0</pose></frame>
+<frame name="b" attached_to="box"><pose>-0.25 0.43 0 0 0 0</pose></frame>
+<frame name="c" attached_to="box"><pose>-0.25 -0.43 0 0 0 0</pose></frame></model></sdf>"""
+SPEC = "overrides: ['system.load_mass=!Uniform {min: 0.9, max: 1.1}']\nseeds: 2\n"
+GRID = "variants:\n  a: [phase=PaperPhase]\n"
+MINE = f"mine: {{based_on: line, {SHORT.replace('=', ': ')}}}\n"
+RUN = ["run", "--out", "out", *BRIEF["run"]]
+TOP = f"top: {{based_on: base.yaml, {SHORT.replace('=', ': ')}}}\n"
+SAMPLED = "load_trajectory=!SampledTrajectory {file: a b.csv}"
+CRATE = ["system.load_file=crate.sdf", "system.attachment_frames=[a, b, c]"]
+# What a command reads from a file, and the command.
+READ = {
+    "mine.yaml": (MINE, [*RUN, "--", "mine.yaml"]),
+    "base.yaml": (MINE, [*RUN, "--", "top.yaml"]),
+    "a b.csv": (CSV, [*RUN, SAMPLED, "--", "line"]),
+    "crate.sdf": (SDF, [*RUN, *CRATE, "--", "three_carriers"]),
+    "spec.yaml": (SPEC, ["sweep", "line", "spec.yaml", *REFUSED_ANYHOW]),
+    "grid.yaml": (GRID, ["ablate", "line", "--grid", "grid.yaml", *REFUSED_ANYHOW]),
+    "request.yaml": ("load_mass: 5\n", ["design", "request.yaml", "--set", "load_mass=0"]),
+}
+FORMS = (
+    *("missing", "folder", "full folder", "fifo", "loop", "dangling", "unreadable", "huge", "long"),
+    *("binary", "zeros", "truncated", "empty", "utf-16", "one line", "damaged", "/dev/zero"),
+    *("/dev/null", "/dev/full", "/dev/random", "/dev/stdin", "/proc/self/mem", "/proc", "/dev/tty"),
+)
+
+
+def put(path: Path, form: str, good: str, draw: int) -> None:
+    """Puts something at a path: of good content, damaged, or of another kind."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    data, rng = good.encode(), draw % len(good)
+    contents = {
+        "binary": hashlib.sha512(str(draw).encode()).digest() * 50,
+        "zeros": bytes(5000),
+        "truncated": data[:rng],
+        "empty": b"",
+        "utf-16": good.encode("utf-16"),
+        "one line": data.replace(b"\n", b" ") * 2000,
+        "long": data + (data.splitlines()[-1] + b"\n") * 100_000,
+        "damaged": data[:rng] + bytes([draw % 256]) + data[rng + 1 :],
+    }
+    if form in contents:
+        path.write_bytes(contents[form])
+    elif form.endswith("folder"):
+        path.mkdir()
+        if form == "full folder":
+            (path / "mine.txt").write_text("mine")
+    elif form == "fifo":
+        os.mkfifo(path)
+    elif form in ("loop", "dangling") or form.startswith("/"):
+        path.symlink_to({"loop": path.name, "dangling": "nowhere/at/all"}.get(form, form))
+    elif form in ("unreadable", "huge"):
+        path.write_bytes(data)
+        if form == "huge":
+            os.truncate(path, 40 << 30)  # sparse
+        else:
+            path.chmod(0)
+
+
+@given(st.sampled_from([*READ]), st.sampled_from(FORMS), st.integers(0, 10_000))
+def test_a_file_that_is_not_what_it_should_be(tmp_path_factory, monkeypatch, capfd, name, form, k):
+    folder = tmp_path_factory.mktemp("read")
+    monkeypatch.chdir(folder)
+    good, call = READ[name]
+    Path("top.yaml").write_text(TOP)
+    put(Path(name), form, good, k)
+    code = judged(call, capfd)
+    assert code != REFUSED or not Path("out").exists()
+    assert code not in FLOWN or Path("out/metrics.json").exists()
+
+
+RESULTS = ("scenario.yaml", "metrics.json", "signals.npz", "diagram.svg", "replay.html", ".")
+
+
+@given(st.sampled_from(RESULTS), st.sampled_from(FORMS[1:]), st.integers(0, 10_000))
+def test_results_that_meet_something_in_their_way(
+    tmp_path_factory, monkeypatch, capfd, name, form, k
+):
+    folder = tmp_path_factory.mktemp("written")
+    monkeypatch.chdir(folder)
+    Path("mine.txt").write_text("mine")
+    put(Path("out") / name if name != "." else Path("out"), form, "text\n" * 20, k)
+    code = judged([*RUN, "--", "line"], capfd)
+    assert code not in FLOWN or {"scenario.yaml", "metrics.json"} <= {*os.listdir("out")}
+    kept = [*Path().rglob("mine.txt")]
+    assert all(path.read_text() == "mine" for path in kept)
+    assert not [*Path().rglob(".new-*")]
+
+
+FOLDERS = ("x" * 300, "file", "file/below", "closed/new", "loop/a")
+FOLDERS += ("gone/below", "/dev/null", "/dev/null/a", "/dev/full", "/proc/new", "/sys/new", "", " ")
+FOLDERS += (".", "..", "-", "~", "é/ü", "a\nb", "\udcff", "a\tb", "\\", "*", "$HOME", "a:b", "'")
+FOLDERS += ("x" * 255, "x" * 256, "a//b/../c")
+
+
+@given(st.sampled_from(FOLDERS))
+def test_a_folder_of_an_odd_name(tmp_path_factory, monkeypatch, capfd, out):
+    monkeypatch.chdir(tmp_path_factory.mktemp("named"))
+    Path("file").write_text("mine")
+    Path("closed").mkdir(mode=0o500)
+    Path("loop").symlink_to("loop")
+    Path("gone").symlink_to("nowhere")
+    judged([*RUN, f"--out={out}", "--", "line"], capfd)
+    assert Path("file").read_text() == "mine"
+
+
+ENVIRONMENTS = (
+    *({"PYTHONIOENCODING": name} for name in ("ascii", "latin-1")),
+    *({"LC_ALL": name} for name in ("C", "no_such.locale")),
+    *({"COLUMNS": name} for name in ("1", "0", "-5", "text", "100000")),
+    *(
+        {"HOME": "/nonexistent"},
+        {"TMPDIR": "/nonexistent"},
+        {"MPLBACKEND": "no_such"},
+        {"PATH": ""},
+    ),
+    *({"PYTHONOPTIMIZE": "2"}, {"PYTHONDEVMODE": "1"}, {"TZ": "Nowhere/None"}, {"TERM": "dumb"}),
+)
+SHOWN = (["list"], ["blocks", "phase"], ["--version"], ["check", "line", *BRIEF["check"]])
+
+
+@pytest.mark.nightly("adversary")
+@pytest.mark.parametrize("environment", ENVIRONMENTS, ids=str)
+def test_a_process_in_an_odd_environment(tmp_path, environment):
+    for arguments in (*SHOWN, [*RUN, "--", "line"], ["run", "no_such"]):
+        process = subprocess.run(
+            [sys.executable, "-m", "drake_nonstop.cli", *arguments],
+            cwd=tmp_path,
+            env={**os.environ, **environment},
+            capture_output=True,
+            timeout=120,
+        )
+        texts = [text.decode(errors="replace") for text in (process.stdout, process.stderr)]
+        _judge_output(process.returncode, *texts)
+        assert (process.returncode == REFUSED) == ("no_such" in arguments), texts
+
+
+@pytest.mark.nightly("adversary")
+@pytest.mark.parametrize("arguments", SHOWN, ids=lambda a: a[0])
+def test_what_cannot_be_printed_is_no_success(tmp_path, arguments):
+    with Path("/dev/full").open("w") as full:
+        process = subprocess.run(
+            [sys.executable, "-m", "drake_nonstop.cli", *arguments],
+            cwd=tmp_path,
+            stdout=full,
+            stderr=subprocess.PIPE,
+            timeout=120,
+        )
+    assert process.returncode == FAILED
+    assert b"Traceback" not in process.stderr
