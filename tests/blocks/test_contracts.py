@@ -275,6 +275,22 @@ def test_a_parameter_of_the_context_is_that_of_a_block_built_with_it(case, block
     assert counted or case.kind.__name__ in ALSO_BUILT
 
 
+@every
+def test_rows_of_quantities_are_those_of_each_time_and_have_their_rates(case):
+    block, _ = made(case)
+    if not isinstance(block, EquationBlock) or not block.equations_of_block.quantities:
+        pytest.skip("it has no quantities")
+    times, h = 0.1137 + 0.2 * np.arange(27), 1e-6  # s, at which nothing is sampled
+    for name in block.equations_of_block.quantities:
+        rows, ahead, behind = (
+            block.precomputed_inputs([name], times + step)[0] for step in (0, h, -h)
+        )
+        np.testing.assert_array_equal(rows, [block.quantity_at(name, time) for time in times])
+        (rates,) = block.precomputed_input_rates([name], times)
+        scale = max(1.0, np.abs(rates).max())
+        np.testing.assert_allclose(rates, (ahead - behind) / (2 * h), atol=1e-5 * scale)
+
+
 def is_there(case, name):
     """Whether a block may have a port, by what its class says of where it has it."""
     where = case.kind.where.get(name, "")

@@ -4,7 +4,7 @@ import functools
 
 import numpy as np
 import pytest
-from helpers import Ports, model, nightly_beyond, vector_outputs, with_ports
+from helpers import model, nightly_beyond, vector_outputs, with_ports
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import ConstantVectorSource, Multiplexer
@@ -24,7 +24,6 @@ from drake_nonstop import (
     set_parameter,
 )
 from drake_nonstop.blocks.phase import PaperPhase
-from drake_nonstop.blocks.sample_and_hold import SampleAndHold
 from drake_nonstop.diagrams.nonstop import BOXES
 from drake_nonstop.systems.wiring import connections, input_names, output_names
 
@@ -137,18 +136,6 @@ def test_boxes_left_out_and_given_as_extra_blocks_make_the_same_signals(seed, pe
     assert_flies_like_the_figure(nonstop, blocks, period)
 
 
-@pytest.mark.parametrize("seed", nightly_beyond(1, "studies", range(10, 13)))
-def test_boxes_left_out_and_wired_around_the_loop_make_the_same_signals(seed):
-    left_out = some_boxes(seed)
-    rest = make_nonstop(scenario(0.0), **dict.fromkeys(left_out))
-    made = make_blocks(scenario(0.0))
-    others = {name: made[name] for name in left_out}
-    builder = DiagramBuilder()
-    connect_by_name(builder, {"rest": rest} | others)
-    inside = {system.get_name(): system for system in rest.GetSystems()}
-    assert_flies_like_the_figure(builder.Build(), inside | others, 0.0)
-
-
 class Both(LeafSystem):
     """A carrier's controller and its dynamics in one: the carriers stay on their references."""
 
@@ -199,96 +186,48 @@ def test_extra_blocks_read_and_make_signals_of_any_name():
     assert input_names(nonstop) == ["sky"]
 
 
-def test_extra_block_is_made_of_a_class_with_its_config_and_of_a_config():
-    nonstop = make_nonstop(
-        scenario(0.0),
-        optimization_layer=None,
-        extra={"constant": ConstantParametersConfig(frequency=3.0)},
-    )
-    value = nonstop.GetOutputPort("parameters").Eval(nonstop.CreateDefaultContext())
-    assert value[0] == 3.0
-    nonstop = make_nonstop(scenario(0.0), phase=None, extra={"mine": PaperPhase})
-    assert type(nonstop.GetSubsystemByName("mine")) is PaperPhase
-
-
-class TwoArguments(LeafSystem):
-    def __init__(self, model, other):
-        super().__init__()
-
-
 LOST = with_ports({"wind_speed": 3}, {})
 
 
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        ({"extra": {"phase": PaperPhase}}, "extra = phase: the figure has a block of that name; "),
-        (
-            {"extra": {"sample_and_hold": PaperPhase}},
-            "extra = sample_and_hold: the figure has a block of that name",
-        ),
-        ({"extra": {"a.b": PaperPhase}}, "blocks = a.b: name each block by a text without"),
-        ({"extra": {3: PaperPhase}}, "blocks = 3: name each block by a text without"),
-        ({"extra": [PaperPhase]}, "extra = .*: give a mapping from names to blocks"),
-        ({"extra": {"mine": 3.0}}, "extra mine = 3.0: give a block's config, or a function"),
-        ({"extra": {"mine": lambda model, other: None}}, r"extra mine = <lambda>: it cannot be "),
-        (
-            {"phase": lambda model, other: PaperPhase(model)},
-            r"replacement phase = <lambda>: it cannot be called so \(.*argument: 'other'\); give a",
-        ),
-        ({"phase": lambda: None}, r"replacement phase = <lambda>: it cannot be called so \("),
-        ({"phase": TwoArguments}, r"replacement phase = TwoArguments: it cannot be called so \("),
-        ({"phase": Multiplexer}, r"replacement phase = Multiplexer: it cannot be called so \("),
-        ({"extra": {"mine": lambda model: None}}, "extra mine = None: return a LeafSystem or"),
-        (
-            {"extra": {"mine": LOST}},
-            r"mine = Ports with input wind_speed \(3\): it is not among the signals "
-            r".*; rename .* or give make_nonstop or connect_by_name inputs=\['wind_speed'\]",
-        ),
-        (
-            {"extra": {"mine": PaperPhase}},
-            "mine.phase = output: phase has a port of that name already; rename one of the two, "
-            "leave one of them out, or connect by hand what reads it",
-        ),
-        (
-            {"load_feedback": None, "extra": {"mine": with_ports({}, {"measured_load_state": 7})}},
-            r"wrench_controller = WrenchController with input measured_load_state \(13\): mine "
-            r"makes measured_load_state \(7\); rename or resize one of the ports",
-        ),
-        ({"inputs": ["wind_speed"]}, "inputs = wind_speed: give a list of signals that blocks"),
-        ({"inputs": "reference"}, "inputs = reference: give a list of signals that blocks read"),
-        (
-            {"inputs": ["reference"]},
-            "load_trajectory.reference = output: inputs has a port of that name already",
-        ),
-        ({"estimator": PaperPhase}, "replacement = estimator: give one of load_trajectory, "),
-    ],
-)
-def test_what_does_not_fit_is_said_in_a_sentence(arguments, said):
-    with pytest.raises(ScenarioError, match=f"^{said}"):
-        make_nonstop(scenario(0.0), **arguments)
+NOT_SO = "it cannot be called so"
+LAYER, REPLACED = "optimization_layer", "replacement phase = "
+FITS = [
+    ({"extra": {"phase": PaperPhase}}, "extra = phase", "a block of that name"),
+    ({"extra": {"a.b": PaperPhase}}, "blocks = a.b", "a text without colons and dots"),
+    ({"extra": [PaperPhase]}, "extra = ", "a mapping from names to blocks"),
+    ({"extra": {"mine": 3.0}}, "extra mine = 3.0", "give a block's config, or a function"),
+    ({"extra": {"mine": lambda model, other: None}}, "extra mine = <lambda>", NOT_SO),
+    ({"extra": {"mine": lambda model: None}}, "extra mine = None", "return a LeafSystem or"),
+    ({"phase": Multiplexer}, REPLACED + "Multiplexer", NOT_SO),
+    ({"phase": "PaperPhase"}, REPLACED + "PaperPhase", "give"),
+    ({"phase": ConstantParametersConfig()}, "phase = ConstantParameters", "one of ShapedPhase"),
+    ({"plant": PaperPhase}, "replacement = plant", "give one of load_trajectory"),
+    ({"extra": {"mine": LOST}}, "mine = Ports with input wind_speed (3)", "inputs=['wind_speed']"),
+    ({"extra": {"mine": PaperPhase}}, "mine.phase = output: phase", "rename one of the two"),
+    (
+        {"load_feedback": None, "extra": {"mine": with_ports({}, {"measured_load_state": 7})}},
+        "WrenchController with input measured_load_state (13): mine",
+        "rename or resize one of the ports",
+    ),
+    (
+        {LAYER: with_ports({}, {"parameter": 2})},
+        "phase = ShapedPhase: it reads parameters",
+        "give optimization_layer=RecedingHorizonOptimizer, or another block for phase",
+    ),
+    ({LAYER: with_ports({}, {"parameters": None})}, "with input parameters (2)", "resize"),
+    ({"inputs": ["wind_speed"]}, "inputs = wind_speed", "a list of signals that blocks read"),
+    ({"inputs": "reference"}, "inputs = reference", "a list of signals that blocks read"),
+    ({"inputs": ["reference"]}, "load_trajectory.reference = output: inputs", "rename one"),
+]
 
 
-def test_an_error_of_a_users_function_is_its_own():
-    def make(model):
-        return len(3)
-
-    with pytest.raises(TypeError, match="has no len"):
-        make_nonstop(scenario(0.0), phase=make)
-
-
-def test_the_remedy_for_an_unknown_input_works():
-    nonstop = make_nonstop(scenario(0.0), extra={"mine": LOST}, inputs=["wind_speed"])
-    assert nonstop.GetInputPort("wind_speed").size() == 3
-
-
-def test_a_sampled_loop_without_its_hold_is_told_what_it_lacks():
-    blocks = make_blocks(scenario(0.01))
-    del blocks["sample_and_hold"]
+@pytest.mark.parametrize(("arguments", "told", "remedy"), FITS)
+def test_what_does_not_fit_is_named_with_the_remedy(arguments, told, remedy):
     with pytest.raises(ScenarioError) as error:
-        connect_by_name(DiagramBuilder(), blocks)
-    said = "wrench_controller = WrenchController with input sample_time (1): it is not among the"
-    assert str(error.value).startswith(said)
+        make_nonstop(scenario(0.0), **arguments)
+    assert told in str(error.value)
+    assert remedy in str(error.value).partition(told)[2]
+    assert "\n" not in str(error.value)
 
 
 def wired_by_hand(blocks):
@@ -325,17 +264,6 @@ def test_the_equilibrium_of_a_loop_wired_by_hand_names_what_is_not_connected():
         set_equilibrium(nonstop, nonstop.CreateDefaultContext())
 
 
-def test_the_equilibrium_says_which_signals_it_needs():
-    diagram = one_block({"cables": make_blocks(scenario(0.0))["cables"]})
-    with pytest.raises(ScenarioError) as error:
-        set_equilibrium(diagram, diagram.CreateDefaultContext())
-    assert str(error.value) == (
-        "set_equilibrium = Diagram without output ports load_state, reference, carrier_state, "
-        "carrier_reference: give it blocks that make load_state (13), reference (22), "
-        "carrier_state, carrier_reference, and export these by their names, as connect_by_name does"
-    )
-
-
 def test_a_context_of_another_loop_is_refused_in_a_sentence():
     made = scenario(0.01)
     nonstop, other, outer = make_nonstop(made), make_nonstop(made), DiagramBuilder()
@@ -367,20 +295,6 @@ def test_a_context_of_another_loop_is_refused_in_a_sentence():
             assert "\n" not in str(error.value), name
 
 
-def test_the_equilibrium_takes_no_context_of_another_system():
-    (nonstop, _, _), _ = reference(0.0)
-    builder = DiagramBuilder()
-    builder.AddSystem(ConstantVectorSource([1.0]))
-    other = builder.Build().CreateDefaultContext()
-    with pytest.raises(ScenarioError, match=r"another system than this DiagramBlock: give that of"):
-        set_equilibrium(nonstop, other)
-    with pytest.raises(ScenarioError, match="= DiagramBlock of another system"):
-        set_equilibrium(nonstop, nonstop)
-    converted = nonstop.ToAutoDiffXd()
-    with pytest.raises(ScenarioError, match="give that of a diagram of floats"):
-        set_equilibrium(converted, converted.CreateDefaultContext())
-
-
 @pytest.mark.parametrize("period", [0.0, 0.01])
 def test_the_equilibrium_is_the_same_under_other_names_and_inside_of_another_diagram(period):
     (nonstop, start, _), _ = reference(period)
@@ -397,26 +311,3 @@ def test_the_equilibrium_is_the_same_under_other_names_and_inside_of_another_dia
     for name in ("load_state", "carrier_state"):
         expected = nonstop.GetOutputPort(name).Eval(start)
         np.testing.assert_array_equal(diagram.GetOutputPort(name).Eval(context), expected)
-
-
-def test_blocks_join_what_the_builder_has_already():
-    builder = DiagramBuilder()
-    builder.AddNamedSystem("phase", ConstantVectorSource([1.0]))
-    with pytest.raises(ScenarioError, match=r"^blocks = phase: the builder has a system of that"):
-        connect_by_name(builder, make_blocks(scenario(0.0)))
-    for blocks, said in (({"a:b": LOST(None)}, "blocks = a:b: name"), ({"a": LOST}, "blocks.a = ")):
-        with pytest.raises(ScenarioError, match=f"^{said}"):
-            connect_by_name(builder, blocks)
-
-
-def test_an_optional_input_may_stay_open():
-    block = Ports({"hint": 2}, {"result": 1})
-    block.optional_inputs = ("hint",)
-    builder = DiagramBuilder()
-    connect_by_name(builder, {"block": block})
-    assert builder.Build().num_input_ports() == 0
-
-
-def test_the_hold_is_one_of_the_blocks():
-    assert type(make_blocks(scenario(0.01))["sample_and_hold"]) is SampleAndHold
-    assert "sample_and_hold" not in make_blocks(scenario(0.0))

@@ -65,26 +65,6 @@ def test_a_plain_simulator_flies_as_simulate_does_and_again_after_a_reset(overri
             simulator.reset_context(flown.CreateDefaultContext())
 
 
-def test_drakes_default_integrator_flies_too():
-    diagram = make_nonstop(load_scenario("quintic", [CONSTANT]))
-    simulator = Simulator(diagram)
-    simulator.AdvanceTo(0.2)
-    state, reference = (
-        output(diagram, simulator.get_context(), name)[4:7] for name in ("load_state", "reference")
-    )
-    assert np.linalg.norm(state - reference) < 1e-3
-
-
-def test_clones_keep_the_defaults_of_the_carriers():
-    block = make_nonstop(load_scenario("quintic", [CONSTANT])).GetSubsystemByName(
-        "carrier_dynamics"
-    )
-    copy = block.Clone()
-    shown = [output(each, each.CreateDefaultContext(), "carrier_state") for each in (block, copy)]
-    assert np.abs(shown[0]).max() > 0.1
-    np.testing.assert_array_equal(*shown)
-
-
 def test_a_loop_without_an_equilibrium_is_refused_unless_none_is_asked_for():
     scenario = load_scenario("quintic", [CONSTANT, "simulated.load_mass=1e5"])
     with pytest.raises(ScenarioError, match="the cables do not hold the load"):

@@ -1,5 +1,4 @@
 import dataclasses
-import warnings
 from functools import partial
 
 import numpy as np
@@ -9,31 +8,28 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import LeafSystem
 
 from drake_nonstop.blocks.carrier_controller import CarrierPidConfig
-from drake_nonstop.blocks.carrier_dynamics import CarrierDynamicsConfig
 from drake_nonstop.blocks.carrier_trajectory import MeasuredCarrierTrajectory
 from drake_nonstop.blocks.load_feedback import (
     DesiredStateFeedback,
-    DesiredStateFeedbackConfig,
 )
-from drake_nonstop.blocks.load_trajectory import ConstantVelocityMoveConfig, RestToRestConfig
+from drake_nonstop.blocks.load_trajectory import RestToRestConfig
 from drake_nonstop.blocks.optimization_layer import (
     ConstantParameters,
     ConstantParametersConfig,
     NlpLayerConfig,
 )
-from drake_nonstop.blocks.phase import AccumulatedPhase, PaperPhase
+from drake_nonstop.blocks.phase import PaperPhase
 from drake_nonstop.blocks.sample_and_hold import SampleAndHold
 from drake_nonstop.blocks.turn_rate_optimizer import TurnRateOptimizer
-from drake_nonstop.diagrams.nonstop import BOXES, box_of, figure_wires, make_nonstop
-from drake_nonstop.loop.box import block_of, config_class
+from drake_nonstop.diagrams.nonstop import BOXES, figure_wires, make_nonstop
+from drake_nonstop.loop.box import config_class
 from drake_nonstop.loop.parameters import set_parameter
 from drake_nonstop.loop.start import set_equilibrium
-from drake_nonstop.mechanics.signals import MOST_NODES
 from drake_nonstop.model.system import SystemOverrides, SystemParameters
-from drake_nonstop.scenario.loading import dump_scenario, load_scenario
+from drake_nonstop.scenario.loading import dump_scenario
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.systems import wiring
-from drake_nonstop.validation import ScenarioError, ScenarioWarning
+from drake_nonstop.validation import ScenarioError
 
 
 def continuous(**fields):
@@ -105,22 +101,6 @@ def test_no_input_is_left_open_and_every_output_is_exported(name, request):
     assert len(set(signals)) == len(signals)
 
 
-def test_every_signal_is_read_but_those_that_only_report(figure):
-    read = {wire.split(" -> ")[0].split(".")[1] for wire in wiring.connections(figure)}
-    unread = set(wiring.output_names(figure)) - read
-    assert unread == {
-        "tracking_error",
-        "diagnostics",
-        "solve_time",
-        "speed_bound",
-        "carrier_cable_forces",
-        "tensions",
-        "wind",
-        "carrier_reference_jerk",
-        "phase",  # that of a plan is the layer's own
-    }
-
-
 HELD = {
     "held_measured_load_state": 13,
     "held_reference": 22,
@@ -138,52 +118,6 @@ def test_contract_has_the_signals_of_the_figure_as_built(sampled_figure):
         for signal in signals:
             del contract[name][signal]
     assert contract == built
-
-
-def test_contract_asks_for_what_is_read_and_for_tensions_and_wind():
-    asked = {
-        f"{name}.{signal}"
-        for name, box in BOXES.items()
-        for signal in box.signals
-        if signal not in box.optional
-    }
-    unread = {"cables.tensions", "wind.wind", "phase.phase"}
-    either = {"carrier_controller.carrier_forces", "carrier_controller.aircraft_command"}
-    # Which accelerations ask for, and the default blocks.
-    either |= {"internal_force.internal_force_higher_rates", "phase.planned"}
-    either |= {"carrier_trajectory.carrier_reference_acceleration"}
-    either |= {"load_trajectory.reference_preview", "optimization_layer.plan"}
-    either |= {"load_trajectory.reference_higher_rates", "wrench_controller.wrench_rate"}
-    assert asked | either == {wire.split(" -> ")[0] for wire in figure_wires()} | unread | either
-
-
-def test_sizes_follow_from_the_numbers_of_carriers_and_coordinates():
-    assert sizes_of(BOXES["carrier_trajectory"], 5, 3) == {
-        "carrier_reference": 30,
-        "carrier_reference_acceleration": 15,
-        "carrier_reference_jerk": 15,
-        "cable_drag_and_weight": 15,
-        "cable_drag_and_weight_rates": 15,
-        "cable_reference": 15 * 2 * MOST_NODES,
-        "sampled_carrier_reference": 30,
-        "sampled_carrier_reference_acceleration": 15,
-    }
-    assert sizes_of(BOXES["internal_force"], 5, 3) == {
-        "internal_force": 6,
-        "internal_force_higher_rates": 6,
-    }
-    assert sizes_of(BOXES["cables"], 5, 3) == {
-        "cable_state": 15 * 2 * MOST_NODES,
-        "cable_forces": 15,
-        "carrier_cable_forces": 15,
-        "tensions": 5,
-    }
-    assert sizes_of(BOXES["load_trajectory"], 5, 3) == {
-        "reference": 22,
-        "reference_higher_rates": 6,
-        "reference_preview": None,
-        "reference_delay": 1,
-    }
 
 
 CONTROLLERS = {
@@ -219,13 +153,6 @@ def test_sampled_controllers_read_the_held_signals(sampled_figure):
             source = f"sample_and_hold.held_{source.split('.')[1]}"
         expected.add((source, target))
     assert {tuple(pair) for pair in pairs} == expected
-
-
-def test_open_loop_feedback_is_sampled_once():
-    diagram = make_nonstop(plain(0.01), load_feedback=DesiredStateFeedback)
-    built = wiring.connections(diagram)
-    assert "load_trajectory.reference -> load_feedback.reference" in built
-    assert "load_feedback.measured_load_state -> sample_and_hold.measured_load_state" in built
 
 
 def test_sampled_commands_stand_still_between_samples_but_for_the_carriers_motion():
@@ -281,69 +208,6 @@ def test_speed_bound_command_becomes_an_input_where_it_is_asked_for():
     np.testing.assert_array_equal(output(diagram, context, "speed_bound"), [0.4])
 
 
-class Kite(LeafSystem):
-    """A disturbance that asks for two signals which the default block does not read."""
-
-    def __init__(self, model):
-        super().__init__()
-        self._tensions = self.DeclareVectorInputPort("tensions", model.n)
-        self._carrier_state = self.DeclareVectorInputPort("carrier_state", 6 * model.n)
-        self.DeclareVectorOutputPort("disturbance_wrench", 6, self._calc)
-
-    def _calc(self, context, wrench):
-        wrench.SetFromVector(
-            np.concatenate(
-                [self._tensions.Eval(context)[:3], self._carrier_state.Eval(context)[:3]]
-            )
-        )
-
-
-def test_swapped_in_block_gets_the_signals_that_it_names():
-    diagram = make_nonstop(plain(), load_disturbance=Kite)
-    added = set(wiring.connections(diagram)) - figure_wires()
-    assert added == {
-        "cables.tensions -> load_disturbance.tensions",
-        "carrier_dynamics.carrier_state -> load_disturbance.carrier_state",
-    }
-    context = diagram.CreateDefaultContext()
-    carriers = diagram.GetSubsystemByName("carrier_dynamics")
-    state = np.concatenate([(regular(4) + np.array([0, 0, 2.0])).ravel(), np.zeros(12)])
-    carriers.GetMyMutableContextFromRoot(context).SetContinuousState(state)
-    wrench = output(diagram, context, "disturbance_wrench")
-    expected = [*output(diagram, context, "tensions")[:3], *state[:3]]
-    np.testing.assert_array_equal(wrench, expected)
-    assert wrench[0] > 1
-
-
-@pytest.mark.parametrize(
-    ("box", "outputs", "said"),
-    [
-        (
-            "optimization_layer",
-            {"parameter": 2},
-            "phase = ShapedPhase: it reads parameters, which optimization_layer = Ports does not "
-            "make; give optimization_layer=RecedingHorizonOptimizer, or another block for phase",
-        ),
-        (
-            "optimization_layer",
-            {"parameters": None},
-            "phase = ShapedPhase with input parameters (2): optimization_layer makes parameters "
-            "(abstract); rename or resize one of the ports",
-        ),
-        (
-            "load_disturbance",
-            {},
-            "load_plant = LoadPlant: it reads disturbance_wrench, which load_disturbance = Ports "
-            "does not make; give load_disturbance=NoDisturbance, or another block for load_plant",
-        ),
-    ],
-)
-def test_block_with_other_outputs_is_reported_with_its_reader(box, outputs, said):
-    with pytest.raises(ScenarioError) as error:
-        make_nonstop(plain(0.01), **{box: with_ports({}, outputs)})
-    assert str(error.value) == said
-
-
 @pytest.mark.parametrize("box", list(BOXES))
 def test_signals_that_others_need_have_to_be_made_in_their_sizes(box, scenario_and_diagram):
     blocks = {block.get_name(): block for block in scenario_and_diagram[1].GetSystems()}
@@ -364,54 +228,6 @@ def test_signals_that_others_need_have_to_be_made_in_their_sizes(box, scenario_a
             build(**{box: with_ports({}, others)})
 
 
-@pytest.mark.parametrize("inputs", [{"tension": 4}, {"wrench": 6, "pose": 7, "phases": 1}])
-@pytest.mark.parametrize("period", [0.0, 0.01])
-def test_block_with_other_inputs_is_reported_with_the_signals(inputs, period):
-    block = with_ports(inputs, {"disturbance_wrench": 6})
-    with pytest.raises(ScenarioError) as error:
-        make_nonstop(plain(period), load_disturbance=block)
-    message = str(error.value)
-    signals = {s: k for box in BOXES.values() for s, k in sizes_of(box, 4, 4).items()}
-    unknown = next(name for name in inputs if name not in signals)
-    given = f"{unknown} ({inputs[unknown]})"
-    start = f"load_disturbance = Ports with input {given}: it is not among the signals "
-    end = f"; rename the port, or give make_nonstop or connect_by_name inputs={[unknown]}"
-    assert message.startswith(start)
-    assert message.endswith(end)
-    absent = {
-        "diagnostics",
-        "plan",
-        "solve_time",
-        "measured_margin",
-    }  # of the optimizer, which is not there
-    absent |= {signal for signals in NOT_BY_DEFAULT.values() for signal in signals}
-    if period > 0:
-        signals |= HELD
-    else:
-        absent |= {signal for signal in signals if signal.startswith("sampled_")}
-    texts = {signal: size or "abstract" for signal, size in signals.items()}
-    listed = [f"{signal} ({texts[signal]})" for signal in sorted(texts.keys() - absent)]
-    assert message[len(start) : -len(end)] == ", ".join(listed)
-
-
-@pytest.mark.parametrize(
-    ("inputs", "given", "expected"),
-    [
-        ({"tensions": 5}, "tensions (5)", "cables makes tensions (4)"),
-        ({"tensions": None}, "tensions (abstract)", "cables makes tensions (4)"),
-        ({"reference": 7}, "reference (7)", "load_trajectory makes reference (22)"),
-    ],
-)
-def test_block_with_an_input_of_another_size_is_reported_with_the_size(inputs, given, expected):
-    block = with_ports(inputs, {"disturbance_wrench": 6})
-    with pytest.raises(ScenarioError) as error:
-        make_nonstop(plain(), load_disturbance=block)
-    assert str(error.value) == (
-        f"load_disturbance = Ports with input {given}: {expected}; rename or resize one of the "
-        "ports"
-    )
-
-
 @pytest.mark.parametrize("period", [0.0, 0.01])
 def test_a_run_starts_at_the_parameters_that_the_context_has(period):
     diagram = make_nonstop(plain(period))
@@ -428,19 +244,6 @@ def test_a_run_starts_at_the_parameters_that_the_context_has(period):
         np.testing.assert_allclose(planned[1:], [2.5, 1.4, 0, 0, 0, 0, 0], rtol=0, atol=1e-9)
 
 
-def test_a_phase_that_leaves_the_plan_unread_is_told():
-    fields = {"phase": AccumulatedPhase, "at_equilibrium": False}
-    with pytest.warns(
-        ScenarioWarning, match="phase = AccumulatedPhase: it does not read the plan"
-    ) as told:
-        make_nonstop(Scenario(), **fields)
-    with warnings.catch_warnings():  # its remedies
-        warnings.simplefilter("error")
-        make_nonstop(Scenario(), at_equilibrium=False)
-        make_nonstop(Scenario(optimization_layer=NlpLayerConfig()), **fields)
-    assert len(told) == 1
-
-
 def test_signals_that_others_need_become_inputs_where_a_box_is_left_out():
     left_out = {"phase": None, "internal_force": None, "carrier_trajectory": None}
     for name, signal in zip(
@@ -450,24 +253,6 @@ def test_signals_that_others_need_become_inputs_where_a_box_is_left_out():
     ):
         diagram = make_nonstop(plain(0.01), at_equilibrium=False, **{name: None})
         assert signal in wiring.input_names(diagram)
-
-
-def test_two_blocks_may_share_a_signal_of_their_own_even_an_abstract_one():
-    diagram = make_nonstop(
-        plain(),
-        at_equilibrium=False,
-        load_disturbance=with_ports({}, {"disturbance_wrench": 6, "weather": None, "gust": 3}),
-        phase=with_ports({"weather": None, "gust": 3}, {"phase": 2, "planned": 8}),
-    )
-    assert {
-        "load_disturbance.weather -> phase.weather",
-        "load_disturbance.gust -> phase.gust",
-    } < set(wiring.connections(diagram))
-
-
-def test_exception_of_a_blocks_constructor_is_left_as_it_is():
-    with pytest.raises(ZeroDivisionError):
-        make_nonstop(plain(), phase=lambda model: 1 / 0)
 
 
 def test_box_can_be_replaced_by_a_config_and_by_a_class():
@@ -555,70 +340,8 @@ def test_only_the_plant_takes_the_simulated_system():
     assert masses == {name: (1.3, 0.2) if name in plant else (1.0, 0.1) for name in BOXES}
 
 
-def test_unknown_box_is_reported_with_the_boxes():
-    with pytest.raises(ScenarioError, match=r"replacement = plant: give one of load_trajectory"):
-        make_nonstop(plain(), plant=ConstantParameters)
-
-
-@pytest.mark.parametrize("entry", [3.0, "PaperPhase"])
-def test_replacement_that_is_no_block_is_named(entry):
-    with pytest.raises(ScenarioError, match=f"replacement phase = {entry}: give"):
-        make_nonstop(plain(), phase=entry)
-
-
-def test_config_of_another_box_is_reported_with_the_choices():
-    config = CarrierDynamicsConfig()
-    with pytest.raises(
-        ScenarioError,
-        match="phase = CarrierDynamics: give one of ShapedPhase, AccumulatedPhase, PaperPhase",
-    ):
-        make_nonstop(plain(), phase=config)
-
-
-def test_simulated_load_needs_as_many_attachments():
-    overrides = SystemOverrides(attachments=regular(3).tolist())
-    with pytest.raises(ScenarioError, match=r"simulated\.attachments = .*as many .* 4$"):
-        make_nonstop(plain(simulated=overrides))
-
-
-def test_error_in_the_simulated_system_names_it():
-    with pytest.raises(ScenarioError, match=r"simulated\.load_mass = -1\.0"):
-        make_nonstop(plain(simulated=SystemOverrides(load_mass=-1.0)))
-
-
-def test_block_of_a_config():
-    assert block_of(DesiredStateFeedbackConfig) is DesiredStateFeedback
-    block = block_of(ConstantVelocityMoveConfig)
-    assert config_class(block) is ConstantVelocityMoveConfig
-
-
-@pytest.mark.parametrize("name", ["quintic", "aircraft_transfer"])
-def test_each_box_is_a_leaf_system(name):
-    """Physics by Drake's own plant, MultibodyPlant, is a diagram of these."""
-    diagram = make_nonstop(load_scenario(name), at_equilibrium=False)
-    assert all(isinstance(block, LeafSystem) for block in diagram.GetSystems())
-    variants = [variant for box in BOXES.values() for variant in box.variants]
-    others = {variant.__name__ for variant in variants if not issubclass(variant, LeafSystem)}
-    assert others == {"MultibodyLoadPlant"}
-
-
-def test_box_of_a_signal():
-    assert box_of("load_state") == "load_plant"
-    assert box_of("wrench_rate") == "wrench_controller"
-
-
 def test_figure_is_the_same_for_another_number_of_carriers():
     scenario = continuous(system=SystemParameters(attachments=regular(3).tolist()))
     diagram = make_nonstop(scenario, at_equilibrium=False)
     assert set(wiring.connections(diagram)) == figure_wires()
     assert diagram.GetOutputPort("tensions").size() == 3
-
-
-def test_scenario_is_left_as_it_was():
-    scenario = plain(0.01)
-    before = dataclasses.asdict(scenario)
-    make_nonstop(scenario, phase=PaperPhase)
-    after = dataclasses.asdict(scenario)
-    for key in before:
-        if key != "simulator_config":
-            assert after[key] == before[key], key

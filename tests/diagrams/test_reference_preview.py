@@ -2,14 +2,11 @@
 
 import numpy as np
 import pytest
-from helpers import model
 from pydrake.common.value import Value
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import LeafSystem
 
 from drake_nonstop import ReferencePreview, load_scenario, make_nonstop, simulate
-from drake_nonstop.blocks.load_trajectory import PlannedTurn, RestToRest
-from drake_nonstop.diagrams.nonstop import BOXES
 from drake_nonstop.systems import wiring
 from drake_nonstop.systems.block import LeafBlock
 
@@ -69,27 +66,8 @@ def test_a_run_records_vectors_only():
     assert not any(name.endswith("reference_preview") for name in run.signals)
 
 
-def test_a_reader_that_can_do_without_is_flown_on_a_trajectory_without_one():
-    loop = make_nonstop(
-        load_scenario("quintic", [CONSTANT]),
-        load_trajectory=lambda model: OwnTrajectory(),
-        extra={"foresight": Ahead},
-        at_equilibrium=False,
-    )
-    assert not any("preview" in wire for wire in wiring.connections(loop))
-
-
 def at_rest(time):
     return np.eye(22)[0]
-
-
-class Jumping(RestToRest):
-    """A trajectory of a user's own, by inheritance."""
-
-
-@pytest.mark.parametrize("make", [lambda model: OwnTrajectory(ReferencePreview(at_rest)), Jumping])
-def test_a_trajectory_of_ones_own_may_make_one(make):
-    make_nonstop(load_scenario("quintic", [CONSTANT]), load_trajectory=make, at_equilibrium=False)
 
 
 def test_it_can_come_from_outside():
@@ -104,10 +82,3 @@ def test_it_can_come_from_outside():
     context = loop.CreateDefaultContext()
     loop.GetInputPort("reference_preview").FixValue(context, ReferencePreview(at_rest))
     np.testing.assert_array_equal(loop.GetOutputPort("ahead").Eval(context), at_rest(0))
-
-
-def test_every_trajectory_block_of_the_package_makes_one():
-    for block in BOXES["load_trajectory"].variants:
-        if block is PlannedTurn:  # whose turn no one knows ahead
-            continue
-        assert wiring.output_sizes(block(model()))["reference_preview"] is None

@@ -1,6 +1,7 @@
 """The compiled loop shows what its diagram shows, to rounding."""
 
 import gc
+import json
 import weakref
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -8,11 +9,10 @@ from functools import partial
 
 import numpy as np
 import pytest
-from drawn_loops import drawn_loop, largest_difference
-from drawn_tasks import aircraft_task, carriers_task
 from helpers import nightly_beyond
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 from pydrake.systems.framework import EventStatus, LeafSystem
+from registries import LIVELY, LOOPS, VARIANTS
 
 from drake_nonstop import (
     Block,
@@ -107,41 +107,76 @@ def test_mixed_blocks_are_the_same(overrides):
     assert_equal(scenario, *traced(scenario, compiles=False))
 
 
-@pytest.mark.nightly("engines")
+BY_DAY = ["phase-PaperPhase", "carrier_dynamics-LimitedCarriers"]
+
+
+@pytest.mark.parametrize("name", nightly_beyond(2, "engines", dict.fromkeys([*BY_DAY, *VARIANTS])))
+def test_each_variant_flies_the_same_or_is_named(name):
+    box, kind = VARIANTS[name]
+    scenario, others = LOOPS.get(kind.__name__, ("quintic", []))
+    layer = [] if box == "optimization_layer" or others else [CONSTANT]
+    fields = json.dumps(LIVELY.get(kind.__name__, {}))
+    made = load_scenario(scenario, [*layer, *others, f"{box}=!{kind.__name__} {fields}"])
+    diagram = make_nonstop(made)
+    reason = reason_against(diagram, made.simulator_config, made.control_period)
+    if reason:
+        assert reason.startswith(f"{box} = {kind.__name__}: it has no equations")
+    else:
+        assert_equal(made, *traced(made, compiles=False))
+
+
+class Drift(LeafSystem):
+    """Has a state that no time alone tells."""
+
+    def __init__(self, model):
+        super().__init__()
+        self.DeclareContinuousState(6)
+        self.DeclareVectorOutputPort("disturbance_wrench", 6, self.calc, {self.all_state_ticket()})
+
+    def calc(self, context, output):
+        output.SetFromVector(context.get_continuous_state_vector().CopyToVector())
+
+    def DoCalcTimeDerivatives(self, context, derivatives):  # noqa: N802
+        derivatives.SetFromVector(np.full(6, 0.1))
+
+
 @pytest.mark.parametrize(
-    "overrides",
+    ("overrides", "others", "said"),
     [
-        ["load_trajectory=Waypoints", PROGRAM],
-        ["optimization_layer=!NlpLayer {speed_bound: 0.9, solver: ipopt}"],
-        ["optimization_layer=!PaperLayer {speed_bound: 0.9, period: 0.03}", "phase=PaperPhase"],
-        ["load_trajectory=SteadyTurn", CONSTANT],
-        ["load_feedback=DesiredStateFeedback"],
-        ["wrench_controller.feedforward=0", "carrier_controller=TunedFeedforwardCarrierPid"],
-        ["phase=AccumulatedPhase"],
-        ["phase=PaperPhase"],
-        ["carrier_trajectory=MeasuredCarrierTrajectory", "carrier_controller=CarrierPid"],
-        ["carrier_dynamics=!LimitedCarriers {has_weight: true, feels_cable: true}"],
-        ["carrier_dynamics=LimitedCarriers", "load_feedback=DesiredAttitudeFeedback"],
-        ["carrier_controller.integral_gain=5", "carrier_trajectory.hold=velocity"],
-        ["load_disturbance=!DisturbanceForce {force: [1, 0, 0], start_time: 0.05}"],
-        ["wind=!SteadyWind {velocity: [1, 0, 0], start_time: 0.1}", "system.load_drag=0.1"],
-        ["wind=!GustyWind {gust: 0.1, velocity: [1, 0, 0]}"],
-        ["wind=!GustyWind {velocity: [1, 0, 0], rise_time: 0.1}", "system.load_drag=0.1"],
-        ["load_feedback=!NoisyFeedback {position_noise: 0.01, orientation_noise: 0.02}"],
-        ["load_feedback=!NoisyFeedback {delay: 0.02, velocity_noise: 0.01, seed: 3}"],
-        ["load_feedback=!NoisyFeedback {position_noise: 0.01, period: 0.02}"],
-        ["load_feedback=!FilteredFeedback {position_noise: 0.01, orientation_noise: 0.02}"],
-        ["load_feedback=!FilteredFeedback {delay: 0.03, angular_velocity_noise: 0.1}"],
-        ["load_trajectory=PlannedTurn", PROGRAM, "simulator_config.max_step_size=0.0025"],
-        ["control_period=0.005"],
-        ["control_period=0.02", "simulator_config.max_step_size=0.004"],
-        ["pattern=Carousel", "simulated.load_mass=1.1"],
+        (["control_period=0"], {}, "control_period = 0: it goes from sample to sample"),
+        (["load_feedback=!NoisyFeedback {delay: 0.015, period: 0.015}"], {}, "every 0.015 s, no"),
+        (["simulator_config.use_error_control=true"], {}, "without error control"),
+        ([], {"load_disturbance": Drift}, "load_disturbance = Drift: it has no equations"),
+        ([], {"inputs": ["speed_bound_command"]}, "inputs = speed_bound_command"),
     ],
-    ids=lambda overrides: overrides[0],
 )
-def test_other_blocks_are_the_same(overrides):
-    scenario = load_scenario("quintic", overrides)
-    assert_equal(scenario, *traced(scenario, compiles=False))
+def test_what_cannot_be_compiled_is_named(overrides, others, said):
+    scenario = load_scenario("quintic", [CONSTANT, *overrides])
+    diagram = make_nonstop(scenario, **others)
+    reason = reason_against(diagram, scenario.simulator_config, scenario.control_period)
+    assert said in reason
+    with pytest.raises(ScenarioError, match="simulate its diagram"):
+        CompiledLoop(diagram, scenario.simulator_config, scenario.control_period)
+
+
+def test_times_and_signals_that_do_not_fit_are_named_with_the_remedy():
+    scenario = load_scenario("quintic", [CONSTANT])
+    loop, context = traced(scenario, compiles=False)
+    make = partial(CompiledLoop, loop.diagram, scenario.simulator_config)
+    flight = loop.fly(context)
+    flight.start()
+    for call, told, remedy in (
+        (lambda: loop.run(context, 0.015), "duration = 0.015", "a multiple of the control"),
+        (lambda: loop.run(context, np.nan), "duration = nan", "a multiple of the control"),
+        (lambda: make(0.01, signal_period=0.003), "signal_period = 0.003", "a whole part of the"),
+        (lambda: make(0.01, signals=["load_stat"]), "signals = load_stat", "load_state"),
+        (lambda: make(0.02), "every 0.01 s", "multiple of the control period"),
+        (lambda: flight.advance(0), "samples = 0", "give 1 or more"),
+    ):
+        with pytest.raises(ScenarioError) as error:
+            call()
+        assert told in str(error.value)
+        assert remedy in str(error.value).partition(told)[2]
 
 
 def test_parameters_are_inputs_of_one_trace():
@@ -160,14 +195,6 @@ def test_parameters_are_inputs_of_one_trace():
     set_equilibrium(loop.diagram, context)
     other = changed(scenario, [f"{path}={value}" for path, value in values.items()])
     assert_equal(other, loop, context)
-
-
-@pytest.mark.nightly("engines")
-@pytest.mark.parametrize("seed", range(4100, 4106))
-@pytest.mark.parametrize("task", [carriers_task, aircraft_task], ids=["carriers", "aircraft"])
-def test_drawn_loops_are_the_same(task, seed):
-    scenario = task(seed)
-    assert_equal(scenario, *traced(scenario, compiles=False))
 
 
 def test_a_layer_keeps_its_parameters_by_its_context():
@@ -231,27 +258,6 @@ def test_a_run_depends_on_nothing_that_ran_before():
             np.testing.assert_array_equal(second[name], values)
 
 
-@pytest.mark.parametrize(
-    ("overrides", "said"),
-    [
-        (["control_period=0"], "control_period = 0: it goes from sample to sample"),
-        (["load_plant=MultibodyLoadPlant"], "load_plant = MultibodyLoadPlant: it has no equations"),
-        (
-            ["load_feedback=!NoisyFeedback {delay: 0.015, period: 0.015}"],
-            "load_feedback = NoisyFeedback: it steps every 0.015 s, no multiple of the control",
-        ),
-        (["simulator_config.use_error_control=true"], "without error control"),
-    ],
-)
-def test_what_cannot_be_traced_is_named(overrides, said):
-    scenario = load_scenario("quintic", [CONSTANT, *overrides])
-    diagram = make_nonstop(scenario)
-    reason = reason_against(diagram, scenario.simulator_config, scenario.control_period)
-    assert said in reason
-    with pytest.raises(ScenarioError, match="simulate its diagram"):
-        CompiledLoop(diagram, scenario.simulator_config, scenario.control_period)
-
-
 class Faster(ConstantParameters):
     """Makes other values than the block that it inherits a trace from."""
 
@@ -260,71 +266,12 @@ class Faster(ConstantParameters):
         return np.array([2.4, 1.2]), speed_bound
 
 
-class Drifting(LeafSystem):
-    """Changes between samples, though no input feeds through to it."""
-
-    def __init__(self, model):
-        super().__init__()
-        self.DeclareVectorInputPort("reference", 22)
-        self.DeclareVectorOutputPort("parameters", 2, self.calc, {self.time_ticket()})
-
-    def calc(self, context, output):
-        output.SetFromVector([2.0 + 0.1 * context.get_time(), 1.2])
-
-
-class Drift(LeafSystem):
-    """Has a state that no time alone tells."""
-
-    def __init__(self, model):
-        super().__init__()
-        self.DeclareContinuousState(6)
-        self.DeclareVectorOutputPort("disturbance_wrench", 6, self.calc, {self.all_state_ticket()})
-
-    def calc(self, context, output):
-        output.SetFromVector(context.get_continuous_state_vector().CopyToVector())
-
-    def DoCalcTimeDerivatives(self, context, derivatives):  # noqa: N802
-        derivatives.SetFromVector(np.full(6, 0.1))
-
-
 def test_a_block_below_one_with_a_trace_makes_its_own_values():
     scenario = load_scenario("quintic", [CONSTANT])
     diagram = make_nonstop(scenario, optimization_layer=lambda model: Faster(model))
     loop = CompiledLoop(diagram, scenario.simulator_config, 0.01, compiles=False)
     _, signals = loop.run(diagram.CreateDefaultContext(), 0.02)
     np.testing.assert_array_equal(signals["parameters"], [[2.4, 1.2]] * 3)
-
-
-@pytest.mark.parametrize(
-    ("box", "block"), [("optimization_layer", Drifting), ("load_disturbance", Drift)]
-)
-def test_a_block_of_ones_own_that_a_trace_would_get_wrong_is_named(box, block):
-    scenario = load_scenario("quintic", [CONSTANT])
-    diagram = make_nonstop(scenario, **{box: block})
-    reason = reason_against(diagram, scenario.simulator_config, scenario.control_period)
-    assert reason.startswith(f"{box} = {block.__name__}: it has no equations")
-
-
-def test_a_loop_with_inputs_is_named():
-    scenario = load_scenario("quintic", [CONSTANT])
-    diagram = make_nonstop(scenario, inputs=["speed_bound_command"])
-    reason = reason_against(diagram, scenario.simulator_config, scenario.control_period)
-    assert reason.startswith("inputs = speed_bound_command")
-
-
-def test_a_duration_has_to_be_a_multiple_of_the_sample():
-    loop, context = traced(load_scenario("quintic", [CONSTANT]), compiles=False)
-    for duration in (0.015, -0.01, np.nan):
-        with pytest.raises(ScenarioError, match=r"duration = .*give a multiple"):
-            loop.run(context, duration)
-
-
-def test_a_period_of_signals_has_to_fit():
-    scenario = load_scenario("quintic", [CONSTANT])
-    diagram, config = make_nonstop(scenario), scenario.simulator_config
-    for period in (0.003, 0.02, -0.01):
-        with pytest.raises(ScenarioError, match=f"signal_period = {period}: give a whole part"):
-            CompiledLoop(diagram, config, 0.01, signal_period=period, compiles=False)
 
 
 def test_a_value_that_is_not_finite_is_no_result():
@@ -338,55 +285,6 @@ def test_a_value_that_is_not_finite_is_no_result():
     with pytest.raises(NotFiniteError, match=r"\w+, at t = 0 s, made") as raised:
         loop.run(context, DURATION)
     assert loop.diagram.HasSubsystemNamed(raised.value.block.partition(",")[0])
-
-
-def test_what_a_diagram_checks_or_samples_otherwise_is_named():
-    scenario = load_scenario("quintic", [CONSTANT])
-    diagram = make_nonstop(scenario)
-    for period, said in ((0.02, "no multiple of the control period"), (-0.01, "^control_period")):
-        with pytest.raises(ScenarioError, match=said):
-            CompiledLoop(diagram, scenario.simulator_config, period)
-    with pytest.raises(ScenarioError, match=r"^signals = load_stat"):
-        CompiledLoop(diagram, scenario.simulator_config, 0.01, signals=["load_stat"])
-
-
-SOURCES = [
-    ("load_trajectory", "SteadyTurn", {"displacement": [1, 0, 0], "move_time": 0.5}),
-    ("load_trajectory", "Waypoints", {"move_times": [0.1], "rest_times": [0.03]}),
-    ("load_disturbance", "DisturbanceForce", {"gust_force": 1.0}),
-    ("wind", "GustyWind", {"load_gust": 1.0}),
-]
-
-
-@pytest.mark.parametrize(("box", "name", "fields"), SOURCES)
-def test_rows_of_quantities_are_those_of_each_time_and_have_their_rates(box, name, fields):
-    scenario = load_scenario("quintic", [CONSTANT, f"{box}=!{name} {fields}"])
-    block = make_nonstop(scenario, at_equilibrium=False).GetSubsystemByName(box)
-    times, names = np.linspace(0.0, 0.4, 41), [*block.quantities(block.model)]
-    for name, rows in zip(names, block.precomputed_inputs(names, times), strict=True):
-        each = [block.quantity_at(name, instant) for instant in times]
-        np.testing.assert_array_equal(rows, each)
-        assert np.ptp(rows, axis=0).max() > 0.01
-        between, h = times[1:-1] + 0.003, 1e-6  # s
-        (rates,) = block.precomputed_input_rates([name], between)
-        ahead, behind = (block.precomputed_inputs([name], between + d)[0] for d in (h, -h))
-        scale = max(1.0, np.abs(rates).max())
-        np.testing.assert_allclose(rates, (ahead - behind) / (2 * h), atol=1e-6 * scale)
-
-
-@pytest.mark.nightly("engines")
-@pytest.mark.parametrize("seed", [39, 0, 1, 4])
-def test_drawn_blocks_and_up_to_16_carriers_are_the_same(seed):
-    difference, signal = largest_difference(drawn_loop(seed))
-    assert difference < 1e-9, signal
-
-
-class SteadyPush(DisturbanceForce):
-    """Shows another force than the block that it is made of."""
-
-    @staticmethod
-    def equations(noise, time, **numbers):
-        return np.array([0.0, 0.0, 0.0, 0.5, 0.0, 0.0])
 
 
 class FailingPush(DisturbanceForce):
@@ -408,13 +306,6 @@ class HugePush(FailingPush):
 def loop_with(scenario, *, compiles=False, **replacements):
     diagram = make_nonstop(scenario, **replacements)
     return CompiledLoop(diagram, scenario.simulator_config, 0.01, compiles=compiles)
-
-
-def test_a_block_below_one_with_rows_shows_its_own_values():
-    scenario = load_scenario("quintic", [CONSTANT])
-    loop = loop_with(scenario, load_disturbance=SteadyPush)
-    _, signals = loop.run(loop.diagram.CreateDefaultContext(), 0.2)
-    np.testing.assert_array_equal(signals["disturbance_wrench"][:, 3], 0.5)
 
 
 @pytest.mark.parametrize("block", [FailingPush, HugePush])
@@ -538,11 +429,3 @@ def test_what_loops_share_keeps_no_diagram():
     del loop
     gc.collect()
     assert diagram() is None
-
-
-def test_a_flight_goes_on_by_a_sample_at_least():
-    loop, context = traced(load_scenario("quintic", [CONSTANT]), compiles=False)
-    flight = loop.fly(context)
-    flight.start()
-    with pytest.raises(ScenarioError, match=r"^samples = 0: "):
-        flight.advance(0)

@@ -59,24 +59,6 @@ def test_a_copy_of_a_context_goes_on_from_there():
     np.testing.assert_array_equal(system.GetOutputPort("carrier_state").Eval(copied), expected)
 
 
-def test_a_run_begins_anew_in_a_new_context():
-    system = CompiledSystem(loop_of(PROGRAM))
-    shown = []
-    for _ in range(2):
-        simulator = Simulator(system)
-        simulator.AdvanceTo(0.2)
-        shown.append(system.GetOutputPort("diagnostics").Eval(simulator.get_context()).copy())
-    np.testing.assert_array_equal(*shown)
-
-
 def test_a_loop_that_shows_signals_between_samples_is_named():
     with pytest.raises(ScenarioError, match=r"^loop.signal_period = 2: give signal_period=None"):
         CompiledSystem(loop_of(signal_period=0.005))
-
-
-def test_it_starts_at_zero():
-    system = CompiledSystem(loop_of(PROGRAM))
-    context = system.CreateDefaultContext()
-    context.SetTime(0.5)
-    with pytest.raises(ScenarioError, match=r"^context.time = 0.5: start at 0"):
-        Simulator(system, context).Initialize()

@@ -9,10 +9,8 @@ from drake_nonstop import (
     ScenarioError,
     load_scenario,
     make_nonstop,
-    set_parameter,
 )
 from drake_nonstop.loop.step import with_largest_step
-from drake_nonstop.systems.parameters import parameters_in
 from drake_nonstop.systems.tracing import NotFiniteError
 
 CONSTANT = "optimization_layer=ConstantParameters"
@@ -73,30 +71,6 @@ def test_they_are_those_of_central_differences(name, overrides, duration, rng):
         np.testing.assert_allclose(slopes[:, column], difference, atol=1e-6 * (1 + largest))
         compared += largest > 1e-3
     assert compared >= 3
-
-
-def test_parameters_and_states_have_their_names():
-    loop, context = loop_of(load_scenario("quintic", GUSTY))
-    found = loop.sensitivities(context, 0.3)
-    name, block = "carrier_controller.position_gain", "carrier_controller"
-    column = found.by_parameters[:, found.parameter_names.index(name)]
-    row = int(np.argmax(np.abs(column)))
-    assert found.state_names[row].startswith(("carrier_", "wrench_controller", "load_", "sample_"))
-    controller = loop.diagram.GetSubsystemByName(block)
-    before = parameters_in(controller, controller.GetMyContextFromRoot(context))
-    ends = []
-    for factor in (1.001, 0.999):
-        set_parameter(loop.diagram, context, name, factor * before["position_gain"][0])
-        flight = loop.fly(context)
-        flight.start()
-        while flight.samples < 30:
-            flight.advance(30 - flight.samples)
-        ends.append(flight.state[row])
-    step = 0.002 * before["position_gain"][0]
-    assert column[row] == pytest.approx((ends[0] - ends[1]) / step, rel=1e-4)
-    (height,) = [k for k, name in enumerate(found.state_names) if name == "load_plant[6]"]
-    load_state = loop.diagram.GetOutputPort("load_state").Eval(context)
-    assert loop.state_of(context)[height] == load_state[6]
 
 
 def test_signals_and_metrics_have_the_gradients_of_differences():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from helpers import nightly_beyond
 
-from drake_nonstop import ScenarioError, load_scenario, make_nonstop
+from drake_nonstop import load_scenario, make_nonstop
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.systems.compiled_flight import advance_together
 from drake_nonstop.systems.compiled_loop import CompiledLoop
@@ -125,9 +125,3 @@ def test_a_flight_that_diverges_keeps_what_it_showed_and_harms_no_other():
     assert isinstance(raised, NotFiniteError)
     assert len(nothing) == len(steps) == 0
     assert bad.samples == 2
-
-
-def test_a_number_of_samples_is_one_or_more():
-    (start,) = makers("quintic", masses(1.0), compiles=False)
-    with pytest.raises(ScenarioError, match="samples = 0: give 1 or more"):
-        advance_together([start()], [0])

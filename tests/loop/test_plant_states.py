@@ -11,11 +11,8 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 from pydrake.systems.framework import (
     DiagramBuilder,
-    InputPortSelection,
     LeafSystem,
-    OutputPortSelection,
 )
-from pydrake.systems.primitives import ConstantVectorSource, FirstOrderTaylorApproximation
 
 from drake_nonstop import (
     CarrierDynamics,
@@ -30,7 +27,6 @@ from drake_nonstop import (
 from drake_nonstop.loop.start import set_equilibrium
 from drake_nonstop.mechanics.carrier import double_integrator_rate
 from drake_nonstop.mechanics.rigid_load import load_state_rate
-from drake_nonstop.systems.tracing import NotFiniteError
 from examples import articulated_load, own_physics
 
 SIGNALS = ("load_state", "carrier_state", "tensions")
@@ -85,26 +81,6 @@ def test_load_and_carriers_in_one_diagram_fly_as_in_two():
     scenario = short(0.05)
     run = simulate(scenario, load_plant=both, carrier_dynamics=None)
     assert max(distance(run, simulate(scenario)).values()) < 1e-12
-
-
-def test_multibody_plants_are_linearized_as_our_blocks():
-    layer = "optimization_layer=ConstantParameters"
-    overrides = [layer, "simulated.load_drag=0.0", "control_period=0"]
-    scenario = load_scenario("three_carriers", overrides)
-    spectra = []
-    for plants in ({}, own_plants(0.0)):
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", ScenarioWarning)
-            loop = make_nonstop(scenario, **plants)
-        context = loop.CreateDefaultContext()
-        set_equilibrium(loop, context)
-        none = InputPortSelection.kNoInput, OutputPortSelection.kNoOutput
-        values = np.linalg.eigvals(FirstOrderTaylorApproximation(loop, context, *none).A())
-        spectra.append(values[np.abs(values) > 1])
-    ours, theirs = spectra  # theirs has the attitudes of the carriers, too, which stay
-    apart = np.abs(ours[:, None] - theirs[None, :])
-    assert len(theirs) == len(ours)
-    assert np.max(apart.min(axis=1) / np.abs(ours)) < 1e-6
 
 
 class MappedLoad(LeafSystem):
@@ -270,46 +246,6 @@ def test_a_state_that_the_port_does_not_show_is_refused_by_name(own, said):
         make_nonstop(short(0.1, "control_period=0.0"), **own)
 
 
-class RoundingLoad(MappedLoad):
-    """A load that sets its state to nine digits."""
-
-    def SetLoadState(self, context, value):  # noqa: N802
-        context.SetContinuousState(self.map @ (value * (1 + 1e-9) - self.shift))
-
-
-def test_a_state_far_away_may_be_shown_to_its_digits():
-    far = short(0.1, "load_trajectory.start_position=[1e3, 0, 0]")
-    loop = make_nonstop(far, at_equilibrium=False, load_plant=lambda model: RoundingLoad(model, 3))
-    context = loop.CreateDefaultContext()
-    set_equilibrium(loop, context)
-    shown = loop.GetOutputPort("load_state").Eval(context)
-    assert shown[4] == pytest.approx(1e3, abs=0.01)
-
-
-class LevelLoad(MappedLoad):
-    """A load that does not turn, whatever pulls at it."""
-
-    def __init__(self, model):
-        super().__init__(model, 5)
-        self.map, self.shift = np.eye(13), np.zeros(13)
-
-    def rate(self, context):
-        rate = super().rate(context)
-        rate[:4], rate[7:10] = 0, 0
-        return rate
-
-
-def test_a_load_that_does_not_turn_hangs_as_one_that_does():
-    scenario = load_scenario("three_carriers", ["optimization_layer=ConstantParameters"])
-    shown = []
-    for own in ({"load_plant": LevelLoad}, {}):
-        loop = make_nonstop(scenario, at_equilibrium=False, **own)
-        context = loop.CreateDefaultContext()
-        set_equilibrium(loop, context)
-        shown.append(loop.GetOutputPort("load_state").Eval(context)[:7])
-    np.testing.assert_allclose(*shown, rtol=0, atol=1e-6)
-
-
 class HiddenLoad(MappedLoad):
     """A load with an abstract state, which nobody can find."""
 
@@ -342,15 +278,6 @@ def test_the_remedy_works():
     apart = np.abs(own.signal("load_state") - ours.signal("load_state"))
     assert apart[0].max() < 1e-7
     assert apart.max() < 5e-4  # of a first-order scheme
-
-
-def test_a_loop_without_the_ports_is_told_which_one_it_lacks():
-    builder = DiagramBuilder()
-    source = builder.AddSystem(ConstantVectorSource(np.eye(22)[0]))
-    builder.ExportOutput(source.get_output_port(), "reference")
-    loop = builder.Build()
-    with pytest.raises(ScenarioError, match="without output ports load_state, carrier_state"):
-        set_equilibrium(loop, loop.CreateDefaultContext())
 
 
 def hinge_rates(diagram, context):
@@ -397,25 +324,6 @@ def test_a_load_trims_its_further_states():
         assert (np.abs(hinge_rates(diagram, context)).max() < 1e-5) == hangs
 
 
-@pytest.mark.filterwarnings("error")
-def test_a_block_of_ones_own_is_made_once_and_flies_from_its_defaults():
-    scenario, made = short(0.2), []
-
-    def carriers(model):
-        made.append(MappedCarriers(model, 7))
-        return made[-1]
-
-    diagram = make_nonstop(scenario, carrier_dynamics=carriers)
-    assert len(made) == 1
-    simulator = Simulator(diagram)
-    ApplySimulatorConfig(scenario.simulator_config, simulator)
-    simulator.AdvanceTo(0.2)
-    run = simulate(scenario, carrier_dynamics=carriers)
-    for name in SIGNALS:
-        shown = diagram.GetOutputPort(name).Eval(simulator.get_context())
-        np.testing.assert_allclose(shown, run.signal(name)[-1], rtol=0, atol=1e-10)
-
-
 def test_a_block_whose_defaults_cannot_be_set_is_named_and_set_equilibrium_helps():
     """A discrete state is declared once."""
     scenario = short(0.1, "load_trajectory.start_roll_pitch_yaw=[0.1,0.2,0.3]")
@@ -429,16 +337,3 @@ def test_a_block_whose_defaults_cannot_be_set_is_named_and_set_equilibrium_helps
     shown = diagram.GetOutputPort("load_state").Eval(simulator.get_context())
     expected = simulate(scenario, **own).signal("load_state")[-1]
     np.testing.assert_allclose(shown, expected, rtol=0, atol=1e-10)
-
-
-def test_a_force_that_is_not_finite_is_told_by_the_block_that_makes_it():
-    class Mad(LeafSystem):
-        def __init__(self, model):
-            super().__init__()
-            self.DeclareVectorOutputPort("carrier_forces", 3 * model.n, self.calc)
-
-        def calc(self, context, output):
-            output.SetFromVector(np.full(output.size(), np.nan))
-
-    with pytest.raises((ScenarioError, NotFiniteError), match="carrier_controller"):
-        simulate(short(0.1), **own_plants(0.0, carrier_controller=Mad))

@@ -5,7 +5,6 @@ import pytest
 from helpers import Ports, model, output
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 from pydrake.systems.framework import DiagramBuilder
-from pydrake.systems.primitives import ConstantVectorSource, Gain
 
 from drake_nonstop import (
     Model,
@@ -16,9 +15,7 @@ from drake_nonstop import (
     make_nonstop,
     set_default_equilibrium,
 )
-from drake_nonstop.blocks.sample_and_hold import SampleAndHold
 from drake_nonstop.systems.wiring import connections, input_names, output_names, wires
-from drake_nonstop.validation import ScenarioError
 
 PERIOD = 0.01  # s
 SCENARIOS = {
@@ -129,27 +126,6 @@ def test_what_was_connected_or_exported_stays():
     }
 
 
-def test_a_signal_that_no_block_makes_can_be_exported():
-    blocks = controllers()
-    del blocks["trajectory"]
-    builder = added(blocks)
-    hold = add_sample_and_hold(builder, model(4, PERIOD))
-    builder.ExportInput(hold.GetInputPort("reference"), "reference")
-    builder.ExportInput(blocks["feedback"].GetInputPort("reference"), "other")
-    wired = connections(builder.Build())
-    assert "sample_and_hold.held_reference -> layer.reference" in wired
-
-
-def test_an_optional_input_of_a_signal_that_no_block_makes_stays_open():
-    blocks = controllers()
-    planner = blocks["planner"] = Ports({"reference_higher_rates": 6, "reference": 22}, {})
-    planner.optional_inputs = ("reference_higher_rates",)
-    builder = added(blocks)
-    add_sample_and_hold(builder, model(4, PERIOD))
-    wired = {wire for wire in connections(builder.Build()) if wire.endswith("higher_rates")}
-    assert wired == set()
-
-
 def test_the_wind_is_held_where_it_may_change():
     for ports, is_sampled, is_held in (
         (None, False, False),
@@ -163,67 +139,3 @@ def test_the_wind_is_held_where_it_may_change():
             blocks["other"].is_sampled = is_sampled
         hold = add_sample_and_hold(added(blocks), model(4, PERIOD))
         assert hold.HasInputPort("wind_estimate") is is_held
-
-
-def test_other_systems_of_the_builder_do_not_matter():
-    builder = added(controllers())
-    for _ in range(2):  # ports of the same names
-        builder.AddSystem(ConstantVectorSource([1.0]))
-        builder.AddSystem(Gain(1.0, 1))
-    add_sample_and_hold(builder, model(4, PERIOD))
-    connect_remaining(builder)
-    wired = connections(builder.Build())
-    assert "trajectory.reference -> feedback.reference" in wired
-    assert not [wire for wire in wired if "Gain" in wire]
-
-
-def refused(said, blocks, function=add_sample_and_hold, given=None):
-    arguments = () if function is connect_remaining else (given or model(4, PERIOD),)
-    with pytest.raises(ScenarioError) as error:
-        function(added(blocks), *arguments)
-    assert str(error.value) == said
-
-
-def test_what_cannot_be_connected_is_said_in_a_sentence():
-    blocks = controllers() | {"camera": Ports({}, {"reference": 22})}
-    refused(
-        "camera.reference = output: trajectory has a port of that name already; rename one of the "
-        "two, leave one of them out, or connect by hand what reads it",
-        blocks,
-        connect_remaining,
-    )
-    blocks = controllers() | {"camera": Ports({}, {"reference": 22})}
-    refused(
-        "camera.reference = output: trajectory has a port of that name already; rename one of the "
-        "two, leave one of them out, or connect by hand what reads it",
-        blocks,
-    )
-    refused(
-        "small = Ports with input sample_time (2): sample_and_hold makes sample_time (1); rename "
-        "or resize one of the ports",
-        controllers() | {"small": Ports({"sample_time": 2}, {})},
-    )
-    refused(
-        "sample_and_hold = no open input reads what it holds: add the controllers to the builder "
-        "before, and leave their inputs measured_load_state and reference open",
-        {"trajectory": Ports({}, {"reference": 22})},
-    )
-    refused(
-        "blocks = sample_and_hold: the builder has a system of that name; add the hold once",
-        controllers() | {"sample_and_hold": SampleAndHold(model(4, PERIOD))},
-    )
-    refused(
-        "control_period = 0.0: controllers read their inputs directly; leave the hold out, or give "
-        "a longer one",
-        controllers(),
-        given=model(4),
-    )
-    refused("model = 3: give the Model of the controllers", controllers(), given=3)
-    builder = added(controllers())
-    builder.Build()
-    for function, arguments in ((add_sample_and_hold, [model(4, PERIOD)]), (connect_remaining, [])):
-        said = rf"^builder = built: call {function.__name__} before builder\.Build\(\)$"
-        with pytest.raises(ScenarioError, match=said):
-            function(builder, *arguments)
-        with pytest.raises(ScenarioError, match=r"^builder = 3: give a DiagramBuilder$"):
-            function(3, *arguments)

@@ -4,13 +4,10 @@ import functools
 
 import numpy as np
 import pytest
-from helpers import Ports, model, output, with_ports
-from pydrake.systems.framework import DiagramBuilder, LeafSystem
+from helpers import Ports, output
+from pydrake.systems.framework import DiagramBuilder
 
 from drake_nonstop import (
-    NoDisturbance,
-    connect_by_name,
-    connect_remaining,
     get_parameter,
     load_scenario,
     make_blocks,
@@ -19,8 +16,6 @@ from drake_nonstop import (
     set_equilibrium,
     set_parameter,
 )
-from drake_nonstop.blocks.carrier_dynamics import FixedWingDynamics
-from drake_nonstop.systems.diagnosis import raising_block
 from drake_nonstop.systems.wiring import input_names, output_names, wires
 from drake_nonstop.validation import ScenarioError
 
@@ -134,15 +129,6 @@ def test_aircraft_are_trimmed_wherever_they_are(make):
     assert_starts_as_the_figure(make(make_blocks(scenario(*AIRCRAFT))), *AIRCRAFT)
 
 
-@pytest.mark.filterwarnings("error")
-def test_aircraft_in_a_diagram_in_the_place_of_their_box_are_trimmed():
-    def in_a_diagram(model):
-        return grouped({"aircraft": FixedWingDynamics(model)})
-
-    loop = make_nonstop(scenario(*AIRCRAFT), carrier_dynamics=in_a_diagram)
-    assert_starts_as_the_figure(loop, *AIRCRAFT)
-
-
 @BOTH
 def test_two_makers_of_a_signal_are_named(make):
     builder = DiagramBuilder()
@@ -197,78 +183,11 @@ def test_a_parameter_that_is_no_number_is_blamed_on_its_block(name, group, names
     assert str(error.value).startswith(f"start = {called}: it makes a value that is not finite")
 
 
-@NAMED
-@pytest.mark.parametrize("group", [None, (*PLANT, "load_disturbance"), ("load_disturbance",)])
-def test_a_block_that_makes_no_numbers_is_blamed_and_not_its_reader(group, names):
-    blocks = make_blocks(scenario(), load_disturbance=with_ports({}, {"disturbance_wrench": 6}))
-    make = functools.partial(nested, group=group) if group else wired
-    diagram = make(blocks, names=names)
-    path = ["inner", "part"] * bool(group) + ["load_disturbance"]
-    called = ".".join(path) if names else "Ports"
-    with pytest.raises(ScenarioError, match=f"^start = {called}: it makes a value that is not fin"):
-        set_equilibrium(diagram, diagram.CreateDefaultContext())
-
-
-class Raising(LeafSystem):
-    """A block of a user's own, whose output cannot be evaluated."""
-
-    def __init__(self):
-        super().__init__()
-        self.DeclareVectorOutputPort("result", 1, self._calc)
-
-    def _calc(self, context, value):
-        raise ValueError("no result")
-
-
-@NAMED
-@pytest.mark.parametrize("depth", [0, 1])
-def test_a_block_that_raises_has_its_name(names, depth):
-    block = Raising()
-    if names:
-        block.set_name("mine")
-    diagram = in_diagrams(block, 1 + depth, names)
-    context = diagram.CreateDefaultContext()  # the error's traceback must not outlive it
-    with pytest.raises(ValueError, match="no result") as error:
-        diagram.get_output_port().Eval(context)
-    called = ".".join(["outer"] * depth + ["mine"]) if names else "Raising"
-    assert raising_block(error.value).startswith(f"{called} (test_wired_by_hand.py:")
-
-
-def in_diagrams(block, depth, names):
-    """A system in that many diagrams, all ports of which are exported."""
-    for _ in range(depth):
-        builder = DiagramBuilder()
-        builder.AddSystem(block)
-        for k in range(block.num_input_ports()):
-            builder.ExportInput(block.get_input_port(k))
-        for k in range(block.num_output_ports()):
-            builder.ExportOutput(block.get_output_port(k))
-        block = builder.Build()
-        if names:
-            block.set_name("outer")
-    return block
-
-
 def test_an_open_input_in_a_diagram_inside_is_named():
     blocks = make_blocks(scenario())
     del blocks["load_disturbance"]
     plant = grouped({name: blocks.pop(name) for name in PLANT}, left_open=["disturbance_wrench"])
     diagram = wired(blocks | {"plant": plant})
-    with pytest.raises(ScenarioError, match=NOT_CONNECTED):
-        set_equilibrium(diagram, diagram.CreateDefaultContext())
-
-
-def test_an_optional_input_without_a_value_is_not_blamed():
-    blocks = make_blocks(scenario())
-    del blocks["load_disturbance"]
-    reader = Ports({"hint": 1}, {})
-    reader.optional_inputs = ("hint",)
-    builder = DiagramBuilder()
-    for block in (reader, *blocks.values()):
-        builder.AddSystem(block)
-    builder.ExportInput(reader.GetInputPort("hint"), "hint")
-    connect_remaining(builder)
-    diagram = builder.Build()
     with pytest.raises(ScenarioError, match=NOT_CONNECTED):
         set_equilibrium(diagram, diagram.CreateDefaultContext())
 
@@ -280,14 +199,6 @@ def test_carriers_that_follow_an_input_from_outside_start_as_the_figure():
     plant = grouped({name: blocks.pop(name) for name in PLANT})
     rest = grouped(blocks | {"plant": plant})
     assert_starts_as_the_figure(wired({"rest": rest, "forces": forces}), *arguments)
-
-
-def test_a_loop_whose_inputs_come_from_outside_starts_as_the_figure():
-    builder, root = DiagramBuilder(), DiagramBuilder()
-    rest = make_nonstop(scenario(), load_disturbance=None)
-    connect_by_name(builder, {"rest": rest, "other": NoDisturbance(model())})
-    root.AddSystem(builder.Build())
-    assert_starts_as_the_figure(root.Build())
 
 
 @BOTH
