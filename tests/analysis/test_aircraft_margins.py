@@ -202,11 +202,6 @@ def test_a_load_that_turns_about_a_horizontal_axis_has_no_resting_orbit():
         margins_at_rest(model(F150, 150.0), reference, np.array([0.6, 1.0]))
 
 
-def test_a_name_is_no_scenario():
-    with pytest.raises(ScenarioError, match="give a Scenario"):
-        aircraft_margins.aircraft_margins("aircraft_rest")
-
-
 def test_the_table_has_a_line_for_each_margin():
     result = margins(model(F150, 150.0), 0.595)
     lines = margins_table(result).splitlines()

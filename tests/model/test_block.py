@@ -201,14 +201,6 @@ def test_a_config_that_changes_later_changes_no_block():
     assert block.config.rate == 1.0
 
 
-def test_help_of_a_class_without_a_docstring_has_its_own_ports():
-    class Plain(Counter):
-        makes = ("fuel",)
-
-    assert "fuel" in Plain.__doc__
-    assert "A held output" not in Plain.__doc__
-
-
 def own(**members):
     """A class of these members, beside its config."""
     return type("Own", (Block,), {"__module__": __name__, **members})

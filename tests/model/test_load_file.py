@@ -83,16 +83,6 @@ def test_a_scenario_flies_a_load_from_a_file(crate, plant):
     assert np.linalg.norm(run.signal("tracking_error")[:, 3:6], axis=1).max() < 1e-3
 
 
-def test_a_file_for_the_simulated_load_alone(crate):
-    overrides = [
-        f"simulated.load_file={crate}",
-        f"simulated.attachment_frames=[{', '.join(FRAMES)}]",
-    ]
-    scenario = load_scenario("quintic", overrides)
-    assert scenario.system.load_mass == 1.0
-    assert scenario.simulated.load_mass == 1.2
-
-
 @pytest.mark.parametrize(
     ("text", "frames", "words"),
     [
@@ -147,8 +137,3 @@ def test_a_file_is_refused_of_which_drake_would_make_another_load(tmp_path, old,
     assert f"{tmp_path / name}: " in str(caught.value)
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-def test_no_file():
-    with pytest.raises(ScenarioError, match=r"load_file = none\.sdf"):
-        read_load("none.sdf", FRAMES)

@@ -1,3 +1,5 @@
+"""Patterns: forces without a wrench, as their formulas say, that keep every carrier in motion."""
+
 import dataclasses
 import itertools
 import textwrap
@@ -7,10 +9,7 @@ import pytest
 from helpers import irregular, nightly_beyond, regular, spatial
 
 from drake_nonstop.blocks.load_trajectory import RestToRestConfig
-from drake_nonstop.blocks.optimization_layer import (
-    ConstantParametersConfig,
-    PaperLayerConfig,
-)
+from drake_nonstop.blocks.optimization_layer import ConstantParametersConfig, PaperLayerConfig
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.mechanics.grasp import grasp_matrix
 from drake_nonstop.mechanics.internal_force import hamiltonian_cycle
@@ -23,199 +22,46 @@ from drake_nonstop.model.pattern import (
     SpreadCarouselConfig,
     check_pattern,
 )
-from drake_nonstop.model.system import Model, SystemParameters
+from drake_nonstop.model.system import SystemParameters
 from drake_nonstop.run.simulate import simulate
+from drake_nonstop.scenario.choices import PATTERNS
 from drake_nonstop.scenario.loading import parse_scenario
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.validation import ScenarioError
 
-
-def weight_shares(attachments):
-    return np.tile([0, 0, 9.81 / len(attachments)], (len(attachments), 1))
-
-
-@pytest.mark.parametrize("attachments", [regular(3), irregular(5), spatial(7)])
-def test_cycle_is_the_mechanics_with_even_phases_and_no_offset(attachments):
-    n = len(attachments)
-    pattern = HamiltonianCycleConfig().make(attachments)
-    np.testing.assert_array_equal(pattern.basis, hamiltonian_cycle(attachments))
-    np.testing.assert_allclose(pattern.phases, 2 * np.pi * np.arange(n) / n, rtol=1e-15)
-    np.testing.assert_array_equal(pattern.offset, np.zeros(3 * n))
-    check_pattern(pattern, attachments, weight_shares(attachments))
+SHAPES = [*(regular(n) for n in (3, 4, 5, 8)), irregular(5), spatial(7), regular(4) + 0.3]
+ELLIPTIC = {"spread": 1.5, "phase_turns": 2, "radial": 0.6, "tangential": 0.9, "vertical": 0.7}
 
 
-def test_phases_can_be_given():
+def checked(pattern, attachments):
+    """The pattern, checked with the weight of a load."""
+    shares = np.tile([0, 0, 9.81 / len(attachments)], (len(attachments), 1))
+    check_pattern(pattern, attachments, shares)
+    return pattern
+
+
+@pytest.mark.parametrize("config", PATTERNS, ids=lambda config: config.__name__)
+def test_forces_of_any_attachments_have_no_wrench_and_keep_the_carriers_in_motion(config):
+    for attachments in SHAPES:
+        pattern = checked(config().make(attachments), attachments)
+        forces = np.column_stack([pattern.basis, pattern.offset])
+        np.testing.assert_allclose(grasp_matrix(attachments) @ forces, 0, rtol=0, atol=1e-12)
+        assert pattern.basis.shape == (attachments.size, len(pattern.phases))
+        assert pattern.is_constant == (config is ConstantSpreadConfig)
+        if hasattr(config(), "spread") and np.allclose(attachments.mean(axis=0), 0):
+            outward = attachments / np.linalg.norm(attachments, axis=1)[:, None]
+            if len({*np.linalg.norm(attachments, axis=1).round(9)}) == 1:
+                expected = config().spread * outward
+                np.testing.assert_allclose(pattern.offset.reshape(-1, 3), expected, atol=1e-12)
+
+
+def test_the_cycle_has_even_phases_or_those_given():
+    for attachments in SHAPES:
+        pattern, n = HamiltonianCycleConfig().make(attachments), len(attachments)
+        np.testing.assert_array_equal(pattern.basis, hamiltonian_cycle(attachments))
+        np.testing.assert_allclose(pattern.phases, 2 * np.pi * np.arange(n) / n, rtol=1e-15)
     phases = [0.0, np.pi / 2, 0.0, np.pi / 2]
-    np.testing.assert_array_equal(
-        HamiltonianCycleConfig(phases=phases).make(regular(4)).phases, phases
-    )
-
-
-PHASES, SQUARE = [0.0, 1.0, 2.0, 4.0], regular(4).tolist()
-STRAIGHT = [[1.0, 1, 0], [0.0, 1, 0], [-1, 1, 0], [-1, -1, 0], [1, -1, 0]]
-BACK = [[0.0, 0, 0], [2, 0, 0], [1, 0, 0], [0, 1, 0]]
-
-
-@pytest.mark.parametrize(
-    ("attachments", "phases", "cable"),
-    [
-        *((SQUARE, [*PHASES[:2], 1.0 + shift, 4.0], 3) for shift in (0.0, np.pi, np.pi + 1e-4)),
-        (SQUARE, [0.0, 1.0, 2.0, np.pi], 1),
-        (STRAIGHT, [], 2),
-        (BACK, [], 2),
-    ],
-)
-def test_edges_or_phases_that_let_a_carrier_stop_are_refused(attachments, phases, cable):
-    attachments = np.array(attachments)
-    pattern = HamiltonianCycleConfig(phases=phases).make(attachments)
-    with pytest.raises(ScenarioError, match=f"cable {cable} swings in a plane or not at all"):
-        check_pattern(pattern, attachments, weight_shares(attachments))
-
-
-@pytest.mark.parametrize("phases", [[0.0, 1.0, 2.0], [0.0, 1.0, 2.0, np.nan], [[0.0, 1, 2, 4]]])
-def test_phases_of_wrong_shape_are_refused(phases):
-    with pytest.raises(ScenarioError, match=r"pattern\.phases = .*give 4 finite numbers"):
-        HamiltonianCycleConfig(phases=phases).make(regular(4))
-
-
-def test_cables_on_one_point_are_refused():
-    attachments = regular(4)
-    attachments[2] = attachments[1]
-    with pytest.raises(ScenarioError, match="different attachment points"):
-        HamiltonianCycleConfig().make(attachments)
-
-
-def cycle(attachments, **fields):
-    pattern = HamiltonianCycleConfig().make(attachments)
-    values = {"basis": pattern.basis, "phases": pattern.phases, "offset": pattern.offset}
-    return InternalForcePattern(**(values | fields))
-
-
-def test_basis_with_a_net_wrench_is_refused():
-    attachments = regular(4)
-    basis = hamiltonian_cycle(attachments)
-    basis[5, 1] += 1e-6
-    with pytest.raises(ScenarioError, match=r"pattern\.basis = .*net wrench"):
-        check_pattern(cycle(attachments, basis=basis), attachments, weight_shares(attachments))
-
-
-def test_basis_with_a_net_torque_only_is_refused():
-    attachments = regular(4)
-    tangents = np.cross([0, 0, 1.0], attachments).ravel()
-    assert np.max(np.abs(grasp_matrix(attachments)[3:] @ tangents)) < 1e-15
-    basis = hamiltonian_cycle(attachments)
-    basis[:, 0] += tangents
-    with pytest.raises(ScenarioError, match=r"pattern\.basis = .*net wrench"):
-        check_pattern(cycle(attachments, basis=basis), attachments, weight_shares(attachments))
-
-
-def test_offset_with_a_net_wrench_is_refused():
-    attachments = regular(4)
-    offset = np.tile([0.0, 0, 0.1], 4)
-    with pytest.raises(ScenarioError, match=r"pattern\.offset = .*net wrench"):
-        check_pattern(cycle(attachments, offset=offset), attachments, weight_shares(attachments))
-
-
-def test_internal_force_on_a_line_is_refused():
-    attachments = regular(4)
-    pattern = cycle(attachments, phases=np.array([0.0, 0.0, 1.0, 2.0]))  # cable 2 feels 1 and 2
-    with pytest.raises(ScenarioError, match=r"pattern.phases = .*cable 2 swings in a plane"):
-        check_pattern(pattern, attachments, weight_shares(attachments))
-
-
-def test_cable_without_an_internal_force_is_refused():
-    attachments = regular(4)
-    pattern = InternalForcePattern(hamiltonian_cycle(attachments)[:, :1], np.zeros(1), np.zeros(12))
-    with pytest.raises(ScenarioError, match=r"pattern.phases = .*cable 1 swings in a plane"):
-        check_pattern(pattern, attachments, weight_shares(attachments))
-
-
-def test_cable_whose_mean_force_lies_in_the_plane_of_its_internal_force_is_refused():
-    # An upright square: the weight is in the plane of the cycle, and every cable stays in it.
-    attachments = regular(4)[:, [0, 2, 1]]
-    pattern = cycle(attachments)
-    with pytest.raises(ScenarioError, match="swings in a plane"):
-        check_pattern(pattern, attachments, weight_shares(attachments))
-
-
-@dataclasses.dataclass(kw_only=True)
-class OwnCarouselConfig:
-    """ᴸf̃_i = C (cos β_i, sin β_i, 0) + A (cos(θ − β_i), sin(θ − β_i), 0), m = 2."""
-
-    spread: float = 1.0
-
-    def make(self, attachments):
-        beta = 2 * np.pi * np.arange(len(attachments)) / len(attachments)
-        zero = 0 * beta
-        cosines = np.column_stack([np.cos(beta), -np.sin(beta), zero]).ravel()
-        sines = np.column_stack([np.sin(beta), np.cos(beta), zero]).ravel()
-        outward = np.column_stack([np.cos(beta), np.sin(beta), zero]).ravel()
-        basis = np.column_stack([cosines, sines])
-        return InternalForcePattern(basis, np.array([0.0, -np.pi / 2]), self.spread * outward)
-
-
-@pytest.mark.parametrize("n", nightly_beyond(1, "flights", [4, 3, 6]))
-def test_a_pattern_of_ones_own_holds_a_load_at_rest_and_every_carrier_in_motion(n):
-    share = 9.81 / n
-    scenario = Scenario(
-        simulation_duration=1.0,
-        system=SystemParameters(attachments=regular(n).tolist()),
-        pattern=OwnCarouselConfig(spread=share),
-        optimization_layer=ConstantParametersConfig(frequency=2.0, amplitude=0.4 * share),
-    )
-    assert Model(scenario.system, scenario.pattern).m == 2
-    run = simulate(scenario)
-    assert run.time[-1] == pytest.approx(1.0)
-    load = run.signal("load_state")
-    np.testing.assert_allclose(load[:, 4:7], 0, rtol=0, atol=1e-3)
-    np.testing.assert_allclose(load[:, :4], [[1, 0, 0, 0]] * len(load), rtol=0, atol=2e-3)
-    velocities = run.signal("carrier_state")[:, 3 * n :].reshape(len(load), n, 3)
-    speeds = np.linalg.norm(velocities, axis=2)
-    # T between √(f₀² + (0.6 f₀)²) and √(f₀² + (1.4 f₀)²), L A ξ / T and the tilt of the cone
-    assert np.min(speeds) > 0.5 * 0.8 * 0.4 * 2.0 / np.hypot(1, 1.4)
-    assert np.max(speeds) < 1.05 * 0.8 * 0.4 * 2.0 / np.hypot(1, 0.6)
-    # The carriers turn about outward axes: they stay further apart than the attachments.
-    positions = run.signal("carrier_state")[:, : 3 * n].reshape(len(load), n, 3)
-    gaps = np.linalg.norm(positions - np.roll(positions, 1, axis=1), axis=2)
-    assert np.min(gaps) > np.linalg.norm(regular(n)[0] - regular(n)[1])
-
-
-@pytest.mark.parametrize("n", [3, 4, 5, 8])
-def test_carousel_turns_all_forces_of_a_regular_polygon_together(n):
-    pattern = CarouselConfig().make(regular(n))
-    angles = 2 * np.pi * np.arange(n) / n
-    for theta in (0.0, 0.7, 2.9):
-        forces = (pattern.basis @ np.cos(theta + pattern.phases)).reshape(n, 3)
-        expected = [np.cos(theta - angles), np.sin(theta - angles), 0 * angles]
-        np.testing.assert_allclose(forces, np.transpose(expected), rtol=0, atol=1e-14)
-
-
-@pytest.mark.parametrize("n", [3, 4, 5, 8])
-def test_spread_pulls_outward(n):
-    pattern = SpreadCarouselConfig(spread=3.0).make(regular(n, 1.5))
-    np.testing.assert_allclose(pattern.offset.reshape(n, 3), 2 * regular(n, 1.5), atol=1e-13)
-    np.testing.assert_array_equal(pattern.basis, CarouselConfig().make(regular(n, 1.5)).basis)
-
-
-def test_carousel_needs_a_direction_for_every_cable():
-    attachments = np.vstack([regular(4), [[0.0, 0.0, 0.4]]])
-    with pytest.raises(ScenarioError, match=r"system\.attachments = .*in the middle of all"):
-        CarouselConfig().make(attachments)
-
-
-@pytest.mark.parametrize("spread", [0.0, -1.0, float("nan")])
-def test_spread_has_to_be_positive(spread):
-    with pytest.raises(ScenarioError, match=r"pattern\.spread = .*greater than zero"):
-        SpreadCarouselConfig(spread=spread).make(regular(4))
-
-
-ELLIPTIC = {
-    "spread": 1.5,
-    "phase_turns": 2,
-    "radial": 0.6,
-    "tangential": 0.9,
-    "vertical": 0.7,
-}
+    assert HamiltonianCycleConfig(phases=phases).make(regular(4)).phases.tolist() == phases
 
 
 def elliptic_forces(config, attachments, theta, amplitude):
@@ -256,76 +102,148 @@ def is_said_to_be_without_a_wrench(n, k, config):
 
 
 @pytest.mark.parametrize("n", range(3, 9))
-def test_elliptic_carousel_has_the_forces_of_its_formula_where_they_have_no_wrench(n, rng):
-    accepted = 0
+def test_carousels_have_the_forces_of_their_formula_where_they_have_no_wrench(n, rng):
+    configs = [CarouselConfig(), SpreadCarouselConfig(spread=2.0)]
     for turns, radial, vertical in itertools.product(range(n), (0.9, -0.9, 0.6), (0.0, 0.7)):
         k = turns + int(rng.integers(-2, 2)) * n
-        sizes = {"radial": radial, "vertical": vertical}
-        config = EllipticCarouselConfig(**(ELLIPTIC | sizes | {"phase_turns": k}))
+        sizes = {"radial": radial, "vertical": vertical, "phase_turns": k}
+        configs.append(EllipticCarouselConfig(**(ELLIPTIC | sizes)))
+    accepted = 0
+    for config in configs:
         attachments = turned_polygon(n, rng)
         theta, amplitude = rng.uniform(0, 6), rng.uniform(0.5, 3)
         forces = elliptic_forces(config, attachments, theta, amplitude)
         torque = np.cross(attachments, forces).sum(axis=0)
         is_free = np.allclose([forces.sum(axis=0), torque], 0, atol=1e-12)
-        assert is_free == is_said_to_be_without_a_wrench(n, k, config)
-        if not is_free:
-            with pytest.raises(ScenarioError, match=f"phase_turns = {k}: with {n} cables"):
+        assert is_free == is_said_to_be_without_a_wrench(n, config.phase_turns, config)
+        if is_free:
+            accepted += 1
+            pattern = config.make(attachments)
+            made = pattern_forces(pattern, theta, amplitude)
+            np.testing.assert_allclose(made, forces, rtol=0, atol=1e-12)
+        else:
+            with pytest.raises(ScenarioError, match=f"phase_turns = {config.phase_turns}: with"):
                 config.make(attachments)
-            continue
-        accepted += 1
-        pattern = config.make(attachments)
-        np.testing.assert_allclose(
-            pattern_forces(pattern, theta, amplitude), forces, rtol=0, atol=1e-12
-        )
-        assert len(pattern.phases) == 2
-    assert accepted > n - 2
-
-
-@pytest.mark.parametrize(
-    ("n", "remedy"),
-    [(3, "give vertical = 0"), (4, r"give 2 \(mod"), (6, r"give 2 or 3 or 4 \(mod")],
-)
-def test_turns_that_suit_are_told(n, remedy):
-    with pytest.raises(ScenarioError, match=remedy):
-        EllipticCarouselConfig(**(ELLIPTIC | {"phase_turns": 1})).make(regular(n))
+    assert accepted > n
 
 
 @pytest.mark.parametrize("attachments", [irregular(5), spatial(4), spatial(7), regular(4) + 0.3])
-def test_elliptic_carousel_of_other_attachments_is_the_nearest_without_a_wrench(attachments):
+def test_an_elliptic_carousel_of_other_attachments_is_the_nearest_without_a_wrench(attachments):
     turns = 3 if len(attachments) == 5 else 2
     config = EllipticCarouselConfig(**(ELLIPTIC | {"phase_turns": turns}))
-    pattern = config.make(attachments)
-    check_pattern(pattern, attachments, weight_shares(attachments))
+    pattern = checked(config.make(attachments), attachments)
     change = pattern_forces(pattern, 0.7, 1.3) - elliptic_forces(config, attachments, 0.7, 1.3)
     grasp = grasp_matrix(attachments)
     row_space = np.linalg.lstsq(grasp.T, change.ravel(), rcond=None)[0]
     np.testing.assert_allclose(grasp.T @ row_space, change.ravel(), rtol=0, atol=1e-12)
 
 
+PHASES, SQUARE = [0.0, 1.0, 2.0, 4.0], regular(4)
+STRAIGHT = [[1.0, 1, 0], [0.0, 1, 0], [-1, 1, 0], [-1, -1, 0], [1, -1, 0]]
+BACK = [[0.0, 0, 0], [2, 0, 0], [1, 0, 0], [0, 1, 0]]
+UPRIGHT = regular(4)[:, [0, 2, 1]]  # the weight is in the plane of the cycle
+CYCLE = HamiltonianCycleConfig
+FLAT = -0.7 * 1.5 / (9.81 / 4)  # A_r of which the volume A_t (A_r f₀ + B C) is none
+
+
 @pytest.mark.parametrize(
-    ("field", "value", "remedy"),
+    ("config", "attachments", "cable"),
     [
-        ("spread", -1.0, "not negative"),
-        ("phase_turns", 1.5, "whole number"),
-        ("phase_turns", 101, "from -100 to 100"),
-        ("tangential", 0.0, "other than 0"),
-        ("vertical", np.nan, "a finite number"),
+        *((CYCLE(phases=[*PHASES[:2], 1 + s, 4.0]), SQUARE, 3) for s in (0.0, np.pi, np.pi + 1e-4)),
+        (CYCLE(phases=[0.0, 1.0, 2.0, np.pi]), SQUARE, 1),
+        (CYCLE(phases=[0.0, 0.0, 1.0, 2.0]), SQUARE, 2),
+        *((CYCLE(), shape, 2) for shape in (STRAIGHT, BACK)),
+        (CYCLE(), UPRIGHT, 1),
+        (EllipticCarouselConfig(**(ELLIPTIC | {"radial": FLAT})), SQUARE, 1),
     ],
 )
-def test_elliptic_carousel_refuses_bad_numbers(field, value, remedy):
-    with pytest.raises(ScenarioError, match=rf"^pattern\.{field} = .*{remedy}"):
-        EllipticCarouselConfig(**(ELLIPTIC | {field: value})).make(regular(4))
+def test_forces_that_let_a_carrier_stop_are_refused(config, attachments, cable):
+    attachments = np.array(attachments, dtype=float)
+    with pytest.raises(ScenarioError, match=f"cable {cable} swings in a plane or not at all"):
+        checked(config.make(attachments), attachments)
 
 
-def test_forces_whose_ellipses_lie_in_planes_through_the_attachments_are_refused():
-    # cos, sin and constant part: A_t (A_r f₀ + B C) is their volume.
-    share, fields = 9.81 / 4, {"radial": -0.7 * 1.5 / (9.81 / 4)}
-    flat = EllipticCarouselConfig(**(ELLIPTIC | fields)).make(regular(4))
-    with pytest.raises(ScenarioError, match="cable 1 swings in a plane"):
-        check_pattern(flat, regular(4), weight_shares(regular(4)))
-    fields = {"radial": fields["radial"] * 1.1}
-    pattern = EllipticCarouselConfig(**(ELLIPTIC | fields)).make(regular(4))
-    check_pattern(pattern, regular(4), np.tile([0, 0, share], (4, 1)))
+def test_forces_just_beside_those_are_accepted():
+    config = EllipticCarouselConfig(**(ELLIPTIC | {"radial": 1.1 * FLAT}))
+    checked(config.make(SQUARE), SQUARE)
+
+
+@pytest.mark.parametrize("name", ["basis", "offset"])
+def test_forces_with_a_net_wrench_are_refused(name):
+    pattern, tangents = HamiltonianCycleConfig().make(SQUARE), np.cross([0, 0, 1.0], SQUARE).ravel()
+    for push in (tangents, np.tile([0.0, 0, 1e-6], 4)):
+        value = getattr(pattern, name).copy()
+        value.T[..., :] += push
+        with pytest.raises(ScenarioError, match=rf"pattern\.{name} = .*net wrench"):
+            checked(dataclasses.replace(pattern, **{name: value}), SQUARE)
+
+
+def elliptic(**fields):
+    return EllipticCarouselConfig(**(ELLIPTIC | fields))
+
+
+@pytest.mark.parametrize(
+    ("config", "attachments", "field", "remedy"),
+    [
+        (CYCLE(phases=[0.0, 1.0, 2.0]), SQUARE, "pattern.phases", "give 4 finite numbers"),
+        (CYCLE(phases=[0.0, 1, 2, np.nan]), SQUARE, "pattern.phases", "give 4 finite numbers"),
+        (CYCLE(phases=[[0.0, 1, 2, 4]]), SQUARE, "pattern.phases", "give 4 finite numbers"),
+        (CYCLE(), SQUARE[[0, 1, 1, 2]], "system.attachments", "different attachment points"),
+        (CarouselConfig(), [*SQUARE, [0, 0, 0.4]], "system.attachments", "in the middle of all"),
+        *((SpreadCarouselConfig(spread=s), SQUARE, "spread", "above|greater") for s in (0.0, -1)),
+        (ConstantSpreadConfig(spread=0.0), SQUARE, "pattern.spread", "greater than zero"),
+        (elliptic(spread=-1.0), SQUARE, "pattern.spread", "not negative"),
+        (elliptic(phase_turns=1.5), SQUARE, "pattern.phase_turns", "whole number"),
+        (elliptic(phase_turns=101), SQUARE, "pattern.phase_turns", "from -100 to 100"),
+        (elliptic(tangential=0.0), SQUARE, "pattern.tangential", "other than 0"),
+        (elliptic(vertical=np.nan), SQUARE, "pattern.vertical", "a finite number"),
+        (elliptic(phase_turns=1), regular(3), "pattern.phase_turns", "give vertical = 0"),
+        (elliptic(phase_turns=1), SQUARE, "pattern.phase_turns", r"give 2 \(mod"),
+        (elliptic(phase_turns=1), regular(6), "pattern.phase_turns", r"give 2 or 3 or 4 \(mod"),
+    ],
+)
+def test_what_makes_no_pattern_is_told(config, attachments, field, remedy):
+    with pytest.raises(ScenarioError, match=f"{field} = .*({remedy})"):
+        config.make(np.array(attachments))
+
+
+@dataclasses.dataclass(kw_only=True)
+class OwnCarouselConfig:
+    """A pattern of one's own: that of `SpreadCarousel`, by hand."""
+
+    spread: float = 1.0
+
+    def make(self, attachments):
+        beta = 2 * np.pi * np.arange(len(attachments)) / len(attachments)
+        zero = 0 * beta
+        cosines = np.column_stack([np.cos(beta), -np.sin(beta), zero]).ravel()
+        sines = np.column_stack([np.sin(beta), np.cos(beta), zero]).ravel()
+        outward = np.column_stack([np.cos(beta), np.sin(beta), zero]).ravel()
+        basis = np.column_stack([cosines, sines])
+        return InternalForcePattern(basis, np.array([0.0, -np.pi / 2]), self.spread * outward)
+
+
+@pytest.mark.parametrize("n", nightly_beyond(1, "flights", [4, 3, 6]))
+def test_a_pattern_of_ones_own_holds_a_load_at_rest_and_every_carrier_in_motion(n):
+    share = 9.81 / n
+    scenario = Scenario(
+        simulation_duration=1.0,
+        system=SystemParameters(attachments=regular(n).tolist()),
+        pattern=OwnCarouselConfig(spread=share),
+        optimization_layer=ConstantParametersConfig(frequency=2.0, amplitude=0.4 * share),
+    )
+    run = simulate(scenario)
+    load = run.signal("load_state")
+    np.testing.assert_allclose(load[:, 4:7], 0, rtol=0, atol=1e-3)
+    np.testing.assert_allclose(load[:, :4], [[1, 0, 0, 0]] * len(load), rtol=0, atol=2e-3)
+    positions, velocities = run.signal("carrier_state").reshape(len(load), 2, n, 3).swapaxes(0, 1)
+    speeds = np.linalg.norm(velocities, axis=2)
+    # T between √(f₀² + (0.6 f₀)²) and √(f₀² + (1.4 f₀)²), L A ξ / T and the tilt of the cone
+    assert np.min(speeds) > 0.5 * 0.8 * 0.4 * 2.0 / np.hypot(1, 1.4)
+    assert np.max(speeds) < 1.05 * 0.8 * 0.4 * 2.0 / np.hypot(1, 0.6)
+    # The carriers turn about outward axes: they stay further apart than the attachments.
+    gaps = np.linalg.norm(positions - np.roll(positions, 1, axis=1), axis=2)
+    assert np.min(gaps) > np.linalg.norm(regular(n)[0] - regular(n)[1])
 
 
 def co_rotating(**changes):
@@ -356,30 +274,21 @@ def test_co_rotating_formation_flies_as_its_closed_form_says():
     np.testing.assert_allclose(places[..., 2], height, rtol=1e-6)
     np.testing.assert_allclose(speeds, 0.40 * radius, rtol=1e-6)
     np.testing.assert_allclose(run.signal("tensions"), tension, rtol=1e-5)
-    apart = np.linalg.norm(places - np.roll(places, 1, axis=1), axis=2)
-    np.testing.assert_allclose(apart, 2 * radius * np.sin(np.pi / 4), rtol=1e-6)
     assert np.max(np.abs(run.signal("tracking_error"))) < 1e-5
     # The figures of the theory's table.
     assert 0.40 * radius == pytest.approx(19.2, abs=0.1)
-    assert apart.min() == pytest.approx(68, abs=0.5)
+    assert 2 * radius * np.sin(np.pi / 4) == pytest.approx(68, abs=0.5)
 
 
-REFUSED = [
-    (
-        {"load_trajectory": RestToRestConfig()},
-        "pattern = ConstantSpread: .*give load_traj.*SteadyT",
-    ),
-    ({"optimization_layer": ConstantParametersConfig()}, "amplitude = 1.2: .* give 0"),
-    ({"optimization_layer": PaperLayerConfig()}, "PaperLayer: .*no orbits"),
-    (
-        {"pattern": SpreadCarouselConfig()},
-        "optimization_layer.amplitude = 0.0: .*greater than zero",
-    ),
-    ({"pattern": ConstantSpreadConfig(spread=0.0)}, "pattern.spread = 0.0: .*greater than zero"),
-]
-
-
-@pytest.mark.parametrize(("changes", "message"), REFUSED)
-def test_what_does_not_go_with_a_turning_formation_is_refused(changes, message):
-    with pytest.raises(ScenarioError, match=message):
+@pytest.mark.parametrize(
+    ("changes", "field", "remedy"),
+    [
+        ({"load_trajectory": RestToRestConfig()}, "pattern = ConstantSpread", "SteadyT"),
+        ({"optimization_layer": ConstantParametersConfig()}, "amplitude = 1.2", "give 0"),
+        ({"optimization_layer": PaperLayerConfig()}, "PaperLayer", "no orbits"),
+        ({"pattern": SpreadCarouselConfig()}, "amplitude = 0.0", "greater than zero"),
+    ],
+)
+def test_what_does_not_go_with_a_turning_formation_is_refused(changes, field, remedy):
+    with pytest.raises(ScenarioError, match=f"{field}.*{remedy}"):
         make_nonstop(co_rotating(**changes))

@@ -69,16 +69,6 @@ MODULE = """
 
 
     @dataclass
-    class OneArgumentConfig:
-        speed_bound: float = 0.5
-
-
-    class OneArgument(LeafSystem):
-        def __init__(self, model):
-            super().__init__()
-
-
-    @dataclass
     class FailingConfig(SteadyConfig):
         pass
 
