@@ -98,7 +98,7 @@ def instant_of(run, row):
             name: run.signal(name)[row]
             for name in (
                 *("load_state", "reference", "carrier_state", "tensions"),
-                *("aircraft_state", "wind", "load_wind"),
+                *("aircraft_state", "wind"),
             )
         },
     )

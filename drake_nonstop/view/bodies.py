@@ -9,16 +9,30 @@ from numpy.typing import NDArray
 from pydrake.geometry import Box, Capsule, Ellipsoid, Shape, Sphere
 from pydrake.math import RigidTransform, RotationMatrix
 
-from drake_nonstop.mechanics.aircraft import Aircraft, angle_of_attack
+from drake_nonstop.mechanics.aircraft import Aircraft, angle_of_attack, stall_speed
 from drake_nonstop.mechanics.rotation import cross
 from drake_nonstop.mechanics.signals import SIGNALS, AircraftState, CarrierStates, Pose
+from drake_nonstop.model.system import Model, SystemParameters
 from drake_nonstop.scenario.obstacles import GroundConfig, Obstacle, SphereConfig
+from drake_nonstop.scenario.scene_config import SceneConfig
 
 Colour = tuple[float, float, float]  # red, green and blue, from 0 to 1
 
+# As #rrggbb; several of a body from the first value of what they show to its last.
+LOAD_COLOUR, REFERENCE_COLOUR, OBSTACLE_COLOUR = "#30343b", "#8a4fff", "#a08c72"
+# The palette starts with that of Okabe and Ito, which the colour-blind can tell apart.
+CARRIER_COLOURS = (
+    *("#0072b2", "#d55e00", "#009e73", "#cc79a7"),
+    *("#e69f00", "#56b4e9", "#7f5f3f", "#882255"),
+)
+MARK_COLOURS = "#e0101a", "#f5b800", "#18a048"  # at ε or the stall, between, and far from it
+CABLE_COLOURS = "#9cc4e4", "#08306b"  # from no tension up
+SLACK_COLOUR = "#ff00c8"
+
 SMALL = 1e-6  # m, m/s: a shorter vector has no direction
+_BAR_RADIUS, _CABLE_RADIUS = 0.022, 0.0035  # of the load's radius, of the reach
 _PLATE = 1e-4  # of its width: how thick the ground is
-SHADES = 33  # in which marks and cables change their colour
+_SHADES = 32  # steps in which marks and cables change their colour
 X_AXIS, Z_AXIS = np.eye(3)[[0, 2]]
 
 
@@ -29,21 +43,17 @@ def signal_sizes(names: Iterable[str], n: int) -> dict[str, int]:
 
 @dataclass(kw_only=True)
 class Snapshot:
-    """An instant of a run, all in the world frame; quaternions are w x y z, of any norm."""
+    """An instant of a run, all in the world frame; quaternions are of any norm."""
 
     time: float  # s
-    load_quaternion: NDArray  # (4,)
-    load_position: NDArray  # (3,), m
-    reference_quaternion: NDArray  # (4,)
-    reference_position: NDArray  # (3,), m
-    carriers: NDArray  # (n, 3), m
-    velocities: NDArray  # (n, 3), m/s
+    load: Pose
+    reference: Pose
+    carriers: CarrierStates
     tensions: NDArray  # (n,), N
     speed_bound: float  # m/s
     # Where the carriers are aircraft, see `Scene`; None: unknown.
     aircraft_state: NDArray | None = None  # (4n,)
     wind: NDArray | None = None  # (3n,), m/s, at the carriers
-    load_wind: NDArray | None = None  # (3,), m/s
     cable_state: NDArray | None = None  # (6Nn,), of cables with N nodes, see `LumpedCables`
 
     @classmethod
@@ -62,26 +72,39 @@ class Snapshot:
         `others` are the fields that signals have the names of.
         """
         load, desired = Pose.view(load_state), Pose.view(reference)
-        carriers = CarrierStates.view(carrier_state)
+        carriers, bound = CarrierStates.view(carrier_state), float(speed_bound[0])
         return cls(
-            time=time,
-            load_quaternion=load.quaternion,
-            load_position=load.position,
-            reference_quaternion=desired.quaternion,
-            reference_position=desired.position,
-            carriers=carriers.positions,
-            velocities=carriers.velocities,
-            speed_bound=float(speed_bound[0]),
-            **others,
+            time=time, load=load, reference=desired, carriers=carriers, speed_bound=bound, **others
         )
 
     @property
     def is_finite(self) -> bool:
         """Whether it can be shown: all arrays are finite, and no quaternion is zero."""
-        arrays = (value for value in vars(self).values() if isinstance(value, np.ndarray))
-        return all(np.isfinite(array).all() for array in arrays) and bool(
-            self.load_quaternion.any() and self.reference_quaternion.any()
-        )
+        others = (self.tensions, self.aircraft_state, self.wind, self.cable_state)
+        arrays = [*self.load, *self.reference, *self.carriers]
+        arrays += [array for array in others if array is not None]
+        quaternions = self.load.quaternion, self.reference.quaternion
+        return all(np.isfinite(array).all() for array in arrays) and all(map(np.any, quaternions))
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Sizes of the bodies of a system, in m."""
+
+    radius: float  # of the load, from its centre of mass
+    reach: float  # and the longest cable
+    wing_span: float
+    cable: float  # radius
+    bar: float  # radius
+
+    @classmethod
+    def of(cls, system: SystemParameters | Model, config: SceneConfig) -> "Sizes":
+        """The sizes of what a system is drawn as."""
+        radius = float(np.linalg.norm(np.array(system.attachments), axis=1).max())
+        reach = radius + float(np.max(system.cable_length))
+        cable = _CABLE_RADIUS * reach
+        bar = max(_BAR_RADIUS * radius, 2 * cable)
+        return cls(radius, reach, config.wing_span * reach, cable, bar)
 
 
 def stack_poses(rotations: NDArray, positions: NDArray) -> NDArray:
@@ -176,6 +199,12 @@ def _perpendiculars(axes: NDArray) -> NDArray:
     return unit_vectors(cross(others, axes), otherwise=others)
 
 
+def stall_shares(aircraft: Aircraft, state: AircraftState) -> NDArray:
+    """How near aircraft (n,) are to their stall, by lift or by airspeed, from 0 to 1."""
+    by_speed = (stall_speed(aircraft) / np.maximum(state.airspeed, SMALL)) ** 2
+    return np.maximum(state.lift / aircraft.max_lift, by_speed)
+
+
 @dataclass(kw_only=True)
 class Part:
     """A shape at a pose in its body's frame."""
@@ -235,14 +264,17 @@ def rgb(colour: str) -> Colour:
     return red / 255, green / 255, blue / 255
 
 
-def make_shades(colours: list[str]) -> list[Colour]:
-    """`SHADES` colours, linearly interpolated between those given as #rrggbb."""
-    stops = np.linspace(0, 1, len(colours))
-    channels = np.transpose([rgb(colour) for colour in colours])
-    mixed = [np.interp(np.linspace(0, 1, SHADES), stops, channel) for channel in channels]
-    return [tuple(shade) for shade in np.transpose(mixed).tolist()]
+def carrier_colour(i: int) -> str:
+    """The colour of a carrier, from 0 on, as #rrggbb."""
+    return CARRIER_COLOURS[i % len(CARRIER_COLOURS)]
 
 
-def pick_shade(shades: list[Colour], share: float) -> Colour:
-    """The shade at a share of the range: the first at 0, below and at NaN, the last from 1 up."""
-    return shades[round(min(max(0.0, share), 1.0) * (SHADES - 1))]
+def shade(colours: tuple[str, ...], share: float) -> Colour:
+    """The colour at a share of the range of some: the first at 0, below and at NaN.
+
+    The last is that from 1 up. There are 33 in all, so that a recording remains small.
+    """
+    step = round(min(max(0.0, share), 1.0) * _SHADES) / _SHADES
+    channels, stops = np.transpose([*map(rgb, colours)]), np.linspace(0, 1, len(colours))
+    red, green, blue = (float(np.interp(step, stops, channel)) for channel in channels)
+    return red, green, blue

@@ -1,6 +1,5 @@
 """The loop's bodies as geometry of a SceneGraph: for cameras, proximity queries and viewers."""
 
-import itertools
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +16,6 @@ from pydrake.geometry import (
     MakePhongIllustrationProperties,
     PerceptionProperties,
     ProximityProperties,
-    RenderLabel,
     Rgba,
     SceneGraph,
     SourceId,
@@ -37,17 +35,20 @@ from drake_nonstop.systems.tracing import NotFiniteError
 from drake_nonstop.systems.wiring import output_sizes, require_open
 from drake_nonstop.validation import require, require_array
 from drake_nonstop.view.bodies import (
-    Colour,
+    LOAD_COLOUR,
     Part,
+    Sizes,
+    carrier_colour,
     carrier_parts,
     carrier_rotations,
     cylinder_poses,
     load_parts,
+    rgb,
     signal_sizes,
     stack_poses,
 )
-from drake_nonstop.view.scene import Scene
 
+_CABLE_COLOUR = "#5270a0"
 _HALF_CABLE = 0.6  # of the unstretched length; the two halves of a cable overlap
 
 
@@ -131,7 +132,7 @@ def AddGeometry(  # noqa: N802
     """Adds the bodies of a loop to a SceneGraph, where cameras, queries and viewers see them.
 
     Any number of loops may be in one SceneGraph, beside the user's own plants. Each body has the
-    roles illustration, perception (with a render label of its own) and proximity.
+    roles illustration, perception and proximity.
 
     - The load has the shapes of its file, or is a frame of bars around its attachments.
     - A carrier is an aircraft along its velocity (along x of W where it has none), with its top
@@ -150,7 +151,7 @@ def AddGeometry(  # noqa: N802
             `load_state` (13) and `carrier_state` (6n); of aircraft also `aircraft_state` (4n) and
             `wind` (3n). Its name is that of the geometry's source.
         scene_graph: the SceneGraph.
-        scenario: has the system, with what is simulated otherwise, and colours and sizes.
+        scenario: has the system, with what is simulated otherwise.
         load_file: an SDF or URDF file with the load's shapes, such as the one that
             `system.load_file` named; without one the load is drawn as bars.
 
@@ -196,44 +197,36 @@ def _registered(
     attachments = require_array(
         "system.attachments", system.attachments, [None, 3], "one position per cable"
     )
-    scene = Scene(system, scenario.scene)
+    sizes = Sizes.of(system, scenario.scene)
     load_shapes = read_load_shapes(load_file, attachments) if load_file else []
     inspector = scene_graph.model_inspector()
     sources = [inspector.GetName(source) for source in inspector.GetAllSourceIds()]
     remedy = "add the geometry of a loop once, and give each loop a name of its own"
     require(name not in sources, "loop", name, remedy)
     source = scene_graph.RegisterSource(name)
-    labels = itertools.count(_first_free_label(scene_graph))
 
-    def add(body: str, shapes: list[GeometryInstance], label: int) -> FrameId:
+    def add(body: str, shapes: list[GeometryInstance]) -> FrameId:
         # Drake's MeshcatVisualizer does not tell frames of one name but two sources apart.
         frame = scene_graph.RegisterFrame(source, GeometryFrame(f"{name}::{body}"))
         for shape in shapes:
-            if shape.perception_properties() is not None:
-                properties = shape.mutable_perception_properties()
-                properties.UpdateProperty("label", "id", RenderLabel(label))
             scene_graph.RegisterGeometry(source, frame, shape)
         return frame
 
-    bars = load_parts(attachments, scene.bar_radius)
-    load = load_shapes or [_instance(bar, scene.load_colour, is_solid=True) for bar in bars]
-    load_frame = add("load", load, next(labels))
+    bars = load_parts(attachments, sizes.bar)
+    load = load_shapes or [_instance(bar, LOAD_COLOUR, is_solid=True) for bar in bars]
+    load_frame = add("load", load)
     carrier_frames: list[FrameId] = []
     cable_frames: list[tuple[FrameId, FrameId]] = []
     length = _HALF_CABLE * float(np.max(system.cable_length))
-    cylinder = Cylinder(scene.cable_radius, length)
-    centre, ball = RigidTransform([0, 0, length / 2]), Sphere(scene.wing_span / 2)
-    cable_colour = scene.cable_colour(scene.weight_share)
+    cylinder, centre = Cylinder(sizes.cable, length), RigidTransform([0, 0, length / 2])
     filters = CollisionFilterDeclaration()
-    for i, colour in enumerate(scene.carrier_colours):
-        aircraft = [_instance(part, colour) for part in carrier_parts(scene.wing_span)]
-        sphere = Part(name=f"carrier {i + 1}", shape=ball)
+    for i in range(len(attachments)):
+        aircraft = [_instance(part, carrier_colour(i)) for part in carrier_parts(sizes.wing_span)]
+        sphere = Part(name=f"carrier {i + 1}", shape=Sphere(sizes.wing_span / 2))
         half = Part(name=f"cable {i + 1}", shape=cylinder, pose=centre)
-        aircraft.append(_instance(sphere, is_solid=True))
-        carrier = add(f"carriers::{i}", aircraft, next(labels))
-        label = next(labels)
+        carrier = add(f"carriers::{i}", [*aircraft, _instance(sphere, is_solid=True)])
         lower, upper = (
-            add(f"cables::{i}::{end}", [_instance(half, cable_colour, is_solid=True)], label)
+            add(f"cables::{i}::{end}", [_instance(half, _CABLE_COLOUR, is_solid=True)])
             for end in ("lower", "upper")
         )
         carrier_frames.append(carrier)
@@ -247,28 +240,14 @@ def _registered(
     )
 
 
-def _instance(
-    part: Part, colour: Colour | None = None, *, is_solid: bool = False
-) -> GeometryInstance:
+def _instance(part: Part, colour: str = "", *, is_solid: bool = False) -> GeometryInstance:
     """A part that is seen where it has a colour, and that collides where it is solid."""
     instance = GeometryInstance(part.pose, part.shape, part.name)
-    if colour is not None:
+    if colour:
         perception = PerceptionProperties()
-        perception.AddProperty("phong", "diffuse", Rgba(*colour))
+        perception.AddProperty("phong", "diffuse", Rgba(*rgb(colour)))
         instance.set_perception_properties(perception)
-        instance.set_illustration_properties(MakePhongIllustrationProperties([*colour, 1.0]))
+        instance.set_illustration_properties(MakePhongIllustrationProperties([*rgb(colour), 1.0]))
     if is_solid:
         instance.set_proximity_properties(ProximityProperties())
     return instance
-
-
-def _first_free_label(scene_graph: SceneGraph) -> int:
-    """The least number above all render labels in the SceneGraph."""
-    inspector = scene_graph.model_inspector()
-    found = (inspector.GetPerceptionProperties(each) for each in inspector.GetAllGeometryIds())
-    labels = [
-        properties.GetProperty("label", "id")
-        for properties in found
-        if properties is not None and properties.HasProperty("label", "id")
-    ]
-    return max((int(label) for label in labels if not label.is_reserved()), default=0) + 1

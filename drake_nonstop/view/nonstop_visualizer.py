@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,9 +10,6 @@ from pydrake.geometry import Meshcat
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, EventStatus
 
 from drake_nonstop.mechanics.signals import Pose
-from drake_nonstop.model.system import Model, SystemParameters, overridden
-from drake_nonstop.scenario.obstacles import Obstacle
-from drake_nonstop.scenario.scene_config import SceneConfig
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.systems.block import LeafBlock
 from drake_nonstop.view.bodies import Snapshot, signal_sizes
@@ -33,48 +30,40 @@ class NonstopVisualizer(LeafBlock):
     AutoDiffXd or Expression shows nothing. See `Scene` for what is drawn.
 
     Args:
-        system: the load, attachments and cables that are shown.
-        meshcat: the Meshcat to show them in, in place of those of another visualizer.
-        config: colours and sizes.
-        obstacles: of the scenario.
+        scenario: what is shown. Its ε is that of the marks where that port is not connected.
+        meshcat: the Meshcat to show it in, in place of that of another visualizer.
         reference_path: (k, 3) in m, future positions of the reference, which the camera will have
             in view; without it the camera is set for the start.
-        speed_bound: ε in m/s, where that port is not connected.
         nodes: of each cable, which have a `cable_state`; 0: cables are straight.
 
     Raises:
-        ScenarioError: a field of the config is out of range.
+        ScenarioError: a field of the scenario's `scene` is out of range.
     """
 
     reads = (
         *("load_state", "reference", "carrier_state", "tensions"),
-        *("speed_bound", "aircraft_state", "wind", "load_wind", "cable_state"),
+        *("speed_bound", "aircraft_state", "wind", "cable_state"),
     )
     optional_inputs = reads[4:]
 
     def __init__(
         self,
-        system: SystemParameters | Model,
+        scenario: Scenario,
         meshcat: Meshcat,
-        config: SceneConfig | None = None,
         *,
-        obstacles: Sequence[Obstacle] = (),
         reference_path: NDArray | None = None,
-        speed_bound: float = 0.0,
         nodes: int = 0,
     ):
         super().__init__()
-        self.scene = Scene(system, config, obstacles, nodes=nodes)
+        self.scene = Scene(scenario, nodes)
         self._meshcat = meshcat
         self._reference_path = reference_path
-        self._default_speed_bound = speed_bound
+        self._default_speed_bound = scenario.speed_bound
         self._canvas = LiveCanvas(meshcat)
         self._last_time = math.inf  # s, of the instant shown
         self._next_frame = -math.inf  # s of wall time, when it is due
-        reads = self.reads if nodes else self.reads[:-1]
-        sizes = signal_sizes(reads, n := len(system.attachments))
-        if nodes:
-            sizes["cable_state"] = 6 * nodes * n
+        sizes = signal_sizes(self.reads, n := len(scenario.system.attachments))
+        sizes |= {"cable_state": 6 * nodes * n} if nodes else {}
         self._ports = {k: self.DeclareVectorInputPort(k, size) for k, size in sizes.items()}
         if self.scalar is float:
             self.DeclarePerStepPublishEvent(self._publish)
@@ -93,7 +82,7 @@ class NonstopVisualizer(LeafBlock):
             builder: has the loop's diagram already.
             nonstop: the diagram, as `make_nonstop` builds it. It exports the signals;
                 those that may be left unconnected may be missing.
-            scenario: what is shown, and its colours and sizes.
+            scenario: what is shown.
             meshcat: the Meshcat to show it in.
 
         Raises:
@@ -103,12 +92,9 @@ class NonstopVisualizer(LeafBlock):
         size = nonstop.GetOutputPort("cable_state").size() if has_nodes else 0
         visualizer = builder.AddSystem(
             NonstopVisualizer(
-                overridden(scenario.system, scenario.simulated),
+                scenario,
                 meshcat,
-                scenario.scene,
-                obstacles=scenario.obstacles,
                 reference_path=_reference_path(nonstop, scenario.simulation_duration),
-                speed_bound=scenario.speed_bound,
                 nodes=size // (6 * len(scenario.system.attachments)),
             )
         )
@@ -136,7 +122,7 @@ class NonstopVisualizer(LeafBlock):
             self.scene.draw(self._meshcat)
             self._canvas = LiveCanvas(self._meshcat)
             path = self._reference_path
-            path = snapshot.reference_position[None] if path is None else path
+            path = snapshot.reference.position[None] if path is None else path
             self.scene.set_stage(self._meshcat, path)
         self._last_time = snapshot.time
         # Counted from when this frame was due, so that a short delay does not lower the rate.

@@ -12,6 +12,7 @@ from drake_nonstop.mechanics.rounded_box import outline_in
 from drake_nonstop.mechanics.signals import CarrierStates, LoadState
 from drake_nonstop.run.run import Run
 from drake_nonstop.run.run_quantities import RunQuantities, attachment_positions
+from drake_nonstop.view.bodies import OBSTACLE_COLOUR
 from drake_nonstop.view.figure_style import (
     MOST_NAMED,
     extreme_samples,
@@ -84,7 +85,7 @@ def _draw_paths(run: Run, instants: NDArray, view: NDArray) -> Figure:
     drawn = np.concatenate([drawn, *whole])
     width, height = np.ptp(drawn, axis=0)
     figure, axes = single(f"x ({unit})", f"y ({unit})", height / max(width, 1e-9))
-    own = {"color": run.scenario.scene.obstacle_colour, "alpha": 0.5, "linewidth": 0, "zorder": 1}
+    own = {"color": OBSTACLE_COLOUR, "alpha": 0.5, "linewidth": 0, "zorder": 1}
     for outline in outlines:
         axes.add_artist(Polygon(outline, label="obstacle", **own))
     axes.update_datalim(drawn)

@@ -7,6 +7,7 @@ import html
 import itertools
 import math
 import re
+from collections.abc import Sequence
 from importlib import resources
 from string import Template
 
@@ -16,19 +17,24 @@ from pydrake.geometry import MeshcatAnimation
 
 from drake_nonstop.mechanics.signals import SIGNAL_PERIOD, AircraftState
 from drake_nonstop.run.run import Run
-from drake_nonstop.run.run_quantities import (
-    RunQuantities,
-    carrier_speeds,
-    simulated_system,
-)
+from drake_nonstop.run.run_quantities import RunQuantities, carrier_speeds
 from drake_nonstop.run.signal_table import UnknownSignalError
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.view.bodies import Snapshot
+from drake_nonstop.view.bodies import (
+    CABLE_COLOURS,
+    LOAD_COLOUR,
+    MARK_COLOURS,
+    OBSTACLE_COLOUR,
+    REFERENCE_COLOUR,
+    SLACK_COLOUR,
+    Snapshot,
+    stall_shares,
+)
 from drake_nonstop.view.canvas import RecordingCanvas
 from drake_nonstop.view.figure_style import MOST_POINTS, extreme_samples
 from drake_nonstop.view.meshcat_server import start_hidden_meshcat
 from drake_nonstop.view.nonstop_visualizer import NonstopVisualizer
-from drake_nonstop.view.scene import COLOURED_FROM, Scene, stall_shares
+from drake_nonstop.view.scene import COLOURED_FROM, MARK_RANGE, TENSION_RANGE, Scene
 
 _FRAME_RATE = 25.0  # 1/s
 _MOST_POSES = 45_000  # in all frames, half of those of carriers, cables and loads: below 20 MB
@@ -65,10 +71,9 @@ def record_replay(run: Run, *, frame_rate: float | None = None) -> Replay:
     Raises:
         ScenarioError: a field of the scenario's scene is out of range.
     """
-    system = simulated_system(run)
-    n = len(system.attachments)
+    n = len(run.scenario.system.attachments)
     nodes = run.signal("cable_state").shape[1] // (6 * n) if RunQuantities(run).has_nodes else 0
-    scene = Scene(system, run.scenario.scene, run.scenario.obstacles, nodes=nodes)
+    scene = Scene(run.scenario, nodes)
     if frame_rate is None:  # a whole part of the signals'
         poses = n * (1 + scene.pieces) // 2 + 1
         most = max(min(_MOST_POSES // poses, _MOST_FRAMES), 1)
@@ -88,11 +93,11 @@ def _recorded(scene: Scene, snapshots: list[Snapshot], frame_rate: float) -> str
     """Meshcat's page of the recording."""
     meshcat, _ = start_hidden_meshcat()
     if snapshots:
-        path = np.array([snapshot.reference_position for snapshot in snapshots])
-        scene.set_stage(meshcat, path, np.array([snapshot.carriers for snapshot in snapshots]))
+        path = np.array([snapshot.reference.position for snapshot in snapshots])
+        carriers = np.array([snapshot.carriers.positions for snapshot in snapshots])
+        scene.set_stage(meshcat, path, carriers)
         scene.draw(meshcat)
-        flown = np.array([snapshot.load_position for snapshot in snapshots])
-        scene.draw_task(meshcat, flown, path, snapshots[-1])
+        scene.draw_task(meshcat, snapshots)
         canvas = RecordingCanvas(MeshcatAnimation(frame_rate))
         for frame, snapshot in enumerate(snapshots):
             canvas.frame = frame
@@ -131,22 +136,18 @@ def _snapshots(run: Run, frame_rate: float) -> list[Snapshot]:
 
 def legend(scenario: Scenario, *, has_aircraft: bool = False) -> str:
     """The legend of the scene's colours in HTML; a sample of a colour has the class `swatch`."""
-    config = scenario.scene
-    marks = f"carrier's speed, from {config.mark_range:g} ε down to ε"
-    also: list[tuple[list[str], str]] = []
+    marks = f"carrier's speed, from {MARK_RANGE:g} ε down to ε"
     if has_aircraft:
         marks = f"wing, from {COLOURED_FROM:g} of the stall up to it"
-        also.append(([config.wind_colour] * 2, "wind at the load (arrow)"))
+    colours: list[tuple[Sequence[str], str]] = [
+        (MARK_COLOURS[::-1], marks),
+        (CABLE_COLOURS, f"tension, up to {TENSION_RANGE:g} × weight / carriers"),
+        ([SLACK_COLOUR] * 2, "slack cable"),
+        ([LOAD_COLOUR] * 2, "load and its path"),
+        ([REFERENCE_COLOUR] * 2, "where the load should be, its path and goal"),
+    ]
     if scenario.obstacles:
-        also.append(([config.obstacle_colour] * 2, "obstacle"))
-    colours = (
-        (config.mark_colours[::-1], marks),
-        (config.cable_colours, f"tension, up to {config.tension_range:g} × weight / carriers"),
-        ([config.slack_colour] * 2, "slack cable"),
-        ([config.load_colour] * 2, "load and its path"),
-        ([config.reference_colour] * 2, "where the load should be, its path and goal"),
-        *also,
-    )
+        colours.append(([OBSTACLE_COLOUR] * 2, "obstacle"))
     swatch = '<span><span class="swatch" style="background:linear-gradient(to right,{})"></span>{}'
     return "".join(swatch.format(",".join(names), text) + "</span>" for names, text in colours)
 

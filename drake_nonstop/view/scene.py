@@ -1,60 +1,63 @@
 """The objects of a run in Meshcat: load, reference, cables, carriers and trails."""
 
-import itertools
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.geometry import Cylinder, Meshcat, MeshcatCone, Rgba, Sphere
+from pydrake.geometry import Cylinder, Meshcat, Rgba, Sphere
 from pydrake.math import RigidTransform
 
-from drake_nonstop.mechanics.aircraft import Aircraft, stall_speed
 from drake_nonstop.mechanics.lumped_cable import nodes_of
 from drake_nonstop.mechanics.rotation import rotation_matrix
-from drake_nonstop.mechanics.signals import AircraftState
-from drake_nonstop.model.system import Model, SystemParameters, aircraft_in
-from drake_nonstop.scenario.obstacles import GroundConfig, Obstacle
-from drake_nonstop.scenario.scene_config import SceneConfig
+from drake_nonstop.mechanics.signals import AircraftState, Pose
+from drake_nonstop.model.system import aircraft_in, overridden
+from drake_nonstop.scenario.obstacles import GroundConfig
+from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.validation import require_ranges
 from drake_nonstop.view.bodies import (
-    SMALL,
+    CABLE_COLOURS,
+    LOAD_COLOUR,
+    MARK_COLOURS,
+    OBSTACLE_COLOUR,
+    REFERENCE_COLOUR,
+    SLACK_COLOUR,
     X_AXIS,
     Colour,
     Part,
+    Sizes,
     Snapshot,
+    carrier_colour,
     carrier_parts,
     carrier_rotations,
     cylinder_poses,
     load_parts,
-    make_shades,
     obstacle_part,
-    pick_shade,
     rgb,
+    shade,
     stack_poses,
+    stall_shares,
     tube,
     unit_vectors,
 )
-from drake_nonstop.view.canvas import ROOT, Canvas, FollowingCamera, fit_view, look
+from drake_nonstop.view.camera import fit_view, look
+from drake_nonstop.view.canvas import Canvas
 
+ROOT = "/nonstop"  # of the objects' paths in Meshcat
+MARK_RANGE = 1.5  # ε, up to which marks change their colour
+COLOURED_FROM = 0.5  # of the stall, where wings begin to change their colour
+TENSION_RANGE = 2.0  # of a cable's share of the load's weight, up to which it darkens
+_REFERENCE_OPACITY, _MARK_OPACITY, _OBSTACLE_OPACITY, _GRID_OPACITY = 0.2, 0.35, 0.6, 0.2
 _REFERENCE_BAR_RATIO = 1.7  # to the load's bars, which the reference's enclose: both are seen
 _GOAL_BAR_RATIO = 0.4  # to the load's bars, which hide the goal's once the load is there
+_TRAIL_RADIUS = 0.0025  # reaches
 _FLOWN_RATIO, _DESIRED_RATIO = 0.5, 3.0  # to trails' radius: the desired path encloses the flown
 _PATH_POINTS = 300
 _MARK_RADIUS = 0.42  # of the wing span
-_TRAIL_OPACITIES = 8  # different ones, of a trail's pieces
-COLOURED_FROM = 0.5  # of the stall, where wings begin to change their colour
-_LEAST_WIND = 0.05  # m/s, that is shown
-_ARROW_TIME = 0.05  # reaches per m/s, the wind's arrow
-_ARROW_HEIGHT = 0.3  # reaches, above the load's reference
-_ARROW_RADIUS = 0.006  # reaches
+_TRAIL_PIECES, _TRAIL_OPACITIES = 40, 8  # of one trail, and how many differ
 _FOLLOWING_EXTENT = 1.5  # reaches; along a longer path the camera follows the reference
 _FARTHEST_CARRIER = 3.0  # reaches from the reference; one farther away may be out of view
 _GROUND_CLEARANCE = 0.3  # reaches, from the lowest point to the grid
 _GROUND_WIDTH = 200.0  # reaches
-_GRID_OPACITY = 0.2
 _MOST_PIECES = 6  # of a cable with nodes: more would make recordings large
 _SIX_DIRECTIONS = np.vstack([np.eye(3), -np.eye(3)])
-_HEAD_LENGTH, _HEAD_RADIUS = 10.0, 3.0  # of the arrow's radius
 
 
 class Scene:
@@ -71,57 +74,37 @@ class Scene:
 
     Where the system has aircraft, the carriers have an attitude: along the air that they meet, with
     bank and angle of attack. Then there are no marks; the wings turn from green to red towards the
-    stall. The wind at the load is an arrow above it.
+    stall.
 
     Args:
-        system: attachments, cable length, load mass and gravity of what is shown.
-        config: colours and sizes.
-        obstacles: of the scenario.
+        scenario: has the system, with what is simulated otherwise, the obstacles and sizes.
         nodes: of each cable, which a snapshot's `cable_state` has; 0: cables are straight.
 
     Raises:
-        ScenarioError: a field of the config is out of range.
+        ScenarioError: a field of the scenario's `scene` is out of range.
     """
 
-    def __init__(
-        self,
-        system: SystemParameters | Model,
-        config: SceneConfig | None = None,
-        obstacles: Sequence[Obstacle] = (),
-        *,
-        nodes: int = 0,
-    ):
-        self.config = config or SceneConfig()
-        require_ranges("scene", self.config)
-        self._obstacles = obstacles
+    def __init__(self, scenario: Scenario, nodes: int = 0):
+        require_ranges("scene", scenario.scene)
+        system = overridden(scenario.system, scenario.simulated)
+        self._obstacles = scenario.obstacles
         # Indices of a cable's ends and nodes between which it is drawn.
-        pieces = min(nodes + 1, _MOST_PIECES)
-        self._joints = np.linspace(0, nodes + 1, pieces + 1).round().astype(int)
+        self.pieces = min(nodes + 1, _MOST_PIECES)  # cylinders that a cable is drawn as
+        self._joints = np.linspace(0, nodes + 1, self.pieces + 1).round().astype(int)
         self._attachments = np.array(system.attachments)
         self._n = len(self._attachments)
-        self.radius = float(np.max(np.linalg.norm(self._attachments, axis=1)))  # m, of the load
-        self.reach = self.radius + float(np.max(system.cable_length))
-        self.cable_radius = self.config.cable_radius * self.reach  # m
-        self.bar_radius = max(self.config.bar_radius * self.radius, 2 * self.cable_radius)  # m
-        self.wing_span = self.config.wing_span * self.reach  # m
-        self.weight_share = system.load_mass * system.gravity / self._n  # N, of a cable
-        fading = self.config.trail_time * np.sqrt(self.reach / system.gravity)
-        self.piece_time = fading / self.config.trail_pieces  # s
-        self._mark_colours = make_shades(self.config.mark_colours)
-        self._cable_colours = make_shades(self.config.cable_colours)
-        self._slack_colour = rgb(self.config.slack_colour)
-        palette = itertools.cycle(self.config.carrier_colours)
-        self.carrier_colours = [rgb(next(palette)) for _ in range(self._n)]
-        self.load_colour = rgb(self.config.load_colour)
-        self._wind_colour = rgb(self.config.wind_colour)
+        self._sizes = Sizes.of(system, scenario.scene)
+        self._full_tension = TENSION_RANGE * system.load_mass * system.gravity / self._n  # N
+        fading = scenario.scene.trail_time * np.sqrt(self._sizes.reach / system.gravity)
+        self._piece_time = fading / _TRAIL_PIECES  # s
         self._aircraft = aircraft_in(system)
-        self._trail_colours = [self.load_colour, *self.carrier_colours]
+        self._trail_colours = [rgb(LOAD_COLOUR), *(rgb(carrier_colour(i)) for i in range(self._n))]
         # Of a piece by the number of newer ones; the oldest is invisible, and used again.
-        fresh = 1 - np.arange(self.config.trail_pieces) / (self.config.trail_pieces - 1)
+        fresh = 1 - np.arange(_TRAIL_PIECES) / (_TRAIL_PIECES - 1)
         opacities = np.ceil(_TRAIL_OPACITIES * fresh) / _TRAIL_OPACITIES
         ages = np.flatnonzero(np.diff(opacities, prepend=2.0))  # where it changes
         self._trail_opacities = {int(age): float(opacities[age]) for age in ages}
-        self._camera: FollowingCamera | None = None
+        self._start: tuple[NDArray, NDArray] | None = None  # the reference and grid, to be followed
         self.aspect_ratio = 1.0  # of the narrowest window with all in view, once the stage is set
         self._reset()
 
@@ -135,51 +118,46 @@ class Scene:
     def draw(self, meshcat: Meshcat) -> None:
         """Makes the objects in a Meshcat and removes those of an earlier scene there."""
         self._reset()
-        config, root = self.config, ROOT
-        bar, span = self.bar_radius, self.wing_span
-        translucent = Rgba(*rgb(config.reference_colour), config.reference_opacity)
-        meshcat.Delete(root)
-        load, reference = (
-            load_parts(self._attachments, radius) for radius in (bar, _REFERENCE_BAR_RATIO * bar)
-        )
-        _draw(meshcat, f"{root}/load", load, Rgba(*self.load_colour))
-        _draw(meshcat, f"{root}/reference", reference, translucent)
-        solid = Rgba(*rgb(config.obstacle_colour), config.obstacle_opacity)
-        parts = [obstacle_part(each, _GROUND_WIDTH * self.reach) for each in self._obstacles]
-        _draw(meshcat, f"{root}/obstacles", parts, solid)
-        for i, colour in enumerate(self.carrier_colours):
-            _draw(meshcat, f"{root}/carriers/{i}", carrier_parts(span), Rgba(*colour))
-            # Marks and trails start translucent: Meshcat prepares a material for that only here.
-            mark = Rgba(*self._mark_colours[-1], config.mark_opacity)
-            if self._aircraft is None:
-                meshcat.SetObject(f"{root}/carriers/{i}/mark", Sphere(_MARK_RADIUS * span), mark)
-            unit = Cylinder(self.cable_radius, 1.0)  # m, to be scaled
-            for path in self._cable_paths(i):
-                meshcat.SetObject(path, unit, Rgba(*self._cable_colours[0]))
-        if self._aircraft is not None:
-            shaft, head = (Rgba(*self._wind_colour, 0.0) for _ in range(2))
-            radius = _ARROW_RADIUS * self.reach
-            meshcat.SetObject(f"{root}/wind/shaft", Cylinder(radius, 1.0), shaft)
-            cone = MeshcatCone(_HEAD_LENGTH * radius, _HEAD_RADIUS * radius, _HEAD_RADIUS * radius)
-            meshcat.SetObject(f"{root}/wind/head", cone, head)
-        unit = Cylinder(config.trail_radius * self.reach, 1.0)
-        for body, colour in enumerate(self._trail_colours):
-            for piece in range(config.trail_pieces):
-                meshcat.SetObject(f"{root}/trails/{body}/{piece}", unit, Rgba(*colour, 0.0))
-
-    def draw_task(self, meshcat: Meshcat, flown: NDArray, desired: NDArray, end: Snapshot) -> None:
-        """Draws paths (k, 3) of the load in m, and a frame at its goal, the reference's end."""
-        config, thin = self.config, self.config.trail_radius * self.reach
-        reference = rgb(config.reference_colour)
-        for name, path, radius, rgba in (
-            ("flown", flown, _FLOWN_RATIO * thin, Rgba(*self.load_colour)),
-            ("desired", desired, _DESIRED_RATIO * thin, Rgba(*reference, config.reference_opacity)),
+        sizes = self._sizes
+        meshcat.Delete(ROOT)
+        for name, radius, colour, opacity in (
+            ("load", sizes.bar, LOAD_COLOUR, 1.0),
+            ("reference", _REFERENCE_BAR_RATIO * sizes.bar, REFERENCE_COLOUR, _REFERENCE_OPACITY),
         ):
-            chosen = np.linspace(0, len(path) - 1, min(len(path), _PATH_POINTS)).astype(int)
-            meshcat.SetTriangleMesh(f"{ROOT}/paths/{name}", *tube(path[chosen], radius), rgba)
-        parts = load_parts(self._attachments, _GOAL_BAR_RATIO * self.bar_radius)
-        _draw(meshcat, f"{ROOT}/goal", parts, Rgba(*reference))
-        (goal,) = stack_poses(rotation_matrix(end.reference_quaternion), desired[-1:])
+            _draw(meshcat, name, load_parts(self._attachments, radius), colour, opacity)
+        parts = [obstacle_part(each, _GROUND_WIDTH * sizes.reach) for each in self._obstacles]
+        _draw(meshcat, "obstacles", parts, OBSTACLE_COLOUR, _OBSTACLE_OPACITY)
+        for i in range(self._n):
+            _draw(meshcat, f"carriers/{i}", carrier_parts(sizes.wing_span), carrier_colour(i))
+            # Marks and trails start translucent: Meshcat prepares a material for that only here.
+            if self._aircraft is None:
+                mark = [Part(name="mark", shape=Sphere(_MARK_RADIUS * sizes.wing_span))]
+                _draw(meshcat, f"carriers/{i}", mark, MARK_COLOURS[-1], _MARK_OPACITY)
+            unit = Cylinder(sizes.cable, 1.0)  # m, to be scaled
+            for path in self._cable_paths(i):
+                meshcat.SetObject(path, unit, Rgba(*rgb(CABLE_COLOURS[0])))
+        unit = Cylinder(_TRAIL_RADIUS * sizes.reach, 1.0)
+        for body, trail in enumerate(self._trail_colours):
+            for piece in range(_TRAIL_PIECES):
+                meshcat.SetObject(f"{ROOT}/trails/{body}/{piece}", unit, Rgba(*trail, 0.0))
+
+    def draw_task(self, meshcat: Meshcat, snapshots: list[Snapshot]) -> None:
+        """Draws the load's flown and desired paths, and a frame at its goal, the last reference."""
+        thin = _TRAIL_RADIUS * self._sizes.reach
+        chosen = np.linspace(0, len(snapshots) - 1, min(len(snapshots), _PATH_POINTS)).astype(int)
+        flown, desired = (
+            np.array([(shown.load, shown.reference)[k].position for shown in snapshots])[chosen]
+            for k in range(2)
+        )
+        dark, translucent = rgb(LOAD_COLOUR), (*rgb(REFERENCE_COLOUR), _REFERENCE_OPACITY)
+        for name, path, radius, rgba in (
+            ("flown", flown, _FLOWN_RATIO * thin, Rgba(*dark)),
+            ("desired", desired, _DESIRED_RATIO * thin, Rgba(*translucent)),
+        ):
+            meshcat.SetTriangleMesh(f"{ROOT}/paths/{name}", *tube(path, radius), rgba)
+        parts = load_parts(self._attachments, _GOAL_BAR_RATIO * self._sizes.bar)
+        _draw(meshcat, "goal", parts, REFERENCE_COLOUR)
+        (goal,) = _poses([snapshots[-1].reference])
         meshcat.SetTransform(f"{ROOT}/goal", goal)
 
     def set_stage(self, meshcat: Meshcat, path: NDArray, carriers: NDArray | None = None) -> None:
@@ -193,76 +171,68 @@ class Scene:
             carriers: (k, n, 3), m, at the same instants, where they are known. Those far from
                 the load may be out of view.
         """
+        reach = self._sizes.reach
         if carriers is None:
-            carriers = path[:, None] + self.reach * _SIX_DIRECTIONS[:5]  # all but straight below
-        follows = np.ptp(path, axis=0).max() > _FOLLOWING_EXTENT * self.reach
+            carriers = path[:, None] + reach * _SIX_DIRECTIONS[:5]  # all but straight below
+        follows = np.ptp(path, axis=0).max() > _FOLLOWING_EXTENT * reach
         apart = np.linalg.norm(carriers - path[:, None], axis=2)
-        at = np.nonzero(apart < _FARTHEST_CARRIER * self.reach)
-        radius = _MARK_RADIUS * self.wing_span
-        points = np.concatenate(
-            [
-                carriers[at][:, None] + radius * _SIX_DIRECTIONS,
-                path[:, None] + self.radius * _SIX_DIRECTIONS,
-            ]
-        )
+        at = np.nonzero(apart < _FARTHEST_CARRIER * reach)
+        around = _MARK_RADIUS * self._sizes.wing_span * _SIX_DIRECTIONS
+        load = path[:, None] + self._sizes.radius * _SIX_DIRECTIONS
+        points = np.concatenate([carriers[at][:, None] + around, load])
         moved = path - path[0] if follows else np.zeros(path.shape)  # the camera
         seen = (points - np.concatenate([moved[at[0]], moved])[:, None]).reshape(-1, 3)
         eye, target, self.aspect_ratio = fit_view(seen, path=path)
-        look(meshcat, eye, target, rgb(self.config.background_colour))
-        middle = (path.min(axis=0) + path.max(axis=0)) / 2
-        lowest = points[..., 2].min() - _GROUND_CLEARANCE * self.reach
+        look(meshcat, eye, target)
         grounds = [each.height for each in self._obstacles if isinstance(each, GroundConfig)]
-        lowest = max([lowest, *grounds])
-        floor = np.array([*middle[:2], lowest])
-        scale = 10.0 ** np.round(np.log10(self.reach / 2))  # 1: squares of 0.5 m
+        lowest = max([points[..., 2].min() - _GROUND_CLEARANCE * reach, *grounds])
+        floor = np.array([*(path.min(axis=0) + path.max(axis=0))[:2] / 2, lowest])
+        scale = 10.0 ** np.round(np.log10(reach / 2))  # 1: squares of 0.5 m
         meshcat.SetTransform("/Grid", RigidTransform(floor))
         meshcat.SetProperty("/Grid/<object>", "scale", [scale, scale, scale])
         meshcat.SetProperty("/Grid/<object>", "opacity", _GRID_OPACITY)
-        camera = FollowingCamera(origin=path[0], target=target, floor=floor)
-        self._camera = camera if follows else None
+        self._start = (path[0], floor) if follows else None
 
     def show(self, canvas: Canvas, snapshot: Snapshot) -> None:
         """Moves the objects to an instant, which has to be later than the one shown before."""
-        quaternions = np.array([snapshot.load_quaternion, snapshot.reference_quaternion])
-        positions = np.array([snapshot.load_position, snapshot.reference_position])
-        X_WL, X_WR = stack_poses(rotation_matrix(quaternions), positions)
+        X_WL, X_WR = _poses([snapshot.load, snapshot.reference])
         canvas.place(f"{ROOT}/load", X_WL)
         canvas.place(f"{ROOT}/reference", X_WR)
-        if self._camera is not None:
-            canvas.follow(snapshot.reference_position, self._camera)
+        if self._start is not None:
+            # A recording cannot move its camera: all objects are shifted the opposite way.
+            origin, floor = self._start
+            shift = origin - snapshot.reference.position
+            moved = stack_poses(np.eye(3), np.array([shift, floor + shift]))
+            canvas.place(ROOT, moved[0])
+            canvas.place("/Grid", moved[1])
         p_WA = self._attachments @ X_WL[:3, :3].T + X_WL[:3, 3]
-        p_WC = snapshot.carriers
+        p_WC, velocities = snapshot.carriers.positions, snapshot.carriers.velocities
         self._show_cables(canvas, p_WA, snapshot)
-        speeds = np.sqrt((snapshot.velocities**2).sum(axis=1))
-        self._headings = unit_vectors(snapshot.velocities, otherwise=self._headings)
+        self._headings = unit_vectors(velocities, otherwise=self._headings)
         rotations = carrier_rotations(
-            snapshot.velocities,
+            velocities,
             p_WC - p_WA,
             otherwise=self._headings,
             aircraft=self._aircraft,
             aircraft_state=snapshot.aircraft_state,
             wind=snapshot.wind,
         )
-        if self._aircraft is not None and snapshot.aircraft_state is not None:
-            state = AircraftState.view(snapshot.aircraft_state)
-            for i, share in enumerate(stall_shares(self._aircraft, state).tolist()):
-                canvas.paint(f"{ROOT}/carriers/{i}/wing", self.wing_colour(share), 1.0)
-            winds = np.zeros(3) if snapshot.wind is None else snapshot.wind
-            at_load = snapshot.load_wind
-            at_load = winds.reshape(-1, 3).mean(axis=0) if at_load is None else at_load
-            self._show_wind(canvas, snapshot.reference_position, at_load)
-        carriers = stack_poses(rotations, p_WC)
-        for i, speed in enumerate(speeds.tolist()):
-            canvas.place(f"{ROOT}/carriers/{i}", carriers[i])
-            if self._aircraft is None:
-                colour = self.mark_colour(speed, snapshot.speed_bound)
-                canvas.paint(f"{ROOT}/carriers/{i}/mark", colour, self.config.mark_opacity)
-        self._extend_trails(canvas, snapshot.time, np.vstack([snapshot.load_position, p_WC]))
+        for i, pose in enumerate(stack_poses(rotations, p_WC)):
+            canvas.place(f"{ROOT}/carriers/{i}", pose)
+        for i, (part, colour, opacity) in enumerate(self._judged(snapshot)):
+            canvas.paint(f"{ROOT}/carriers/{i}/{part}", colour, opacity)
+        self._extend_trails(canvas, snapshot.time, np.vstack([snapshot.load.position, p_WC]))
 
-    @property
-    def pieces(self) -> int:
-        """The number of cylinders that a cable is drawn as."""
-        return len(self._joints) - 1
+    def _judged(self, snapshot: Snapshot) -> list[tuple[str, Colour, float]]:
+        """Of each carrier the part that shows how near it is to its bound, and how."""
+        if self._aircraft is None:
+            speeds = np.sqrt((snapshot.carriers.velocities**2).sum(axis=1)).tolist()
+            colours = [mark_colour(speed, snapshot.speed_bound) for speed in speeds]
+            return [("mark", colour, _MARK_OPACITY) for colour in colours]
+        if snapshot.aircraft_state is None:
+            return []
+        shares = stall_shares(self._aircraft, AircraftState.view(snapshot.aircraft_state))
+        return [("wing", wing_colour(share), 1.0) for share in shares.tolist()]
 
     def _cable_paths(self, i: int) -> list[str]:
         """The paths of a cable's pieces, from the load on."""
@@ -271,80 +241,62 @@ class Scene:
 
     def _show_cables(self, canvas: Canvas, attachments: NDArray, snapshot: Snapshot) -> None:
         """Cables from the attachments (n, 3), m, in W, through their nodes, to the carriers."""
-        points = np.stack([attachments, snapshot.carriers])
+        points = np.stack([attachments, snapshot.carriers.positions])
         if self.pieces > 1 and snapshot.cable_state is not None:
             nodes, _ = nodes_of(snapshot.cable_state, self._n)
             points = np.concatenate([points[:1], nodes, points[1:]])[self._joints]
         points = points.swapaxes(0, 1)  # (n, points, 3)
         poses, lengths = cylinder_poses(points[:, :-1].reshape(-1, 3), points[:, 1:].reshape(-1, 3))
-        colours = [self.cable_colour(tension) for tension in snapshot.tensions.tolist()]
+        shares = (snapshot.tensions / self._full_tension).tolist()
+        colours = [shade(CABLE_COLOURS, s) if s > 0 else rgb(SLACK_COLOUR) for s in shares]
         paths = [(path, i) for i in range(self._n) for path in self._cable_paths(i)]
         for (path, i), pose, length in zip(paths, poses, lengths.tolist(), strict=True):
             canvas.place(path, pose, length)
             canvas.paint(path, colours[i], 1.0)
 
-    def mark_colour(self, speed: float, speed_bound: float) -> Colour:
-        """The colour of the mark around a carrier; both speeds in m/s."""
-        excess = np.inf if speed_bound <= 0 else speed / speed_bound - 1
-        return pick_shade(self._mark_colours, excess / (self.config.mark_range - 1))
-
-    def wing_colour(self, share: float) -> Colour:
-        """The colour of the wing of an aircraft; the share is 1 where it stalls."""
-        return pick_shade(self._mark_colours, (1 - share) / (1 - COLOURED_FROM))
-
-    def cable_colour(self, tension: float) -> Colour:
-        """The colour of a cable of this tension in N."""
-        if tension <= 0:
-            return self._slack_colour
-        full = self.config.tension_range * self.weight_share
-        return pick_shade(self._cable_colours, tension / full)
-
-    def _show_wind(self, canvas: Canvas, load: NDArray, wind: NDArray) -> None:
-        """An arrow above the load (3,), m, along the wind (3,), m/s, as long as it is strong."""
-        speed = float(np.sqrt((wind**2).sum()))
-        length = _ARROW_TIME * self.reach * speed
-        direction = wind / max(speed, SMALL)
-        start = load + np.array([0.0, 0.0, _ARROW_HEIGHT * self.reach])
-        end = start + length * direction
-        tip = end + _HEAD_LENGTH * _ARROW_RADIUS * self.reach * direction
-        (shaft, head), _ = cylinder_poses(np.array([start, tip]), np.array([end, end]))
-        head[:3, 3] = tip  # from which Meshcat's cone widens along z
-        for part, pose, scale in (("shaft", shaft, max(length, SMALL)), ("head", head, 1.0)):
-            path = f"{ROOT}/wind/{part}"
-            canvas.place(path, pose, scale)
-            canvas.paint(path, self._wind_colour, 1.0 if speed > _LEAST_WIND else 0.0)
-
     def _extend_trails(self, canvas: Canvas, time: float, bodies: NDArray) -> None:
         """Adds a piece to each trail, from its last end to `bodies` (1 + n, 3), when one is due."""
-        pieces = self.config.trail_pieces
         if self._trail_ends is None:
             self._trail_ends, self._trail_start = bodies.copy(), time
             for body, colour in enumerate(self._trail_colours):
-                for piece in range(pieces):
+                for piece in range(_TRAIL_PIECES):
                     canvas.paint(f"{ROOT}/trails/{body}/{piece}", colour, 0.0)
             return
-        if time < self._trail_start + self.piece_time - 1e-9:
+        if time < self._trail_start + self._piece_time - 1e-9:
             return
         newest = self._trail_length
         poses, lengths = cylinder_poses(self._trail_ends, bodies)
         for body, colour in enumerate(self._trail_colours):
             trail = f"{ROOT}/trails/{body}"
-            canvas.place(f"{trail}/{newest % pieces}", poses[body], lengths[body])
+            canvas.place(f"{trail}/{newest % _TRAIL_PIECES}", poses[body], lengths[body])
             for age, opacity in self._trail_opacities.items():
                 if age <= newest:
-                    path = f"{trail}/{(newest - age) % pieces}"
+                    path = f"{trail}/{(newest - age) % _TRAIL_PIECES}"
                     canvas.paint(path, colour, opacity, fades=age > 0)
         self._trail_ends, self._trail_start = bodies.copy(), time
         self._trail_length += 1
 
 
-def stall_shares(aircraft: Aircraft, state: AircraftState) -> NDArray:
-    """How near aircraft (n,) are to their stall, by lift or by airspeed, from 0 to 1."""
-    by_speed = (stall_speed(aircraft) / np.maximum(state.airspeed, SMALL)) ** 2
-    return np.maximum(state.lift / aircraft.max_lift, by_speed)
+def mark_colour(speed: float, speed_bound: float) -> Colour:
+    """The colour of the mark around a carrier; both speeds in m/s."""
+    excess = np.inf if speed_bound <= 0 else speed / speed_bound - 1
+    return shade(MARK_COLOURS, excess / (MARK_RANGE - 1))
 
 
-def _draw(meshcat: Meshcat, path: str, parts: list[Part], rgba: Rgba) -> None:
+def wing_colour(share: float) -> Colour:
+    """The colour of the wing of an aircraft; the share is 1 where it stalls."""
+    return shade(MARK_COLOURS, (1 - share) / (1 - COLOURED_FROM))
+
+
+def _poses(poses: list[Pose]) -> NDArray:
+    quaternions = np.array([pose.quaternion for pose in poses])
+    return stack_poses(rotation_matrix(quaternions), np.array([pose.position for pose in poses]))
+
+
+def _draw(
+    meshcat: Meshcat, name: str, parts: list[Part], colour: str, opacity: float = 1.0
+) -> None:
     for part in parts:
-        meshcat.SetObject(f"{path}/{part.name}", part.shape, rgba)
-        meshcat.SetTransform(f"{path}/{part.name}", part.pose)
+        path = f"{ROOT}/{name}/{part.name}"
+        meshcat.SetObject(path, part.shape, Rgba(*rgb(colour), opacity))
+        meshcat.SetTransform(path, part.pose)

@@ -21,6 +21,7 @@ from drake_nonstop.run.run_quantities import (
 )
 from drake_nonstop.run.simulate import simulate
 from drake_nonstop.scenario.loading import load_scenario
+from drake_nonstop.view.bodies import carrier_colour
 from drake_nonstop.view.browser import open_browser
 from drake_nonstop.view.task_figures import make_aircraft_margins_figure
 from drake_nonstop.view.video import encode_gif, replay_pictures
@@ -111,7 +112,7 @@ def _figure(runs: list[Run], views: list[NDArray], time: float) -> Figure:
         shown = (run.steps["time"] >= _SPAN[0]) & (run.steps["time"] <= _SPAN[1])
         times = run.steps["time"][shown]
         for i, speeds in enumerate(carrier_speeds(run.steps["carrier_state"][shown]).T):
-            colour = run.scenario.scene.carrier_colours[i]
+            colour = carrier_colour(i)
             bottom.plot(times, speeds, color=colour, linewidth=1.2)
         bounds = RunQuantities(run).speed_bounds
         bottom.plot(times, bounds[shown], "--", color="black", linewidth=1.0)
@@ -192,7 +193,7 @@ def _aircraft_figure(run: Run, view: NDArray, time: float) -> Figure:
         (panels[2], state.thrust, "thrust (N)"),
     ):
         for i, column in enumerate(values.T):
-            colour = run.scenario.scene.carrier_colours[i]
+            colour = carrier_colour(i)
             axes.plot(run.steps["time"][shown], column[shown], color=colour, linewidth=1.2)
         axes.axvline(time, color="0.5", linewidth=1.0)
         axes.set_ylabel(label)

@@ -122,7 +122,7 @@ def test_a_copy_shares_no_part():
     for again in (copy.deepcopy(scenario), pickle.loads(pickle.dumps(scenario))):
         again.system.attachments[0][0] = 3.0
         again.simulator_config.max_step_size = 0.001
-        again.scene.carrier_colours.append("#000000")
+        again.scene.wing_span = 0.5
         assert scenario == load_scenario("quintic") != again
 
 

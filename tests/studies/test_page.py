@@ -11,7 +11,7 @@ TIMES = "Math.max(...viewer.animator.actions.map((action) => action.time))"
 @pytest.fixture(scope="module")
 def page_path(tmp_path_factory):
     folder = tmp_path_factory.mktemp("ablation")
-    scenario = load_scenario("line", ["simulation_duration=1.0", "scene.trail_pieces=2"])
+    scenario = load_scenario("line", ["simulation_duration=1.0"])
     ablate(scenario, {"printed": ["phase=PaperPhase"]}, folder)
     return folder / "index.html"
 

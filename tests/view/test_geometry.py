@@ -4,27 +4,16 @@ import numpy as np
 import pytest
 from aircraft_runs import aircraft_run, instant_of
 from helpers import irregular, rotation, spatial
-from pydrake.geometry import (
-    ClippingRange,
-    ColorRenderCamera,
-    DepthRange,
-    DepthRenderCamera,
-    MakeRenderEngineVtk,
-    RenderCameraCore,
-    RenderEngineVtkParams,
-    Role,
-    SceneGraph,
-)
+from pydrake.geometry import Role, SceneGraph
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
-from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource, PassThrough
-from pydrake.systems.sensors import CameraInfo, RgbdSensor
 from scenes import ListCanvas
 
 from drake_nonstop.diagrams.nonstop import make_nonstop
+from drake_nonstop.loop.start import set_equilibrium
 from drake_nonstop.mechanics.signals import CarrierStates, Pose
 from drake_nonstop.model.load_file import read_load
 from drake_nonstop.model.system import SystemParameters
@@ -58,33 +47,19 @@ def states(attachments, seed=0, stretch=1.0):
 class Loop:
     """Something with the ports of a loop that holds any values, in a diagram with its geometry."""
 
-    def __init__(self, attachments, names=("loop",), add_viewer=None, **options):
+    def __init__(self, attachments, **options):
         builder = DiagramBuilder()
         self.scene_graph = builder.AddSystem(SceneGraph())
-        self.geometries, self._sources = [], []
-        for name in names:
-            inner = DiagramBuilder()
-            sources = [
-                inner.AddSystem(ConstantVectorSource(value))
-                for value in (UPRIGHT, np.zeros(6 * len(attachments)))
-            ]
-            for source, port in zip(sources, ("load_state", "carrier_state"), strict=True):
-                inner.ExportOutput(source.get_output_port(), port)
-            loop = builder.AddNamedSystem(name, inner.Build())
-            self._sources.append(sources)
-            self.geometries.append(
-                AddGeometry(builder, loop, self.scene_graph, described(attachments), **options)
-            )
-        self.seen_by = add_viewer(builder, self.scene_graph) if add_viewer else None
-        self.diagram = builder.Build()
-        self.context = self.diagram.CreateDefaultContext()
+        loop = builder.AddNamedSystem(
+            "loop", _ports(load_state=UPRIGHT, carrier_state=np.zeros(6 * len(attachments)))
+        )
+        scenario = described(attachments)
+        self.geometry = AddGeometry(builder, loop, self.scene_graph, scenario, **options)
+        self._sources = loop.GetSystems()
+        self.context = builder.Build().CreateDefaultContext()
 
-    @property
-    def geometry(self):
-        return self.geometries[0]
-
-    def set(self, load_state, carrier_state, which=0):
-        for source, value in zip(self._sources[which], (load_state, carrier_state), strict=True):
+    def set(self, load_state, carrier_state):
+        for source, value in zip(self._sources, (load_state, carrier_state), strict=True):
             context = source.GetMyMutableContextFromRoot(self.context)
             source.get_mutable_source_value(context).set_value(value)
 
@@ -100,47 +75,6 @@ class Loop:
         inspector = self.scene_graph.model_inspector()
         (found,) = inspector.GetGeometries(frame, Role.kProximity)
         return found
-
-
-@pytest.mark.nightly("engines")
-@pytest.mark.parametrize("scalar", ["AutoDiffXd", "Expression"])
-def test_a_diagram_with_geometry_converts_and_has_poses_of_floats_only(scalar):
-    loop = Loop(irregular(4), names=("one", "two"))
-    load, carriers = states(irregular(4))
-    loop.set(load, carriers, which=1)
-    expected = loop.pose(loop.geometries[1].load_frame)
-    other = loop.diagram.ToAutoDiffXd() if scalar == "AutoDiffXd" else loop.diagram.ToSymbolic()
-    geometry = other.GetSubsystemByName("two_geometry")
-    context = geometry.GetMyContextFromRoot(other.CreateDefaultContext())
-    with pytest.raises(ScenarioError) as error:
-        geometry.GetOutputPort("geometry_pose").Eval(context)
-    assert str(error.value) == (
-        f"scalar type of two_geometry = {scalar}: it computes with floating-point numbers only; "
-        "look at the scene in a context of the diagram that was converted"
-    )
-    loop.diagram = loop.diagram.Clone()
-    loop.scene_graph = next(s for s in loop.diagram.GetSystems() if type(s) is SceneGraph)
-    root = loop.diagram.CreateDefaultContext()
-    root.SetTimeStateAndParametersFrom(loop.context)
-    loop.context = root
-    assert loop.pose(loop.geometries[1].load_frame).IsExactlyEqualTo(expected)
-
-
-def add_camera(builder, scene_graph):
-    """Looks at the origin from 4 m above it."""
-    scene_graph.AddRenderer("vtk", MakeRenderEngineVtk(RenderEngineVtkParams()))
-    core = RenderCameraCore(
-        "vtk", CameraInfo(300, 300, np.radians(60)), ClippingRange(0.1, 20.0), RigidTransform()
-    )
-    camera = RgbdSensor(
-        scene_graph.world_frame_id(),
-        RigidTransform(RotationMatrix.MakeXRotation(np.pi), [0.0, 0.0, 4.0]),
-        ColorRenderCamera(core),
-        DepthRenderCamera(core, DepthRange(0.1, 10.0)),
-    )
-    builder.AddSystem(camera)
-    builder.Connect(scene_graph.get_query_output_port(), camera.query_object_input_port())
-    return camera
 
 
 @pytest.mark.parametrize("attachments", [irregular(3), spatial(7)])
@@ -214,53 +148,29 @@ def test_only_bodies_that_meet_collide():
     assert depth == pytest.approx(2 * radius - 0.05, abs=1e-12)
 
 
-@pytest.mark.nightly("flights")
-def test_a_camera_sees_load_cables_and_carriers_by_labels_of_their_own():
-    attachments = irregular(3)
-    made = Loop(attachments, add_viewer=add_camera)
-    outside = 1.6 * attachments + [0, 0, 0.5]
-    made.set(UPRIGHT, [*outside.ravel(), *np.ones(9)])
-    context = made.seen_by.GetMyContextFromRoot(made.context)
-    seen = set(made.seen_by.label_image_output_port().Eval(context).data.ravel().tolist())
-    inspector = made.scene_graph.model_inspector()
-    labels = [
-        {
-            int(inspector.GetPerceptionProperties(each).GetProperty("label", "id"))
-            for each in inspector.GetGeometries(frame, Role.kPerception)
-        }
-        for frame in inspector.FramesForSource(made.geometry.source)
-    ]
-    assert all(len(each) == 1 for each in labels)
-    different = set.union(*labels)
-    assert len(different) == 1 + 3 + 3
-    assert different <= seen
-    picture = made.seen_by.color_image_output_port().Eval(context).data
-    depth = made.seen_by.depth_image_32F_output_port().Eval(context).data
-    assert len(np.unique(picture.reshape(-1, 4), axis=0)) > 10
-    # The wing of a carrier that flies level at 0.5 m is 3.5 m below the camera.
-    assert np.isclose(depth, 3.5, atol=0.1).sum() > 20
-
-
-def test_the_loop_of_a_scenario_is_seen_as_it_flies():
+@pytest.mark.parametrize("convert", [None, "ToAutoDiffXd", "ToSymbolic"])
+def test_poses_are_those_of_a_loop_and_of_floats_only(convert):
     scenario = load_scenario("three_carriers")
     builder = DiagramBuilder()
     loop = builder.AddSystem(make_nonstop(scenario))
     scene_graph = builder.AddSystem(SceneGraph())
     geometry = AddGeometry(builder, loop, scene_graph, scenario)
-    simulator = Simulator(builder.Build())
-    context = simulator.get_mutable_context()
-    rng = np.random.default_rng(0)
+    diagram = builder.Build()
+    if convert is not None:
+        diagram = getattr(diagram, convert)()
+        geometry = diagram.GetSubsystemByName(geometry.get_name())
+    context = diagram.CreateDefaultContext()
+    port, own = geometry.GetOutputPort("geometry_pose"), geometry.GetMyContextFromRoot(context)
+    if convert is not None:
+        with pytest.raises(ScenarioError, match=r"^scalar type of nonstop_geometry = .*: it comp"):
+            port.Eval(own)
+        return
     inside = loop.GetMyMutableContextFromRoot(context)
-    for _ in range(3):
-        state = inside.get_mutable_continuous_state_vector()
-        state.SetFromVector(rng.normal(size=state.size()))
-        query = scene_graph.get_query_output_port().Eval(scene_graph.GetMyContextFromRoot(context))
-        positions = [query.GetPoseInWorld(frame) for frame in geometry.carrier_frames]
-        carriers = CarrierStates.view(loop.GetOutputPort("carrier_state").Eval(inside))
-        np.testing.assert_allclose([each.translation() for each in positions], carriers.positions)
-        load = Pose.view(loop.GetOutputPort("load_state").Eval(inside))
-        found = query.GetPoseInWorld(geometry.load_frame).translation()
-        np.testing.assert_allclose(found, load.position)
+    set_equilibrium(loop, inside)
+    poses = port.Eval(own)
+    found = [poses.value(frame).translation() for frame in geometry.carrier_frames]
+    carriers = CarrierStates.view(loop.GetOutputPort("carrier_state").Eval(inside))
+    np.testing.assert_allclose(found, carriers.positions)
 
 
 SHAPES = """<visual name="deck"><pose>0.1 0.2 0.3 0.1 0.2 0.3</pose>
@@ -331,11 +241,6 @@ def test_a_file_of_another_load_is_refused(tmp_path):
     moved = attachments + 1e-4 * np.outer([0, 1, 0], [0, 0, 1])
     with pytest.raises(ScenarioError, match=r"^load_file = \S+: give the file .*attachment 2, "):
         Loop(moved, load_file=path)
-    with pytest.raises(ScenarioError, match=r"^load_file = none\.sdf: "):
-        Loop(attachments, load_file="none.sdf")
-    path.write_text(sdf(shapes=""))
-    with pytest.raises(ScenarioError, match=r"^load_file = \S+: give a file with <visual>"):
-        Loop(attachments, load_file=path)
 
 
 def _ports(**values):
@@ -349,32 +254,34 @@ def _ports(**values):
 
 
 def test_bad_input_is_told_in_a_sentence():
-    scenario = described(irregular(4))
-    carriers = np.zeros(24)
+    scenario, carriers = described(irregular(4)), np.zeros(24)
     builder = DiagramBuilder()
     scene_graph = builder.AddSystem(SceneGraph())
     loop = builder.AddSystem(_ports(load_state=UPRIGHT, carrier_state=carriers))
+    other = builder.AddSystem(PassThrough(3))
 
-    def refused(words, *, loop=loop, scene_graph=scene_graph, scenario=scenario, **options):
+    def refused(field, value, remedy, **changed):
+        given = {"loop": loop, "scene_graph": scene_graph, "scenario": scenario} | changed
         with pytest.raises(ScenarioError) as caught:
-            AddGeometry(builder, loop, scene_graph, scenario, **options)
-        assert words in str(caught.value)
-        assert "\n" not in str(caught.value)
+            AddGeometry(builder, **given)
+        sentence = str(caught.value)
+        assert sentence.startswith(f"{field} = {value}")
+        assert remedy in sentence
+        assert "\n" not in sentence
 
     elsewhere = _ports(load_state=UPRIGHT, carrier_state=carriers)
-    refused("that builder.AddSystem was given before", loop=elsewhere)
-    refused("scene_graph = ", scene_graph=SceneGraph())
-    refused("give a SceneGraph", scene_graph=loop)
-    other = builder.AddSystem(PassThrough(3))
-    refused("loop.load_state = no such output port: give a loop with 13 values", loop=other)
-    refused("loop.carrier_state = 24 values: ", scenario=described(irregular(3)))
-    refused("scenario = {}: give a Scenario", scenario={})
-    refused("load_file = [0. 0.]: give the path of an SDF", load_file=np.zeros(2))
-    refused("system.attachments = ", scenario=described([[1.0, 2.0]] * 4))
+    refused("loop", "", "AddSystem", loop=elsewhere)
+    refused("scene_graph", "", "AddSystem", scene_graph=SceneGraph())
+    refused("scene_graph", "", "give a SceneGraph", scene_graph=loop)
+    refused("loop.load_state", "no such output port", "13 values", loop=other)
+    refused("loop.carrier_state", "24 values", "18 values", scenario=described(irregular(3)))
+    refused("scenario", "{}", "give a Scenario", scenario={})
+    refused("load_file", "[0. 0.]", "path of an SDF", load_file=np.zeros(2))
+    refused("system.attachments", "", "position", scenario=described([[1.0, 2.0]] * 4))
     AddGeometry(builder, loop, scene_graph, scenario)
-    refused("loop = ports: add the geometry of a loop once")
+    refused("loop", "ports", "name of its own")
     builder.Build()
-    refused("builder = built: call AddGeometry before builder.Build()")
+    refused("builder", "built", "before builder.Build()")
 
 
 def test_values_that_are_not_finite_are_not_shown():
@@ -393,7 +300,7 @@ def test_values_that_are_not_finite_are_not_shown():
 def test_aircraft_have_the_attitude_that_their_scene_has():
     run = aircraft_run(0.1, wind=(3.0, -1.0, 0.5))
     instant, canvas = instant_of(run, 3), ListCanvas()
-    Scene(run.scenario.system).show(canvas, instant)
+    Scene(run.scenario).show(canvas, instant)
     names = NonstopGeometry.reads
     builder = DiagramBuilder()
     loop = builder.AddSystem(_ports(**{name: run.signal(name)[3] for name in names}))

@@ -118,16 +118,14 @@ def test_page_shows_the_paths_and_the_goal(simulated):
         assert any(b"set_object" in text for text in drawn), part
 
 
-def test_name_and_colours_are_escaped_and_shown():
+def test_the_name_is_escaped_and_the_legend_has_what_there_is():
     run = circling_run()
+    assert ">obstacle<" not in record_replay(run)
     run.scenario.name = "<b>&"
-    run.scenario.scene.slack_colour = "#123456"
     run.scenario.obstacles = [GroundConfig(height=-3.0)]
-    run.scenario.scene.obstacle_colour = "#654321"
     html = record_replay(run)
     assert "&lt;b&gt;&amp;" in html
-    assert "#123456" in html
-    assert re.search(r"#654321,#654321\)\W+/span>obstacle</span>", html)
+    assert ">obstacle<" in html
 
 
 @pytest.mark.parametrize("samples", [1, 2])
@@ -159,11 +157,6 @@ def test_page_of_aircraft_compares_the_nearest_with_its_stall():
     state = run.signal("aircraft_state")[::4]
     shares = np.maximum(state[:, :4] / 1.4, (8.369 / state[:, 12:]) ** 2).max(axis=1)
     np.testing.assert_allclose(nearest[:, 1], shares, rtol=1e-3)
-    assert "wind at the load" in html
     (animation,) = (each for each in commands(html) if b"set_animation" in each)
     assert b"carriers/0/wing/<object>" in animation
     assert b"mark" not in animation
-    run.scenario.system.aircraft = None
-    html = record_replay(run)
-    assert "wind at the load" not in html
-    assert ">obstacle<" not in html
