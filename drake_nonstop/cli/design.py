@@ -7,7 +7,7 @@ from pathlib import Path
 from drake_nonstop.cli.arguments import Commands, add_changes
 from drake_nonstop.cli.ending import BAD_INPUT, FAILED
 
-_REQUEST, _DATA, _FIGURE = "request.yaml", "design.json", "pareto.png"
+_REQUEST, _DATA = "request.yaml", "design.json"
 _MOST = 100  # formations, of 10 numbers of carriers
 
 
@@ -17,8 +17,8 @@ def add_to(commands: Commands) -> None:
         "design",
         description="Looks for formations of aircraft that hold a load, at rest and on a way, in a "
         "wind, with margins to stall, bank and thrust: for each number of carriers and kind of "
-        "orbit those of the least power at rising margins. Writes a scenario for each, and a "
-        "figure of power against margins. Takes about a minute, or several on a busy machine.",
+        "orbit those of the least power at rising margins. Writes a scenario for "
+        "each. Takes about a minute, or several on a busy machine.",
         epilog=f"Exit codes: 0 where there is a formation, {FAILED} where there is none, "
         f"{BAD_INPUT} for bad input.",
     )
@@ -41,18 +41,15 @@ def add_to(commands: Commands) -> None:
 
 
 def _design(options: argparse.Namespace) -> int:
-    from drake_nonstop.run.interruption import current_interruption
     from drake_nonstop.scenario.loading import dump_scenario
     from drake_nonstop.studies import design
     from drake_nonstop.studies.design_request import dump_request, read_request
     from drake_nonstop.studies.files import (
         free_folder,
-        replacing_file,
         replacing_files,
         require_writable,
         write_json,
     )
-    from drake_nonstop.studies.journal import StudyInterrupted
     from drake_nonstop.view.progress import TaskProgress
 
     request = read_request(options.request, options.set)
@@ -63,7 +60,7 @@ def _design(options: argparse.Namespace) -> int:
 
     place = Path("out") / "design" / request.name
     folder: Path = options.out or free_folder(place, _REQUEST, text)
-    files = (_REQUEST, _DATA, _FIGURE, *(f"{request.name}_{k + 1}.yaml" for k in range(_MOST)))
+    files = (_REQUEST, _DATA, *(f"{request.name}_{k + 1}.yaml" for k in range(_MOST)))
     require_writable(folder, files)
     count = len(request.carriers) * len(request.kinds)
     print(
@@ -71,31 +68,13 @@ def _design(options: argparse.Namespace) -> int:
         "to a minute each, several with lumped cables: formations are optimized, then flown",
         flush=True,
     )
-    stopped = None
-    try:
-        with TaskProgress() as progress:
-            found = design.design(request, progress)
-    except StudyInterrupted as interrupted:
-        stopped, found = interrupted, interrupted.found
-        if not found.formations:
-            raise
-        if (folder / _DATA).exists():  # not over what a whole search has found
-            folder = Path(f"{folder}_stopped")
-            require_writable(folder, files)
-    print(found)
-    with current_interruption() as interruption:
-        with interruption.patient(1), replacing_files(folder, files) as new:
-            (new / _REQUEST).write_text(text, encoding="utf-8")
-            write_json(new / _DATA, found.dictionary)
-            for formation in found.formations:
-                path = new / f"{formation.scenario.name}.yaml"
-                path.write_text(dump_scenario(formation.scenario), encoding="utf-8")
-        interruption.check()
-    if stopped is not None:
-        raise KeyboardInterrupt(f"{stopped}; what they found is in {folder}")
-    print(found.verdict)
-    print(f"results: {folder}", flush=True)
-    if found.formations:  # after the results: drawing takes longer, and may be interrupted
-        with replacing_file(folder / _FIGURE) as file:
-            design.make_pareto_figure(found).savefig(file, dpi=300)
+    with TaskProgress() as progress:
+        found = design.design(request, progress)
+    with replacing_files(folder, files) as new:
+        (new / _REQUEST).write_text(text, encoding="utf-8")
+        write_json(new / _DATA, found.dictionary)
+        for formation in found.formations:
+            path = new / f"{formation.scenario.name}.yaml"
+            path.write_text(dump_scenario(formation.scenario), encoding="utf-8")
+    print(found, found.verdict, f"results: {folder}", sep="\n")
     return 0 if found.formations else FAILED

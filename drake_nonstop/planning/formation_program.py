@@ -38,7 +38,7 @@ KINDS = LEANING, CO_ROTATING = "leaning", "co_rotating"
 
 
 class FormationVariables(NamedTuple):
-    """Variables of the program (10,). Forces are shares of f₀ = M g/n, the load's per cable."""
+    """Variables of the program (7,). Forces are shares of f₀ = M g/n, the load's per cable."""
 
     spread: float  # C/f₀
     radial: float  # A_r/f₀
@@ -46,9 +46,6 @@ class FormationVariables(NamedTuple):
     vertical: float  # B/f₀
     frequency: float  # ξ, rad/s
     cable_length: float  # m
-    mass: float  # M, kg, of the load
-    wind: float  # m/s
-    speed: float  # m/s, the largest of the load
     reserve: float  # t, of the margins: at 1 all that are asked for are kept, at 0 the limits
 
 
@@ -56,12 +53,15 @@ _SIZE = len(FormationVariables._fields)
 
 
 class LoadMotion(NamedTuple):
-    """An instant of the load's way, for a largest speed of 1 m/s."""
+    """The load's motion at an instant of its way."""
 
-    velocity: NDArray  # (3,), m/s
-    acceleration: NDArray  # (3,), m/s², which grows with the square of the speed
-    jerk: NDArray = np.zeros(3)  # (3,), m/s³, with its cube
-    snap: NDArray = np.zeros(3)  # (3,), m/s⁴, with its fourth power
+    velocity: NDArray = np.zeros(3)  # (3,), m/s
+    acceleration: NDArray = np.zeros(3)  # (3,), m/s²
+    jerk: NDArray = np.zeros(3)  # (3,), m/s³
+    snap: NDArray = np.zeros(3)  # (3,), m/s⁴
+
+
+_REST = LoadMotion()
 
 
 class Margin(NamedTuple):
@@ -91,8 +91,8 @@ class FormationTask:
 
     Attributes:
         aircraft: of any cable length.
-        load: of any mass.
-        wind: the wind's direction (3,), of length 1.
+        load: what it carries.
+        wind: (3,), m/s.
         motions: of the load where it matters most, at rest among them.
         way: motions of the load all along its way.
         margins: of what the aircraft need.
@@ -125,9 +125,10 @@ class FormationTask:
             return np.stack([turn, np.zeros(phases)])
         return np.stack([np.repeat(places, phases), np.tile(turn, len(places))])
 
-    def share(self, x: FormationVariables) -> Any:
+    @property
+    def share(self) -> Any:
         """f₀, N."""
-        return x.mass * self.load.gravity / self.load.carriers
+        return self.load.mass * self.load.gravity / self.load.carriers
 
     def flown_by(self, x: FormationVariables) -> Aircraft:
         """The aircraft, with the drag of its cable in the polar.
@@ -142,16 +143,12 @@ class FormationTask:
                 max(float(np.linalg.norm(motion[order])) for motion in self.way)
                 for order in range(2)
             )
-            moved = x.mass * steepest * x.speed * x.speed
-            aside = moved + load.drag * (fastest * x.speed + x.wind)
-            level = x.spread + x.radial + aside / (load.carriers * self.share(x))
+            air = fastest + float(np.linalg.norm(self.wind))
+            aside = load.mass * steepest + load.drag * air
+            level = x.spread + x.radial + aside / (load.carriers * self.share)
             squares = level * level + x.tangential * x.tangential + (1 + x.vertical) ** 2
-            diameter = diameter_of(self.cable_safety * self.share(x) * np.sqrt(squares))
+            diameter = diameter_of(self.cable_safety * self.share * np.sqrt(squares))
         return self.aircraft._replace(cable_length=x.cable_length, cable_diameter=diameter)
-
-    def built(self, x: FormationVariables) -> "FormationTask":
-        """The task with the cables that a formation has, whatever becomes of its forces."""
-        return dataclasses.replace(self, aircraft=self.flown_by(x), cable_safety=0.0)
 
     def needed_force(self, aircraft: Aircraft, motion: OrbitMotion) -> NDArray:
         """The `needed_force` (k, 3), N, of an aircraft `flown_by` the formation.
@@ -164,25 +161,30 @@ class FormationTask:
         return needed_force(aircraft, motion.accelerations, motion.forces + of_cable)
 
     def orbit(
-        self, kind: str, x: FormationVariables, angles: NDArray, motion: LoadMotion
+        self,
+        kind: str,
+        x: FormationVariables,
+        angles: NDArray,
+        motion: LoadMotion = _REST,
+        wind: NDArray = _REST.velocity,
     ) -> OrbitMotion:
-        """The motion (k, 3) of carriers at azimuths and phases (2, k), of numbers or symbols."""
-        share, nothing = self.share(x), 0 * x.mass
-        sizes = [*(share * size for size in x[:4]), x.frequency, nothing, x.cable_length]
+        """The motion (k, 3) of carriers at azimuths and phases (2, k), of numbers or symbols.
+
+        By default the load rests in still air.
+        """
+        nothing = 0 * x.frequency
+        sizes = [*(self.share * size for size in x[:4]), x.frequency, nothing, x.cable_length]
         if kind != LEANING:
             sizes[1:6] = [nothing] * 4 + [x.frequency]
-        velocity, acceleration, jerk, snap = (
-            x.speed**order * rate for order, rate in enumerate(motion, 1)
-        )
         return carrier_orbit(
             FormationShape(*sizes),
-            self.load._replace(mass=x.mass),
+            self.load,
             angles[0],
             angles[1],
-            air_velocity=velocity - x.wind * self.wind,
-            acceleration=acceleration,
-            jerk=jerk,
-            snap=snap,
+            air_velocity=motion.velocity - wind,
+            acceleration=motion.acceleration,
+            jerk=motion.jerk,
+            snap=motion.snap,
         )
 
 
@@ -273,7 +275,7 @@ class FormationProgram:
     ) -> tuple[FlightNeeds, dict[str, Any]]:
         """What carriers at azimuths and phases (2, k) need, and its quantities (k,), by name."""
         aircraft = self.task.flown_by(x)
-        orbit = self.task.orbit(self.kind, x, angles, motion)
+        orbit = self.task.orbit(self.kind, x, angles, motion, self.task.wind)
         velocity, force = orbit.velocities, self.task.needed_force(aircraft, orbit)
         needed = flight_needs(aircraft, force, velocity)
         airspeed, thrust = needed.airspeed, needed.thrust
@@ -290,7 +292,7 @@ class FormationProgram:
             "climb": velocity[:, 2] / airspeed,
             "thrust_above": (most - thrust) / (most - least),
             "thrust_below": (thrust - least) / (most - least),
-            "share": orbit.forces[:, 2] / self.task.share(x),
+            "share": orbit.forces[:, 2] / self.task.share,
             "power": drawn_power(aircraft, thrust, airspeed),
         }
 
@@ -328,9 +330,8 @@ class FormationProgram:
         row asks for u·d + 0.85 |d| above zero. With u·d = -0.85 |d| the cables come as close as
         half the distance of their attachments; with u·d = -|d| they meet.
         """
-        x = _variables(values)._replace(wind=np.zeros(1))
-        radius, rest = self.task.load.radius, LoadMotion(*np.zeros((4, 3)))
-        places = self.task.orbit(self.kind, x, angles.reshape(2, 2), rest).positions
+        x, radius = _variables(values), self.task.load.radius
+        places = self.task.orbit(self.kind, x, angles.reshape(2, 2)).positions
         ends = radius * np.stack([np.cos(angles[:2]), np.sin(angles[:2])], axis=1)
         level = places[:, :2]
         leans = (level - ends) / places[:, 2:]
@@ -346,7 +347,7 @@ class FormationProgram:
         return np.concatenate([*rows, distance])
 
     def rows(self, values: NDArray) -> tuple[NDArray, NDArray, float, NDArray]:
-        """The rows (m,), their gradients (m, 10), one aircraft's mean power, W, and its (10,)."""
+        """The rows (m,), their gradients (m, 7), one aircraft's mean power, W, and its (7,)."""
         (*rows, power), (*gradients, power_gradient) = _evaluated(
             self._of_carrier, values, self._samples
         )
@@ -390,15 +391,15 @@ class FormationProgram:
         *,
         power_weight: float = 0.0,
     ) -> NDArray:
-        """The variables (10,) of the least cost @ x + weight P with no row below the reserve.
+        """The variables (7,) of the least cost @ x + weight P with no row below the reserve.
 
         Only rows that come near the reserve are given to the solver, as they turn up.
 
         Args:
             start: the variables to begin with.
-            lower: bounds (10,); those that are equal to the upper ones are constants.
-            upper: bounds (10,).
-            cost: (10,).
+            lower: bounds (7,); those that are equal to the upper ones are constants.
+            upper: bounds (7,).
+            cost: (7,).
             power_weight: 1/W, of one aircraft's mean power.
 
         Returns:
@@ -458,7 +459,7 @@ def _variables(values: NDArray) -> Any:
 
 
 def _evaluated(function: TracedFunction, values: NDArray, samples: list) -> tuple[NDArray, NDArray]:
-    """The outputs (o, k) at k samples, and their gradients (o, k, 10) by the variables."""
+    """The outputs (o, k) at k samples, and their gradients (o, k, 7) by the variables."""
     found = [tuple(map(np.copy, function(values, *sample))) for sample in samples]
     outputs, gradients = map(np.array, zip(*found, strict=True))
     return outputs.T, gradients.swapaxes(0, 1)

@@ -1,24 +1,18 @@
-"""Formations of aircraft for a load, of several numbers and kinds: a table, and a figure."""
+"""Formations of aircraft for a load, of several numbers and kinds, as a table."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from drake_nonstop.studies.design_request import MARGIN, DesignRequest
 from drake_nonstop.studies.formation_search import DesignedFormation, Refusal, design_one
-from drake_nonstop.studies.journal import StudyInterrupted
 from drake_nonstop.studies.workers import Progress, no_progress, run_all
 from drake_nonstop.validation import ScenarioError
-from drake_nonstop.view.figure_style import PAGE, in_paper_style, legend_above, new_figure
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-_CLOSE = 0.02  # of reserves that are the same
 # Columns of the table: of each the heading, the format, and the value.
 _COLUMNS: dict[str, tuple[str, str, Callable[[DesignedFormation], Any]]] = {
     "carriers": ("n", "d", lambda f: f.carriers),
@@ -53,27 +47,16 @@ class Design:
     formations: tuple[DesignedFormation, ...]  # that keep its margins, in the request's order
     refusals: tuple[Refusal, ...]  # of other carriers and kinds, or of some margins of the same
 
-    def is_efficient(self, formation: DesignedFormation) -> bool:
-        """Whether no other one has less power and, to 0.02, no less reserve."""
-        return not any(
-            other.power < formation.power and other.reserve > formation.reserve - _CLOSE
-            for other in self.formations
-        )
-
     @property
     def verdict(self) -> str:
         """A sentence: how many there are, or which limit forbids them and what would help."""
         if self.formations:
             return f"{len(self.formations)} formations keep the margins"
         best = max(self.refusals, key=lambda refusal: refusal.reserve)
-        remedies = [r for r in (best, *self.refusals) if r.remedy]
-        remedy = "nothing that was tried helps"
-        if remedies:
-            other = "" if remedies[0] is best else f" for {remedies[0].name}"
-            remedy = f"give {remedies[0].remedy}{other}"
         return (
             f"request.carriers = {self.request.carriers}: no formation keeps the margins and "
-            f"flies; the best, {best.name}, is at {best.reserve:.3g} of them: {best.why}; {remedy}"
+            f"flies; the best, {best.name}, is at {best.reserve:.3g} of them: {best.why}; give "
+            "longer cables, a lighter load, less wind or speed, or smaller margins"
         )
 
     @property
@@ -85,10 +68,8 @@ class Design:
             "formations": [
                 {
                     "scenario": formation.scenario.name,
-                    "is_efficient": self.is_efficient(formation),
                     **{key: value(formation) for key, (*_, value) in _COLUMNS.items()},
                     "cables": formation.cables.dictionary,
-                    "breaks_first": [each._asdict() for each in formation.breaks],
                 }
                 for formation in self.formations
             ],
@@ -106,23 +87,17 @@ class Design:
                 "" if (value := of(f)) is None else f"{value:{form}}"
                 for _, form, of in _COLUMNS.values()
             )
-            rows.append([f"{f.scenario.name}{'*' if self.is_efficient(f) else ''}", *cells])
+            rows.append([f.scenario.name, *cells])
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
         for f in self.formations:
-            breaks = (
-                f"{each.what} {each.value:.3g} {each.unit} ({each.limit or 'nothing missed'})"
-                for each in f.breaks
-            )
-            lines.append(f"{f.scenario.name}: breaks first at {', '.join(breaks)}")
             lines.append(f"{f.scenario.name}: real cables {f.cables.text}")
         if self.formations:
             worst = max((f.cables for f in self.formations), key=lambda cables: cables.difference)
             lines += [worst.warning] if worst.warning else []
         for refusal in self.refusals:
-            remedy = f"; give {refusal.remedy}" if refusal.remedy else ""
             about = f"{refusal.carriers} {refusal.kind}, at {refusal.reserve:.3g} of the margins"
-            lines.append(f"{about}: {refusal.why}{remedy}")
+            lines.append(f"{about}: {refusal.why}")
         return "\n".join(lines)
 
 
@@ -134,7 +109,6 @@ def design(request: DesignRequest, progress: Progress = no_progress) -> Design:
 
     Raises:
         ScenarioError: the request cannot be used, or a process died.
-        StudyInterrupted: Ctrl-C; its `found` is the Design of what was searched.
     """
     request.check()
     keys = [(n, kind) for n in request.carriers for kind in request.kinds]
@@ -143,62 +117,15 @@ def design(request: DesignRequest, progress: Progress = no_progress) -> Design:
     def failed(key: tuple[int, str], error: str) -> Any:
         raise ScenarioError(f"design, {key[0]} carriers {key[1]}: {error}")
 
-    def so_far() -> Design:
-        results = [each for key in keys for each in found.get(key, ())]
-        formations = [each for each in results if isinstance(each, DesignedFormation)]
-        formations.sort(key=lambda f: -f.reserve if request.first == MARGIN else f.power)
-        for k, formation in enumerate(formations, 1):
-            formation.scenario.name = f"{request.name}_{k}"
-        refusals = tuple(each for each in results if isinstance(each, Refusal))
-        return Design(request=request, formations=tuple(formations), refusals=refusals)
-
-    def best() -> str:
-        formations = so_far().formations
-        if not formations:
-            return "designing: none yet keeps the margins"
-        first = formations[0]
-        return f"designing: the best has {first.name}, {first.reserve:.2f}, {first.power:.0f} W"
-
     def arguments(key: tuple[int, str]) -> Any:
         return (request, *key)
 
-    try:
-        run_all(
-            design_one, keys, arguments, found.__setitem__, failed, what=best, progress=progress
-        )
-    except KeyboardInterrupt:
-        said = f"{len(found)} of {len(keys)} kinds and numbers of carriers were searched"
-        interrupted = StudyInterrupted(said)
-        interrupted.found = so_far()
-        raise interrupted from None
-    return so_far()
-
-
-@in_paper_style
-def make_pareto_figure(found: Design) -> Figure:
-    """Power per mass of the load against the reserve of the margins, and against separation.
-
-    A colour for each number of carriers, a marker for each kind; filled where no other formation
-    has less power and no less reserve.
-    """
-    figure = new_figure((PAGE, 2.9))
-    left, right = figure.subplots(1, 2, sharey=True)
-    numbers = sorted({formation.carriers for formation in found.formations})
-    labels = set()
-    for formation in found.formations:
-        colour = f"C{numbers.index(formation.carriers)}"
-        marker = "o" if formation.kind == "leaning" else "s"
-        face = colour if found.is_efficient(formation) else "white"
-        style = {"color": colour, "markerfacecolor": face, "markersize": 5}
-        power, name = formation.power / found.request.load_mass, formation.name
-        label = None if name in labels else name
-        left.plot(formation.reserve, power, marker, label=label, **style)
-        right.plot(formation.separation, power, marker, **style)
-        labels.add(name)
-    left.set_xlabel("reserve of the margins (1: as asked, 0: at the limits)")
-    left.set_ylabel("power per mass of the load (W/kg)")
-    left.set_ylim(0, None)
-    right.set_xlabel("carriers apart, at least (m)")
-    for axes in (left, right):
-        axes.margins(x=0.05)
-    return legend_above(figure)
+    options: dict[str, Any] = {"what": "designing", "progress": progress}
+    run_all(design_one, keys, arguments, found.__setitem__, failed, **options)
+    results = [each for key in keys for each in found[key]]
+    formations = [each for each in results if isinstance(each, DesignedFormation)]
+    formations.sort(key=lambda f: -f.reserve if request.first == MARGIN else f.power)
+    for k, formation in enumerate(formations, 1):
+        formation.scenario.name = f"{request.name}_{k}"
+    refusals = tuple(each for each in results if isinstance(each, Refusal))
+    return Design(request=request, formations=tuple(formations), refusals=refusals)

@@ -2,14 +2,13 @@
 
 The reserve is the least share of a margin that is kept: 1 where all that are asked for are kept, 0
 at a limit of flight. κ is the number of turns of the carriers' phases in a round of them. Variables
-are `FormationVariables` (10,), the reserve is their last.
+are `FormationVariables` (7,), the reserve is their last.
 """
 
 import dataclasses
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,16 +54,6 @@ _STEADY_PARTS, _STEADY_TIME, _STEADY_GROWTH, _STEADY_ERROR = 3, 14.0, 1.15, 1e-4
 # asked for: other seeds, and longer flights, meet worse ones.
 _SEEDS, _STRONGER = 5, 1.25
 _LOST = [outcome.value for outcome in list(RunOutcome)[:6]]  # as far as slack cables
-_GROWING = {"wind": ("wind", "m/s"), "mass": ("load", "kg"), "speed": ("speed", "m/s")}
-
-
-class Break(NamedTuple):
-    """How far one thing may grow, alone, and the margin that is then gone first."""
-
-    what: str  # wind, load or speed
-    unit: str
-    value: float  # the largest that was looked at, where nothing is missed
-    limit: str  # "": nothing is
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -86,29 +75,18 @@ class Formation:
         """Such as "3 co-rotating"."""
         return f"{self.carriers} {self.kind.replace('_', '-')}"
 
-    @property
-    def forces(self) -> dict[str, float]:
-        """C, A_r, A_t and B, N, by the fields of a pattern."""
-        share = self.variables.mass * GRAVITY / self.carriers  # f₀
-        return {name: share * getattr(self.variables, name) for name in self.variables._fields[:4]}
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DesignedFormation(Formation):
     """A formation that keeps the margins of a request, and flies."""
 
+    forces: dict[str, float]  # C, A_r, A_t and B, N, by the fields of a pattern
     power: float  # W, that all aircraft draw at rest
+    energy: float | None  # Wh/(kg km) at that power and the load's mean speed; None: it rests
     extremes: dict[str, tuple[float, float]]  # of what they need on the way, by name
     separation: float  # m, the least of two carriers, at rest
     cables: BowedCables  # how drag bows them, at rest
-    breaks: tuple[Break, ...]  # as wind, load and speed grow
     scenario: Scenario  # that flies it
-
-    @property
-    def energy(self) -> float | None:
-        """Wh/(kg km) at the power at rest and the load's mean speed; None where it rests."""
-        mean_speed = self.variables.speed / PEAK
-        return self.power / (3.6 * self.variables.mass * mean_speed) if mean_speed > 0 else None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -116,7 +94,6 @@ class Refusal(Formation):
     """Why a number of carriers of a kind has no formation, or none at some reserve."""
 
     why: str
-    remedy: str = ""  # what would help, which was tried
 
 
 def load_motions(request: DesignRequest) -> tuple[tuple[LoadMotion, ...], tuple[LoadMotion, ...]]:
@@ -124,11 +101,11 @@ def load_motions(request: DesignRequest) -> tuple[tuple[LoadMotion, ...], tuple[
 
     The first are, on a way, the fastest, those of the largest accelerations, and two between.
     """
-    still = LoadMotion(np.zeros(3), np.zeros(3))
+    still = LoadMotion()
     if request.speed == 0:
         return (still,), (still,)
     distance = float(np.linalg.norm(request.displacement))
-    direction, time = np.array(request.displacement) / distance, PEAK * distance  # s, at 1 m/s
+    direction, time = np.array(request.displacement) / distance, PEAK * distance / request.speed
     place = distance * np.polynomial.Polynomial([0, 0, 0, 0, 35, -84, 70, -20])
     rates = [place.deriv(order) / time**order for order in range(1, 5)]
 
@@ -142,9 +119,6 @@ def load_motions(request: DesignRequest) -> tuple[tuple[LoadMotion, ...], tuple[
 
 def design_task(request: DesignRequest, carriers: int) -> FormationTask:
     """The task of the program."""
-    wind = np.array(request.wind)
-    along = wind if np.any(wind) else -np.array(request.displacement)
-    size = float(np.linalg.norm(along))
     motions, way = load_motions(request)
     own = FlightEnvelope()
     sine, sine_asked = math.sin(own.climb), math.sin(request.climb)
@@ -168,7 +142,7 @@ def design_task(request: DesignRequest, carriers: int) -> FormationTask:
             radius=request.load_radius,
             compliance=1 / request.cable_stiffness,
         ),
-        wind=along / size if size > 0 else np.array([1.0, 0.0, 0.0]),
+        wind=np.array(request.wind),
         motions=motions,
         way=way,
         margins=tuple(Margin(*row[:4], abs(row[4] - row[3])) for row in rows),
@@ -195,15 +169,14 @@ class FormationSearch:
         self.request, self.n, self.kind = request, carriers, kind
         self.task = design_task(request, carriers)
         self.turns = 0 if kind != LEANING else 1 if carriers == 3 else carriers - 2
-        fixed = [request.load_mass, float(np.linalg.norm(request.wind)), request.speed]
         least, most = request.cable_length
         lower, upper = [0.05, 0.0, 0.0, 0.0, 0.05], [2.0, 0.0, 0.0, 0.0, 5.0]
         if kind == LEANING:
             lower[1:3] = [0.01, 0.01]
             upper[:4] = [1.5, 1.0, 1.0, 0.6 if carriers > 3 else 0.0]
-        self.lower = np.array([*lower, least, *fixed, -1e3])
-        self.upper = np.array([*upper, most, *fixed, _MOST_RESERVE])
-        self.most_reserve = -np.eye(len(self.lower))[-1]  # a cost (10,)
+        self.lower = np.array([*lower, least, -1e3])
+        self.upper = np.array([*upper, most, _MOST_RESERVE])
+        self.most_reserve = -np.eye(len(self.lower))[-1]  # a cost (7,)
         self._observer: float | None = None  # the observers' weight, once it is known
 
     def formations(self) -> list[DesignedFormation | Refusal]:
@@ -213,7 +186,7 @@ class FormationSearch:
         best = program.solve(start, self.lower, self.upper, self.most_reserve)
         best = self._with_reserve(program, best)
         if best[-1] < 1:
-            return [self._refusal(best, self._missed(program, best), self._remedy(program, best))]
+            return [self._refusal(best, self._missed(program, best))]
         levels = [best[-1], (1 + best[-1]) / 2, _SAFE_RESERVE]
         found: list[DesignedFormation | Refusal] = []
         start = best
@@ -262,7 +235,7 @@ class FormationSearch:
         aircraft = self.task.aircraft
         loaded = 1 + self.task.load.mass / self.n / float(aircraft.mass)
         speed = float(stall_speed(aircraft)) * math.sqrt(loaded) * random.uniform(1.2, 2.0)
-        values = np.concatenate([np.zeros(5), [length], self.lower[6:9], [0.0]])
+        values = np.array([*np.zeros(5), length, 0.0])
         if self.kind == LEANING:
             half_cone = random.uniform(0.03, 0.3)
             lean = half_cone * random.uniform(1.1, 2.0)
@@ -300,41 +273,14 @@ class FormationSearch:
         missed = sorted((share, margin) for margin, share in kept if share < 1)
         return ", ".join(dict.fromkeys(margin.sentence(share) for share, margin in missed))
 
-    def _refusal(self, values: NDArray, why: str, remedy: str = "") -> Refusal:
+    def _refusal(self, values: NDArray, why: str) -> Refusal:
         return Refusal(
             kind=self.kind,
             carriers=self.n,
             phase_turns=self.turns,
             variables=FormationVariables(*values.tolist()),
             why=why,
-            remedy=remedy,
         )
-
-    def _remedy(self, program: FormationProgram, best: NDArray) -> str:
-        """The first that helps: longer cables, a lighter load, less wind or speed."""
-        for field, name, limit in (
-            ("cable_length", "cable_length", max(500.0, 2 * self.request.cable_length[1])),
-            ("mass", "load_mass", 0.02 * self.request.load_mass),
-            ("wind", "wind", 0.0),
-            ("speed", "speed", 0.0),
-        ):
-            index = FormationVariables._fields.index(field)
-            if best[index] == limit:
-                continue
-            lower, upper, cost = self.lower.copy(), self.upper.copy(), 0 * best
-            lower[index], upper[index] = sorted((limit, best[index]))
-            lower[-1], cost[index] = _SAFE_RESERVE, np.sign(limit - best[index])
-            eased = program.solve(best, np.append(lower[:-1], -1e3), upper, self.most_reserve)
-            nearest = program.solve(eased, lower, upper, cost / max(best[index], 1.0))
-            if self._with_reserve(program, nearest)[-1] < 1:
-                continue
-            if field == "cable_length":
-                least = self.request.cable_length[0]
-                return f"request.{name} = [{least:g}, {math.ceil(1.01 * nearest[index])}]"
-            share = math.floor(99 * nearest[index] / best[index]) / 100
-            value = np.round(share * np.array(getattr(self.request, name)), 4).tolist()
-            return f"request.{name} = {value} or less"
-        return "margins such as these" if best[-1] > _CLOSE else ""
 
     def _flown(self, program: FormationProgram, values: NDArray) -> DesignedFormation | Refusal:
         """The formation of these variables, or why it does not fly after all."""
@@ -352,18 +298,25 @@ class FormationSearch:
             return self._refusal(values, "in a flight at rest the load's sway grows")
         if fault := fault_in_flight(tried):
             return self._refusal(values, fault)
+        power = self.n * program.rows(values)[2]
+        mean_speed = self.request.speed / PEAK
+        moved = 3.6 * self.request.load_mass * mean_speed
         return DesignedFormation(
             kind=self.kind,
             carriers=self.n,
             phase_turns=self.turns,
             variables=x,
-            power=self.n * program.rows(values)[2],
+            forces=self._forces(x),
+            power=power,
+            energy=power / moved if moved > 0 else None,
             extremes=extremes,
             separation=program.separation(values),
             cables=margins.cables,
-            breaks=tuple(breaking_points(program, x)),
             scenario=tried,
         )
+
+    def _forces(self, x: FormationVariables) -> dict[str, float]:
+        return {name: self.task.share * getattr(x, name) for name in x._fields[:4]}
 
     def _scenario(
         self, program: FormationProgram, x: FormationVariables, airspeeds: tuple[float, float]
@@ -384,9 +337,8 @@ class FormationSearch:
             # A quintic's jerk steps, and the carriers' velocities with it, by L_c/g of the step.
             move = {"blend": "c4", "displacement": request.displacement}
             move |= {"start_time": _START_TIME, "move_time": time}
-        share, leans = x.mass * GRAVITY / n, self.kind == LEANING
-        forces = {name: _rounded(share * getattr(x, name)) for name in x._fields[:4]}
-        frequency = _rounded(x.frequency)
+        forces = {name: _rounded(force) for name, force in self._forces(x).items()}
+        leans, frequency = self.kind == LEANING, _rounded(x.frequency)
         pattern = {"_tag": "!ConstantSpread", "spread": forces["spread"]}
         trajectory = {"_tag": "!SteadyTurn", "yaw_rate": frequency, **move}
         if leans:
@@ -436,40 +388,6 @@ class FormationSearch:
 
 def _rounded(value: float) -> float:
     return float(f"{value:.6g}")
-
-
-def breaking_points(program: FormationProgram, x: FormationVariables) -> Iterator[Break]:
-    """How far the wind, the load and its speed may grow, each alone, before a limit is missed.
-
-    The forces of the pattern stay as they are, in N. The wind grows in its direction, or where
-    there is none against the load's way.
-    """
-    task = program.task.built(x)
-    program = FormationProgram(task, program.kind, program.phase_turns)
-    for what in _GROWING if len(task.way) > 1 else ("wind", "mass"):
-        name, unit = _GROWING[what]
-        if what == "wind" and x.wind == 0 and len(task.way) > 1:
-            name = "wind against the load's way"
-
-        def missed(value: float, what: str = what) -> str:
-            grown = x._replace(**{what: value})
-            if what == "mass":
-                forces = {name: x.mass / value * getattr(x, name) for name in x._fields[:4]}
-                grown = grown._replace(**forces)
-            kept = program.on_way(np.array(grown), phases=24)
-            worst = int(np.argmin(kept))
-            return program.margins[worst].words if kept[worst] < 0 else ""
-
-        low, high = getattr(x, what), max(1.0, 1.5 * getattr(x, what))
-        limit = missed(high)
-        while not limit and high < 1e4:
-            low, high = high, 2 * high
-            limit = missed(high)
-        while limit and high - low > 1e-3 * high:
-            middle = (low + high) / 2
-            found = missed(middle)
-            low, high, limit = (low, middle, found) if found else (middle, high, limit)
-        yield Break(name, unit, low, limit)
 
 
 def is_steady(scenario: Scenario, turn: float) -> bool:

@@ -24,8 +24,6 @@ Row = dict[str, Any]
 class StudyInterrupted(KeyboardInterrupt):
     """Ctrl-C ended a study; the message says how much of it is done."""
 
-    found: Any = None  # what `design`, which has no folder, had found
-
 
 class Journal:
     """The rows of a study by their keys, each of which is in the file once it is recorded."""

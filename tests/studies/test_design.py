@@ -10,8 +10,6 @@ import pytest
 from helpers import nightly_beyond
 
 from drake_nonstop.analysis.aircraft_margins import aircraft_margins
-from drake_nonstop.cli.ending import FAILED
-from drake_nonstop.cli.main import main
 from drake_nonstop.mechanics.aircraft import needed_force
 from drake_nonstop.model.aircraft import CABLE_DENSITY
 from drake_nonstop.planning.formation_program import FormationProgram, FormationVariables
@@ -19,14 +17,12 @@ from drake_nonstop.run.metrics import compute_metrics
 from drake_nonstop.run.simulate import simulate
 from drake_nonstop.scenario.loading import dump_scenario, load_scenario, parse_scenario
 from drake_nonstop.scenario.overrides import as_override, changed
-from drake_nonstop.studies import design as module
 from drake_nonstop.studies import formation_search
-from drake_nonstop.studies.design import Design, design_one, make_pareto_figure
+from drake_nonstop.studies.design import Design, design_one
 from drake_nonstop.studies.design_request import dump_request, read_request
 from drake_nonstop.studies.formation_search import (
     DesignedFormation,
     Refusal,
-    breaking_points,
     design_task,
     load_motions,
 )
@@ -80,7 +76,6 @@ def test_formations_keep_the_margins_of_the_request(windy):
     reserves = [formation.reserve for formation in windy.formations]
     assert powers == sorted(powers, reverse=True)
     assert reserves == sorted(reserves, reverse=True)
-    assert all(windy.is_efficient(formation) for formation in windy.formations)
 
 
 def test_scenarios_read_back_and_need_at_rest_what_was_found(windy):
@@ -98,45 +93,6 @@ def test_scenarios_read_back_and_need_at_rest_what_was_found(windy):
     )
     assert np.max(found.needs.thrust) == pytest.approx(resting["thrust_N"][1], rel=1e-3)
     assert 4 * found.drawn_power == pytest.approx(formation.power, rel=1e-3)
-
-
-def test_it_breaks_where_it_says(windy):
-    """On the way, at other phases than those that were looked at; each thing grows alone."""
-    formation = windy.formations[0]
-    wind, load, speed = formation.breaks
-    assert (wind.what, load.what, speed.what) == ("wind", "load", "speed")
-    assert (wind.value > 3, load.value > 10, speed.value > 1.25) == (True, True, True)
-    program = FormationProgram(design_task(windy.request, 4), formation.kind)
-    x = formation.variables
-
-    def loaded(mass):
-        return x._replace(mass=mass, spread=x.spread * x.mass / mass)
-
-    for each, grown in (
-        (wind, lambda value: x._replace(wind=value)),
-        (load, loaded),
-        (speed, lambda value: x._replace(speed=value)),
-    ):
-        kept = program.on_way(np.array(grown(0.98 * each.value)), phases=97)
-        assert np.min(kept) > 0
-        kept = program.on_way(np.array(grown(1.02 * each.value)), phases=97)
-        assert [program.margins[k].words for k in np.flatnonzero(kept < 0)] == [each.limit]
-
-
-def test_without_wind_it_breaks_in_one_against_the_way(windy):
-    """Which is less than one from behind."""
-    x = windy.formations[0].variables._replace(wind=0.0, speed=2.5)
-    task = design_task(dataclasses.replace(windy.request, wind=[0.0] * 3), 4)
-    against, behind = (
-        next(
-            breaking_points(
-                FormationProgram(dataclasses.replace(task, wind=sign * task.wind), "co_rotating"), x
-            )
-        )
-        for sign in (1, -1)
-    )
-    assert against.what == "wind against the load's way"
-    assert against.value < 0.9 * behind.value
 
 
 def test_a_formation_is_flown_in_stronger_gusts():
@@ -177,7 +133,6 @@ def test_it_flies_its_way_within_what_is_printed(kind, changes):
 
 def test_what_is_printed_and_drawn(windy):
     table = str(windy)
-    assert len(re.findall("breaks first at wind", table)) == 3
     assert len(re.findall("real cables bow by up to ", table)) == 3
     assert "cables are simulated as straight" not in table
     found = windy.dictionary
@@ -187,7 +142,6 @@ def test_what_is_printed_and_drawn(windy):
     energy = windy.formations[0].power / (3.6 * 10.0 * 1.25 / 2.1875)
     assert first["energy_Wh_per_kg_km"] == pytest.approx(energy)
     assert first["cables"] == aircraft_margins(windy.formations[0].scenario).cables.dictionary
-    assert len(make_pareto_figure(windy).axes) == 2
 
 
 def test_observers_have_the_largest_weight_at_which_a_flight_is_steady(monkeypatch):
@@ -209,18 +163,15 @@ def test_formations_that_do_not_fly_are_told_with_the_reason(monkeypatch):
     monkeypatch.setattr(formation_search, "is_steady", lambda *_: False)
     found = found_for(["carriers=[3]", *RESTING, "load_mass=5"])
     assert not found.formations
-    assert "in a flight at rest the load's sway grows; nothing that was tried" in found.verdict
+    assert "in a flight at rest the load's sway grows; give longer cables" in found.verdict
     assert "3 co_rotating, at " in str(found)
 
 
-def test_a_load_that_is_too_heavy_is_refused_with_one_that_is_not(unflown):
+def test_a_load_that_is_too_heavy_is_refused(unflown):
     request = ["carriers=[3]", "cable_length=[40, 60]"]
     found = found_for([*request, "load_mass=80", "starts=1"])
     assert not found.formations
     assert re.search(r"thrust left to the largest|C_L / C_Lmax|airspeed", found.verdict)
-    (mass,) = re.findall(r"request.load_mass = ([\d.]+) or less", found.verdict)
-    assert 20 < float(mass) < 80
-    assert found_for([*request, f"load_mass={mass}", "starts=2"]).formations
 
 
 def test_ways_and_accelerations_are_those_of_the_trajectory():
@@ -228,29 +179,29 @@ def test_ways_and_accelerations_are_those_of_the_trajectory():
     request = read_request(None, ["displacement=[0, 50, 0]", "speed=2"])
     (_, fastest, rising, falling, *_), (still, *moving) = load_motions(request)
     time = 2.1875 * 50 / 2
-    np.testing.assert_allclose(2 * fastest.velocity, [0, 2, 0])
+    np.testing.assert_allclose(fastest.velocity, [0, 2, 0])
     np.testing.assert_allclose(fastest.acceleration, 0, atol=1e-12)
     way = np.polynomial.Polynomial([0, 0, 0, 0, 35, -84, 70, -20])
     largest = np.max(way.deriv(2)(np.linspace(0, 1, 10001))) * 50 / time**2
-    np.testing.assert_allclose(4 * rising.acceleration, [0, largest, 0], rtol=1e-6)
+    np.testing.assert_allclose(rising.acceleration, [0, largest, 0], rtol=1e-6)
     np.testing.assert_allclose(rising.acceleration, -falling.acceleration, rtol=1e-9)
     assert not np.any(np.concatenate(still))
     for instant, motion in zip(np.linspace(0, 1, 23), moving, strict=True):
         expected = [way.deriv(k)(instant) * 50 / time**k for k in (1, 2, 3, 4)]
-        found = [2**order * rate[1] for order, rate in enumerate(motion, 1)]
+        found = [rate[1] for rate in motion]
         np.testing.assert_allclose(found, expected, atol=1e-9)
     assert [len(part) for part in load_motions(read_request(None, ["speed=0"]))] == [1, 1]
 
 
 @pytest.mark.parametrize("kind", ["leaning", "co_rotating"])
 def test_the_diameter_follows_from_the_largest_tension(kind):
-    lumped = ["carriers=[4]", "cables=lumped", "cable_safety=5", "load_drag=5"]
+    lumped = ["carriers=[4]", "cables=lumped", "cable_safety=5", "load_drag=5", "speed=3"]
     task = design_task(read_request(None, [*lumped, "wind=[0, 3, 0]"]), 4)
-    x = FormationVariables(0.3, 0.15, 0.2, 0.1, 0.6, 150.0, 10.0, 3.0, 3.0, 0.0)
+    x = FormationVariables(0.3, 0.15, 0.2, 0.1, 0.6, 150.0, 0.0)
     if kind == "co_rotating":
         x = x._replace(radial=0.0, tangential=0.0, vertical=0.0)
     aircraft, angles = task.flown_by(x), task.angles(kind, 90)
-    orbits = [task.orbit(kind, x, angles, motion) for motion in task.way]
+    orbits = [task.orbit(kind, x, angles, motion, task.wind) for motion in task.way]
     tension = max(np.linalg.norm(orbit.forces, axis=1).max() for orbit in orbits)
     area = math.pi / 4 * aircraft.cable_diameter**2
     assert 5 * tension <= 1.6e9 * area < 6 * tension
@@ -259,8 +210,6 @@ def test_the_diameter_follows_from_the_largest_tension(kind):
     # Over a turn accelerations have no mean: that is the cable's weight.
     weight = CABLE_DENSITY * area * 150 * 9.81
     np.testing.assert_allclose(borne.mean(axis=0), [0, 0, weight], atol=1e-9)
-    built = task.built(x)
-    assert built.flown_by(x._replace(spread=9.0)).cable_diameter == aircraft.cable_diameter
 
 
 @pytest.mark.parametrize(
@@ -319,34 +268,3 @@ def test_odd_requests_have_formations_or_a_reason_for_none(changes):
     else:
         found = found_for(changes, *request.kinds)
         assert found.verdict
-
-
-def test_what_was_found_before_ctrl_c_is_told_and_kept(windy, tmp_path, capsys, monkeypatch):
-    """In a folder of its own where there is a whole result, and nothing where nothing was found."""
-    said, parts = [], [windy.formations]
-
-    def run(function, keys, arguments, record, failed, *, what, **options):
-        for key, part in zip(keys, parts, strict=False):
-            record(key, part)
-        said.append(what())
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(module, "run_all", run)
-    folder, stopped = tmp_path / "it", tmp_path / "it_stopped"
-    request = ["--set", *WINDY, "kinds=[leaning, co_rotating]"]
-    first = windy.formations[0]
-    for place in (folder, stopped):
-        assert main(["design", "--out", str(folder), *request]) == FAILED
-        shown = capsys.readouterr()
-        searched = "1 of 2 kinds and numbers of carriers were searched; what they found is"
-        assert shown.err.endswith(f": {searched} in {place}\n")
-        assert "breaks first at wind" in shown.out
-        assert (place / "design.json").exists()
-        flown = load_scenario(place / f"{first.scenario.name}.yaml")
-        assert len(flown.system.attachments) == 4
-    best = f"designing: the best has 4 co-rotating, {first.reserve:.2f}, {first.power:.0f} W"
-    assert said == [best] * 2
-    parts.clear()
-    assert main(["design", "--out", str(tmp_path / "other"), *request]) == FAILED
-    assert "0 of 2 kinds" in capsys.readouterr().err
-    assert not [*tmp_path.glob("other*/*")]
