@@ -1,19 +1,18 @@
 """What `check` says of drawn tasks beside what becomes of their flights in other seeds.
 
 `python tests/drawn_verdicts.py --count 300` prints the table of verdict against outcome and lists
-the contradictions; Ctrl-C stops it, and the same command goes on from there. With `--kind errors`
-each task states an error: noise, a wrong model, a wind or a delay.
+the contradictions. With `--kind errors` each task states an error: noise, a wrong model, a wind or
+a delay.
 """
 
 import argparse
 import sys
 import warnings
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from drawn_study import _code
+from drawn_study import flown
 from drawn_tasks import GRAVITY, aircraft_task, attachments_of, loaded
 
 from drake_nonstop.analysis.flights import fly
@@ -22,11 +21,7 @@ from drake_nonstop.analysis.verdict import check_scenario
 from drake_nonstop.run.outcome import RunOutcome
 from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.studies.attempts import FAILED
-from drake_nonstop.studies.journal import StudyInterrupted, open_journal, settings_of
-from drake_nonstop.studies.workers import SerialExecutor, run_all
 from drake_nonstop.validation import ScenarioError, ScenarioWarning
-from drake_nonstop.view.progress import TaskProgress
 
 OK, CANNOT, MIXED, REFUSED = RunOutcome.OK.value, "cannot", "mixed", "refused"
 _AIRCRAFT = 5  # one task in so many is flown by aircraft
@@ -156,7 +151,7 @@ TASKS = {"exact": task_of_seed, "errors": with_errors}
 
 
 def looked_at(kind: str, seed: int) -> dict[str, Any]:
-    """The verdict on a task and the outcomes of its flights in other seeds, as in `_RESULT`.
+    """The verdict on a task and the outcomes of its flights in other seeds.
 
     Nothing is tried that may help.
     """
@@ -168,13 +163,13 @@ def looked_at(kind: str, seed: int) -> dict[str, Any]:
         except ScenarioError as error:
             return {"verdict": REFUSED, "said": [str(error)], "outcomes": []}
         seeds = range(_OTHER, _OTHER + _OTHERS) if is_random(scenario) else [0]
-        flown = fly([("", with_seed(scenario, k)) for k in seeds])
+        others = fly([("", with_seed(scenario, k)) for k in seeds])
     outcomes = [flight.outcome.value for flight in found.flights]
     verdict = CANNOT if OK not in outcomes else OK if set(outcomes) == {OK} else MIXED
     if verdict != MIXED and found.narrow:
         verdict = f"{verdict}, narrow"
-    others = [flight.outcome.value for flight in flown]
-    return {"verdict": verdict, "said": [*found.verdicts], "outcomes": others}
+    in_others = [flight.outcome.value for flight in others]
+    return {"verdict": verdict, "said": [*found.verdicts], "outcomes": in_others}
 
 
 def contradicts(result: dict[str, Any]) -> bool:
@@ -198,57 +193,27 @@ def table(results: Sequence[dict[str, Any]]) -> str:
     return "\n".join(lines)
 
 
-def study(
-    kind: str, seeds: Sequence[int], folder: Path, *, restart: bool = False, is_serial: bool = False
-) -> list[dict[str, Any]]:
-    """The results in the order of the seeds; the folder has what is done.
-
-    Raises:
-        StudyInterrupted: Ctrl-C; what is done stays.
-    """
-    settings = settings_of("drawn verdicts", kind, _code(), Path(__file__).read_text(), str(seeds))
-    with (
-        open_journal(folder, settings, restart=restart, what="tasks") as journal,
-        TaskProgress() as progress,
-    ):
-        run_all(
-            looked_at,
-            seeds,
-            lambda seed: (kind, seed),
-            lambda seed, result: journal.record(str(seed), result),
-            lambda seed, error: {"verdict": FAILED, "said": [error], "outcomes": []},
-            done=[seed for seed in seeds if str(seed) in journal.rows],
-            executor=SerialExecutor() if is_serial else None,
-            what="checking and flying",
-            progress=progress,
-        )
-        return [journal.rows[str(seed)] for seed in seeds]
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Checks, flies and prints; 1 where a verdict is contradicted, 130 where it was interrupted."""
+    """Checks, flies and prints; 1 where a verdict is contradicted."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--kind", choices=TASKS, default="exact", help="(exact)")
     parser.add_argument("--first", type=int, default=0, metavar="SEED", help="(0)")
     parser.add_argument("--count", type=int, default=20, metavar="N", help="tasks (20)")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="(out/drawn/verdicts_KIND)")
-    parser.add_argument("--restart", action="store_true", help="drop what DIR has")
     parser.add_argument("--serial", action="store_true", help="in this process")
     options = parser.parse_args(arguments)
     seeds = range(options.first, options.first + options.count)
-    folder = options.out or Path(f"out/drawn/verdicts_{options.kind}")
-    kind, restart, is_serial = options.kind, options.restart, options.serial
-    try:
-        results = study(kind, seeds, folder, restart=restart, is_serial=is_serial)
-    except StudyInterrupted as interrupt:
-        print(interrupt, file=sys.stderr)
-        return 130
-    print(table(results))
-    wrong = [(k, r) for k, r in zip(seeds, results, strict=True) if contradicts(r)]
-    for seed, result in wrong:
+    calls = {seed: (options.kind, seed) for seed in seeds}
+    results = flown(looked_at, calls, is_serial=options.serial)
+    failed = {seed: result for seed, result in results.items() if "verdict" not in result}
+    judged = {seed: results[seed] for seed in seeds if seed not in failed}
+    print(table([*judged.values()]))
+    wrong = {seed: result for seed, result in judged.items() if contradicts(result)}
+    for seed, result in wrong.items():
         print(f"seed {seed}: {result['verdict']}, but {', '.join(result['outcomes'])}")
         print("".join(f"    {text}\n" for text in result["said"]), end="")
-    return 1 if wrong else 0
+    for seed, result in failed.items():
+        print(f"seed {seed} failed: {result['message']}")
+    return 1 if wrong or failed else 0
 
 
 if __name__ == "__main__":

@@ -1,19 +1,23 @@
-"""Tasks drawn at random, a few of them flown; `tests/drawn_study.py` flies all."""
+"""Tasks drawn at random, a few of them flown; `tests/drawn_study.py` and others fly all."""
 
 import drawn_study
+import drawn_verdicts
 import numpy as np
 import pytest
 from drawn_study import VARIANTS, fly, study, table
 from drawn_tasks import aircraft_task, carriers_task
+from drawn_verdicts import CANNOT, MIXED, OK, TASKS, contradicts, looked_at, task_of_seed
+from helpers import nightly_beyond
 
 from drake_nonstop.analysis.aircraft_margins import aircraft_margins
+from drake_nonstop.analysis.stated_errors import without_errors
 
 FAILS_TODAY = 1029  # a task on which the layer of one sample falls below the bound
 
 
 def flown(seed, variant):
-    result = fly("carriers", seed, "none", VARIANTS[variant])
-    return result["outcome"], result["figures"]
+    figures = fly("carriers", seed, "none", VARIANTS[variant])
+    return figures["outcome"], figures
 
 
 @pytest.mark.nightly("studies")
@@ -61,24 +65,49 @@ def test_aircraft_can_fly_their_tasks_at_rest():
         assert aircraft_margins(aircraft_task(seed)).is_flyable
 
 
-def test_a_study_goes_on_from_where_it_was_interrupted(tmp_path, monkeypatch):
-    flights = []
-
-    def fly_some(tasks, seed, condition, overrides):
-        flights.append((seed, *overrides))
-        if len(flights) == 4:
-            raise KeyboardInterrupt
-        figures = {"below": 0.1 * bool(overrides), "least": 1.1, "peak": 2.0 - seed / 2}
+def test_variants_are_compared_on_the_tasks_that_both_complete(monkeypatch):
+    def fly_none(tasks, seed, condition, overrides):
+        if seed == 2 and overrides:
+            return {"ending": "diverged", "outcome": "", "message": "no"}
+        figures = dict.fromkeys(("amplitude_step", "frequency_step", "least_tension"), 0.1)
+        figures |= {"below": 0.1 * bool(overrides), "least": 1.1, "peak": 2.0 + bool(overrides)}
         outcome = "bound_missed" if overrides else "ok"
-        return {"ending": "completed", "outcome": outcome, "message": "", "figures": figures}
+        figures |= {"speed_squared": 4.0, "position_error": float(seed)}
+        return {"ending": "completed", "outcome": outcome, "message": "", **figures}
 
-    monkeypatch.setattr(drawn_study, "fly", fly_some)
-    variants = {"first": [], "second": ["a=1"]}
-    arguments = ("carriers", range(3), variants, tmp_path)
-    with pytest.raises(KeyboardInterrupt, match="the same call continues"):
-        study(*arguments, is_serial=True)
-    results = study(*arguments, is_serial=True)
-    assert len(flights) == 7  # the fourth twice
-    first, second = table(results).splitlines()[-2:]
-    assert first.startswith("| first | 0 of 3 | 0 | 0 | 1.100 | 1.000 (1.00)")
-    assert second.startswith("| second | 3 of 3 | 0 | 0 |")
+    monkeypatch.setattr(drawn_study, "fly", fly_none)
+    rows = study("carriers", range(3), {"first": [], "second": ["a=1"]}, is_serial=True)
+    first, second = table(rows).splitlines()[-2:]
+    assert first.startswith("| first | 0 of 3 | 0 | 0 | 1.100 | 1.000 (1.00) | 1.000 | 1 (2) |")
+    assert second.startswith("| second | 2 of 3 | 1 | 0 | 1.100 | 1.500 (1.50) | 1.000 | 0.5 (1)")
+
+
+def result(verdict, *outcomes):
+    return {"verdict": verdict, "said": [], "outcomes": list(outcomes)}
+
+
+def test_tasks_of_verdicts_repeat_and_one_in_five_is_of_aircraft():
+    for seed in range(1, 6):
+        task = task_of_seed(seed)
+        assert task == task_of_seed(seed)
+        assert (task.system.aircraft is not None) == (seed == 5)
+        assert without_errors(task) == task
+        assert without_errors(TASKS["errors"](seed)) != TASKS["errors"](seed)
+
+
+def test_verdicts_are_contradicted_by_flights_in_other_seeds():
+    assert contradicts(result(OK, "ok", "collision"))
+    assert contradicts(result(f"{CANNOT}, narrow", "collision", "ok"))
+    for kept in (result(OK, "ok"), result(CANNOT, "stalled"), result(MIXED, "ok", "stopped")):
+        assert not contradicts(kept)
+    table = [result(OK, "ok", "ok"), result(OK, "ok"), result(CANNOT, "ok")]
+    shown = drawn_verdicts.table(table)
+    assert "| ok | 2 | 3 | 3 | 0 |" in shown
+    assert "| cannot | 1 | 1 | 1 | 1 |" in shown
+
+
+@pytest.mark.parametrize("kind", TASKS)
+@pytest.mark.parametrize("seed", nightly_beyond(1, "studies", [8, 1, 2, 4, 5, 6, 7]))
+def test_no_flight_contradicts_what_is_said_of_its_task(kind, seed):
+    found = looked_at(kind, seed)
+    assert not contradicts(found), found["said"]

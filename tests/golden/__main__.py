@@ -17,7 +17,6 @@ sys.path[:0] = [str(Path(__file__).parents[2]), str(Path(__file__).parents[1])]
 
 from fleet import Fleet  # noqa: E402
 
-from golden.drawing import write_drawn_loops  # noqa: E402
 from golden.numbers import (  # noqa: E402
     MOVED,
     Golden,
@@ -52,10 +51,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m golden", description=__doc__)
     parser.add_argument("flights", nargs="*", metavar="FLIGHT", help="these only")
     parser.add_argument("--check", action="store_true", help="list what differs, write nothing")
-    parser.add_argument("--draw", action="store_true", help="draw the drawn loops anew before")
     options = parser.parse_args()
-    if options.draw:
-        write_drawn_loops()
     unknown = set(options.flights) - set(flights())
     if unknown:
         parser.error(f"{', '.join(sorted(unknown))}: give some of {', '.join(flights())}")
