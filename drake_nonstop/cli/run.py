@@ -24,7 +24,6 @@ from drake_nonstop.run.metrics import in_brief, metrics_table
 from drake_nonstop.run.outcome import RunOutcome
 from drake_nonstop.run.recording import least_size
 from drake_nonstop.run.run import Run, RunInterrupted, RunStopped
-from drake_nonstop.run.run_quantities import automatic_gains
 from drake_nonstop.run.simulate import simulate
 from drake_nonstop.run.verify_step import TOLERANCES, verify_step
 from drake_nonstop.scenario.schema import Scenario
@@ -36,7 +35,7 @@ from drake_nonstop.studies.results_folder import (
     write_pictures,
 )
 from drake_nonstop.studies.workers import no_progress
-from drake_nonstop.validation import ScenarioError, one_line, require, show_warning
+from drake_nonstop.validation import ScenarioError, one_line, require
 from drake_nonstop.view.figure_style import FORMATS
 from drake_nonstop.view.progress import RunProgress, TaskProgress
 
@@ -213,11 +212,9 @@ def _write_somewhere(run: Run, folder: Path) -> dict[str, Any]:
 
 
 def _report(metrics: dict[str, Any], run: Run, place: str) -> None:
-    print("\n".join(filter(None, (metrics_table(metrics), automatic_gains(run)))))
+    print(metrics_table(metrics))
     if metrics["is_steered"]:
         print("steered while it ran: scenario.yaml alone does not repeat it")
-    for warning in metrics["warnings"]:
-        show_warning(warning)
     if run.half_step is not None and not run.unresolved:
         print(
             f"with steps of {1e3 * run.half_step['step_s']:.3g} ms no metric moves ({TOLERANCES})"

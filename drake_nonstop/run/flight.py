@@ -27,7 +27,6 @@ from drake_nonstop.run.interruption import ALL, Interruption
 from drake_nonstop.run.monitor import EndingBlocks, Monitor
 from drake_nonstop.run.preparation import (
     LoopMaker,
-    cause_of_divergence,
     check_simulation,
     loop_of,
     warn_of_other_bound,
@@ -261,10 +260,10 @@ class Flight:
             raise RunInterrupted(self._run(self._interrupted)) from None
         except NotFiniteError as error:
             source = source_of_fault(error, self.nonstop, self._loop_context)
-            cause = cause_of_divergence(self.nonstop)
             raise self._stopped(
                 f"diverged{self._now}: {source} made a value that is not finite, or beyond "
-                f"{LARGEST:.0e} in SI units; {cause}"
+                f"{LARGEST:.0e} in SI units; the loop may be unstable, or "
+                "simulator_config.max_step_size too large"
             ) from None
         except RecordingError as error:
             raise self._stopped(f"stopped{self._now}: {error}") from None

@@ -1,4 +1,4 @@
-"""Outcome of a run with the reasons, its margins, and its warnings.
+"""Outcome of a run with the reasons, and its margins.
 
 `LIMITS` has a row for each limit of a scenario that a run is held against; those that a layer is
 asked for are the rows of `planning.limits`.
@@ -9,7 +9,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 from functools import partial
-from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -20,11 +19,9 @@ from drake_nonstop.planning.limits import LIMITS as ASKED
 from drake_nonstop.planning.margins import Margin
 from drake_nonstop.planning.measured_margin import LARGEST_SHARE
 from drake_nonstop.run.run_quantities import RunQuantities
-from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.validation import is_number
 
 _ROUNDING = 1e-3  # of a limit that a block aims at, by which it may be missed
-_DECIMALS = 9  # of a quantity that is shown
 _TAUT = 1e-6  # N, the least tension of a cable that is not slack
 
 
@@ -56,20 +53,19 @@ class RunLimit:
     """A limit of a scenario: what it bounds, and what is said of a run beyond it."""
 
     path: str  # in the scenario; one without such a field, or without a number there, has no limit
-    sentence: str | Callable[[Any], str]  # with {} for the quantity; or what makes it of a run
-    unit: str
-    measure: Callable[[Any], float | None]  # of a run's quantities; None: unknown
-    share_of: Callable[[Any], float] = lambda run: 1.0  # what the limit is a share of
-    whole: str = ""  # the name of that
+    outcome: RunOutcome  # of a run beyond it
+    sentence: str  # with {} for the quantity, and `run` for the run's quantities
+    measure: Callable[[RunQuantities], float | None]  # None: unknown
+    unit: str = ""  # "": a share
+    share_of: Callable[[RunQuantities], float] = lambda run: 1.0  # what the limit is a share of
     is_least: bool = False  # a lower limit
     tolerance: float = 0.0  # of the limit
-    outcome: RunOutcome | None = None  # of a run beyond it; None: a warning only
     default: float | None = None  # as stated, where the scenario leaves it open
     aircraft_default: float | None = None  # of runs of aircraft, in `unit`
 
     def margin(self, run: RunQuantities) -> Margin | None:
         """The run's value beside the limit; None: there is no limit, or the value is unknown."""
-        _, limit = self._limit_of(run)
+        limit = self._limit_of(run)
         value = None if limit is None else self.measure(run)
         if limit is None or value is None:
             return None
@@ -79,46 +75,23 @@ class RunLimit:
     def complaint(self, run: RunQuantities) -> str | None:
         """The sentence about a run beyond the limit; None for a run within it."""
         margin = self.margin(run)
-        if margin is None:
+        if margin is None or not math.isfinite(margin.limit):
             return None
-        limit = margin.limit
-        beyond = self.tolerance * abs(limit) if math.isfinite(limit) else 0.0
-        if margin.margin >= -beyond:
+        if margin.margin >= -self.tolerance * abs(margin.limit):
             return None
-        shown, bound = _told_apart(margin.value, limit)
-        unit = f" {self.unit}" if self.unit else ""
-        sentence = self.sentence if isinstance(self.sentence, str) else self.sentence(run)
-        sentence = sentence.format(f"{shown}{unit}")
-        stated, _ = self._limit_of(run)
-        is_share = self.whole and stated is not None and math.isfinite(limit)
-        share = f"{stated:g} of {self.whole}, " if is_share else ""
-        return f"{sentence} ({self.path}: {share}{bound}{unit})"
+        shown = margin.shown(round(margin.value, 9))  # zero but for rounding is zero
+        return f"{self.sentence.format(shown, run=run)} ({self.path}: {margin.shown(margin.limit)})"
 
-    def _limit_of(self, run: Any) -> tuple[float | None, float | None]:
-        """The limit as stated, None where it is that of aircraft, and in `unit`; None: no limit."""
-        stated = self._stated_in(run.scenario)
+    def _limit_of(self, run: RunQuantities) -> float | None:
+        """The limit in `unit`; None: there is none."""
+        stated: Any = run.scenario
+        for name in self.path.split("."):
+            stated = getattr(stated, name, None)
         if stated is None and self.aircraft_default is not None and run.has_aircraft:
-            return None, self.aircraft_default
+            return self.aircraft_default
         if stated is None:
             stated = self.default
-        return stated, None if stated is None else stated * self.share_of(run)
-
-    def _stated_in(self, scenario: Scenario) -> float | None:
-        try:
-            value = attrgetter(self.path)(scenario)
-        except AttributeError:
-            return None
-        return value if is_number(value) or value == math.inf else None
-
-
-def _told_apart(value: float, limit: float) -> tuple[str, str]:
-    """Both numbers, in three digits or as many as tell them apart."""
-    value = round(value, _DECIMALS)
-    for digits in range(3, 17):
-        texts = f"{value:.{digits}g}", f"{limit:.{digits}g}"
-        if texts[0] != texts[1]:
-            break
-    return texts
+        return stated * self.share_of(run) if is_number(stated) or stated == math.inf else None
 
 
 LIMITS = (
@@ -129,7 +102,6 @@ LIMITS = (
         unit="m",
         measure=lambda run: float(np.max(run.position_error)),
         share_of=lambda run: run.reach,
-        whole="the reach",
         default=0.2,
         aircraft_default=1.0,
     ),
@@ -149,23 +121,19 @@ LIMITS = (
         unit="m",
         measure=lambda run: run.carrier_separation,
         share_of=lambda run: run.reach,
-        whole="the reach",
         is_least=True,
     ),
     RunLimit(
         path="limits.cable_distance",
         outcome=RunOutcome.COLLISION,
-        sentence="two cables came within {} of each other",
-        unit="m",
-        measure=lambda run: run.closest_cables_for_attachments[0],
-        share_of=lambda run: run.closest_cables_for_attachments[1],
-        whole="the distance of their attachments",
+        sentence="two cables came within {} of the distance of their attachments",
+        measure=lambda run: run.cable_separation_share,
         is_least=True,
     ),
     RunLimit(
         path="limits.clearance",
         outcome=RunOutcome.COLLISION,
-        sentence=lambda run: run.approaches[0].sentence,
+        sentence="{run.approaches[0].sentence}",
         unit="m",
         measure=lambda run: run.obstacle_distance(),
         is_least=True,
@@ -188,30 +156,7 @@ LIMITS = (
         path="limits.saturated_share",
         outcome=RunOutcome.LIMIT_MISSED,
         sentence="commands of aircraft were at their limits for {} of the time",
-        unit="%",
-        measure=lambda run: run.saturated_share and 100 * run.saturated_share,
-        share_of=lambda run: 100.0,
-        whole="it",
-    ),
-    RunLimit(
-        path="limits.speed",
-        sentence="not plausible: a carrier flew at {}",
-        unit="m/s",
-        measure=lambda run: float(np.max(run.speeds)),
-    ),
-    RunLimit(
-        path="limits.acceleration",
-        sentence="not plausible: a carrier was accelerated by {}",
-        unit="m/s²",
-        measure=lambda run: run.largest_acceleration,
-    ),
-    RunLimit(
-        path="limits.tension",
-        sentence="not plausible: a cable's tension rose to {}",
-        unit="N",
-        measure=lambda run: float(np.max(run.tensions)),
-        share_of=lambda run: run.system.load_mass * run.system.gravity,
-        whole="the weight",
+        measure=lambda run: run.saturated_share,
     ),
     # What blocks are asked for. They command it; what is simulated follows with an error.
     *(
@@ -226,13 +171,6 @@ LIMITS = (
         )
         for asked in ASKED
     ),
-    RunLimit(
-        path="carrier_dynamics.max_acceleration",
-        sentence="a carrier was asked for an acceleration of {}",
-        unit="m/s²",
-        measure=lambda run: run.largest_commanded_acceleration,
-        tolerance=_ROUNDING,
-    ),
 )
 
 
@@ -243,28 +181,32 @@ def judge(run: RunQuantities) -> Judgement:
     wrong = [
         (limit.outcome, sentence)
         for limit in LIMITS
-        if limit.outcome is not None and (sentence := limit.complaint(run)) is not None
+        if (sentence := limit.complaint(run)) is not None
     ]
     if run.run.stopped:
         wrong.append((RunOutcome.STOPPED, run.run.stopped))
-    if run.first_stall is not None:
-        wrong.append((RunOutcome.STALLED, _told(run)))
-    if run.first_break is not None:
-        loads = np.broadcast_to(breaking_load(run.system), len(run.system.attachments))
-        bears = loads[run.first_break.cable - 1]
-        broken = (
-            f"cable {run.first_break.cable} broke at t = {run.first_break.time:.3f} s, with "
-            f"{run.first_break.tension:.4g} N: it bears {bears:.4g} N "
-            "(system.cable_breaking_load); what follows is that of a cable which holds"
+    if (stall := run.first_stall) is not None:
+        sentence = (
+            f"carrier {stall.number} stalled at t = {stall.time:.3f} s: C_L was {stall.value:.3g} "
+            f"of at most {run.aircraft.max_lift:.3g}, with a stall speed of "
+            f"{stall_speed(run.aircraft):.3g} m/s"
         )
-        wrong.append((RunOutcome.CABLE_BROKEN, broken))
+        wrong.append((RunOutcome.STALLED, sentence))
+    if (broken := run.first_break) is not None:
+        loads = np.broadcast_to(breaking_load(run.system), len(run.system.attachments))
+        sentence = (
+            f"cable {broken.number} broke at t = {broken.time:.3f} s, with {broken.value:.4g} N: "
+            f"it bears {loads[broken.number - 1]:.4g} N (system.cable_breaking_load); what follows "
+            "is that of a cable which holds"
+        )
+        wrong.append((RunOutcome.CABLE_BROKEN, sentence))
     if run.largest_margin_share >= LARGEST_SHARE - _ROUNDING:
-        grown = (
+        sentence = (
             f"the margin above the speed bound grew to its largest, {LARGEST_SHARE:.0%} of it: the "
             "carriers do not fly as planned; filter the feedback (load_feedback="
             "!FilteredFeedback), correct the model, or give optimization_layer.tightening a number"
         )
-        wrong.append((RunOutcome.LIMIT_MISSED, grown))
+        wrong.append((RunOutcome.LIMIT_MISSED, sentence))
     wrong += [(RunOutcome.UNCONVERGED, sentence) for sentence in run.run.unresolved]
     severity = list(RunOutcome)
     wrong.sort(key=lambda item: severity.index(item[0]))
@@ -277,8 +219,7 @@ def find_margins(run: RunQuantities) -> list[Margin]:
     margins = [
         margin
         for limit in LIMITS
-        if limit.outcome is not None
-        and (margin := limit.margin(run)) is not None
+        if (margin := limit.margin(run)) is not None
         and math.isfinite(margin.limit)
         and (margin.limit > 0 or limit.path == "limits.clearance")
     ]
@@ -302,33 +243,3 @@ def find_margins(run: RunQuantities) -> list[Margin]:
         lift = run.aircraft_state.lift / run.aircraft.max_lift
         margins.append(Margin.along("C_L / C_Lmax", lift, 1.0, time))
     return margins
-
-
-def _told(run: RunQuantities) -> str:
-    """The sentence about the first stall."""
-    stall, aircraft = run.first_stall, run.aircraft
-    assert stall is not None
-    ends = run.time[-1] < run.scenario.simulation_duration
-    end = ", where the run ended" if ends and not run.run.stopped else ""
-    return (
-        f"carrier {stall.carrier} stalled at t = {stall.time:.3f} s{end}: C_L was "
-        f"{stall.lift:.3g} of at most {aircraft.max_lift:.3g}, and the airspeed "
-        f"{stall.airspeed:.3g} m/s, with a stall speed of {stall_speed(aircraft):.3g} m/s"
-    )
-
-
-def find_warnings(run: RunQuantities) -> list[str]:
-    """Faults of a run that decide no outcome, a sentence each."""
-    found = [
-        sentence
-        for limit in LIMITS
-        if limit.outcome is None and (sentence := limit.complaint(run)) is not None
-    ]
-    unsolved = run.update_counts["relaxed"] + run.update_counts["held"]
-    if unsolved > 0:  # and not NaN
-        missed = [f"{name} at {count}" for name, count in run.missed_limits.items() if count > 0]
-        of_limits = f"; missed were {', '.join(missed)}" if missed else ""
-        found.append(
-            f"no xi and A kept the constraints at {unsolved} updates (relaxed, held){of_limits}"
-        )
-    return found

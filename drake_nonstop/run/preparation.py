@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
 from pydrake.systems.analysis import GetIntegrationSchemes
 from pydrake.systems.framework import Context, Diagram
 
@@ -11,7 +10,7 @@ from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.run.recording import RUN_SIGNALS
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.systems.block import LOOP
-from drake_nonstop.systems.wiring import input_names, loop_in, require_signals
+from drake_nonstop.systems.wiring import input_names, require_signals
 from drake_nonstop.validation import called, require, warn_user
 
 # Makes the loop's diagram of a scenario, and of replacements as `make_nonstop` takes them.
@@ -49,21 +48,6 @@ def check_simulation(scenario: Scenario) -> None:
         scenario.simulator_config.integration_scheme,
         f"give one of {', '.join(schemes)}",
     )
-
-
-_FOUR_DIGITS: Any = {"float_kind": "{:.4g}".format}
-
-
-def cause_of_divergence(nonstop: Diagram) -> str:
-    """Why a run may have diverged, and the gains with which it did."""
-    cause = "the loop may be unstable, or simulator_config.max_step_size too large"
-    gains = [
-        f"{block.get_name()}.{name} = {np.array2string(np.asarray(value), formatter=_FOUR_DIGITS)}"
-        for block in loop_in(nonstop, RUN_SIGNALS).GetSystems()
-        for name, value in getattr(block, "gains", {}).items()
-    ]
-    in_use = " ".join(", ".join(gains).split())  # a matrix in one line
-    return f"{cause}; gains in use: {in_use}" if gains else cause
 
 
 def warn_of_other_bound(nonstop: Diagram, context: Context, stated: float) -> None:

@@ -1,7 +1,7 @@
 """The quantities of a run that metrics and figures are made from."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import cached_property
 from itertools import combinations
 from operator import attrgetter
@@ -24,15 +24,12 @@ from drake_nonstop.mechanics.rotation import (
     rotation_vector,
 )
 from drake_nonstop.mechanics.signals import AircraftState, CarrierStates, LoadReference, Pose
-from drake_nonstop.model.block import AUTO
 from drake_nonstop.model.system import SystemParameters, aircraft_in, breaking_load, overridden
 from drake_nonstop.planning.diagnostics import Diagnostics
 from drake_nonstop.planning.limits import Limit, Of, asked
 from drake_nonstop.planning.margins import FlightRanges, LimitAlong
 from drake_nonstop.run.run import Run
-from drake_nonstop.run.signal_table import UnknownSignalError
 from drake_nonstop.run.spacing import Approach, closest_approach, least_cable_distances
-from drake_nonstop.systems.documentation import meanings
 
 # The entries of the signal `diagnostics` that count updates.
 _UPDATE_COUNTS = ("updates", "kept", "solved", "relaxed", "held")
@@ -43,21 +40,12 @@ _MOVING = 1e-6  # m/s; slower, the load's reference rests; the least airspeed to
 _J_PER_KG_M = 1 / 3.6  # 1 J/(kg m) in Wh/(kg km)
 
 
-class Stall(NamedTuple):
-    """An aircraft's stall."""
+class Event(NamedTuple):
+    """The first time at which an aircraft or a cable is beyond what it can do."""
 
     time: float  # s
-    carrier: int  # from 1 on
-    lift: float  # C_L with the part of gusts
-    airspeed: float  # m/s
-
-
-class Break(NamedTuple):
-    """A cable's first tension beyond its breaking load."""
-
-    time: float  # s
-    cable: int  # from 1 on
-    tension: float  # N
+    number: int  # of the aircraft or the cable, from 1 on
+    value: float  # of its lift coefficient, or its tension, N
 
 
 class RunQuantities:
@@ -86,25 +74,21 @@ class RunQuantities:
     @cached_property
     def position_error(self) -> NDArray:
         """The load's distance (samples,) from its reference at 100 Hz, m."""
-        return _norms(self._load_errors[0])
+        return _norms(load_errors(self.run)[0])
 
     @cached_property
     def orientation_error(self) -> NDArray:
         """The load's angle (samples,) to its reference at 100 Hz, rad."""
-        return _norms(self._load_errors[1])
+        return _norms(load_errors(self.run)[1])
 
     @property
     def reference_delay(self) -> float | None:
         """The governor's largest delay of the reference, s; None: no governor."""
         if self.scenario.reference_governor is None:
             return None
-        if not any(name.endswith(".reference_delay") for name in self.run.signals):
+        if not self.run.has("reference_delay"):
             return 0.0  # the trajectory is left as it is
         return float(np.max(self.run.signal("reference_delay")))
-
-    @cached_property
-    def _load_errors(self) -> tuple[NDArray, NDArray]:
-        return load_errors(self.run)
 
     @cached_property
     def carrier_positions(self) -> NDArray:
@@ -131,10 +115,9 @@ class RunQuantities:
     @property
     def largest_margin_share(self) -> float:
         """The largest measured margin of plans above the speed bound, over it; 0: there is none."""
-        try:
-            margin, bound = map(self.run.signal, ("measured_margin", "speed_bound"))
-        except UnknownSignalError:
+        if not (self.run.has("measured_margin") and self.run.has("speed_bound")):
             return 0.0
+        margin, bound = map(self.run.signal, ("measured_margin", "speed_bound"))
         is_bound = bound > 0
         return float(np.max(margin[is_bound] / bound[is_bound], initial=0.0))
 
@@ -159,15 +142,15 @@ class RunQuantities:
         Elsewhere the least speed at steps counts: it is within 0.5 % of that between them, which a
         linear change would make too small.
         """
-        least = float(np.min(self.speeds))
-        chunks = zip(*map(_overlapping_chunks, (self.carrier_velocities, self.speeds)), strict=True)
-        for velocities, speeds in chunks:
-            before, after = velocities[:-1], velocities[1:]
-            products = (before * after).sum(axis=-1)
-            turns_far = products < _SMALL_TURN * (speeds[:-1] * speeds[1:])
-            if np.any(turns_far):
-                least = min(least, least_length(np.stack([before[turns_far], after[turns_far]])))
-        return least
+
+        def turns_far(before: NDArray, after: NDArray, slow: NDArray, fast: NDArray) -> NDArray:
+            return (before * after).sum(axis=-1) < _SMALL_TURN * slow * fast
+
+        velocities, speeds = self.carrier_velocities, self.speeds
+        before, after = velocities[:-1], velocities[1:]
+        far = _in_chunks(turns_far, before, after, speeds[:-1], speeds[1:])
+        between = least_length(np.stack([before[far], after[far]])) if np.any(far) else math.inf
+        return min(float(np.min(speeds)), between)
 
     @cached_property
     def largest_acceleration(self) -> float | None:
@@ -183,20 +166,9 @@ class RunQuantities:
         return float(np.max(_norms(accelerations)))
 
     @cached_property
-    def largest_commanded_acceleration(self) -> float | None:
-        """Largest force over mass commanded to a carrier at 100 Hz, m/s²; None: unknown."""
-        try:
-            forces = self.run.signal("carrier_forces")
-        except KeyError:  # nothing in the loop makes it
-            return None
-        largest = np.max(_norms(forces.reshape(len(forces), -1, 3)))
-        return float(largest / self.system.carrier_mass)
-
-    @cached_property
     def has_aircraft(self) -> bool:
         """Whether the carriers are aircraft and the run has their state."""
-        ports = {name.partition(".")[2] for name in self.run.signals}
-        return self.system.aircraft is not None and "aircraft_state" in ports
+        return self.system.aircraft is not None and self.run.has("aircraft_state")
 
     @cached_property
     def aircraft(self) -> Aircraft:
@@ -217,13 +189,9 @@ class RunQuantities:
         The climb angle is that through the air; winds change linearly between samples.
         """
         rise, state = self.carrier_velocities[..., 2], self.aircraft_state
-        try:
+        if self.run.has("wind"):
             winds = self.run.signal("wind")[:, 2::3].T
-        except UnknownSignalError:
-            winds = np.zeros((0, 0))
-        if np.any(winds):
-            winds = np.array([np.interp(self.time, self.run.time, wind) for wind in winds])
-            rise = rise - winds.T
+            rise = rise - np.transpose([np.interp(self.time, self.run.time, w) for w in winds])
         return FlightNeeds(
             airspeed=state.airspeed,
             force=np.full(rise.shape, np.nan),
@@ -258,21 +226,12 @@ class RunQuantities:
         return float(_J_PER_KG_M * power / (self.system.load_mass * speeds[moves].mean()))
 
     @cached_property
-    def first_stall(self) -> Stall | None:
-        """The first stall of an aircraft; None: there was none, or there are no aircraft."""
+    def first_stall(self) -> Event | None:
+        """The first stall of an aircraft, with its C_L; None: there was none."""
         if not self.has_aircraft:
             return None
         stalled = is_stalled(self.aircraft, self.run.steps["aircraft_state"])
-        if not np.any(stalled):
-            return None
-        k = int(np.argmax(np.any(stalled, axis=1)))
-        i = int(np.argmax(stalled[k]))
-        return Stall(
-            time=float(self.time[k]),
-            carrier=i + 1,
-            lift=float(self.aircraft_state.lift[k, i]),
-            airspeed=float(self.aircraft_state.airspeed[k, i]),
-        )
+        return _first(stalled, self.aircraft_state.lift, self.time)
 
     @cached_property
     def bounded_speeds(self) -> NDArray:
@@ -312,51 +271,26 @@ class RunQuantities:
         return None if values is None else float(values[limit.worst(values)])
 
     @cached_property
-    def missed_limits(self) -> dict[str, float]:
-        """The number of updates that did not keep a limit, by the name of each counted limit."""
-        try:
-            columns = self.run.columns(["missed_limits"])
-        except UnknownSignalError:
-            return {}
-        return {
-            name.removeprefix("missed_limits."): _count(counts[-1])
-            for name, counts in columns.items()
-            if name.startswith("missed_limits.")
-        }
-
-    @cached_property
     def tensions(self) -> NDArray:
         """The tensions of the cables (k, n), N."""
         return self.run.steps["tensions"]
 
     @cached_property
-    def carrier_tensions(self) -> NDArray:
-        """The tensions (samples, n), N, at the carriers' ends of the cables, at 100 Hz."""
-        try:
-            forces = self.run.signal("carrier_cable_forces")
-        except UnknownSignalError:  # nothing reads it: that at the load's
-            return self.run.signal("tensions")
-        return _in_chunks(lambda rows: _norms(rows.reshape(len(rows), -1, 3)), forces)
-
-    @cached_property
-    def first_break(self) -> Break | None:
+    def first_break(self) -> Event | None:
         """The first tension beyond a cable's breaking load, at either end; None: there was none."""
         ends = [(self.time, self.tensions)]
-        if self.has_nodes:  # other cables pull alike at both ends
-            ends.append((self.run.time, self.carrier_tensions))
-        breaks = []
-        for times, tensions in ends:
-            shares = tensions / breaking_load(self.system)
-            if np.any(shares > 1):
-                k = int(np.argmax(np.any(shares > 1, axis=1)))
-                i = int(np.argmax(shares[k]))
-                breaks.append(Break(float(times[k]), i + 1, float(tensions[k, i])))
-        return min(breaks, default=None)
+        if self.run.has("carrier_cable_forces"):  # with nodes both ends differ
+            forces = self.run.signal("carrier_cable_forces")
+            tensions = _in_chunks(lambda rows: _norms(rows.reshape(len(rows), -1, 3)), forces)
+            ends.append((self.run.time, tensions))
+        bears = breaking_load(self.system)
+        found = [_first(tensions > bears, tensions, times) for times, tensions in ends]
+        return min((event for event in found if event is not None), default=None)
 
     @cached_property
     def has_nodes(self) -> bool:
         """Whether the cables have nodes, which the run has the state of."""
-        return any(name.endswith(".cable_state") for name in self.run.signals)
+        return self.run.has("cable_state")
 
     @cached_property
     def bows(self) -> NDArray:
@@ -393,10 +327,9 @@ class RunQuantities:
         Nodes are known at 100 Hz, and linear in between.
         """
         ends = self.attachment_positions, self.carrier_positions
-        try:
-            nodes = np.split(self.run.signal("cable_state"), 2, axis=1)[0]
-        except UnknownSignalError:
+        if not self.has_nodes:
             return np.stack(ends)
+        nodes = np.split(self.run.signal("cable_state"), 2, axis=1)[0]
         columns = [np.interp(self.time, self.run.time, column) for column in nodes.T]
         positions = np.stack(columns, axis=1).reshape(len(self.time), -1, *ends[0].shape[1:])
         return np.concatenate([ends[:1], positions.swapaxes(0, 1), ends[1:]])
@@ -443,20 +376,16 @@ class RunQuantities:
         """The least distance of each two cables (pairs,), m, also between two steps."""
         return least_cable_distances(self.attachment_positions, self.carrier_positions)
 
-    @cached_property
-    def closest_cables_for_attachments(self) -> tuple[float, float]:
-        """The two cables that come closest for where they are attached, m.
+    @property
+    def cable_separation_share(self) -> float:
+        """The least distance of two cables over that of their attachments, which it cannot exceed.
 
-        Their least distance and the distance of their attachments, beyond which no two cables
-        can be apart. Cables that are attached at one point are left out.
+        Cables that are attached at one point are left out.
         """
-        attachments = np.array(self.system.attachments)
-        apart = np.array([np.linalg.norm(a - b) for a, b in combinations(attachments, 2)])
-        shares = np.divide(
-            self.cable_separations, apart, out=np.full(len(apart), np.inf), where=apart > 0
-        )
-        closest = np.argmin(shares)
-        return float(self.cable_separations[closest]), float(apart[closest])
+        pairs = combinations(np.array(self.system.attachments), 2)
+        apart = np.array([np.linalg.norm(a - b) for a, b in pairs])
+        shares = self.cable_separations[apart > 0] / apart[apart > 0]
+        return float(np.min(shares, initial=math.inf))
 
     @cached_property
     def update_counts(self) -> dict[str, float]:
@@ -464,7 +393,8 @@ class RunQuantities:
         if "diagnostics" not in self.run.steps:
             return dict.fromkeys(_UPDATE_COUNTS, 0)
         diagnostics = Diagnostics.view(self.run.steps["diagnostics"][-1])
-        return {name: _count(getattr(diagnostics, name)) for name in _UPDATE_COUNTS}
+        counts = {name: float(getattr(diagnostics, name)) for name in _UPDATE_COUNTS}
+        return {name: int(n) if math.isfinite(n) else n for name, n in counts.items()}
 
     def solve_time(self, share: float) -> float | None:
         """The quantile `share`, 0 to 1, of updates' wall times, ms; None: nothing was solved."""
@@ -480,9 +410,13 @@ class RunQuantities:
         return float(np.sum(weights[condition]) / 2)
 
 
-def _count(value: float) -> float:
-    """A count from a signal as a whole number, or as it is where it is not finite."""
-    return int(value) if math.isfinite(value) else float(value)
+def _first(is_beyond: NDArray, values: NDArray, times: NDArray) -> Event | None:
+    """The first of k instants at which a condition (k, n) holds; None: there is none."""
+    if not np.any(is_beyond):
+        return None
+    k = int(np.argmax(np.any(is_beyond, axis=1)))
+    i = int(np.argmax(is_beyond[k]))
+    return Event(float(times[k]), i + 1, float(values[k, i]))
 
 
 def load_errors(run: Run) -> tuple[NDArray, NDArray]:
@@ -515,25 +449,6 @@ def laid_apart(vectors: NDArray) -> NDArray:
 
 def _norms(vectors: NDArray) -> NDArray:
     return np.linalg.norm(vectors, axis=-1)
-
-
-def _overlapping_chunks(values: NDArray) -> Iterator[NDArray]:
-    """Yields the rows in chunks; the last row of one is the first of the next."""
-    for start in range(0, max(1, len(values) - 1), _CHUNK):
-        yield values[start : start + _CHUNK + 1]
-
-
-def automatic_gains(run: Run) -> str:
-    """The wrench controller's gains where its config has "auto", with symbols and units, or ""."""
-    config, name = run.scenario.wrench_controller, "wrench_controller"
-    automatic = [field for field, value in vars(config).items() if str(value) == AUTO]
-    if not automatic or not run.diagram.HasSubsystemNamed(name):
-        return ""
-    gains, told = getattr(run.diagram.GetSubsystemByName(name), "gains", {}), []
-    for field in (each for each in automatic if each in gains):
-        unit, _, symbol = meanings(type(config))[field].partition(";")[0].partition(", ")
-        told.append(f"{symbol} {gains[field]:.3g} {unit}")
-    return f"gains by auto: {', '.join(told)}" if told else ""
 
 
 def _in_chunks(function: Callable[..., NDArray], *arrays: NDArray) -> NDArray:

@@ -34,6 +34,10 @@ class SignalTable:
         """
         return self.signals[self.name_of(port)]
 
+    def has(self, port: str) -> bool:
+        """Whether there is a signal of that port name."""
+        return any(name.partition(".")[2] == port for name in self.signals)
+
     def name_of(self, port: str) -> str:
         """The name "block.port" of the signal of that port name, or of that name itself.
 

@@ -29,8 +29,8 @@ class Approach(NamedTuple):
 
     @property
     def sentence(self) -> str:
-        """What is said of it, with {} for the distance of what is not hit."""
-        how = "hit" if self.distance < 0 else "came within {} of"
+        """What is said of it."""
+        how = "hit" if self.distance < 0 else f"came within {self.distance:.3g} m of"
         return f"{self.body} {how} {self.obstacle} at t = {self.time:.2f} s"
 
 

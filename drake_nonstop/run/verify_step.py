@@ -96,7 +96,7 @@ def moved_metrics(
     found = []
     for metric in METRICS:
         value, other = metric.value(metrics), metric.value(finer)
-        is_number = not (metric.is_list or isinstance(value, str) or isinstance(other, str))
+        is_number = not any(isinstance(each, str | list) for each in (value, other))
         if metric.is_wall_time or metric.path == _STEP or not is_number or value == other:
             continue
         if value is None or other is None or abs(value - other) > _tolerance(metric.path, value):
@@ -113,6 +113,7 @@ def _tolerance(path: str, value: float) -> float:
 
 def _told(metric: Metric, *values: float | None) -> str:
     """Such as "least tension: 0.262 N, 0.696 N"."""
-    unit = metric.quantity.unit
-    shown = ("none" if v is None else f"{metric.shown(v):.4g} {unit}".rstrip() for v in values)
-    return f"{metric.quantity.label}: {', '.join(shown)}"
+    shown = (
+        "none" if v is None else f"{metric.shown(v):.4g} {metric.unit}".rstrip() for v in values
+    )
+    return f"{metric.label}: {', '.join(shown)}"

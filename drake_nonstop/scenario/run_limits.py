@@ -1,4 +1,4 @@
-"""Limits of a run, beyond which it is not ok, or not plausible."""
+"""Limits of a run, beyond which it is not ok."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -14,11 +14,11 @@ def _limit(default: float | None) -> Any:
 
 @dataclass(kw_only=True)
 class RunLimits(StrictFields):
-    """The limits that decide a run's outcome, and those that it is warned about.
+    """The limits that decide a run's outcome.
 
     The reach is the distance of the load's farthest attachment from its centre of mass plus the
-    length of a cable, both as simulated; shares of it suit cables of 0.8 m and of 60 m alike. The
-    weight is that of the simulated load. There is no limit where a distance is 0, or another .inf.
+    length of a cable, both as simulated; shares of it suit cables of 0.8 m and of 60 m alike. There
+    is no limit where a distance is 0, or another .inf.
     Where the carriers are aircraft the load's errors have other default limits: a fifth of a reach
     of 150 m is no transport.
     """
@@ -40,9 +40,3 @@ class RunLimits(StrictFields):
     saturated_share: float = _limit(0.1)  # of the time with a command of an aircraft at its limit
     position_error: float | None = _limit(None)  # of the reach; default 0.2, with aircraft 1 m
     orientation_error: float | None = _limit(None)  # rad; default 0.8, with aircraft 0.26 (15 deg)
-
-    # Beyond one of these the model is not plausible, which is warned about.
-
-    speed: float = _limit(100.0)  # m/s, of a carrier
-    acceleration: float = _limit(100.0)  # m/s², of a carrier
-    tension: float = _limit(5.0)  # of the load's weight, of one cable

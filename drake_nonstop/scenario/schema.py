@@ -76,7 +76,7 @@ class _Common(StrictFields):
     )  # auto: compiled what can be
     # Slows the load's trajectory down where no ξ and A keep the speed bound with it; none: never.
     reference_governor: ReferenceGovernorConfig | None = None
-    # What the run is held against: beyond which figures it is not ok, or not plausible.
+    # What the run is held against: beyond which figures it is not ok.
     limits: RunLimits = field(default_factory=RunLimits)
     # What load, cables and carriers keep clear of: a list of !Sphere, !Box and !Ground.
     obstacles: list[Obstacle] = field(default_factory=list)

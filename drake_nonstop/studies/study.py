@@ -62,7 +62,7 @@ SCENARIO = "scenario.yaml"
 FILES = (SCENARIO, "runs.csv", "summary.csv", "summary.tex", PAGE)
 _MOST_RUNS = 100_000
 _MOST_TOGETHER = 16  # runs that a process gets at a time
-SHOWN = tuple(metric for metric in METRICS if metric.column is not None)
+SHOWN = tuple(metric for metric in METRICS if metric.is_brief)
 _BRIEF = (
     "outcome",
     "load.position_error_mean_m",
@@ -342,7 +342,7 @@ def fly(calls: list[tuple[str, Call]]) -> list[Row]:
             metrics = compute_metrics(tried.run)
         else:
             metrics = write_results(tried.run, place, figures=False)
-        metrics["warnings"] = [*dict.fromkeys([*tried.told, *metrics["warnings"]])]
+        metrics["warnings"] = [*tried.told]
         row["metrics"] = flattened(metrics)
     return [rows[k] for k in range(len(calls))]
 

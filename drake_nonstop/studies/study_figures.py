@@ -92,5 +92,5 @@ def _rows(summary: Summary, metric: Metric) -> Figure:
 def _shown(summary: Summary, metric: Metric) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The means, the values of all runs, and half of the intervals, in the unit that is shown."""
     tables = summary.statistics["mean"], summary.values, summary.statistics["half"]
-    mean, values, half = (metric.quantity.scale * each[metric.path].to_numpy() for each in tables)
+    mean, values, half = (metric.scale * each[metric.path].to_numpy() for each in tables)
     return mean, values, half

@@ -120,12 +120,12 @@ class Summary:
             if metric.path not in self.values or self.values[metric.path].isna().all():
                 continue
             mean, _, half, change, change_half = (
-                each[metric.path] * metric.quantity.scale for each in self.statistics.values()
+                each[metric.path] * metric.scale for each in self.statistics.values()
             )
             found.append((metric.heading, [*map(number, mean, half)]))
-            if metric.column and metric.column.has_change and len(self.settings) > 1:
+            if metric.has_change and len(self.settings) > 1:
                 cells = [number(*each, "+") for each in zip(change, change_half, strict=True)]
-                better = change * metric.quantity.better
+                better = change * metric.better
                 is_clear = (change.abs() > change_half.fillna(0.0)) & (better != 0)
                 for k in np.flatnonzero(is_clear):
                     cells[k] = mark(cells[k], bool(better[k] > 0))

@@ -16,9 +16,6 @@ from helpers import nightly_beyond
 from drake_nonstop.blocks.nlp_layer import NlpLayer
 from drake_nonstop.cli.main import main
 from drake_nonstop.planning.horizon_solver import HorizonSolver
-from drake_nonstop.run.run import RunStopped
-from drake_nonstop.run.simulate import simulate
-from drake_nonstop.scenario.loading import load_scenario
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
@@ -135,9 +132,3 @@ def test_ctrl_c_while_results_are_written_leaves_what_was_flown(tmp_path, result
         assert len(signals["time"]) == 101
     assert process.returncode in (0, 130)
     assert not [path for path in tmp_path.iterdir() if path.name.startswith(".new")]
-
-
-def test_a_divergence_has_the_gains_in_use():
-    settings = ["optimization_layer=ConstantParameters", "wrench_controller.position_gain=1e5"]
-    with pytest.raises(RunStopped, match=r"gains in use: wrench_controller\.position_gain = 1e"):
-        simulate(load_scenario("quintic", settings))

@@ -61,7 +61,7 @@ def test_the_table_of_a_run():
         "load position error     mean 3 mm, max 3 mm",
         "load orientation error  mean 0 mrad, max 0 mrad",
         "carrier speed           1.000 to 1.000 m/s, bound 0.55 m/s, below it for 0 s",
-        "closest                 carriers 1.5 m, cables 1.27 m",
+        "closest                 carriers 1.500 m, cables 1.270 m",
         "tension                 2.5 to 2.5 N, slack for 0 s",
         "optimizer               7 updates: 4 kept xi and A, 1 solved, 1 relaxed (not feasible), "
         "1 held (no solution)",

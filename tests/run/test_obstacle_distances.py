@@ -55,7 +55,7 @@ def test_the_first_contact_and_the_body_are_told():
     assert found.sentence == "carrier 2 hit tower at t = 1.50 s"
     assert found.distance == -1
     apart = closest_approach("carrier", points(paths[:, 0]), TIMES, "tower", tower)
-    assert apart.sentence == "the carrier came within {} of tower at t = 0.00 s"
+    assert apart.sentence == "the carrier came within 11.3 m of tower at t = 0.00 s"
     assert apart.distance == pytest.approx(8 * 2**0.5)
     assert found.order < apart.order
 

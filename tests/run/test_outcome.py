@@ -1,6 +1,8 @@
 """What becomes of a run: made-up runs with faults drawn at random, and a few real ones."""
 
 import json
+import math
+import re
 from operator import attrgetter
 
 import numpy as np
@@ -18,7 +20,6 @@ from drake_nonstop import (
     load_scenario,
     simulate,
 )
-from drake_nonstop.blocks.carrier_dynamics import LimitedCarriersConfig
 from drake_nonstop.blocks.receding_horizon import RecedingHorizonOptimizerConfig
 from drake_nonstop.model.system import SystemParameters
 from drake_nonstop.planning.limits import Of, limits_of
@@ -175,7 +176,7 @@ FAULTS = {
 }
 SENTENCES = {
     load_far_off: "from its reference (limits.position_error: ",
-    load_turned: " rad from its reference (limits.orientation_error: ",
+    load_turned: "(limits.orientation_error: ",
     carriers_meet: "two carriers came within ",
     cables_cross: "two cables came within ",
     tower_hit: " hit tower at t = ",
@@ -266,7 +267,6 @@ def everything_stated():
     for fault in (load_far_off, load_turned, cable_slack, carrier_slow, commands_saturated):
         fault(made)
     made.tensions += 0.1  # but for the tensions, whose least must be above zero
-    made.scenario.carrier_dynamics = LimitedCarriersConfig(feels_cable=True)
     return made
 
 
@@ -292,28 +292,20 @@ def test_each_limit_is_kept_up_to_it_and_missed_beyond(limit):
         sentence = limit.complaint(RunQuantities(made.run()))
         assert (sentence is None) == is_kept
         metrics = compute_metrics(made.run())
-        said = metrics["reasons"] if limit.outcome else metrics["warnings"]
+        said = metrics["reasons"]
         assert any(f"({limit.path}: " in each for each in said) == (not is_kept)
-    *share, bound = sentence.split(f"({limit.path}: ")[1].split(", ")
-    assert [float(text.split(" of ")[0]) for text in share] == pytest.approx(
-        [getattr(owner, name)] if limit.share_of(quantities) != 1 else [], rel=1e-5
-    )
-    said = float(bound.split()[0])
-    assert said == pytest.approx(getattr(owner, name) * limit.share_of(quantities), rel=5e-3)
+    bound, unit = re.search(rf"\({limit.path}: ([^ )]+) ?(\w*)", sentence).groups()
+    scale = math.radians(1) if unit == "deg" else 1
+    stated = getattr(owner, name) * limit.share_of(quantities)
+    assert scale * float(bound) == pytest.approx(stated, rel=5e-3)
 
 
 @pytest.mark.parametrize(
     ("moved", "reason"),
     [
-        ("off", "the load was 1.01 m from its reference (limits.position_error: 1 m)"),
-        (
-            "turned",
-            "the load was turned by 0.27 rad from its reference (limits.orientation_error: ",
-        ),
-        (
-            "saturated",
-            "commands of aircraft were at their limits for 11.9 % of the time (limits.satu",
-        ),
+        ("off", "limits.position_error: 1 m"),
+        ("turned", "limits.orientation_error: 15.0 deg"),
+        ("saturated", "limits.saturated_share: 0.1"),
     ],
 )
 def test_loads_of_aircraft_are_lost_where_a_transport_fails(moved, reason):
@@ -328,16 +320,9 @@ def test_loads_of_aircraft_are_lost_where_a_transport_fails(moved, reason):
         run.steps["command_saturation"][(times > 2) & (times < 3.2), 4] = 1
     metrics = compute_metrics(run)
     assert metrics["outcome"] == ("limit_missed" if moved == "saturated" else "load_lost")
-    assert metrics["reasons"][0].startswith(reason)
+    assert reason in metrics["reasons"][0]
     run.scenario.limits = RunLimits(position_error=0.2, orientation_error=0.8, saturated_share=0.2)
     assert compute_metrics(run)["outcome"] == "ok"
-
-
-def test_a_load_that_falls_is_lost(fleet):
-    _, metrics = fleet.evaluated("that_falls")
-    assert metrics["outcome"] == "load_lost"
-    assert metrics["reasons"][0].startswith("the load was ")
-    assert any("carrier_dynamics.max_acceleration: 10 m/s²" in text for text in metrics["warnings"])
 
 
 @pytest.mark.parametrize("limit", limits_of(Of.FLIGHT), ids=lambda limit: limit.field)

@@ -133,7 +133,7 @@ def test_a_run_that_stopped_at_once_has_an_outcome_and_no_values():
         "steps": {name: values[:0] for name, values in run.steps.items()},
     }
     metrics = compute_metrics(dataclasses.replace(run, **nothing))
-    assert (metrics["outcome"], metrics["reasons"], metrics["warnings"]) == ("stopped", ["it"], [])
+    assert (metrics["outcome"], metrics["reasons"]) == ("stopped", ["it"])
     assert metrics["carriers"]["speed_min_m_s"] is None
     assert metrics_table(metrics)
 

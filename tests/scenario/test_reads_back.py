@@ -28,7 +28,7 @@ DRAWN = (
     "system.load_mass=!Uniform {min: 0.7, max: 1.3}",
     "system.cable_length=[0.8, !Uniform {min: 0.8, max: 0.9}, 1, 1.4]",
     "load_disturbance=!DisturbanceForce {torque: [0, !Gaussian {mean: -1, stddev: 0.5}, 0]}",
-    "limits.speed=!UniformDiscrete {values: [50, 60]}",
+    "limits.slack_time=!UniformDiscrete {values: [50, 60]}",
     "obstacles=[!Box {name: tower}, !Sphere {position: [1, !Uniform {min: 0, max: 1}, 3]}, "
     "!Ground {height: -1e9}]",
 )
