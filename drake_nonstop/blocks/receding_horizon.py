@@ -388,7 +388,7 @@ class _Planner(threading.local):
         self._solvers: dict[int, tuple[bytes, HorizonSolver]] = {}
         self._data: dict[int, tuple[HorizonSolver, ReferencePreview, HorizonData]] = {}
         self._continued: tuple[Any, ReferencePreview] | None = None
-        self._last: tuple[tuple[Any, ...], tuple[PlanAnswer, Outcome, NDArray, float]] | None = None
+        self._last: tuple[tuple[Any, ...], _Planned] | None = None
 
     def plan(
         self,
@@ -406,6 +406,23 @@ class _Planner(threading.local):
         number, holds at the start.
         """
         began = clock.perf_counter()
+        arrays = last.flat(), np.concatenate(numbers), wind
+        key = (reference, time, speed_bound, aim, *(array.tobytes() for array in arrays))
+        if self._last is None or self._last[0] != key:
+            self._last = key, self._made(time, reference, speed_bound, aim, numbers, last, wind)
+        return self._last[1]._replace(solve_time=clock.perf_counter() - began)
+
+    def _made(
+        self,
+        time: float,
+        reference: ReferencePreview,
+        speed_bound: float,
+        aim: tuple[float, float],
+        numbers: ModelParameters,
+        last: _PlanState,
+        wind: NDArray,
+    ) -> _Planned:
+        """The same, made now."""
         solver = self._solver_for(numbers, self._config.fixed_coefficients)
         problem, spacing = solver.problem, self._config.knot_spacing
         start_time = spacing * np.floor(time / spacing + 1e-6)
@@ -421,39 +438,29 @@ class _Planner(threading.local):
             angle, start = shifted.start_angle, ratio * shifted.coefficients
         given = start_time, angle, reference, aim, wind
         data = self._data_for(solver, *given)
-        judging, judged = solver, data
-        if is_first:  # nothing has to go on: the carriers start wherever the plan does
-            judging = self._solver_for(numbers, 0)
-            judged = self._data_for(judging, *given)
-        judge = judging.problem
         is_new = is_first or speed_bound != last.speed_bound
         scale = 1.0 if is_new else max(last.scale, LEAST_START_SCALE)
-        arrays = start, np.concatenate(numbers), wind
         starts, repeats = _STARTS, _REPEATS
         if not is_new and last.slack > PLAN_TOLERANCE:
             # The last plan has tried all in vain: starts take turns until one needs no slack.
             repeats, starts = 1, (_STARTS[round(start_time / spacing) % len(_STARTS)],)
-        numbers_of = (start_time, angle, speed_bound, aim, is_new, scale, repeats, starts)
-        key = (reference, *numbers_of, *(array.tobytes() for array in arrays))
-        known = self._last
-        if known is None or known[0] != key:
-            answer, outcome = self._make(solver, data, start, scale, is_new, repeats, starts)
-            if not np.all(np.isfinite(answer.coefficients)):
-                raise NotFiniteError(self._name())
-            found = answer.margins, answer.slowest
-            if is_first:
-                margins = judge.linearization(judged, answer.coefficients).margins
-                found = margins, judge.slowest(judged, margins)
-                if judge.least_slacks(found[0]).max() > PLAN_TOLERANCE:
-                    made = self._make(judging, judged, start, scale, is_new, repeats, starts)
-                    answer, outcome = made
-                    found = answer.margins, answer.slowest
-            self._last = known = key, (answer, outcome, *found)
-        answer, outcome, margins, slowest = known[1]
+        answer, outcome = self._make(solver, data, start, scale, is_new, repeats, starts)
+        if not np.all(np.isfinite(answer.coefficients)):
+            raise NotFiniteError(self._name())
+        judge, margins, slowest = problem, answer.margins, answer.slowest
+        if is_first:  # nothing has to go on: the carriers start wherever the plan does
+            judging = self._solver_for(numbers, 0)
+            judge, judged = judging.problem, self._data_for(judging, *given)
+            margins = judge.linearization(judged, answer.coefficients).margins
+            slowest = judge.slowest(judged, margins)
+            if judge.least_slacks(margins).max() > PLAN_TOLERANCE:
+                made = self._make(judging, judged, start, scale, is_new, repeats, starts)
+                answer, outcome = made
+                margins, slowest = answer.margins, answer.slowest
         slack, begin = answer.slack, (start_time, angle, answer.scale, speed_bound)
         state = _PlanState(*begin, slack, numbers.nominal, answer.coefficients)
         missed = judge.missed(margins, PLAN_TOLERANCE) if slack > PLAN_TOLERANCE else set()
-        return _Planned(state, outcome, slowest, missed, clock.perf_counter() - began)
+        return _Planned(state, outcome, slowest, missed, 0.0)
 
     def continued(self, now: float, reference: NDArray) -> ReferencePreview:
         """How a reference (22,) at a time in s goes on, where that is not told."""

@@ -155,4 +155,4 @@ def _write_picture(run: Run, item: str, file: BinaryIO) -> None:
         file.write(record_replay(run).encode())
     else:
         name, _, kind = Path(item).name.partition(".")
-        make_figure(run, name).savefig(file, format=kind)
+        make_figure(run, name).write(file, kind)

@@ -5,6 +5,7 @@ import dataclasses
 import functools
 import inspect
 import io
+import linecache
 import re
 import sys
 import textwrap
@@ -123,14 +124,22 @@ def meanings(config: type) -> dict[str, str]:
     return found
 
 
-@functools.cache  # Python parses a whole module for the source of each class in it
+def _source_of(config: type) -> str:
+    """The source of a class; `inspect` parses the whole module for each class in it."""
+    file = getattr(sys.modules.get(config.__module__), "__file__", None)
+    body = rf"^class {config.__qualname__}\b[^:]*:.*\n(?:(?:[ \t].*)?\n)+"
+    found = re.findall(body, "".join(linecache.getlines(file)), re.MULTILINE) if file else []
+    return found[0] if len(found) == 1 else textwrap.dedent(inspect.getsource(config))
+
+
+@functools.cache
 def _own_comments(config: type) -> dict[str, str]:
     """Comments on the fields that a class body itself has.
 
     They are those on the field's lines, then those in lines of their own right above it.
     """
     try:
-        source = textwrap.dedent(inspect.getsource(config))
+        source = _source_of(config)
     except (OSError, TypeError):  # a class that no source file has
         return {}
     lines = source.splitlines()

@@ -36,7 +36,7 @@ from drake_nonstop.view.meshcat_server import start_hidden_meshcat
 from drake_nonstop.view.nonstop_visualizer import NonstopVisualizer
 from drake_nonstop.view.scene import COLOURED_FROM, MARK_RANGE, TENSION_RANGE, Scene
 
-_FRAME_RATE = 25.0  # 1/s
+_FRAME_RATE = 12.5  # 1/s; the page interpolates between frames
 _MOST_POSES = 45_000  # in all frames, half of those of carriers, cables and loads: below 20 MB
 _MOST_FRAMES = 3_000  # of a page that is written in a few seconds
 # How Meshcat writes what the page tells the viewer.
@@ -65,7 +65,7 @@ def record_replay(run: Run, *, frame_rate: float | None = None) -> Replay:
     Args:
         run: returned by `simulate`, or carried by a RunStopped or RunInterrupted.
         frame_rate: frames per second of simulated time, at most those of the signals; the page
-            interpolates between them. Without it 25, or fewer beyond two minutes and where the
+            interpolates between them. Without it 12.5, or fewer beyond four minutes and where the
             page would be larger than 20 MB, which it then says.
 
     Raises:
