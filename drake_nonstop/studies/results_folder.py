@@ -28,7 +28,6 @@ from drake_nonstop.studies.workers import Progress, end_with_parent, no_progress
 from drake_nonstop.validation import require, require_flags
 from drake_nonstop.view.drawing import draw_diagram
 from drake_nonstop.view.figure_style import FORMATS
-from drake_nonstop.view.replay import record_replay
 from drake_nonstop.view.run_figures import FIGURES, figure_names, make_figure
 
 METRICS = "metrics.json"
@@ -152,6 +151,8 @@ def _write_picture(run: Run, item: str, file: BinaryIO) -> None:
     if item == _DIAGRAM:
         file.write(draw_diagram(run.diagram).encode())
     elif item == _REPLAY:
+        from drake_nonstop.view.replay import record_replay
+
         file.write(record_replay(run).encode())
     else:
         name, _, kind = Path(item).name.partition(".")
