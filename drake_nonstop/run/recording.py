@@ -249,7 +249,7 @@ class LogSignals:
         entries: what the columns of the signals are, by their names "block.port".
         sampled: the names of the diagram's ports that are recorded at 100 Hz.
         stepped: the names of those that are recorded at every step.
-        sizes: as of `recorded_sizes`.
+        sizes: of the signals, by "block.port", and of the steps, by their ports.
     """
 
     def __init__(self, builder: DiagramBuilder, nonstop: Diagram, uses_files: bool = False):
@@ -387,16 +387,10 @@ def _is_of_samples(name: str) -> bool:
     return is_held or name.startswith(SAMPLED)
 
 
-def recorded_sizes(nonstop: Diagram) -> Sizes:
-    """The sizes of the signals of a run, by "block.port", and of its steps, by their ports."""
-    sampled, stepped = _recorded_ports(nonstop)
-    names, _ = _names_and_entries(nonstop, sampled)
-    return _sizes(names, sampled, stepped)
-
-
 def _sizes(
     names: dict[str, str], sampled: dict[str, OutputPort], stepped: dict[str, OutputPort]
 ) -> Sizes:
+    """Those of the signals of a run, by "block.port", and of its steps, by their ports."""
     return (
         {name: sampled[port].size() for name, port in names.items()},
         {name: port.size() for name, port in stepped.items()},

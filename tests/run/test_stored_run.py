@@ -7,7 +7,6 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
-from helpers import regular
 
 from drake_nonstop import (
     Run,
@@ -21,7 +20,6 @@ from drake_nonstop import (
 from drake_nonstop.mechanics.signal_layouts import Layout, Part
 from drake_nonstop.run.metrics import metrics_table
 from drake_nonstop.run.signal_table import UnknownSignalError
-from drake_nonstop.scenario.loading import dump_scenario
 from drake_nonstop.systems.block import LeafBlock
 from drake_nonstop.view.replay import record_replay
 
@@ -152,83 +150,44 @@ def copied(stored, tmp_path):
     return folder
 
 
-def test_what_is_no_run_is_refused(copied):
-    for name in ("scenario.yaml", "signals.npz"):
-        content = (copied / name).read_bytes()
-        (copied / name).write_bytes(b"nothing")
-        with pytest.raises(ScenarioError, match=rf"^{name}, run = \S+ .* give |fly its"):
+@pytest.mark.parametrize("name", ["scenario.yaml", "signals.npz"])
+def test_what_is_no_run_is_refused(name, copied):
+    for content in (b"nothing", (copied / name).read_bytes()[:300], None):
+        if content is None:
+            (copied / name).unlink()
+        else:
+            (copied / name).write_bytes(content)
+        with pytest.raises(ScenarioError, match=rf"^{name}, run = \S+: .* (give|fly its) "):
             Run.load(copied)
-        (copied / name).unlink()
-        with pytest.raises(
-            ScenarioError, match=rf"^{name}, run = \S+: there is no such file; give"
-        ):
-            Run.load(copied)
-        (copied / name).write_bytes(content)
     with pytest.raises(ScenarioError, match=r"run = 7: give the path"):
         Run.load(7)
 
 
-def _without(name):
-    return lambda arrays: arrays.pop(name)
-
-
-def _with(name, change):
+def _changed(name, change):
     return lambda arrays: arrays.update({name: change(arrays[name])})
 
 
-def _facts(**changes):
-    return _with("run", lambda text: np.array(json.dumps(json.loads(str(text)) | changes)))
-
-
-def _narrower(name):
-    """A signal and its entries without the last column."""
-
-    def damage(arrays):
-        rows = arrays["entries"]
-        last = np.flatnonzero(rows["signal"] == name)[-1]
-        arrays.update({name: arrays[name][:, :-1], "entries": np.delete(rows, last)})
-
-    return damage
-
-
 @pytest.mark.parametrize(
-    ("damage", "part"),
+    "damage",
     [
-        (_without("time"), "time"),
-        (_with("time", lambda time: time[:0]), "time"),
-        (_with("time", lambda time: np.where(time > 0.1, np.nan, time)), "time"),
-        (_without("entries"), "entries"),
-        (_with("entries", lambda rows: rows[:-1]), r"entries of \S+"),
-        (_with("entries", lambda rows: np.arange(3.0)), "entries"),
-        (_with("time", lambda time: time[:-2]), r"\w+\.\w+"),
-        (_with("load_plant.load_state", np.ravel), "load_plant.load_state"),
-        (_without("cables.tensions"), "cables.tensions"),
-        (_narrower("load_plant.load_state"), "load_plant.load_state"),
-        (_narrower("internal_force.internal_force"), "internal_force.*"),
-        (_without("run"), "run"),
-        (_without("steps/carrier_state"), "carrier_state"),
-        (_with("steps/time", lambda time: time[1:]), r"\w+"),
-        (_with("steps/carrier_state", lambda v: v[:, :18]), "carrier_state"),
-        (_facts(unresolved=[7]), "run"),
-        (_facts(wall_time="fast"), "run"),
-        (_facts(step=-0.01), "run.step"),
+        *(
+            lambda arrays, name=name: arrays.pop(name)
+            for name in ("time", "entries", "cables.tensions", "run", "steps/carrier_state")
+        ),
+        _changed("time", lambda time: time[:-2]),
+        _changed("time", lambda time: np.where(time > 0.1, np.nan, time)),
+        _changed("entries", lambda rows: rows[:-1]),
+        _changed("entries", lambda rows: np.arange(3.0)),
+        _changed("load_plant.load_state", np.ravel),
+        _changed("steps/time", lambda time: time[1:]),
+        _changed("steps/carrier_state", lambda values: values[:, :18]),
+        _changed("run", lambda text: np.array("{}")),
     ],
 )
-def test_a_damaged_part_is_named(damage, part, copied):
-    file = "signals.npz"
-    with np.load(copied / file) as archive:
+def test_a_damaged_file_is_named_with_the_remedy(damage, copied):
+    with np.load(copied / "signals.npz") as archive:
         arrays = dict(archive)
     damage(arrays)
-    np.savez(copied / file, **arrays)
-    with pytest.raises(ScenarioError, match=rf"^{part} in {file}, run = \S+: it .*; put .* fly"):
-        Run.load(copied)
-
-
-def test_the_parts_of_two_runs_do_not_go_together(copied):
-    scenario = load_scenario("quintic", [*BRIEF, CONSTANT])
-    scenario.system.attachments = regular(3).tolist()
-    (copied / "scenario.yaml").write_text(dump_scenario(scenario))
-    with pytest.raises(
-        ScenarioError, match=r"carrier_state in signals.npz, .* 24 columns, not 18 "
-    ):
+    np.savez(copied / "signals.npz", **arrays)
+    with pytest.raises(ScenarioError, match=r"^signals.npz, run = \S+: it .*; put .* fly"):
         Run.load(copied)
