@@ -9,7 +9,6 @@ across, a lane between two rows or the line of a port, and along one lane down i
 column that they lead to. Of two signals side by side the order is the one with fewer crossings.
 """
 
-import functools
 import html
 import itertools
 import math
@@ -51,7 +50,6 @@ LINE_HEIGHT = 1.1  # of the size of a font
 LABEL_CHARACTERS = 13  # in one line
 NARROW, WIDE = set("fijlrt I,"), set("mwMW")
 
-CORNER_RADIUS = 5  # px
 WIRE_COLOUR, UNREAD_COLOUR = "#333", "#999"
 STYLE = f"""
 text {{ font-family: Helvetica, Arial, sans-serif; text-anchor: middle; fill: #222 }}
@@ -60,7 +58,7 @@ text {{ font-family: Helvetica, Arial, sans-serif; text-anchor: middle; fill: #2
 .wire-label, .unread-label {{ font-size: {LABEL_SIZE}px; font-style: italic }}
 .unread-label {{ fill: #777 }}
 .index {{ font-size: {LABEL_SIZE - 3}px }}
-.wire, .unread {{ fill: none; stroke-width: 1.2 }}
+.wire, .unread {{ fill: none; stroke-width: 1.2; stroke-linejoin: round }}
 .wire {{ stroke: {WIRE_COLOUR}; marker-end: url(#wire-arrow) }}
 .unread {{ stroke: {UNREAD_COLOUR}; marker-end: url(#unread-arrow) }}
 """
@@ -71,7 +69,6 @@ ARROWHEADS = [
     for kind, colour in (("wire", WIRE_COLOUR), ("unread", UNREAD_COLOUR))
 ]
 
-Subsystem = tuple[str, str, tuple[str, ...]]  # its name, its class and its output ports
 Node = tuple[int, int]
 # Where something is, across or down: the number of its column or row, odd, or of the gap before
 # it, even; and the units from the start of that.
@@ -184,42 +181,35 @@ def draw_diagram(diagram: Diagram) -> str:
     Each box has its instance name as `data-block`, each wire its connection (see
     `wiring.connections`) as `data-wire`, and each label its output port as `data-signal`.
     """
-    subsystems = tuple(
-        (system.get_name(), type(system).__name__, tuple(wiring.output_names(system)))
-        for system in diagram.GetSystems()
-    )
-    return _drawn(diagram.get_name(), subsystems, tuple(sorted(wiring.connections(diagram))))
-
-
-@functools.lru_cache(maxsize=32)  # most runs of a process have the same diagram
-def _drawn(title: str, subsystems: tuple[Subsystem, ...], wires: tuple[str, ...]) -> str:
-    boxes = _boxes(subsystems, wires)
+    boxes = _boxes(diagram)
     _place(boxes)
     across = {signal.name: _line_across(signal, boxes) for box in boxes for signal in box.outputs}
     signals = [signal for box in boxes for signal in box.outputs if signal.sinks]
     rows = _lanes(_runs_across(signals, across))
     across |= {name: (gap, GAP + lane) for (gap, name), lane in rows.items()}
     columns = _lanes(_runs_down(signals, across))
-    return _Drawing(boxes, across, rows, columns).svg(title)
+    return _Drawing(boxes, across, rows, columns).svg(diagram.get_name())
 
 
-def _boxes(subsystems: tuple[Subsystem, ...], wires: tuple[str, ...]) -> list[_Box]:
+def _boxes(diagram: Diagram) -> list[_Box]:
     """The boxes, each where that of its name is, or else the one that makes one of its signals."""
     boxes: dict[str, _Box] = {}
     signals: dict[str, _Signal] = {}
     below = ((row, column) for row in itertools.count(ROWS) for column in range(COLUMNS))
-    taken = {PLACES[name] for name, _, _ in subsystems if name in PLACES}
-    for name, class_name, output_names in subsystems:
-        alike = (b.place for b in BOXES.values() if not b.signals.keys().isdisjoint(output_names))
+    systems = {system.get_name(): system for system in diagram.GetSystems()}
+    taken = {PLACES[name] for name in systems if name in PLACES}
+    for name, system in systems.items():
+        ports = wiring.output_names(system)
+        alike = (box.place for box in BOXES.values() if not box.signals.keys().isdisjoint(ports))
         place = PLACES.get(name) or next((other for other in alike if other not in taken), None)
         if place is None:
             row, column = next(below)
             place = Place(column, row, 1, Kind.ADDITION)
         taken.add(place)
-        box = boxes[name] = _Box(name, class_name, place)
-        box.outputs = [_Signal(f"{name}.{port}", box) for port in output_names]
+        box = boxes[name] = _Box(name, type(system).__name__, place)
+        box.outputs = [_Signal(f"{name}.{port}", box) for port in ports]
         signals.update({signal.name: signal for signal in box.outputs})
-    for wire in wires:
+    for wire in sorted(wiring.connections(diagram)):
         source, target = wire.split(" -> ")
         box = boxes[target.partition(".")[0]]
         box.inputs[wire] = signals[source]
@@ -454,8 +444,8 @@ class _Drawing:
         neighbours: dict[Node, set[Node]] = defaultdict(set)
         for wire, sink in signal.sinks.items():
             path = self._path(signal, wire, sink)
-            data = _path_data(path)
-            lines.append(f'<path class="wire" data-wire="{html.escape(wire)}" d="{data}"/>')
+            data = " L".join("{},{}".format(*node) for node in path)
+            lines.append(f'<path class="wire" data-wire="{html.escape(wire)}" d="M{data}"/>')
             for node, other in pairwise(_nodes(path)):
                 neighbours[node].add(other)
                 neighbours[other].add(node)
@@ -514,26 +504,6 @@ def _text_svg(kind: str, text: str, x: float, y: float) -> str:
     lowered = r'<tspan class="index" dy="3">\1</tspan><tspan dy="-3">\2</tspan>'
     shown = re.sub(r"_(\w+)([^_]*)", lowered, html.escape(text, quote=False))
     return f'<text class="{kind}" x="{x:.1f}" y="{y:.1f}">{shown}</text>'
-
-
-def _path_data(path: list[Node]) -> str:
-    """A line along the path, with its corners rounded."""
-    triples = zip(path, path[1:], path[2:], strict=False)
-    corners = [node for a, node, b in triples if a[0] != b[0] and a[1] != b[1]]
-    points = [path[0], *corners, path[-1]]
-    data = "M{},{}".format(*points[0])
-    for before, corner, after in zip(points, points[1:], points[2:], strict=False):
-        start, end = _towards(corner, before), _towards(corner, after)
-        data += " L{},{} Q{},{} {},{}".format(*start, *corner, *end)
-    return data + " L{},{}".format(*points[-1])
-
-
-def _towards(corner: Node, point: Node) -> Node:
-    """The point towards another one at which a corner's rounding ends."""
-    dx, dy = point[0] - corner[0], point[1] - corner[1]
-    length = abs(dx) + abs(dy)
-    radius = min(CORNER_RADIUS, length // 2)
-    return corner[0] + radius * dx // length, corner[1] + radius * dy // length
 
 
 def _wrapped(words: list[str], joint: str, size: float) -> list[str]:

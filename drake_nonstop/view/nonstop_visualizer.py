@@ -5,11 +5,9 @@ import time
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 from pydrake.geometry import Meshcat
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, EventStatus
 
-from drake_nonstop.mechanics.signals import Pose
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.systems.block import LeafBlock
 from drake_nonstop.view.bodies import Snapshot, signal_sizes
@@ -17,7 +15,6 @@ from drake_nonstop.view.canvas import LiveCanvas
 from drake_nonstop.view.scene import Scene
 
 FRAME_TIME = 1 / 30  # s of wall time
-_PATH_SAMPLES = 100
 
 
 class NonstopVisualizer(LeafBlock):
@@ -26,14 +23,12 @@ class NonstopVisualizer(LeafBlock):
     A step of the simulator is shown if the next frame is due in wall time. So the visualizer adds
     no steps and does not fall behind them at any real-time rate, and the signals are the same to
     the bit with any number of visualizers. A forced publish shows the context's instant at once.
-    An instant with a value that is not finite is not shown, and a diagram converted to
-    AutoDiffXd or Expression shows nothing. See `Scene` for what is drawn.
+    The camera follows the reference. An instant with a value that is not finite is not shown, and
+    a diagram converted to AutoDiffXd or Expression shows nothing. See `Scene` for what is drawn.
 
     Args:
         scenario: what is shown. Its ε is that of the marks where that port is not connected.
         meshcat: the Meshcat to show it in, in place of that of another visualizer.
-        reference_path: (k, 3) in m, future positions of the reference, which the camera will have
-            in view; without it the camera is set for the start.
         nodes: of each cable, which have a `cable_state`; 0: cables are straight.
 
     Raises:
@@ -46,18 +41,10 @@ class NonstopVisualizer(LeafBlock):
     )
     optional_inputs = reads[4:]
 
-    def __init__(
-        self,
-        scenario: Scenario,
-        meshcat: Meshcat,
-        *,
-        reference_path: NDArray | None = None,
-        nodes: int = 0,
-    ):
+    def __init__(self, scenario: Scenario, meshcat: Meshcat, *, nodes: int = 0):
         super().__init__()
         self.scene = Scene(scenario, nodes)
         self._meshcat = meshcat
-        self._reference_path = reference_path
         self._default_speed_bound = scenario.speed_bound
         self._canvas = LiveCanvas(meshcat)
         self._last_time = math.inf  # s, of the instant shown
@@ -71,10 +58,7 @@ class NonstopVisualizer(LeafBlock):
 
     @staticmethod
     def AddToBuilder(
-        builder: DiagramBuilder,
-        nonstop: Diagram,
-        scenario: Scenario,
-        meshcat: Meshcat,
+        builder: DiagramBuilder, nonstop: Diagram, scenario: Scenario, meshcat: Meshcat
     ) -> "NonstopVisualizer":
         """Adds a visualizer beside the loop of a scenario, connected by the signals' names.
 
@@ -90,14 +74,8 @@ class NonstopVisualizer(LeafBlock):
         """
         has_nodes = nonstop.HasOutputPort("cable_state")
         size = nonstop.GetOutputPort("cable_state").size() if has_nodes else 0
-        visualizer = builder.AddSystem(
-            NonstopVisualizer(
-                scenario,
-                meshcat,
-                reference_path=_reference_path(nonstop, scenario.simulation_duration),
-                nodes=size // (6 * len(scenario.system.attachments)),
-            )
-        )
+        nodes = size // (6 * len(scenario.system.attachments))
+        visualizer = builder.AddSystem(NonstopVisualizer(scenario, meshcat, nodes=nodes))
         for name, port in visualizer._ports.items():
             if name not in visualizer.optional_inputs or nonstop.HasOutputPort(name):
                 builder.Connect(nonstop.GetOutputPort(name), port)
@@ -121,9 +99,7 @@ class NonstopVisualizer(LeafBlock):
         if snapshot.time < self._last_time:  # a new run
             self.scene.draw(self._meshcat)
             self._canvas = LiveCanvas(self._meshcat)
-            path = self._reference_path
-            path = snapshot.reference.position[None] if path is None else path
-            self.scene.set_stage(self._meshcat, path)
+            self.scene.set_stage(self._meshcat, snapshot.reference.position[None])
         self._last_time = snapshot.time
         # Counted from when this frame was due, so that a short delay does not lower the rate.
         now = time.perf_counter()
@@ -143,18 +119,3 @@ def show_in(
         return NonstopVisualizer.AddToBuilder(builder, nonstop, scenario, meshcat)
 
     return add
-
-
-def _reference_path(nonstop: Diagram, duration: float) -> NDArray | None:
-    """Positions (k, 3) of the diagram's reference, where it is a function of time alone."""
-    if not nonstop.HasSubsystemNamed("load_trajectory"):
-        return None
-    trajectory = nonstop.GetSubsystemByName("load_trajectory")
-    if trajectory.num_input_ports() > 0:
-        return None
-    context, positions = trajectory.CreateDefaultContext(), []
-    for instant in np.linspace(0, duration, _PATH_SAMPLES):
-        context.SetTime(instant)
-        reference = trajectory.GetOutputPort("reference").Eval(context)
-        positions.append(Pose.view(reference).position.copy())
-    return np.array(positions)

@@ -66,7 +66,7 @@ def record_replay(run: Run, *, frame_rate: float | None = None) -> Replay:
         run: returned by `simulate`, or carried by a RunStopped or RunInterrupted.
         frame_rate: frames per second of simulated time, at most those of the signals; the page
             interpolates between them. Without it 12.5, or fewer beyond four minutes and where the
-            page would be larger than 20 MB, which it then says.
+            page would be larger than 20 MB.
 
     Raises:
         ScenarioError: a field of the scenario's scene is out of range.
@@ -85,7 +85,7 @@ def record_replay(run: Run, *, frame_rate: float | None = None) -> Replay:
     if not snapshots:
         return Replay(page)
     body, end = page.rsplit("</body>", 1)
-    overlay = _overlay(run, scene, snapshots, frame_rate)
+    overlay = _overlay(run, scene, snapshots)
     return Replay(f"{body}{overlay}</body>{end}")
 
 
@@ -152,7 +152,7 @@ def legend(scenario: Scenario, *, has_aircraft: bool = False) -> str:
     return "".join(swatch.format(",".join(names), text) + "</span>" for names, text in colours)
 
 
-def _overlay(run: Run, scene: Scene, snapshots: list[Snapshot], frame_rate: float) -> str:
+def _overlay(run: Run, scene: Scene, snapshots: list[Snapshot]) -> str:
     """The HTML below the scene: a time bar, a legend, and what a run is judged by with its bound.
 
     That is the slowest carrier's speed with ε, or how near the nearest aircraft is to its stall.
@@ -173,17 +173,15 @@ def _overlay(run: Run, scene: Scene, snapshots: list[Snapshot], frame_rate: floa
         values = carrier_speeds(run.signal("carrier_state")[:end]).min(axis=1)
         name, unit, sign = "ε", " m/s", 1
         judged = "black: speed of the slowest carrier (m/s); dashed: the bound ε"
-    is_reduced = frame_rate < _FRAME_RATE
-    if is_reduced:  # there may be lower or higher values between the frames
-        shown = extreme_samples(values, MOST_POINTS // 4)
-        shown = shown[np.isfinite(values[shown])]
-    else:
-        shown = np.searchsorted(run.time[:end], [snapshot.time for snapshot in snapshots])
+    shown = extreme_samples(values, MOST_POINTS // 4)
+    shown = shown[np.isfinite(values[shown])]
     margins = sign * (values - np.interp(run.time[:end] - start, times, bounds))
     least = int(np.nanargmin(margins))
     judged += f"; least margin {margins[least]:.3g}{unit} at {run.time[least]:.2f} s"
-    ticks, bottom, top = _scale(np.concatenate([values[shown], bounds]))
-    labels = [f'<span class="tick" style="top: {{}}%">{tick:g}</span>' for tick in ticks]
+    drawn = np.concatenate([values[shown], bounds])
+    ticks, room = np.array([drawn.min(), drawn.max()]), 0.05 * max(np.ptp(drawn), 1e-3)
+    bottom, top = ticks[0] - room, ticks[1] + room
+    labels = [f'<span class="tick" style="top: {{}}%">{tick:.3g}</span>' for tick in ticks]
     labels += [f'<span class="bound" style="top: {{}}%">{name} {bounds[-1]:.3g}</span>']
     heights = 100 * (top - np.append(ticks, bounds[-1])) / (top - bottom)
     lines = (f'<line stroke="#ddd" x2="{duration:g}" y1="{y:g}" y2="{y:g}"/>' for y in ticks)
@@ -200,21 +198,10 @@ def _overlay(run: Run, scene: Scene, snapshots: list[Snapshot], frame_rate: floa
         values=_polyline(run.time[shown] - start, values[shown]),
         meaning=judged,
         bound=_polyline(times, bounds),
-        rate=f"; a long run: {frame_rate:.3g} frames per second" if is_reduced else "",
         aspect=f"{scene.aspect_ratio:.3g}",
         sign=sign,
         unit=unit,
     )
-
-
-def _scale(values: NDArray) -> tuple[NDArray, float, float]:
-    """Round values of an axis with these values, and the axis's lower and upper end."""
-    low, high = float(values.min()), float(values.max())
-    room = max(high - low, 0.01 * abs(high), 1e-3)
-    decade = 10 ** math.floor(math.log10(room))
-    step = next(size * decade for size in (0.2, 0.5, 1, 2, 5) if size * decade >= room / 4)
-    bottom, top = low - 0.05 * room, low + 1.05 * room
-    return step * np.arange(math.ceil(bottom / step), math.floor(top / step) + 1), bottom, top
 
 
 def _polyline(times: NDArray, values: NDArray) -> str:

@@ -163,18 +163,19 @@ class Scene:
     def set_stage(self, meshcat: Meshcat, path: NDArray, carriers: NDArray | None = None) -> None:
         """Sets a plain background, a camera that sees everything, its light and a grid below.
 
-        Along a long path the camera follows the reference; else it stands still.
+        Along a long path, and one that is not known, the camera follows the reference; else it
+        stands still.
 
         Args:
             meshcat: the Meshcat to set.
-            path: (k, 3), m, positions of the load's reference.
+            path: (k, 3), m, positions of the load's reference; one where the others are not known.
             carriers: (k, n, 3), m, at the same instants, where they are known. Those far from
                 the load may be out of view.
         """
         reach = self._sizes.reach
         if carriers is None:
             carriers = path[:, None] + reach * _SIX_DIRECTIONS[:5]  # all but straight below
-        follows = np.ptp(path, axis=0).max() > _FOLLOWING_EXTENT * reach
+        follows = len(path) == 1 or np.ptp(path, axis=0).max() > _FOLLOWING_EXTENT * reach
         apart = np.linalg.norm(carriers - path[:, None], axis=2)
         at = np.nonzero(apart < _FARTHEST_CARRIER * reach)
         around = _MARK_RADIUS * self._sizes.wing_span * _SIX_DIRECTIONS

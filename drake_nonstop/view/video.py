@@ -74,7 +74,6 @@ def record_video(
         ScenarioError: an argument is out of range, or Chromium or Playwright is missing.
     """
     require_positive("speed", speed)
-    require_positive("frame_rate", frame_rate)
     remedy = f"give 1 to {_MOST_RATE:g} pictures per s"
     require(1 <= frame_rate <= _MOST_RATE, "frame_rate", frame_rate, remedy)
     for name, pixels in zip(("width", "height"), size, strict=True):

@@ -69,53 +69,39 @@ def test_page_shows_all_bodies(n):
     assert paths(record_replay(circling_run(n))) == expected_paths(n)
 
 
-@pytest.mark.nightly("benchmarks")
-def test_thirty_seconds_of_four_carriers_take_less_than_five_megabytes():
-    assert len(record_replay(circling_run(duration=30.0))) < 5 * MEGABYTE
-
-
 @pytest.mark.nightly("flights")
 @pytest.mark.parametrize("n", [4, 12])
 def test_a_long_replay_has_fewer_frames_and_stays_below_twenty_megabytes(n, monkeypatch):
     part = 20  # of a run of 2,000 s
     empty = len(record_replay(circling_run(n, duration=0.01)))
+    assert len(record_replay(circling_run(n, duration=30.0))) < n / 4 * 5 * MEGABYTE
     monkeypatch.setattr(replay, "_MOST_POSES", replay._MOST_POSES // part)
     run = circling_run(n, duration=2000.0 / part)
-    dip = 5003  # a sample between two frames
-    run.signal("carrier_state")[dip, 3 * n :] *= 0.1
+    run.signal("carrier_state")[5003, 3 * n :] *= 0.1  # a sample between two frames
     html = record_replay(run)
     assert empty + part * (len(html) - empty) < 20 * MEGABYTE
-    rate = float(re.search(r"a long run: (\S+) frames per second", html)[1])
-    bound, slowest = polyline(html, 0), polyline(html, 1)
-    assert 2000 / part - bound[-1, 0] < 1 / rate
-    np.testing.assert_allclose(np.diff(bound[:, 0]), 1 / rate, rtol=5e-3)
-    assert 50.03 in slowest[:, 0]
-    assert slowest[:, 1].argmin() == np.flatnonzero(slowest[:, 0] == 50.03)[0]
+    slowest = polyline(html, 1)
+    assert len(slowest) < len(run.time)
+    assert slowest[slowest[:, 1].argmin(), 0] == 50.03
+
+
+def slowest_speeds(run, end):
+    velocities = run.signal("carrier_state")[:end, 12:].reshape(-1, 4, 3)
+    return np.linalg.norm(velocities, axis=2).min(axis=1)
 
 
 def test_page_compares_the_slowest_carrier_with_the_bound(simulated):
     html = record_replay(simulated)
-    frames = slice(None, None, 8)  # 12.5 Hz of 100
     bound, slowest = polyline(html, 0), polyline(html, 1)
+    speeds = slowest_speeds(simulated, 49)  # to the last frame, of 12.5 Hz
     np.testing.assert_allclose(bound[:, 1], 0.55)
-    np.testing.assert_allclose(slowest[:, 0], simulated.time[frames], atol=1e-6)
-    velocities = simulated.signal("carrier_state")[frames, 12:].reshape(-1, 4, 3)
-    speeds = np.linalg.norm(velocities, axis=2).min(axis=1)
+    np.testing.assert_allclose(slowest[:, 0], simulated.time[:49], atol=1e-6)
     np.testing.assert_allclose(slowest[:, 1], speeds, rtol=1e-3)
-
-
-def test_page_tells_the_least_margin_and_when_it_was(simulated):
-    text = re.search(r"least margin (\S+) m/s at (\S+) s", record_replay(simulated))
-    velocities = simulated.signal("carrier_state")[:49, 12:].reshape(-1, 4, 3)  # to the last frame
-    speeds = np.linalg.norm(velocities, axis=2).min(axis=1)
+    text = re.search(r"least margin (\S+) m/s at (\S+) s", html)
     assert float(text[1]) == pytest.approx(speeds.min() - 0.55, rel=5e-3)
     assert float(text[2]) == pytest.approx(simulated.time[speeds.argmin()])
-
-
-def test_page_shows_the_paths_and_the_goal(simulated):
     for part in (b"/nonstop/paths/flown", b"/nonstop/paths/desired", b"/nonstop/goal/bar0"):
-        drawn = [text for text in commands(record_replay(simulated)) if part in text]
-        assert any(b"set_object" in text for text in drawn), part
+        assert any(part in text and b"set_object" in text for text in commands(html)), part
 
 
 def test_the_name_is_escaped_and_the_legend_has_what_there_is():
@@ -128,17 +114,13 @@ def test_the_name_is_escaped_and_the_legend_has_what_there_is():
     assert ">obstacle<" in html
 
 
-@pytest.mark.parametrize("samples", [1, 2])
-def test_run_of_hardly_any_samples(simulated, samples):
-    assert paths(record_replay(shortened(simulated, samples))) == expected_paths(4)
-
-
-def test_samples_from_the_first_that_is_not_finite_are_left_out(simulated):
-    run = shortened(simulated, len(simulated.time))
-    run.signal("carrier_state")[40, 2] = np.nan
+@pytest.mark.parametrize(("samples", "broken", "shown"), [(1, 1, 1), (2, 2, 1), (51, 40, 33)])
+def test_samples_from_the_first_that_is_not_finite_are_left_out(simulated, samples, broken, shown):
+    run = shortened(simulated, samples)
+    run.signal("carrier_state")[broken : broken + 1, 2] = np.nan
     run.signal("load_state")[45:, 4] = np.inf
     html = record_replay(run)
-    assert len(polyline(html, 1)) == 5
+    assert len(polyline(html, 1)) == shown
     assert paths(html) == expected_paths(4)
 
 
@@ -154,7 +136,7 @@ def test_page_of_aircraft_compares_the_nearest_with_its_stall():
     html = record_replay(run)
     stall, nearest = polyline(html, 0), polyline(html, 1)
     np.testing.assert_array_equal(stall[:, 1], 1)
-    state = run.signal("aircraft_state")[::8]
+    state = run.signal("aircraft_state")
     shares = np.maximum(state[:, :4] / 1.4, (8.369 / state[:, 12:]) ** 2).max(axis=1)
     np.testing.assert_allclose(nearest[:, 1], shares, rtol=1e-3)
     (animation,) = (each for each in commands(html) if b"set_animation" in each)
