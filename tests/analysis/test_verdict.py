@@ -5,18 +5,19 @@ import math
 import pytest
 from helpers import nightly_beyond
 
-from drake_nonstop.analysis.flights import SpreadMargin, fly, spread_margins
+from drake_nonstop.analysis.flights import CheckedFlight, SpreadMargin, fly, spread_margins
 from drake_nonstop.analysis.stated_errors import (
     is_random,
     with_seed,
     without_errors,
     without_noise,
 )
-from drake_nonstop.analysis.verdict import check_scenario, flights_of
+from drake_nonstop.analysis.verdict import ScenarioCheck, check_scenario, flights_of
 from drake_nonstop.planning.margins import Margin
 from drake_nonstop.run.outcome import RunOutcome
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.scenario.overrides import changed
+from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.validation import ScenarioError
 
 SHORT = "simulation_duration=3"
@@ -108,6 +109,28 @@ def test_narrow_margins_are_those_within_three_deviations():
     assert not SpreadMargin(margin, 1.05, 0.005).is_narrow
     assert not SpreadMargin(margin, 1.02, math.nan).is_narrow
     assert SpreadMargin(margin._replace(value=1.005), 1.0, math.nan).is_narrow
+
+
+def test_limits_that_some_seeds_miss_are_told_as_narrow():
+    outcomes = RunOutcome.OK, RunOutcome.BOUND_MISSED
+    values = (1.01, 0.99), (1.01, 1.02), (0.5, 0.5)
+    narrow = []
+    for of_speed in values:
+        flights = [
+            CheckedFlight(
+                "",
+                Scenario(),
+                outcomes[value < 1],
+                ("slow",),
+                (Margin("speed / bound", value, 1.0, is_least=True),),
+            )
+            for value in of_speed
+        ]
+        found = ScenarioCheck(
+            scenario=Scenario(), flights=flights, nominal=None, margins=spread_margins(flights)
+        )
+        narrow.append([each.worst.name for each in found.narrow])
+    assert narrow == [["speed / bound"], ["speed / bound"], []]
 
 
 def test_margins_over_flights_are_the_worst_of_each():

@@ -239,6 +239,11 @@ REFUSED = {
     "arithmetic of arrays, without branches": {
         "equations": staticmethod(lambda load, *, gain: np.ones(6) if load[4] > 0 else np.zeros(6))
     },
+    "Own.equations = not a pure function: evaluated twice, it differs": {
+        "equations": staticmethod(
+            lambda load, *, gain: np.random.default_rng().random() * gain * np.ones(6)
+        )
+    },
     "Own.system = mass: give fields of the scenario's system": {
         "system": ("mass",),
         "equations": ZEROS,

@@ -22,10 +22,11 @@ def scenario():
     return load_scenario("line", FIELDS)
 
 
-def test_they_are_drawn_in_the_order_of_the_fields(scenario):
+@pytest.mark.parametrize("seed", range(3, 8))
+def test_they_are_drawn_in_the_order_of_the_fields(scenario, seed):
     """By Drake's own functions, called by hand."""
-    generator = RandomGenerator(3)
-    sampled = dataclasses.replace(scenario, random_seed=3).sampled()
+    generator = RandomGenerator(seed)
+    sampled = dataclasses.replace(scenario, random_seed=seed).sampled()
     assert sampled.system.load_mass == Sample(Uniform(min=0.7, max=1.3), generator)
     assert sampled.system.aircraft.mass == Sample(Uniform(min=5, max=7), generator)
     wind = sampled.load_disturbance
