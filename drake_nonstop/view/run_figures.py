@@ -72,7 +72,7 @@ def _draw_carrier_speeds(run: Run) -> Figure:
     quantities = RunQuantities(run)
     time, bounds = quantities.time, quantities.speed_bounds
     plot_each(axes, time, quantities.speeds, "carrier")
-    plot(axes, time, bounds, **LIMIT, label=r"bound $\varepsilon$")
+    plot(axes, time, bounds, **LIMIT, label="bound ε")
     axes.set_ylim(bottom=0)
     return legend_above(figure)
 
@@ -110,7 +110,7 @@ def _draw_limits(run: Run) -> Figure:
 
 def _draw_internal_force_parameters(run: Run) -> Figure:
     figure, panels = stacked(2)
-    labels = r"frequency $\xi$ (rad/s)", "amplitude $A$ (N)"
+    labels = "frequency ξ (rad/s)", "amplitude A (N)"
     for axes, values, label in zip(panels, run.signal("parameters").T, labels, strict=True):
         plot(axes, run.time, values)
         axes.set_ylabel(label)
