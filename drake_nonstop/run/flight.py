@@ -29,7 +29,6 @@ from drake_nonstop.run.preparation import (
     LoopMaker,
     check_simulation,
     loop_of,
-    warn_of_other_bound,
 )
 from drake_nonstop.run.recording import (
     RUN_SIGNALS,
@@ -107,7 +106,7 @@ class Flight:
             require(callable(viewer), "viewers", viewer, remedy)
         self._interruption, self._flights = interruption, flights
         own, _ = drawn(scenario)
-        self._stated_bound, self._replacements = own.speed_bound, dict[str, Any]()
+        self._replacements = dict[str, Any]()
         if replacements:
             own, self._replacements = replaced(scenario, replacements)
             own = own.sampled()
@@ -154,7 +153,6 @@ class Flight:
         set_equilibrium(nonstop, self._loop_context)
         self._interruption.check()
         PlantStates(nonstop).declare_defaults(self._loop_context)
-        warn_of_other_bound(nonstop, self._loop_context, self._stated_bound)
         warn_of_angles(scenario)
         config = with_largest_step(scenario.simulator_config, nonstop, self._loop_context)
         ApplySimulatorConfig(config, self._simulator)

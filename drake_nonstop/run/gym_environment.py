@@ -7,7 +7,7 @@ that the loop has no inputs. `make_gym_vec_env` and `make_gym_env` make the envi
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import gymnasium
 import numpy as np
@@ -225,12 +225,13 @@ class NonstopVecEnv(VectorEnv[NDArray, NDArray, NDArray]):
         action: str,
         time_step: float,
         reward: Reward | None,
-        mode: AutoresetMode,
+        begins_anew: bool = True,
     ):
-        self.metadata = {"autoreset_mode": mode}
-        self._waits = mode is AutoresetMode.NEXT_STEP
-        self._is_over = np.zeros(n, bool)  # and begins anew in the next step
+        self.metadata = {"autoreset_mode": AutoresetMode.SAME_STEP}
         self.num_envs, self._given, self._reward = n, scenario, reward
+        self._begins_anew = (
+            begins_anew  # where an episode is over; if not, `reset` has to be called
+        )
         self._kind = action, time_step
         sampled, drawn = sample(scenario)
         self._is_drawn = bool(drawn)
@@ -268,21 +269,20 @@ class NonstopVecEnv(VectorEnv[NDArray, NDArray, NDArray]):
                 cannot be built.
         """
         require(not options, "options", options, "leave them out, there are none")
-        n, given = self.num_envs, cast(Any, seed)
-        if isinstance(given, np.ndarray | np.integer):
-            given = given.tolist()  # plain numbers
+        n, given = self.num_envs, np.asarray(seed).tolist()  # plain numbers
         seeds: Any = [*range(given, given + n)] if type(given) is int else given or n * [None]
-        is_right = isinstance(seeds, Sequence) and len(seeds) == n
+        is_right = isinstance(seeds, list) and len(seeds) == n
+        is_right = is_right and all(
+            own is None or (type(own) is int and 0 <= own <= _LARGEST_SEED) for own in seeds
+        )
         remedy = f"give a whole number from 0 to {_LARGEST_SEED}, or {n} of them, or None"
-        for own in seeds if is_right else []:
-            is_right &= own is None or (type(own) is int and 0 <= own <= _LARGEST_SEED)
         require(is_right, "seed", seed, remedy)
         super().reset(seed=seeds[0])
         for i, own in enumerate(seeds):
             if own is not None:
                 self._generators[i] = RandomGenerator(own)
             self._begin(i)
-        self._is_reset, self._is_over = True, np.zeros(n, bool)
+        self._is_reset = True
         return self._observations.copy(), {}
 
     def _begin(self, i: int) -> None:
@@ -300,8 +300,7 @@ class NonstopVecEnv(VectorEnv[NDArray, NDArray, NDArray]):
         """Flies each episode on under its action, a row of `actions` (n, k), as a single one does.
 
         One that is over begins anew at once: its row of the observations (n, size) is the first one
-        then, and the infos have `final_obs` and `final_info`. With `NEXT_STEP` it does so in the
-        next step, whose action and reward do not count for it. After a divergence the last
+        then, and the infos have `final_obs` and `final_info`. After a divergence the last
         observation is that before it.
 
         Raises:
@@ -312,10 +311,9 @@ class NonstopVecEnv(VectorEnv[NDArray, NDArray, NDArray]):
         values = _as_actions(actions, self.single_action_space, self.num_envs)
         self._is_reset = False  # until all are flown
         observations, infos = self._observations, dict[str, Any]()
-        going = np.flatnonzero(~self._is_over).tolist()
-        self._steps[going] += 1
+        self._steps += 1
         has_ended, messages = np.zeros(self.num_envs, bool), dict[int, dict[str, str]]()
-        for i, flown in self._flown(going, values).items():
+        for i, flown in enumerate(self._flown(values)):
             if flown.error is not None and not isinstance(flown.error, NotFiniteError):
                 raise flown.error
             if flown.error is not None:
@@ -325,40 +323,32 @@ class NonstopVecEnv(VectorEnv[NDArray, NDArray, NDArray]):
             else:
                 observations[i] = flown.observation
             has_ended[i] = flown.has_ended or i in messages
-        rewards = np.where(self._is_over, 0.0, _DIVERGED)
-        at = sorted(set(going) - set(messages))
+        rewards = np.full(self.num_envs, _DIVERGED)
+        at = [i for i in range(self.num_envs) if i not in messages]
         if at:
             rewards[at] = self._rewards(at, values)
         is_late = self._steps * self._kind[1] >= self._numbers[2] - 1e-9
-        is_truncated = ~has_ended & ~self._is_over & is_late
-        for i in np.flatnonzero(self._is_over).tolist():
-            self._begin(i)
-        ends = has_ended | is_truncated
-        self._is_over = ends & self._waits
-        for i in np.flatnonzero(ends).tolist():
-            info: dict[str, Any] = messages.get(i, {})
-            if not self._waits:
-                info = {"final_obs": observations[i].copy(), "final_info": info}
-                self._begin(i)
+        is_truncated = ~has_ended & is_late
+        ends = np.flatnonzero(has_ended | is_truncated).tolist()
+        for i in ends:
+            info = {"final_obs": observations[i].copy(), "final_info": messages.get(i, {})}
             infos = self._add_info(infos, info, i)
-        self._is_reset = True
+            if self._begins_anew:
+                self._begin(i)
+        self._is_reset = self._begins_anew or not ends
         return observations.copy(), rewards, has_ended, is_truncated, infos
 
-    def _flown(self, going: list[int], actions: NDArray) -> dict[int, _Flown]:
-        """Flies the episodes that go on to the ends of their steps, side by side or by diagrams."""
-        for i in going:
-            self._starts[i].act(self._flights[i], actions[i])
-        lanes = {i: flight for i in going if (flight := self._flights[i]) is not None}
-        counts = [
-            self._starts[i].samples(self._steps[i]) - self._starts[i].samples(self._steps[i] - 1)
-            for i in lanes
-        ]
-        advances = advance_together([*lanes.values()], counts) if lanes else []
-        found = {i: self._starts[i].flown(each) for i, each in zip(lanes, advances, strict=True)}
-        for i in going:
-            if i not in lanes:
-                found[i] = self._starts[i].fly(self._steps[i])
-        return found
+    def _flown(self, actions: NDArray) -> list[_Flown]:
+        """Flies the episodes to the ends of their steps, side by side or by diagrams."""
+        for start, flight, action in zip(self._starts, self._flights, actions, strict=True):
+            start.act(flight, action)
+        steps = [*zip(self._starts, self._steps.tolist(), strict=True)]
+        flights = [flight for flight in self._flights if flight is not None]
+        if len(flights) < self.num_envs:
+            return [start.fly(count) for start, count in steps]
+        counts = [start.samples(count) - start.samples(count - 1) for start, count in steps]
+        advances = advance_together(flights, counts)
+        return [start.flown(each) for start, each in zip(self._starts, advances, strict=True)]
 
     def _rewards(self, at: list[int], actions: NDArray) -> Any:
         """Rewards of some environments, after their actions among all (n, k)."""
@@ -372,8 +362,7 @@ class NonstopEnv(gymnasium.Env[NDArray, NDArray]):
     """One lane of `NonstopVecEnv`; see `drake_nonstop.make_gym_env`."""
 
     def __init__(self, scenario: Scenario, action: str, time_step: float, reward: Reward | None):
-        mode = AutoresetMode.NEXT_STEP
-        self._lane = NonstopVecEnv(scenario, 1, action, time_step, reward, mode)
+        self._lane = NonstopVecEnv(scenario, 1, action, time_step, reward, begins_anew=False)
         self.action_space = self._lane.single_action_space
         self.observation_space = self._lane.single_observation_space
 
@@ -399,7 +388,8 @@ class NonstopEnv(gymnasium.Env[NDArray, NDArray]):
         """
         values = _as_actions(action, self.action_space)
         shown, rewards, ends, cuts, infos = self._lane.step(values[None])
-        info = {"message": infos["message"][0]} if "message" in infos else {}
+        last = infos.get("final_info", {})
+        info = {"message": last["message"][0]} if "message" in last else {}
         return shown[0], float(rewards[0]), bool(ends[0]), bool(cuts[0]), info
 
 

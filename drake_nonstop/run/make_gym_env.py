@@ -12,8 +12,6 @@ from drake_nonstop.validation import (
 )
 
 if TYPE_CHECKING:
-    from gymnasium.vector import AutoresetMode
-
     from drake_nonstop.run.gym_environment import NonstopEnv, NonstopVecEnv, Reward
 
 _NAMES = ("parameters", "wrench")
@@ -64,13 +62,13 @@ def make_gym_vec_env(
     action: str = "parameters",
     time_step: float = 0.1,
     reward: "Reward | None" = None,
-    autoreset_mode: "AutoresetMode | str" = "SameStep",
 ) -> "NonstopVecEnv":
     """As many environments as of `make_gym_env` side by side, by Gymnasium's vector API.
 
     Their episodes are flights of a compiled loop, and equal those of single environments; a loop
-    that cannot be compiled flies by diagrams, one after the other, with a warning. `reset` takes a
-    seed, which those of further environments exceed by 1, or one for each.
+    that cannot be compiled flies by diagrams, one after the other, with a warning. An episode that
+    is over begins anew in the same step, with `final_obs` and `final_info` in the infos. `reset`
+    takes a seed, which those of further environments exceed by 1, or one for each.
 
     Args:
         scenario: what is flown. The loop's C is compiled, in seconds, unless the cache has it.
@@ -78,21 +76,15 @@ def make_gym_vec_env(
         action: as of `make_gym_env`.
         time_step: as of `make_gym_env`.
         reward: as of `make_gym_env`, of one environment.
-        autoreset_mode: "SameStep": an episode that is over begins anew in the same step, with
-            `final_obs` and `final_info` in the infos; "NextStep": in the next one.
 
     Raises:
         ScenarioError: as of `make_gym_env`.
     """
     _check("make_gym_vec_env", scenario, action, time_step, reward)
     require_whole("n", n, 1, _MOST)
-    from gymnasium.vector import AutoresetMode
-
     from drake_nonstop.run.gym_environment import NonstopVecEnv
 
-    mode = getattr(autoreset_mode, "value", autoreset_mode)
-    require_known(mode, ["SameStep", "NextStep"], "autoreset_mode", mode)
-    return NonstopVecEnv(scenario, n, action, time_step, reward, AutoresetMode(mode))
+    return NonstopVecEnv(scenario, n, action, time_step, reward)
 
 
 def _check(name: str, scenario: Scenario, action: str, time_step: float, reward: Any) -> None:

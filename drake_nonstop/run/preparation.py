@@ -4,14 +4,14 @@ from collections.abc import Callable
 from typing import Any
 
 from pydrake.systems.analysis import GetIntegrationSchemes
-from pydrake.systems.framework import Context, Diagram
+from pydrake.systems.framework import Diagram
 
 from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.run.recording import RUN_SIGNALS
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.systems.block import LOOP
 from drake_nonstop.systems.wiring import input_names, require_signals
-from drake_nonstop.validation import called, require, warn_user
+from drake_nonstop.validation import called, require
 
 # Makes the loop's diagram of a scenario, and of replacements as `make_nonstop` takes them.
 LoopMaker = Callable[..., Diagram]
@@ -48,15 +48,3 @@ def check_simulation(scenario: Scenario) -> None:
         scenario.simulator_config.integration_scheme,
         f"give one of {', '.join(schemes)}",
     )
-
-
-def warn_of_other_bound(nonstop: Diagram, context: Context, stated: float) -> None:
-    """Warns where a replacement brings a speed bound of its own, by which a run is judged."""
-    if nonstop.HasOutputPort("speed_bound") and not nonstop.HasOutputPort("speed_bound_command"):
-        (own,) = nonstop.GetOutputPort("speed_bound").Eval(context)
-        if own != stated:
-            message = (
-                f"optimization_layer: the run is judged by the {own:g} m/s of the replacement, "
-                f"not by the scenario's speed bound of {stated:g} m/s"
-            )
-            warn_user(message)

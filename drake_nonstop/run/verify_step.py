@@ -15,23 +15,21 @@ from drake_nonstop.validation import ScenarioError, require
 SHARE = 0.02  # of a value, by which a metric may move
 TOLERANCES = f"lengths by 1 mm, others by {SHARE:.0%}"
 
-# What metrics may move by whatever their values are, by the units that end their paths: what a time
-# is counted in, and what does not matter for a carrier.
+# What metrics may move by whatever their values are, as shown, by their units: what a time is
+# counted in, and what does not matter for a carrier.
 _GRAINS = {
-    "_rad": 1e-3,
-    "_m_s": 2e-3,
-    "_m_s2": 1e-2,
-    "_rad_s": 2e-3,
-    "_N": 1e-2,
-    "_W": 1.0,
-    "_Wh_per_kg_km": 0.1,
-    "share": 0.005,
-    "share_min": 0.005,
-    "share_max": 0.005,
-    "_stall_min": 0.005,
-    "_s": 0.02 + 1e-9,  # a step of 10 ms at either end
+    "s": 0.02 + 1e-9,  # a step of 10 ms at either end
+    "mm": 1.0,
+    "m": 1e-3,
+    "mrad": 1.0,
+    "deg": 0.1,
+    "": 0.01,
+    "%": 0.5,
+    "% of the time": 0.5,
+    "W": 1.0,
+    "Wh/(kg km)": 0.1,
 }
-_LENGTH = 1e-3  # m, by which others may move
+_GRAIN = 1e-2  # of others: speeds, forces
 _COUNT = 2  # updates
 _STEP = "simulator.step_s"
 
@@ -99,16 +97,17 @@ def moved_metrics(
         is_number = not any(isinstance(each, str | list) for each in (value, other))
         if metric.is_wall_time or metric.path == _STEP or not is_number or value == other:
             continue
-        if value is None or other is None or abs(value - other) > _tolerance(metric.path, value):
+        if value is None or other is None or abs(value - other) > _tolerance(metric, value):
             found.append((metric, value, other))
     return found
 
 
-def _tolerance(path: str, value: float) -> float:
-    grain = next((grain for ending, grain in _GRAINS.items() if path.endswith(ending)), None)
-    if grain is None and path.endswith("_m"):
-        return _LENGTH
-    return max(_COUNT if grain is None else grain, SHARE * abs(value))
+def _tolerance(metric: Metric, value: float) -> float:
+    if metric.path.startswith("optimizer.") and not metric.unit:
+        return max(_COUNT, SHARE * abs(value))
+    grain = _GRAINS.get(metric.unit, _GRAIN) / metric.scale
+    is_length = metric.unit in ("m", "mm")
+    return grain if is_length else max(grain, SHARE * abs(value))
 
 
 def _told(metric: Metric, *values: float | None) -> str:

@@ -1,13 +1,26 @@
-"""The loop as an environment: Gymnasium's own check, the loop's own flight, divergence."""
+"""Environments, alone and side by side: Gymnasium's own checks, the loop's own flights, ends."""
 
 import numpy as np
 import pytest
 from helpers import nightly_beyond
 
-from drake_nonstop import ScenarioError, load_scenario, make_gym_env, make_gym_vec_env, simulate
+from drake_nonstop import (
+    ScenarioError,
+    ScenarioWarning,
+    load_scenario,
+    make_gym_env,
+    make_gym_vec_env,
+    simulate,
+)
 
 pytest.importorskip("gymnasium")
 BRIEF = ["simulation_duration=0.3"]
+HOLD, PUSH = [0.0, 0.0, 0.0, 0.0, 0.0, 9.81], [0.0, 0.0, 0.0, 9.8, 9.8, 0.0]
+
+
+@pytest.fixture(scope="module")
+def three():
+    return make_gym_vec_env(load_scenario("quintic", BRIEF), 3)
 
 
 @pytest.mark.parametrize("action", nightly_beyond(1, "studies", ["parameters", "wrench"]))
@@ -18,76 +31,148 @@ def test_it_is_an_environment(action):
     check_env(env, skip_render_check=True)
 
 
+def test_it_is_a_vector_environment(three):
+    from gymnasium.vector import AutoresetMode, VectorEnv
+    from gymnasium.wrappers.vector import RecordEpisodeStatistics
+
+    assert isinstance(three, VectorEnv)
+    assert three.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
+    counted = RecordEpisodeStatistics(three)
+    observations, infos = counted.reset(seed=1)
+    assert infos == {}
+    lengths = []
+    for _ in range(7):
+        assert three.observation_space.contains(observations)
+        actions = three.action_space.sample().astype(np.float32)
+        observations, *judged, infos = counted.step(actions)
+        assert [values.dtype for values in judged] == [float, bool, bool]
+        assert {values.shape for values in judged} == {(3,)}
+        lengths += infos["episode"]["l"].tolist() if "episode" in infos else []
+    assert lengths == [3] * 6
+
+
 def test_constant_parameters_fly_as_the_loop_does():
     scenario = load_scenario("three_carriers", [*BRIEF, "optimization_layer=ConstantParameters"])
     env = make_gym_env(scenario, time_step=0.1)
     action = [scenario.optimization_layer.frequency, scenario.optimization_layer.amplitude]
     first, _ = env.reset()
-    observations, ends = [first], []
-    for _ in range(3):
-        observation, reward, terminated, truncated, _ = env.step(np.array(action))
-        observations.append(observation)
-        ends.append((terminated, truncated))
-        assert -0.01 < reward <= 0
-    assert ends == [(False, False), (False, False), (False, True)]
+    steps = [env.step(np.array(action)) for _ in range(3)]
+    assert [each[2:4] for each in steps] == [(False, False), (False, False), (False, True)]
+    assert all(-0.01 < reward <= 0 for _, reward, *_ in steps)
     run = simulate(scenario)
     signals = [run.signal(name) for name in ("load_state", "reference", "carrier_state")]
     flown = np.hstack(signals)[[0, 10, 20, 30]]
-    np.testing.assert_allclose(observations, flown, atol=1e-6)
-    again, _ = env.reset()
-    np.testing.assert_array_equal(again, first)
+    np.testing.assert_allclose([first, *(each[0] for each in steps)], flown, atol=1e-6)
+    np.testing.assert_array_equal(env.reset()[0], first)
 
 
-def test_a_divergence_ends_the_episode():
-    env = make_gym_env(load_scenario("quintic"), action="wrench")
-    env.reset()
-    push = np.array([0.0, 0.0, 0.0, 9.8, 9.8, 0.0])
-    for _ in range(50):
-        observation, reward, terminated, truncated, info = env.step(push)
-        if terminated:
-            break
-    assert (terminated, truncated) == (True, False)
-    assert reward == -1000
-    assert np.isfinite(observation).all()
-    assert "not finite" in info["message"]
-    observation, _ = env.reset()
-    assert not env.step(np.array([0, 0, 0, 0, 0, 9.81]))[2]
+@pytest.mark.parametrize(
+    ("scenario", "action", "step", "duration"),
+    nightly_beyond(
+        2,
+        "engines",
+        [
+            ("quintic", "parameters", 0.1, 0.3),
+            ("quintic", "parameters", 0.025, 0.1),
+            ("three_carriers", "wrench", 0.1, 0.3),
+            ("aircraft_transfer", "parameters", 0.2, 1.0),
+            ("aircraft_rest_cables", "parameters", 0.1, 0.3),
+            ("quintic", "parameters", 0.01, 0.05),
+        ],
+    ),
+)
+def test_episodes_are_those_of_single_environments(scenario, action, step, duration, rng):
+    flown = load_scenario(scenario, [f"simulation_duration={duration}"])
+    env, alone = (make_gym_vec_env(flown, n, action=action, time_step=step) for n in (5, 1))
+    single = make_gym_env(flown, action=action, time_step=step)
+    (first, _), (same, _), (begin, _) = env.reset(), alone.reset(), single.reset()
+    np.testing.assert_allclose(first, np.tile(begin, (5, 1)), rtol=0, atol=1e-9)
+    np.testing.assert_array_equal(first[3:4], same)
+    space, ends = env.single_action_space, 0
+    for _ in range(round(duration / step) + 2):  # into the next episode
+        actions = space.low + rng.uniform(0.4, 0.6, (5, *space.shape)) * (space.high - space.low)
+        shown = env.step(actions)
+        by_itself = alone.step(actions[3:4])
+        expected, *judged, _ = single.step(actions[3])
+        for values, own in zip(shown[:4], by_itself[:4], strict=True):
+            np.testing.assert_array_equal(values[3:4], own)
+        np.testing.assert_allclose([values[3] for values in shown[1:4]], judged, rtol=0, atol=1e-9)
+        last = shown[0][3]
+        if judged[2]:
+            ends += 1
+            last = shown[4]["final_obs"][3]
+            np.testing.assert_array_equal(shown[0], first)
+            single.reset()
+        np.testing.assert_allclose(last, expected, rtol=0, atol=1e-9)
+    assert ends == 1
 
 
-@pytest.mark.parametrize("is_vector", [False, True])
-def test_a_load_far_away_ends_the_episode_as_a_divergence(is_vector):
-    push = "load_disturbance=!DisturbanceForce {force: [0, 0, 100000], start_time: 0.05}"
-    scenario, action = load_scenario("quintic", [*BRIEF, push]), np.array([2.0, 1.2])
-    make = (
-        (lambda *given, **more: make_gym_vec_env(*given, 1, **more)) if is_vector else make_gym_env
+def test_a_loop_that_is_not_compiled_flies_by_its_diagram_as_the_other_is_compiled():
+    scenario, compiled = (
+        load_scenario("quintic", ["simulation_duration=0.2", *own])
+        for own in (["load_plant=MultibodyLoadPlant"], [])
     )
-    env = make(scenario, time_step=0.01)
-    env.reset()
-    for _ in range(20):
-        observation, reward, terminated, truncated, info = env.step(
-            action[None] if is_vector else action
-        )
-        if terminated:
-            break
-    assert (terminated, truncated, reward) == (True, False, -1000)
-    message = info["final_info"]["message"][0] if is_vector else info["message"]
-    last = info["final_obs"][0] if is_vector else observation
-    assert "farther than 100 cable lengths" in message
-    assert 40 < np.linalg.norm(last[4:7]) < 80
-
-
-STIFF = "system.load_inertia=[[0.0015,0,0],[0,0.0015,0],[0,0,0.0015]]"
-
-
-@pytest.mark.parametrize("is_vector", [False, True])
-def test_the_step_is_that_of_simulate_where_the_loop_needs_a_shorter_one(is_vector):
-    scenario = load_scenario("quintic", [*BRIEF, STIFF])
-    env = make_gym_vec_env(scenario, 1) if is_vector else make_gym_env(scenario)
-    env.reset()
-    action = np.array([[2.0, 1.2]]) if is_vector else np.array([2.0, 1.2])
+    with pytest.warns(ScenarioWarning, match="load_plant = MultibodyLoadPlant.*; the 2 environm"):
+        envs = make_gym_vec_env(scenario, 2)
+    single, other = make_gym_env(scenario), make_gym_env(compiled)
+    action = np.array([2.0, 1.3])
+    for each in (single, envs, other):
+        each.reset(seed=3)
     for _ in range(2):
-        observation = env.step(action)[0]
-    assert np.abs(observation.ravel()[4:7]).max() < 0.01
+        observation, *judged, _ = single.step(action)
+        _, rewards, _, truncated, infos = envs.step(np.stack([action, action]))
+        expected = other.step(action)[:4]
+        np.testing.assert_allclose(observation, expected[0], rtol=0, atol=1e-6)
+        np.testing.assert_allclose(judged, expected[1:], rtol=0, atol=1e-6)
+        np.testing.assert_allclose(rewards, judged[0], rtol=0, atol=1e-12)
+    assert truncated.all()
+    np.testing.assert_array_equal(np.stack(infos["final_obs"]), np.stack([observation] * 2))
+
+
+def test_a_divergence_ends_its_own_episode_alone():
+    env = make_gym_vec_env(load_scenario("quintic"), 3, action="wrench")
+    single = make_gym_env(load_scenario("quintic"), action="wrench")
+    first, _ = env.reset()
+    observations, _ = first, single.reset()
+    for _ in range(50):
+        before = observations[1]
+        observations, rewards, terminated, truncated, infos = env.step([HOLD, PUSH, HOLD])
+        alone = single.step(np.array(PUSH))
+        if terminated.any():
+            break
+    assert terminated.tolist() == [False, True, False]
+    assert not truncated.any()
+    assert rewards[1] == -1000
+    assert min(rewards[0], rewards[2]) > -1
+    np.testing.assert_array_equal(infos["final_obs"][1], before)
+    assert "not finite" in infos["final_info"]["message"][1] == alone[4]["message"]
+    np.testing.assert_allclose(alone[0], before, atol=1e-9)
+    assert alone[1:4] == (-1000, True, False)
+    np.testing.assert_array_equal(observations[1], first[1])
+    assert not env.step([HOLD, HOLD, HOLD])[2].any()
+    with pytest.raises(ScenarioError, match="call reset"):
+        single.step(np.array(HOLD))
+
+
+def test_a_load_far_away_ends_the_episode_as_a_divergence():
+    push = "load_disturbance=!DisturbanceForce {force: [0, 0, 100000], start_time: 0.05}"
+    env = make_gym_env(load_scenario("quintic", [*BRIEF, push]), time_step=0.01)
+    env.reset()
+    is_over = False
+    while not is_over:
+        observation, reward, is_over, truncated, info = env.step(np.array([2.0, 1.2]))
+    assert (truncated, reward) == (False, -1000)
+    assert "farther than 100 cable lengths" in info["message"]
+    assert 40 < np.linalg.norm(observation[4:7]) < 80
+
+
+def test_the_step_is_that_of_simulate_where_the_loop_needs_a_shorter_one():
+    stiff = "system.load_inertia=[[0.0015,0,0],[0,0.0015,0],[0,0,0.0015]]"
+    env = make_gym_env(load_scenario("quintic", [*BRIEF, stiff]))
+    env.reset()
+    for _ in range(2):
+        observation = env.step(np.array([2.0, 1.2]))[0]
+    assert np.abs(observation[4:7]).max() < 0.01
 
 
 def test_slow_carriers_cost_reward_and_a_reward_may_be_given():
@@ -103,19 +188,6 @@ def test_slow_carriers_cost_reward_and_a_reward_may_be_given():
     assert env.step(low)[1] == low[0]
 
 
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        ({"action": "thrust"}, "action = thrust"),
-        ({"time_step": 0.0}, "make_gym_env.time_step = 0.0: give a finite number"),
-        ({"reward": 3}, "reward = 3: give a function"),
-    ],
-)
-def test_what_cannot_be_used_is_refused(arguments, said):
-    with pytest.raises(ScenarioError, match=said):
-        make_gym_env(load_scenario("quintic"), **arguments)
-
-
 def test_episodes_draw_their_numbers_by_the_seed():
     varied = load_scenario("quintic", [*BRIEF, "system.load_mass=!Uniform {min: 0.8, max: 1.2}"])
     env = make_gym_env(varied)
@@ -128,31 +200,46 @@ def test_episodes_draw_their_numbers_by_the_seed():
     np.testing.assert_array_equal(first, again)
     assert np.max(np.abs(first - second)) > 1e-6
     assert np.max(np.abs(end(None) - first)) > 1e-6
-    alone = make_gym_env(varied)
-    alone.reset(seed=1)
-    np.testing.assert_array_equal(alone.step(alone.action_space.low)[0], first)
+    both = make_gym_vec_env(varied, 2)
+    both.reset(seed=0)
+    np.testing.assert_allclose(both.step(both.action_space.low)[0][1], first, atol=1e-9)
 
 
-@pytest.mark.parametrize(
-    "action",
-    nightly_beyond(
-        3, "adversary", [[np.nan, 1.0], [200.0, -50.0], [2.0], 2.0, "fast", None, [[2.0, 1.2]]]
-    ),
-)
-def test_an_action_outside_of_the_space_is_no_physics(action):
-    env = make_gym_env(load_scenario("quintic", BRIEF))
-    before, _ = env.reset()
-    with pytest.raises(ScenarioError, match=r"action = .*give numbers from"):
-        env.step(action)
-    np.testing.assert_array_equal(env.reset()[0], before)
+# Of a call: what it is given, and the field, value and remedy of its message.
+REFUSED = [
+    ({"action": "thrust"}, "action = thrust: there is no thrust; there are parameters, wrench"),
+    ({"time_step": 0.0}, r"time_step = 0.0: give a finite number"),
+    ({"time_step": 0.005}, "time_step = 0.005: give at least control_period = 0.01 s"),
+    ({"reward": 3}, "reward = 3: give a function"),
+    ({"n": 0}, "n = 0: give a whole number"),
+]
 
 
-def test_a_step_before_reset_and_a_reward_that_is_no_number_are_refused():
+@pytest.mark.parametrize(("given", "said"), REFUSED)
+def test_what_cannot_be_used_is_refused(given, said):
+    with pytest.raises(ScenarioError, match=said):
+        make_gym_vec_env(load_scenario("quintic"), **{"n": 2, **given})
+
+
+def test_what_cannot_be_flown_is_refused(three):
     env = make_gym_env(load_scenario("quintic", BRIEF), reward=lambda observation, action: np.nan)
     with pytest.raises(ScenarioError, match="call reset"):
         env.step(env.action_space.low)
-    env.reset()
+    before, _ = env.reset()
+    for action in ([np.nan, 1.0], [200.0, -50.0], [2.0], 2.0, "fast", None, [[2.0, 1.2]]):
+        with pytest.raises(ScenarioError, match=r"action = .*give numbers from"):
+            env.step(action)
+        np.testing.assert_array_equal(env.reset()[0], before)
     with pytest.raises(ScenarioError, match="reward = nan: return a finite number"):
         env.step(env.action_space.low)
     with pytest.raises(ScenarioError, match="options"):
         env.reset(options={"a": 1})
+    before, _ = three.reset()
+    low = three.action_space.low
+    for actions in (low[0], None, low - [[0.0], [0.0], [1.0]], low * [[1.0], [np.nan], [1.0]]):
+        with pytest.raises(ScenarioError, match=r"action = .*give numbers from .*, in 3 rows"):
+            three.step(actions)
+    for seed in ([1, 2], -1, [0, 1.5, 2], 0.5, "first"):
+        with pytest.raises(ScenarioError, match=r"seed = .*: give a whole number from 0 to"):
+            three.reset(seed=seed)
+    np.testing.assert_array_equal(three.reset()[0], before)
