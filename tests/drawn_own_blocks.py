@@ -1,13 +1,7 @@
-"""Drawn blocks of a user's own: equations with states, periods, quantities and the time.
-
-`python tests/drawn_own_blocks.py 100` flies that many with both engines, and tells what became of
-each: flown by the compiled loop, or named and flown by the diagram; and the largest difference.
-"""
+"""Drawn blocks of a user's own: equations with states, periods, quantities and the time."""
 
 import dataclasses
-import sys
 import warnings
-from collections import Counter
 from typing import Any
 
 import numpy as np
@@ -177,20 +171,3 @@ def compare(seed: int) -> tuple[float, str]:
                 worst = max(worst, float(difference / (1 + np.abs(values).max(initial=0.0))))
     assert len(told) <= 1, told
     return worst, "".join(told)
-
-
-def main(first: int, count: int) -> None:
-    """Compares that many blocks."""
-    found, largest = Counter(), 0.0
-    for seed in range(first, first + count):
-        worst, told = compare(seed)
-        found["named" if told else "compiled", drawn(seed).box, worst < 1e-9] += 1
-        largest = max(largest, worst)
-        print(seed, f"{worst:.1e}", told or "compiled", drawn(seed), flush=True)
-    for (kind, box, is_equal), number in sorted(found.items()):
-        print(kind, box, "equal" if is_equal else "DIFFERENT", number)
-    print(f"the largest difference {largest:.1e}")
-
-
-if __name__ == "__main__":
-    main(*map(int, sys.argv[1:]))

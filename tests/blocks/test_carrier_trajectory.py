@@ -20,7 +20,6 @@ from drake_nonstop.blocks.carrier_trajectory import (
 )
 from drake_nonstop.blocks.load_feedback import DesiredStateFeedback
 from drake_nonstop.blocks.load_trajectory import (
-    ConstantVelocityMove,
     ConstantVelocityMoveConfig,
     RestToRestConfig,
     SteadyTurnConfig,
@@ -36,7 +35,7 @@ from drake_nonstop.model.system import SystemParameters
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.systems.compiled_loop import CompiledLoop
-from drake_nonstop.systems.wiring import connections, input_names
+from drake_nonstop.systems.wiring import input_names
 
 
 def generator_inputs(rng, n):
@@ -189,40 +188,6 @@ def test_accelerations_have_the_snap_of_the_reference_in_them(move):
     diagram, context = loop_on_its_reference(load_trajectory=move)
     for time in (0.8, 1.2, 5.0):
         assert max(mistakes(diagram, context, time)) < 1e-8
-
-
-class OnlyReference(LeafSystem):
-    """A user's own block for a line, which tells its reference only."""
-
-    def __init__(self, model):
-        super().__init__()
-        line = ConstantVelocityMove(model, LINE)
-        preview = line.GetOutputPort("reference_preview").Eval(line.CreateDefaultContext())
-        self.DeclareVectorOutputPort(
-            "reference",
-            22,
-            lambda context, reference: reference.SetFromVector(preview(context.get_time())),
-        )
-
-
-def test_without_the_signal_the_snap_is_taken_as_zero():
-    system = SystemParameters()
-    loops = [loop_on_its_reference(load_trajectory=block) for block in (OnlyReference, LINE)]
-    assert "carrier_trajectory.reference_higher_rates" not in str(connections(loops[0][0]))
-    without, whole = (carriers_at(*loop, 0.8) for loop in loops)
-    np.testing.assert_array_equal(without[0], whole[0])
-    missing = whole[1] - without[1]
-    snap = output(*loops[1], "reference_higher_rates")[3:]
-    # Four equal shares of m·snap, and cables of the tension T: L/T of the part across each cable.
-    forces = output(*loops[1], "desired_cable_forces").reshape(4, 3)
-    tensions = np.linalg.norm(forces, axis=1, keepdims=True)
-    along = forces / tensions
-    share = np.tile(system.load_mass * snap / 4, (4, 1))
-    across = share - np.sum(share * along, axis=1, keepdims=True) * along
-    stretch = share / system.cable_stiffness  # along a cable, and across it by its length
-    expected = (system.cable_length / tensions * across + stretch).ravel()
-    np.testing.assert_allclose(missing, expected, rtol=0, atol=1e-10)
-    assert np.max(np.abs(missing)) > 0.5
 
 
 @pytest.mark.parametrize("n", [3, 5])

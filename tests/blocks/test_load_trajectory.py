@@ -194,23 +194,6 @@ def test_load_rests_before_and_after(case):
         np.testing.assert_array_equal(reference(time)[7:], 0)
 
 
-def test_rest_to_rest_reaches_its_end_halfway_at_half_time():
-    reference = reference_of(RestToRest, REST_TO_REST)
-    for time, share in ((1.0, 0.0), (3.0, 0.5), (5.0, 1.0)):
-        now = reference(time)
-        position = np.array(START["start_position"]) + share * np.array(REST_TO_REST.displacement)
-        angles = np.array(START["start_roll_pitch_yaw"]) + share * np.array(
-            REST_TO_REST.roll_pitch_yaw
-        )
-        R = RollPitchYaw(angles).ToRotationMatrix().matrix()
-        np.testing.assert_allclose(now[4:7], position, rtol=0, atol=1e-13)
-        np.testing.assert_allclose(rotation(now[:4]), R, rtol=0, atol=1e-13)
-    # The quintic's largest velocity is 15/8 of the mean one.
-    np.testing.assert_allclose(
-        reference(3.0)[10:13], 15 / 8 * np.array([1.0, -2.0, 0.5]) / 4, rtol=1e-12
-    )
-
-
 @pytest.mark.parametrize("blend_time", [0.0, 1.0, 4.0])
 def test_move_covers_its_line_at_its_velocity(blend_time):
     reference = reference_of(ConstantVelocityMove, move(blend_time))

@@ -50,13 +50,6 @@ class Layer:
         return Diagnostics.view(output(self.block, self.context, "diagnostics"))
 
 
-def test_feasible_parameters_are_kept_to_the_bit():
-    bound = speed_at_rest(*START) - 1e-6
-    layer = Layer(bound)
-    np.testing.assert_array_equal(layer.update(AT_REST), START)
-    np.testing.assert_allclose(layer.diagnostics, [Outcome.KEPT, 1, 1, 0, 0, 0, 1e-6], atol=1e-9)
-
-
 @pytest.mark.parametrize("excess", [1.0, 1.2, 2.0])
 def test_solution_over_a_square_at_rest_is_the_global_optimum(excess):
     bound = excess * speed_at_rest(*START)
@@ -119,32 +112,6 @@ def test_a_commanded_bound_is_followed_like_one_that_is_set():
         np.testing.assert_array_equal(commanded.diagnostics, told.diagnostics)
         said = [output(layer.block, layer.context, "speed_bound") for layer in (commanded, told)]
         np.testing.assert_array_equal(said, [[bound], [bound]])
-
-
-@pytest.mark.parametrize("control_period", [0.0, 0.005, 0.01])
-def test_updates_come_once_a_period(control_period):
-    layer = Layer(0.2, control_period)
-    fix(layer.block, layer.context, **AT_REST)
-    layer.simulator.Initialize()
-    assert layer.diagnostics.updates == 1
-    layer.simulator.AdvanceTo(0.095)
-    assert layer.diagnostics.updates == 10
-
-
-def test_contexts_of_one_block_are_independent():
-    first, second = moving(1), moving(5)
-    layer = Layer(speed_bound_above(first, 0.1, **PRINTED))
-    simulators = {}
-    for name, inputs in (("A", first), ("B", second), ("A again", first)):
-        simulators[name] = Simulator(layer.block, layer.block.CreateDefaultContext())
-        fix(layer.block, simulators[name].get_mutable_context(), **inputs)
-        simulators[name].Initialize()
-    results = {
-        name: output(layer.block, simulator.get_context(), "parameters")
-        for name, simulator in simulators.items()
-    }
-    np.testing.assert_array_equal(results["A"], results["A again"])
-    assert not np.array_equal(results["A"], results["B"])
 
 
 def test_a_solver_that_this_drake_is_without_is_named(monkeypatch):

@@ -142,29 +142,6 @@ def test_plans_depend_on_the_context_alone(flown):
     np.testing.assert_array_equal(other.advanced(0, 1.5), planned[:150])
 
 
-def test_a_layer_without_samples_follows_the_same_plans(flown):
-    _, preview, planned = flown
-    flight = Flight(layer(0.0, knot_spacing=0.39), preview)
-    rows = flight.advanced(0, 2)
-    for row, time in zip(rows[20::40], SAMPLE * np.arange(200)[20::40], strict=True):
-        between = planned[round(time / SAMPLE)] + planned[round(time / SAMPLE) + 1]
-        np.testing.assert_allclose(row[:3], between[:3] / 2, rtol=1e-4, atol=1e-4)
-
-
-@pytest.mark.slow
-def test_where_nothing_is_known_the_motion_goes_on():
-    preview = previewed(dataclasses.replace(MOVE, start_time=0.0))
-    now = 3.0  # s, at constant velocity but for the fading acceleration
-    block = layer()
-    simulator = Simulator(block)
-    fix(block, simulator.get_mutable_context(), reference=preview(now))
-    simulator.Initialize()
-    without = output(block, simulator.get_context(), "diagnostics")
-    blind = Flight(layer(preview=False), ReferencePreview(lambda time: preview(now)))
-    np.testing.assert_array_equal(without, output(blind.block, blind.context, "diagnostics"))
-    assert Diagnostics.view(without).speed_margin != Flight(layer(), preview).diagnostics[-1]
-
-
 @pytest.mark.slow
 def test_a_bound_takes_effect_with_the_next_plan():
     at_rest = previewed(RestToRestConfig())
@@ -179,17 +156,6 @@ def test_a_bound_takes_effect_with_the_next_plan():
     assert output(block, flight.context, "speed_bound") == 1.1
     block.set_speed_bound(flight.context, 0.0)
     np.testing.assert_allclose(flight.advanced(3.5, 9.5)[-1, 1:3], [2.0, 1.2], rtol=1e-3)
-
-
-@pytest.mark.slow
-def test_a_start_that_the_first_parameters_do_not_keep_is_made_with_others():
-    at_rest = previewed(RestToRestConfig())
-    flight = Flight(layer(speed_bound=0.8), at_rest)
-    planned = flight.advanced(0, 1)
-    assert np.min(carrier_speeds(planned, at_rest, SAMPLE * np.arange(100))) > 0.8
-    nominal = Flight(layer(speed_bound=0.0), at_rest).advanced(0, 1)
-    assert np.min(carrier_speeds(nominal, at_rest, SAMPLE * np.arange(100))) < 0.75
-    assert flight.diagnostics.relaxed == 0
 
 
 def under_way(time):
@@ -213,15 +179,6 @@ def test_a_first_plan_keeps_the_bound_from_the_start_itself_on(start, bound, is_
     assert np.min(carrier_speeds(planned, preview, SAMPLE * np.arange(10))) > 1.02 * bound
     assert flight.diagnostics.relaxed == 0
     assert np.allclose(planned[0], [0, 2.0, 1.2, 0, 0, 0, 0, 0]) == is_nominal
-
-
-def test_a_start_that_no_plan_can_better_is_counted():
-    only = {"frequency_bounds": [2.0, 2.0], "amplitude_bounds": [1.1999, 1.2001]}
-    relaxed = [
-        Flight(layer(speed_bound=0.6, **only), under_way(start)).diagnostics.relaxed
-        for start in (3.62, 3.7)
-    ]
-    assert relaxed == [1, 0]
 
 
 def test_parameters_of_the_context_are_those_of_the_first_plan():

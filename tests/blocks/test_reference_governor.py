@@ -7,7 +7,6 @@ from helpers import difference, model, output, resting_orbits
 from drake_nonstop import (
     compute_metrics,
     load_scenario,
-    make_nonstop,
     simulate,
 )
 from drake_nonstop.blocks.load_trajectory import (
@@ -114,22 +113,6 @@ def test_a_bound_that_is_missed_at_full_speed_is_kept_and_the_load_arrives_late(
     assert largest < 4e-5  # without the reference's higher rates 6e-5
 
 
-def test_a_motion_that_needs_none_is_the_same_to_the_bit():
-    overrides = ["simulation_duration=0.1", "optimization_layer=ConstantParameters"]
-    runs = [simulate(load_scenario("quintic", [*overrides, *o])) for o in ([], [GOVERNED])]
-    loop = make_nonstop(runs[1].scenario)
-    assert type(loop.GetSubsystemByName("load_trajectory")) is RestToRest
-    for name in runs[0].signals:
-        np.testing.assert_array_equal(runs[0].signal(name), runs[1].signal(name))
-    assert compute_metrics(runs[1])["load"]["reference_delay_max_s"] == 0
-
-
-def test_a_bound_that_no_rate_keeps_leaves_the_motion_as_it_is():
-    overrides = [*FAST_LINE, "optimization_layer.speed_bound=3", GOVERNED]
-    loop = make_nonstop(load_scenario("line_without_optimization", overrides))
-    assert type(loop.GetSubsystemByName("load_trajectory")) is ConstantVelocityMove
-
-
 START, MOVE = 3.0, 3.0  # s, of the line
 DURATION = 24.0  # s
 
@@ -198,12 +181,3 @@ def test_an_infeasible_motion_is_slowed_just_as_far_as_its_orbits_need():
     assert np.max(delays[:, 0]) > 1.0
     assert delays[-1, 0] == pytest.approx(np.max(delays[:, 0]), abs=1e-12)
     np.testing.assert_allclose(stretched[-1, 4:7], preview(1e3)[4:7], atol=1e-9)
-
-
-def test_a_load_that_keeps_no_bound_at_rest_is_not_slowed():
-    assert found(3.0) is None
-
-
-def test_a_least_rate_that_is_too_fast_is_flown():
-    delay = found(0.3, least_rate=0.9)
-    assert np.min(1 - delay.at(np.linspace(0, DURATION, 241))[:, 1]) == pytest.approx(0.9)

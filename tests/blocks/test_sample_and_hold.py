@@ -66,13 +66,3 @@ def test_sample_is_held_until_the_next(loop):
             expected = reference(sampled, name.removeprefix("held_"))
             np.testing.assert_array_equal(output(diagram, context, name), expected)
         assert np.max(np.abs(expected)) > 1
-
-
-def test_discrete_update_at_the_same_instant_reads_the_new_sample(loop):
-    diagram, simulator, _ = loop
-    for time in (0.0, 0.3, 0.47):
-        simulator.AdvanceTo(time)
-        context = simulator.get_context()
-        np.testing.assert_array_equal(
-            output(diagram, context, "read"), output(diagram, context, "held_reference")
-        )

@@ -16,7 +16,6 @@ from drake_nonstop.blocks.carrier_trajectory import (
 from drake_nonstop.blocks.lumped_cables import LumpedCables, LumpedCablesConfig
 from drake_nonstop.mechanics.rotation import rotation_matrix
 from drake_nonstop.mechanics.signals import LoadReference
-from drake_nonstop.model.system import OF_CABLES
 from drake_nonstop.run.metrics import compute_metrics
 from drake_nonstop.run.outcome import RunOutcome
 from drake_nonstop.run.simulate import simulate
@@ -111,22 +110,6 @@ def _sizes(block):
 
 
 @pytest.mark.parametrize(
-    ("name", "changes"),
-    [
-        ("quintic", L_SHAPED[4:5]),
-        ("aircraft_rest", []),
-    ],
-)
-def test_a_list_of_equal_numbers_is_the_number(name, changes):
-    duration = "simulation_duration=0.5"
-    alone = load_scenario(name, [*changes, duration])
-    lists = [f"system.{field}={[getattr(alone.system, field)] * 4}" for field in OF_CABLES[:-1]]
-    runs = [fly(*changes, duration, *more, name=name) for more in ([], lists)]
-    for signal in ("load_state", "carrier_state", "tensions"):
-        np.testing.assert_array_equal(*(run.signal(signal) for run in runs))
-
-
-@pytest.mark.parametrize(
     "changes",
     nightly_beyond(1, "flights", [([],), (HORIZON,), ([*LUMPED, "system.cable_diameter=0.003"],)]),
 )
@@ -155,14 +138,6 @@ def test_references_are_at_the_ends_of_cables_of_their_own_length():
     references = run.signal("carrier_reference")[:, :15].reshape(-1, 5, 3)
     np.testing.assert_allclose(references, ends, atol=1e-12)
     np.testing.assert_allclose(run.signal("tensions"), tensions, rtol=1e-3)
-
-
-def test_a_plant_of_five_lengths_under_controllers_that_know_of_one_hangs_within_the_cables():
-    """The load tilts by what the cables differ; it is not thrown."""
-    plant = "simulated.cable_length=[1.1, 1.11, 1.09, 1.1, 1.1]"
-    run = fly(*L_SHAPED, "system.cable_length=1.1", plant, "simulation_duration=2")
-    error = np.linalg.norm(run.signal("tracking_error")[:, 3:6], axis=1)
-    assert np.max(error) < 0.02
 
 
 def test_the_cable_that_bears_too_little_is_the_one_that_breaks():

@@ -2,11 +2,9 @@
 
 import numpy as np
 import pytest
-from helpers import fix, model, output
-from pydrake.systems.analysis import Simulator
+from helpers import model, output
 
-from drake_nonstop import load_scenario, make_nonstop, simulate
-from drake_nonstop.blocks.load_plant import LoadPlant, MultibodyLoadPlant
+from drake_nonstop import load_scenario, make_nonstop
 from drake_nonstop.blocks.wind import (
     GustyWind,
     GustyWindConfig,
@@ -125,39 +123,6 @@ class TestGusts:
         np.testing.assert_array_equal(gusts(times[::-1], seed=7)[::-1], found)
         np.testing.assert_array_equal(gusts(times, n=3, seed=7), found[:, :9])
         assert np.abs(gusts(times, seed=8) - found).max() > 0.1
-
-    def test_repeat_to_the_bit_whatever_the_steps_are(self):
-        settings = [CONSTANT, "simulation_duration=0.1", "wind=!GustyWind {seed: 3}"]
-        runs = [
-            simulate(load_scenario("quintic", [*settings, f"simulator_config.max_step_size={h}"]))
-            for h in (0.005, 0.002)
-        ]
-        name = next(name for name in runs[0].signals if name.split(".")[-1] == "wind")
-        np.testing.assert_array_equal(*(run.signals[name] for run in runs))
-
-    def test_a_load_has_gusts_where_it_is_given_some_and_no_mean_has(self):
-        fields = {"velocity": [2.0, 0, 0], "seed": 1}
-        calm = signals(GustyWind(model(), GustyWindConfig(**fields)), [0.0, 5.0])
-        np.testing.assert_array_equal(calm["load_wind"], [[2, 0, 0]] * 2)
-        found = signals(GustyWind(model(), GustyWindConfig(**fields, load_gust=0.4)), [0.0, 5.0])
-        assert np.abs(found["load_wind"] - [2, 0, 0]).min() > 1e-3
-        np.testing.assert_array_equal(found["wind"], calm["wind"])
-        np.testing.assert_array_equal(found["mean_wind"], [[2, 0, 0]] * 2)
-
-
-@pytest.mark.parametrize("plant", [LoadPlant, MultibodyLoadPlant])
-def test_a_falling_load_approaches_its_terminal_velocity_in_wind(plant):
-    block = plant(model(load_drag=0.7))
-    simulator = Simulator(block)
-    context = simulator.get_mutable_context()
-    wind = np.array([3.0, -2.0, 1.0])
-    fix(block, context, cable_forces=np.zeros(12), disturbance_wrench=np.zeros(6), load_wind=wind)
-    context.SetContinuousState(np.eye(13)[0])
-    simulator.get_mutable_integrator().set_target_accuracy(1e-9)
-    simulator.AdvanceTo(3.0)
-    terminal = wind - np.array([0, 0, 9.81 / 0.7])  # m = 1 kg
-    expected = terminal * (1 - np.exp(-0.7 * 3.0))
-    np.testing.assert_allclose(output(block, context, "load_state")[10:], expected, atol=1e-6)
 
 
 def start_offset(*settings):

@@ -113,23 +113,6 @@ def test_tuned_gains_are_the_plain_ones_of_that_mass_and_inertia():
         np.testing.assert_allclose(value, expected[name], rtol=1e-12, atol=1e-12, err_msg=name)
 
 
-def test_tuned_rotation_answers_alike_about_all_axes():
-    """An error of the orientation alone is corrected about its own axis, whatever the inertia."""
-    config = TunedWrenchControllerConfig(orientation_frequency=4.0, orientation_integral_rate=0.0)
-    body = model()
-    rotated = np.array([1.0, 1e-4, -2e-4, 1.5e-4, *np.zeros(9)])
-    still = np.array([1.0, *np.zeros(21)])
-    torque = outputs(
-        TunedWrenchController(body, config),
-        np.zeros(6),
-        measured_load_state=rotated,
-        reference=still,
-        **STILL_AIR,
-    )["wrench"][:3]
-    acceleration = np.linalg.solve(body.load.inertia, torque)
-    np.testing.assert_allclose(acceleration, -16.0 * 2 * rotated[1:4], rtol=1e-3)
-
-
 class OwnController(WrenchController):
     """The shipped controller's wrench, without the rate."""
 

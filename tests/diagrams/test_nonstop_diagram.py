@@ -3,7 +3,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from helpers import fix, nightly_beyond, output, regular, sizes_of, with_ports
+from helpers import nightly_beyond, output, regular, sizes_of, with_ports
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import LeafSystem
 
@@ -54,23 +54,6 @@ def sampled_figure():
     return make_nonstop(Scenario(control_period=0.01))
 
 
-# What only blocks of aircraft, or of a reference that is delayed, make.
-NOT_BY_DEFAULT = {
-    "load_feedback": ("measured_load_covariance",),
-    "load_trajectory": ("reference_delay",),
-    "optimization_layer": ("missed_limits",),
-    "carrier_trajectory": (
-        "cable_drag_and_weight",
-        "cable_drag_and_weight_rates",
-        "cable_reference",
-    ),
-    "carrier_controller": ("aircraft_command", "command_saturation"),
-    "carrier_dynamics": ("aircraft_state", "carrier_acceleration"),
-    "wind_estimator": ("carrier_gust_estimate",),
-    "cables": ("cable_state",),
-}
-
-
 def block_names(diagram):
     return [block.get_name() for block in diagram.GetSystems()]
 
@@ -99,25 +82,6 @@ def test_no_input_is_left_open_and_every_output_is_exported(name, request):
         signals += wiring.output_names(block)
     assert sorted(signals) == sorted(wiring.output_names(diagram))
     assert len(set(signals)) == len(signals)
-
-
-HELD = {
-    "held_measured_load_state": 13,
-    "held_reference": 22,
-    "held_reference_higher_rates": 6,
-    "sample_time": 1,
-}
-
-
-def test_contract_has_the_signals_of_the_figure_as_built(sampled_figure):
-    built = {b.get_name(): wiring.output_sizes(b) for b in sampled_figure.GetSystems()}
-    hold = built.pop("sample_and_hold")
-    assert hold == HELD | {"held_carrier_state": 24}
-    contract = {name: sizes_of(box, 4, 4) for name, box in BOXES.items()}
-    for name, signals in NOT_BY_DEFAULT.items():
-        for signal in signals:
-            del contract[name][signal]
-    assert contract == built
 
 
 CONTROLLERS = {
@@ -196,18 +160,6 @@ def test_speed_bound_command_of_a_block_is_the_bound(layer):
     np.testing.assert_array_equal(output(diagram, context, "speed_bound"), [0.32])
 
 
-def test_speed_bound_command_becomes_an_input_where_it_is_asked_for():
-    diagram = make_nonstop(plain(), inputs=["speed_bound_command"])
-    assert wiring.input_sizes(diagram) == {"speed_bound_command": 1}
-    context = diagram.CreateDefaultContext()
-    whole = make_nonstop(plain())
-    start = output(whole, whole.CreateDefaultContext(), "carrier_state")
-    np.testing.assert_array_equal(output(diagram, context, "carrier_state"), start)
-    np.testing.assert_array_equal(output(diagram, context, "speed_bound"), [0.2])
-    fix(diagram, context, speed_bound_command=np.array([0.4]))
-    np.testing.assert_array_equal(output(diagram, context, "speed_bound"), [0.4])
-
-
 @pytest.mark.parametrize("box", list(BOXES))
 def test_signals_that_others_need_have_to_be_made_in_their_sizes(box, scenario_and_diagram):
     blocks = {block.get_name(): block for block in scenario_and_diagram[1].GetSystems()}
@@ -242,17 +194,6 @@ def test_a_run_starts_at_the_parameters_that_the_context_has(period):
         angle = 2.5 * np.floor(time / period + 0.5) * period if period else 2.5 * time
         np.testing.assert_allclose(planned[0], angle, atol=0.026)  # of the sample, or of the last
         np.testing.assert_allclose(planned[1:], [2.5, 1.4, 0, 0, 0, 0, 0], rtol=0, atol=1e-9)
-
-
-def test_signals_that_others_need_become_inputs_where_a_box_is_left_out():
-    left_out = {"phase": None, "internal_force": None, "carrier_trajectory": None}
-    for name, signal in zip(
-        left_out,
-        ("planned", "internal_force_higher_rates", "carrier_reference_acceleration"),
-        strict=True,
-    ):
-        diagram = make_nonstop(plain(0.01), at_equilibrium=False, **{name: None})
-        assert signal in wiring.input_names(diagram)
 
 
 def test_box_can_be_replaced_by_a_config_and_by_a_class():

@@ -6,7 +6,7 @@ from pydrake.common.value import Value
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import LeafSystem
 
-from drake_nonstop import ReferencePreview, load_scenario, make_nonstop, simulate
+from drake_nonstop import ReferencePreview, load_scenario, make_nonstop
 from drake_nonstop.systems import wiring
 from drake_nonstop.systems.block import LeafBlock
 
@@ -57,13 +57,6 @@ def test_a_block_reads_it_from_the_trajectory_and_not_held(period):
     later = loop.CreateDefaultContext()
     later.SetTime(0.5 + AHEAD)
     np.testing.assert_array_equal(ahead, loop.GetOutputPort("reference").Eval(later))
-
-
-def test_a_run_records_vectors_only():
-    scenario = load_scenario("quintic", [CONSTANT, "simulation_duration=0.05"])
-    run = simulate(scenario, extra={"foresight": Ahead})
-    assert "foresight.ahead" in run.signals
-    assert not any(name.endswith("reference_preview") for name in run.signals)
 
 
 def at_rest(time):

@@ -16,7 +16,6 @@ from registries import LIVELY, LOOPS, VARIANTS
 
 from drake_nonstop import (
     Block,
-    ConstantParameters,
     DisturbanceForceConfig,
     ScenarioError,
     load_scenario,
@@ -72,38 +71,6 @@ SHIPPED = dict.fromkeys(["quintic", "aircraft_transfer_gusty", *scenario_names()
 @pytest.mark.parametrize("name", nightly_beyond(2, "engines", SHIPPED))
 def test_shipped_scenarios_are_the_same(name):
     scenario = load_scenario(name)
-    assert_equal(scenario, *traced(scenario, compiles=False))
-
-
-MIXED = [
-    [
-        "optimization_layer=!NlpLayer {period: 0.03, orbit_points: 1}",
-        "load_feedback=!NoisyFeedback {delay: 0.02, velocity_noise: 0.01, seed: 3, "
-        "measures_attitude: false}",
-        "wind=!GustyWind {velocity: [1, 0, 0], rise_time: 0.1}",
-        *("system.load_drag=0.1", "phase=AccumulatedPhase"),
-    ],
-    [
-        "load_feedback=!NoisyFeedback {position_noise: 0.01, period: 0.02}",
-        "carrier_dynamics=!LimitedCarriers {has_weight: true, feels_cable: true}",
-        *("phase=PaperPhase", CONSTANT),
-        "load_trajectory=Waypoints",
-        "wind=!SteadyWind {velocity: [1, 0, 0], start_time: 0.1}",
-    ],
-    [
-        *("control_period=0.02", "simulator_config.max_step_size=0.004", CONSTANT),
-        "load_feedback=!FilteredFeedback {period: 0.02, delay: 0.02, position_noise: 0.01, "
-        "measures_attitude: false}",
-        *("carrier_controller.integral_gain=5", "carrier_trajectory.hold=velocity"),
-        "load_disturbance=!DisturbanceForce {force: [1, 0, 0], start_time: 0.05}",
-        "load_trajectory=SteadyTurn",
-    ],
-]
-
-
-@pytest.mark.parametrize("overrides", nightly_beyond(1, "engines", MIXED))
-def test_mixed_blocks_are_the_same(overrides):
-    scenario = load_scenario("quintic", overrides)
     assert_equal(scenario, *traced(scenario, compiles=False))
 
 
@@ -248,30 +215,6 @@ def test_loops_of_equal_equations_share_their_functions():
     smaller = [*OTHER_NUMBERS, "simulator_config.max_step_size=0.0025"]
     other, _ = traced(changed(scenario, smaller), compiles=False)
     assert loop.sample is not other.sample
-
-
-def test_a_run_depends_on_nothing_that_ran_before():
-    loop, context = traced(load_scenario("quintic", [PROGRAM]), compiles=False)
-    first, second = (loop.run(context, DURATION)[1] for _ in range(2))
-    for name, values in first.items():
-        if name != "solve_time":  # measured with a clock
-            np.testing.assert_array_equal(second[name], values)
-
-
-class Faster(ConstantParameters):
-    """Makes other values than the block that it inherits a trace from."""
-
-    @staticmethod
-    def equations(command, *, frequency, amplitude, speed_bound):
-        return np.array([2.4, 1.2]), speed_bound
-
-
-def test_a_block_below_one_with_a_trace_makes_its_own_values():
-    scenario = load_scenario("quintic", [CONSTANT])
-    diagram = make_nonstop(scenario, optimization_layer=lambda model: Faster(model))
-    loop = CompiledLoop(diagram, scenario.simulator_config, 0.01, compiles=False)
-    _, signals = loop.run(diagram.CreateDefaultContext(), 0.02)
-    np.testing.assert_array_equal(signals["parameters"], [[2.4, 1.2]] * 3)
 
 
 def test_a_value_that_is_not_finite_is_no_result():

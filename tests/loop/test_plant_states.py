@@ -10,16 +10,12 @@ from pydrake.common.value import Value
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 from pydrake.systems.framework import (
-    DiagramBuilder,
     LeafSystem,
 )
 
 from drake_nonstop import (
-    CarrierDynamics,
-    LoadPlant,
     ScenarioError,
     ScenarioWarning,
-    connect_by_name,
     load_scenario,
     make_nonstop,
     simulate,
@@ -68,19 +64,6 @@ def test_discrete_multibody_plants_approach_our_blocks_with_the_first_order_of_t
     for name in SIGNALS:
         assert apart[1][name] < 5e-3
         assert apart[0][name] / apart[1][name] == pytest.approx(2, rel=0.2)
-
-
-def test_load_and_carriers_in_one_diagram_fly_as_in_two():
-    def both(model):
-        builder = DiagramBuilder()
-        blocks = {"body": LoadPlant(model), "carriers": CarrierDynamics(model)}
-        read = ["cable_forces", "disturbance_wrench", "load_wind", "carrier_forces"]
-        connect_by_name(builder, blocks, inputs=read)
-        return builder.Build()
-
-    scenario = short(0.05)
-    run = simulate(scenario, load_plant=both, carrier_dynamics=None)
-    assert max(distance(run, simulate(scenario)).values()) < 1e-12
 
 
 class MappedLoad(LeafSystem):
@@ -158,15 +141,6 @@ def test_drawn_maps_of_the_state_fly_as_our_blocks(seed):
         "carrier_dynamics": lambda model: MappedCarriers(model, 10 + seed),
     }
     assert max(distance(simulate(scenario, **own), simulate(scenario)).values()) < 1e-7
-
-
-@pytest.mark.parametrize("seed", nightly_beyond(1, "engines", range(2)))
-def test_a_drawn_map_of_a_discrete_state_starts_at_the_same_equilibrium(seed):
-    scenario = short(0.05)
-    ours = simulate(scenario).signal("load_state")
-    own = simulate(scenario, load_plant=lambda model: MappedLoad(model, seed, period=1e-3))
-    np.testing.assert_allclose(own.signal("load_state")[0], ours[0], rtol=0, atol=1e-7)
-    assert np.abs(own.signal("load_state") - ours).max() < 5e-4  # of a first-order scheme
 
 
 class ClippedLoad(MappedLoad):

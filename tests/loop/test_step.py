@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from helpers import QuadraticDrag
-from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
+from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import LinearSystem
 
@@ -56,24 +56,6 @@ def test_a_shorter_step_is_a_whole_part_of_the_signals_period_and_flies():
         for each in ("load_state", "reference")
     )
     np.testing.assert_allclose(load[4:7], reference[4:7], atol=0.01)
-
-
-def test_other_steps_are_the_users_own():
-    config, loop, context = loop_with()
-    assert with_largest_step(config, loop, context) is config  # it is short enough
-    for other in (
-        SimulatorConfig(integration_scheme="runge_kutta2", max_step_size=0.1),
-        SimulatorConfig(integration_scheme="runge_kutta3", max_step_size=0.1),  # error control
-    ):
-        assert with_largest_step(other, loop, context) is other
-
-
-def test_a_diagram_that_is_no_loop_is_refused():
-    diagram = DiagramBuilder()
-    diagram.AddSystem(LinearSystem([[1.0]], np.zeros((1, 0)), np.zeros((0, 1)), np.zeros((0, 0))))
-    built = diagram.Build()
-    with pytest.raises(ScenarioError, match="load_state"):
-        largest_step(built, built.CreateDefaultContext())
 
 
 def test_equations_without_a_slope_where_the_flight_starts_have_a_step_all_the_same():

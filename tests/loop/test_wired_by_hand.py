@@ -146,25 +146,6 @@ def test_two_makers_of_a_signal_are_named(make):
         set_default_equilibrium(diagram)
 
 
-@pytest.mark.parametrize("is_nested", [False, True])
-def test_the_port_that_is_exported_counts_among_several(is_nested):
-    blocks, camera = make_blocks(scenario()), Ports({}, {"load_state": 13})
-    builder = DiagramBuilder()
-    builder.AddSystem(camera)
-    if is_nested:
-        plant = grouped({name: blocks.pop(name) for name in PLANT})
-        blocks["plant"] = plant
-    for block in blocks.values():
-        builder.AddSystem(block)
-    connect(builder, blocks)
-    maker = blocks["plant" if is_nested else "load_plant"]
-    builder.ExportOutput(maker.GetOutputPort("load_state"), "load_state")
-    diagram = builder.Build()
-    set_default_equilibrium(diagram)
-    value = output(diagram, diagram.CreateDefaultContext(), "load_state")
-    np.testing.assert_array_equal(value, expected()["load_state"])
-
-
 @NAMED
 @pytest.mark.parametrize("group", [None, PLANT, CONTROLLER])
 @pytest.mark.parametrize("name", ["cables", "wrench_controller"])
@@ -190,15 +171,6 @@ def test_an_open_input_in_a_diagram_inside_is_named():
     diagram = wired(blocks | {"plant": plant})
     with pytest.raises(ScenarioError, match=NOT_CONNECTED):
         set_equilibrium(diagram, diagram.CreateDefaultContext())
-
-
-def test_carriers_that_follow_an_input_from_outside_start_as_the_figure():
-    arguments = (0.01, "line", ("carrier_dynamics=LimitedCarriers",))
-    blocks = make_blocks(scenario(*arguments))
-    forces = blocks.pop("force_distribution")
-    plant = grouped({name: blocks.pop(name) for name in PLANT})
-    rest = grouped(blocks | {"plant": plant})
-    assert_starts_as_the_figure(wired({"rest": rest, "forces": forces}), *arguments)
 
 
 @BOTH

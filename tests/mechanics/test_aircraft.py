@@ -8,17 +8,10 @@ from drake_nonstop.mechanics.aircraft import (
     FlightStates,
     air_force,
     air_frame,
-    airspeed_over_loaded_stall,
-    angle_of_attack,
-    drag_coefficient,
-    drawn_power,
     flight_needs,
     flight_rate,
     needed_force,
     shown_state,
-    stall_speed,
-    thrust_limits,
-    thrust_share,
     trimmed_states,
 )
 from drake_nonstop.mechanics.signals import AircraftCommand, AircraftState
@@ -47,7 +40,6 @@ RASCAL = Aircraft(
     cable_length=150.0,
     gravity=9.81,
 )
-WEIGHT = 6.0 * 9.81
 FREE = RASCAL._replace(cable_diameter=0.0)  # of any cable
 NO_PULL = np.zeros(3)
 
@@ -61,21 +53,6 @@ def steady(aircraft, velocity, acceleration=(0.0, 0.0, 0.0), pull=NO_PULL, wind=
     return flight_needs(aircraft, force, np.asarray(velocity) - wind).command
 
 
-def test_figures_of_the_sources():
-    assert stall_speed(RASCAL) == pytest.approx(8.4, abs=0.05)
-    assert RASCAL.cable_drag_share == pytest.approx(0.042, abs=0.0003)
-
-
-def test_level_flight():
-    speed = 15.0
-    lift, bank, thrust = steady(FREE, straight(speed))
-    pressure = 0.5 * 1.225 * speed**2 * 0.98
-    angle = (lift - 0.25) / 5.0
-    assert bank == 0
-    assert pressure * lift + thrust * np.sin(angle) == pytest.approx(WEIGHT, rel=1e-12)
-    assert thrust * np.cos(angle) == pytest.approx(pressure * (0.027 + 0.055 * lift**2), rel=1e-12)
-
-
 def test_level_turn():
     """tan μ = V²/(g R) where the thrust's part across the path is inside of N: exactly."""
     speed, radius = 18.0, 60.0
@@ -83,38 +60,6 @@ def test_level_turn():
     assert np.tan(bank) == pytest.approx(speed**2 / (9.81 * radius), rel=1e-12)  # to the right
     level = steady(FREE, straight(speed))
     assert lift > level.lift
-
-
-def test_glide_without_thrust():
-    """tan γ = C_D/C_L."""
-    speed, lift = 14.0, 0.7
-    drag = 0.027 + 0.055 * lift**2
-    slope = np.arctan2(drag, lift)
-    velocity = speed * np.array([np.cos(slope), 0.0, -np.sin(slope)])
-    force = air_force(FREE, velocity, np.array(lift), np.array(0.0), np.array(0.0))
-    pressure = 0.5 * 1.225 * speed**2 * 0.98
-    resultant = pressure * np.hypot(lift, drag)
-    np.testing.assert_allclose(force / 6.0, [0.0, 0.0, resultant / 6.0], atol=1e-12)
-
-
-def test_leaning_formation_of_straight_cables():
-    """A level turn on a cable that pulls down and inwards: the closed form of the formation.
-
-    tan μ = [V²/(g R) − μ_L tan ϑ]/(1 + μ_L), with the load's share μ_L and the cable's angle ϑ.
-    """
-    radius, turn, share, cone = 50.0, 0.4, 2.5 / 6.0, 0.5
-    speed = turn * radius
-    held = share * WEIGHT
-    pull = held * np.array([0.0, -np.tan(cone), 1.0])  # on the load, up and outwards
-    pull[1] *= -1  # outwards is +y of a turn about a centre at −y
-    velocity, acceleration = straight(speed), [0.0, -(speed**2) / radius, 0.0]
-    lift, bank, thrust = steady(RASCAL, velocity, acceleration, pull)
-    expected = (speed**2 / (9.81 * radius) - share * np.tan(cone)) / (1 + share)
-    assert np.tan(bank) == pytest.approx(expected, rel=1e-12)
-    pressure = 0.5 * 1.225 * speed**2 * 0.98
-    angle = angle_of_attack(RASCAL, lift)
-    across = pressure * lift + thrust * np.sin(angle)
-    assert across == pytest.approx((WEIGHT + held) / np.cos(bank), rel=1e-12)
 
 
 def test_needs_are_the_inverse(rng):
@@ -134,56 +79,6 @@ def test_needs_are_the_inverse(rng):
     for name, given in (("lift", lift), ("bank", bank), ("thrust", thrust)):
         np.testing.assert_allclose(getattr(found, name)[keep], given[keep], atol=2e-9)
     assert keep.sum() > 100
-
-
-@pytest.mark.parametrize("force", [[1e4, 1e4, 1e4], [0.0, 0.0, 0.0], [-500.0, 0.0, 3000.0]])
-def test_a_force_that_cannot_be_gives_finite_commands(force):
-    for speed in (0.0, 0.1, 5.0):
-        found = flight_needs(RASCAL, np.array(force), straight(speed))
-        assert np.all(np.isfinite(found))
-
-
-def test_the_bank_is_positive_to_the_right():
-    frame = air_frame(straight(10.0))
-    np.testing.assert_allclose(frame.right, [0.0, -1.0, 0.0], atol=1e-12)
-    direction = frame.lift_direction(np.array(0.3))
-    np.testing.assert_allclose(direction, [0.0, -np.sin(0.3), np.cos(0.3)], atol=1e-12)
-
-
-def test_the_stall_speed_grows_with_what_bank_and_cable_ask_of_the_wing(rng):
-    """By the root of the force across the flight, over the weight: in a turn 1/cos of the bank."""
-    speed, bank = 15.0, 0.6
-    turning = np.array([0.0, 9.81 * np.tan(bank), 0.0])
-    told = steady(FREE, straight(speed), turning)
-    ratio = airspeed_over_loaded_stall(FREE, np.array(speed), told.lift, told.thrust)
-    assert ratio == pytest.approx(speed / stall_speed(FREE) * np.sqrt(np.cos(bank)), rel=1e-6)
-    velocities, pulls = rng.normal(size=(2, 20, 3)) * [2, 2, 1]
-    velocities += straight(15)
-    told = steady(RASCAL, velocities, pull=pulls)
-    forces = needed_force(RASCAL, np.zeros(3), pulls)
-    frame = air_frame(velocities)
-    across = forces - (forces * frame.forward).sum(axis=1, keepdims=True) * frame.forward
-    factor = np.linalg.norm(across, axis=1) / WEIGHT
-    airspeed = frame.airspeed[:, 0]
-    ratios = airspeed_over_loaded_stall(RASCAL, airspeed, told.lift, told.thrust)
-    np.testing.assert_allclose(ratios, airspeed / (stall_speed(RASCAL) * np.sqrt(factor)))
-    fallen = airspeed_over_loaded_stall(RASCAL, np.array([10.0]), np.zeros(1), np.array([20.0]))
-    assert np.all(np.isfinite(fallen))  # one that is pushed down carries nothing
-    assert np.all(fallen > 100)
-
-
-def test_the_share_of_the_thrust_is_of_the_largest_at_that_airspeed():
-    shares = thrust_share(RASCAL, np.array([29.0, 14.5, -3.0, 5.0]), np.array([0.0, 20, 20, 40]))
-    np.testing.assert_allclose(shares, [0.5, 0.5, -3 / 29, 1.0])  # beyond 40 m/s there is none
-
-
-def test_thrust_limits_and_power():
-    least, most = thrust_limits(RASCAL, np.array([0.0, 20.0]))
-    np.testing.assert_allclose(least, [0.0, -13.6])
-    np.testing.assert_allclose(most, [58.0, 29.0])
-    np.testing.assert_allclose(
-        drawn_power(RASCAL, np.array([13.0, -5.0]), np.array([10.0, 10.0])), [200.0, 0.0]
-    )
 
 
 def flown(aircraft, states, command, pull=None, wind=None, *, duration, step=0.002):
@@ -213,13 +108,6 @@ def at_trim(aircraft, speed, wind=NO_PULL):
     return states, np.concatenate(AircraftCommand(own.lift, own.bank, own.thrust))
 
 
-def test_a_trimmed_aircraft_flies_on():
-    states, command = at_trim(RASCAL, 15.0)
-    (*_, end) = flown(RASCAL, states, lambda time: command, duration=5.0, step=0.05)
-    np.testing.assert_allclose(end[3:], states[3:], atol=1e-9)
-    np.testing.assert_allclose(end[:3], [75.0, 0.0, 100.0], atol=1e-8)
-
-
 def test_phugoid():
     """Lanchester: the period of a slightly disturbed level flight is √2 π V/g without drag."""
     speed = 20.0
@@ -231,26 +119,6 @@ def test_phugoid():
     rising = np.flatnonzero((height[:-1] < 0) & (height[1:] >= 0)) * 0.05
     period = np.mean(np.diff(rising))
     assert period == pytest.approx(np.sqrt(2) * np.pi * speed / 9.81, rel=0.01)
-
-
-def test_energy_balance(rng):
-    """d/dt (½ m v² + m g z) is the power of thrust, drag and cable, by central differences.
-
-    The lift, and the part of the thrust that is along it, are across the path, without power.
-    """
-    pull = np.array([-3.0, 2.0, 25.0])
-    states, command = at_trim(RASCAL, 16.0)
-    told = command + np.array([0.1, 0.5, 5.0])
-    path = flown(RASCAL, states, lambda time: told, pull, duration=1.0, step=0.004)
-    velocity, lift, bank, thrust = path[:, 3:6], path[:, 6], path[:, 7], path[:, 8]
-    energy = 3.0 * (velocity**2).sum(axis=1) + WEIGHT * path[:, 2]
-    speed = np.sqrt((velocity**2).sum(axis=1))
-    angle = (lift - 0.25) / 5.0
-    drag = 0.5 * 1.225 * speed**2 * 0.98 * (0.027 + 0.055 * lift**2 + 1.1 * 1e-3 * 150 / 3.92)
-    power = thrust * np.cos(angle) * speed - drag * speed - velocity @ pull
-    rate = (energy[2:] - energy[:-2]) / 0.008
-    np.testing.assert_allclose(rate, power[1:-1], atol=0.02)
-    assert np.ptp(bank) > 0.3
 
 
 def test_lags_and_roll_rate():
@@ -268,14 +136,6 @@ def test_lags_and_roll_rate():
     after = 1.0 - 0.4 * fastest * np.exp(-(time - until) / 0.4)
     expected = np.where(time < until, fastest * time, after)
     np.testing.assert_allclose(path[:, 7], expected, atol=1e-3)
-
-
-def test_thrust_is_commanded_within_its_limits():
-    states, command = at_trim(RASCAL, 15.0)
-    for told, limit in ((1e3, 58 - 1.45 * 15), (-1e3, -0.034 * 15**2)):
-        command[2] = told
-        rate = FlightStates.view(flight_rate(RASCAL, states, command, NO_PULL, NO_PULL)).thrust
-        np.testing.assert_allclose(rate, (limit - states[8]) / 0.2, rtol=1e-9)
 
 
 def test_a_gust_acts_at_once_and_is_taken_out():
@@ -296,28 +156,6 @@ def test_a_gust_acts_at_once_and_is_taken_out():
     settled = np.concatenate([states[:9], upwash * (1 - np.exp(-1.0))])
     later = AircraftState.view(shown_state(RASCAL, settled, upwash))
     np.testing.assert_allclose(later.lift - states[6], (expected - states[6]) / np.e, rtol=1e-9)
-
-
-def test_a_steady_wind_only_shifts_the_flight(rng):
-    """Galileo: in a wind that does not change, an aircraft flies as in still air, turns too."""
-    wind = np.array([4.0, -3.0, 0.5])
-    still, command = at_trim(RASCAL, 15.0)
-    told = command + np.array([0.1, 0.6, 4.0])
-    moved = still.copy()
-    moved[3:6] += wind
-    moved[9:] = wind
-    one = flown(RASCAL, still, lambda time: told, duration=2.0, step=0.02)[-1]
-    other = flown(
-        RASCAL, moved, lambda time: told, wind=lambda time: wind, duration=2.0, step=0.02
-    )[-1]
-    np.testing.assert_allclose(other[:3], one[:3] + 2.0 * wind, atol=1e-9)
-    np.testing.assert_allclose(other[3:9], one[3:9] + np.r_[wind, 0, 0, 0], atol=1e-9)
-
-
-def test_lift_ends_at_its_maximum():
-    states, _ = at_trim(RASCAL, 10.0)
-    shown = AircraftState.view(shown_state(RASCAL, states, np.array([0.0, 0.0, 6.0])))
-    assert shown.lift == pytest.approx(1.4, rel=1e-15)
 
 
 def test_flight_of_an_independent_integration():
@@ -358,9 +196,3 @@ def test_flight_of_an_independent_integration():
     end = flown(FREE, states, lambda time: told, duration=4.0, step=0.04)[-1]
     np.testing.assert_allclose(end[:3], place, atol=0.02)
     np.testing.assert_allclose(np.linalg.norm(end[3:6]), speed, rtol=2e-4)
-
-
-def test_drag_has_the_cables_part():
-    lift = np.array(0.6)
-    own = drag_coefficient(FREE, lift)
-    assert drag_coefficient(RASCAL, lift) - own == pytest.approx(1.1 * 1e-3 * 150 / (4 * 0.98))

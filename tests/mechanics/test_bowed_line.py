@@ -1,7 +1,6 @@
 """Lines that bow, against closed forms, the plant's nodes and other formulas of the rates."""
 
 import itertools
-from functools import partial
 
 import numpy as np
 import pytest
@@ -10,27 +9,10 @@ from drake_nonstop.mechanics import bowed_line
 from drake_nonstop.mechanics.bowed_line import (
     TimeWindow,
     bowed_lines,
-    motion_over_window,
-    with_feedback,
 )
 from drake_nonstop.mechanics.carrier import carrier_motion
-from drake_nonstop.mechanics.grasp import (
-    cable_forces_and_rates,
-    forces_along,
-    grasp_matrix,
-)
-from drake_nonstop.mechanics.internal_force import (
-    elliptic_carousel,
-    harmonics,
-    orbit_axes,
-    orbit_forces,
-)
-from drake_nonstop.mechanics.load_motion import LoadMotion
 from drake_nonstop.mechanics.lumped_cable import CableMaterial, lumped_cables
-from drake_nonstop.mechanics.planned_orbit import FlightTerms
-from drake_nonstop.mechanics.rigid_load import RigidLoad
-from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE, LoadReference, PlannedParameters
-from drake_nonstop.mechanics.wrench import feedforward_wrench
+from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE
 
 CABLE = CableMaterial(150.0, 120.0, 0.0, 1e-3, 970.0, 1.1, 0.02, 1.225, 9.81)
 WINDOW = TimeWindow.of(0.75, 9)
@@ -136,54 +118,3 @@ def test_lines_that_turn_with_their_load_are_in_equilibrium_as_nodes_of_the_plan
     assert made == pytest.approx(accelerations, abs=1e-4)
     assert plant.load_forces == pytest.approx(WINDOW.at_present(forces)[0], abs=1e-6)
     assert plant.carrier_forces == pytest.approx(WINDOW.at_present(lines.forces)[0], abs=1e-6)
-
-
-def test_forces_over_a_window_have_the_rates_that_other_formulas_give():
-    random = np.random.default_rng(3)
-    reference, higher = random.normal(size=LOAD_REFERENCE_SIZE) / 3, np.zeros(6)
-    higher[3:] = random.normal(size=3)
-    LoadReference.view(reference).quaternion[:] = [0.9, 0.1, -0.2, 0.3]
-    planned = np.array([0.4, 0.6, 3.0, 0.05, 0.1, 0.02, 0.1, 0.05])
-    load = RigidLoad(
-        mass=10.0, inertia=np.diag([5.0, 6, 11]), drag=0.6, angular_drag=0.1, gravity=9.81
-    )
-    geometry = {
-        "pseudo_inverse": np.linalg.pinv(grasp_matrix(SQUARE)),
-        "basis": elliptic_carousel(
-            SQUARE,
-            phase_turns=2,
-            radial=1.0,
-            tangential=1.4,
-            vertical=1.5,
-        ),
-    }
-    pattern = {"phases": np.array([0, -np.pi / 2])}
-    rates = harmonics(*PlannedParameters.view(planned).series, **pattern).rates
-    wrench, wrench_rate = feedforward_wrench(load, reference)
-    forces, force_rates = cable_forces_and_rates(
-        reference[:13],
-        wrench,
-        wrench_rate,
-        np.concatenate(rates[:2]),
-        offset=np.ones(12),
-        **geometry,
-    )
-    motion, thirds = LoadMotion.along(reference, higher), np.concatenate(rates[2:])
-    series = forces_along(load, motion, forces, force_rates, thirds, **geometry)
-    second = (series @ motion.axes).rates[2]
-    terms = FlightTerms.along(
-        load, motion, pseudo_inverse=geometry["pseudo_inverse"], offset=np.ones(12)
-    )
-    shape = partial(orbit_forces, orbit_axes(geometry["basis"], **pattern))
-    along, attachments = motion_over_window(terms, shape, planned, WINDOW, SQUARE)
-    over_window = with_feedback(WINDOW, along, forces, force_rates)
-    # The feedback is nothing: the forces are those along the reference.
-    for made, known in zip(
-        WINDOW.at_present(over_window), (forces, force_rates, second), strict=False
-    ):
-        assert made == pytest.approx(known, abs=1e-3)
-    motion = carrier_motion(
-        reference, *[np.ones((4, 3))] * 4, attachments=SQUARE, rest_length=0.0, compliance=0.0
-    )
-    for made, known in zip(WINDOW.at_present(attachments)[:3], motion, strict=False):
-        assert made == pytest.approx(known, abs=1e-4)

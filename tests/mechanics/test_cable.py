@@ -7,7 +7,6 @@ from helpers import SHAPES, Motion, difference, irregular, rotation
 from drake_nonstop.mechanics.cable import (
     cable_forces_and_tensions,
     forces_under_other_wrench,
-    positive_part,
     wrenches_of,
 )
 from drake_nonstop.mechanics.rotation import rotation_matrix
@@ -25,25 +24,6 @@ def straight(stretch, stretch_rate):
         load_state, carrier, attachments=np.zeros((1, 3)), **CONSTANTS
     )
     return force[0], tension[0]
-
-
-def test_positive_part():
-    values = np.array([-2.0, -0.0, 0.0, 1e-300, 3.0])
-    np.testing.assert_array_equal(positive_part(values), [0, 0, 0, 1e-300, 3])
-
-
-def test_taut_cable_is_a_linear_spring_damper():
-    for stretch_rate in (-0.4, 0.0, 0.4):
-        force, tension = straight(0.01, stretch_rate)
-        assert tension == pytest.approx(STIFFNESS * 0.01 + DAMPING * stretch_rate, rel=1e-12)
-        np.testing.assert_allclose(force, [0, 0, tension], rtol=0, atol=1e-15)
-
-
-def test_slack_cable_pulls_with_nothing():
-    for stretch, stretch_rate in itertools.product((-1e-9, -0.1, -0.7), (-100.0, 0.0, 100.0)):
-        force, tension = straight(stretch, stretch_rate)
-        assert tension == 0, (stretch, stretch_rate)
-        np.testing.assert_array_equal(force, 0)
 
 
 def test_cable_never_pushes():
@@ -125,14 +105,3 @@ def test_forces_under_another_wrench_are_those_of_a_load_that_has_moved_to_where
 
     assert error(1e-3) < 0.02
     assert error(1e-4) < 0.11 * error(1e-3)  # it is of the first order
-
-
-def test_forces_stay_as_they_are_under_their_own_wrench():
-    forces = np.random.default_rng(2).normal(size=(5, 4, 3)) + UP
-    points = irregular(4)
-    own = wrenches_of(forces, np.broadcast_to(points, forces.shape))
-    for stiffness in (STIFFNESS, np.inf):
-        found = forces_under_other_wrench(
-            forces, points, own, rest_length=LENGTH, stiffness=stiffness
-        )
-        np.testing.assert_allclose(found, forces, atol=1e-12)

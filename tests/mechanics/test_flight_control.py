@@ -114,13 +114,6 @@ def test_commands_are_within_their_limits_and_flagged_where_these_change_them(rn
         np.testing.assert_array_equal(flags > 0.5, np.abs(limited - command) > 1e-6)
 
 
-def test_within_the_limits_a_command_stays():
-    command = np.array([0.5, 0.3, -0.4, 0.6, 12.0, 4.0])
-    limited, flags = limited_command(RASCAL, command, np.full(2, 15.0), **LIMITS)
-    np.testing.assert_allclose(limited, command, rtol=1e-9)
-    np.testing.assert_allclose(flags, 0.0, atol=1e-6)
-
-
 @pytest.mark.parametrize(("bank", "cut"), [(0.7, True), (-0.7, True), (0.2, False)])
 def test_where_lift_is_short_the_vertical_part_is_kept_and_the_bank_is_cut(bank, cut):
     wanted = 1.5 if cut else 1.2
@@ -129,13 +122,6 @@ def test_where_lift_is_short_the_vertical_part_is_kept_and_the_bank_is_cut(bank,
     np.testing.assert_allclose(lift * np.cos(less), wanted * np.cos(bank), rtol=1e-9)
     assert np.sign(less) == np.sign(bank)
     np.testing.assert_allclose(flags, [cut, cut, False], atol=1e-6)
-
-
-def test_where_even_level_wings_do_not_lift_enough_they_are_levelled():
-    command = np.array([3.0, 0.5, 10.0])
-    (lift, bank, _), _ = limited_command(RASCAL, command, np.array([15.0]), **LIMITS)
-    assert lift == pytest.approx(1.26)
-    assert bank == pytest.approx(0.0, abs=1e-5)
 
 
 def test_below_the_share_of_the_stall_speed_thrust_is_added():
@@ -169,16 +155,3 @@ def test_the_observer_tells_the_force_that_the_model_does_not_explain(rng):
     states = np.concatenate(ObserverStates(np.zeros(3), np.array([0.6]), np.array([9.0])))
     rate = observer(states, np.array([0.7, 0.3, 11.0]), acceleration, 0.0)
     np.testing.assert_allclose(states + LAGS * rate, [*push, 0.7, 11.0], atol=1e-12)
-
-
-def test_a_sampled_observer_is_where_the_continuous_one_is_at_the_samples():
-    """Of C_L and thrust, which follow constant commands."""
-    period, command = 0.04, np.array([0.7, 0.3, 11.0])
-    states = np.zeros(5)
-    for _ in range(10):
-        states = states + period * observer(states, command, np.zeros(3), period)
-    expected = np.array([0.7, 11.0]) * (1 - np.exp(-0.4 / LAGS[3:]))
-    np.testing.assert_allclose(states[3:], expected, rtol=1e-12)
-    continuous, sampled = (observer(np.zeros(5), command, np.ones(3), h) for h in (0.0, period))
-    shares = 1 - np.exp(-period / LAGS)
-    np.testing.assert_allclose(sampled * period, shares * LAGS * continuous, rtol=1e-12)

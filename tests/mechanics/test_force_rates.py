@@ -88,13 +88,3 @@ def test_each_rate_is_the_difference_of_the_one_below(shape, compliance):
                 expected = difference(lambda t, k=order, f=rates: f(t)[k - 1], time)
                 size = np.max(np.abs(expected))
                 np.testing.assert_allclose(rates(time)[order], expected, rtol=0, atol=3e-9 * size)
-
-
-def test_the_angular_jerk_of_the_load_counts_for_the_jerk_of_carriers():
-    motion, _ = Orbits("irregular-4", 0.02).series(0.7)
-    reference, higher = motion_at(0.7)
-    without = LoadMotion.along(reference, np.concatenate([np.zeros(3), higher[3:]]))
-    levers = SHAPES["irregular-4"] @ motion.axes.coefficients[0]
-    found = motion.attached(SHAPES["irregular-4"]).rates[3]
-    missing = found - without.attached(SHAPES["irregular-4"]).rates[3]
-    np.testing.assert_allclose(missing, np.cross(higher[:3], levers), rtol=0, atol=1e-12)

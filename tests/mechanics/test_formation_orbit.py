@@ -82,17 +82,3 @@ def test_velocities_and_accelerations_are_the_rates_of_positions(yaw_rate):
     np.testing.assert_allclose(found.velocities + WIND, rate, atol=1e-8)
     rate = difference(lambda time: orbit(time).velocities, 1.3)
     np.testing.assert_allclose(found.accelerations, rate, atol=1e-8)
-
-
-def test_the_forces_hold_the_load():
-    shape = FormationShape(6.0, 2.0, 3.0, 1.5, 0.9, 0.0, 40.0)
-    load = CarriedLoad(10.0, 0.6, 9.81, 4, 1.5, 0.0)
-    places = 2 * np.pi * np.arange(4) / 4
-    pushed = np.array([0.3, -0.2, 0.1])
-    found = carrier_orbit(
-        shape, load, places, 0.3 + 2 * places, air_velocity=WIND, acceleration=pushed
-    )
-    needed = 10.0 * (pushed + np.array([0.0, 0.0, 9.81])) + 0.6 * WIND
-    np.testing.assert_allclose(found.forces.sum(axis=0), needed, atol=1e-9)
-    torque = np.cross(regular(4, 1.5), found.forces).sum(axis=0)
-    np.testing.assert_allclose(torque, 0, atol=1e-9)

@@ -1,6 +1,5 @@
 import numpy as np
 from helpers import Motion, difference, over_shapes, rotation
-from pydrake.multibody.math import SpatialForce
 
 from drake_nonstop.mechanics.grasp import cable_forces_and_rates, grasp_matrix
 from drake_nonstop.mechanics.internal_force import hamiltonian_cycle
@@ -40,31 +39,6 @@ def random_arguments(attachments, rng):
             "offset": basis @ rng.normal(size=n),
         },
     )
-
-
-@over_shapes
-def test_grasp_matrix_sums_forces_and_moments(attachments, rng):
-    forces = rng.normal(size=attachments.shape)
-    total = SpatialForce(np.zeros(3), np.zeros(3))
-    for lever, force in zip(attachments, forces, strict=True):
-        total += SpatialForce(np.zeros(3), force).Shift(-lever)
-    wrench = grasp_matrix(attachments) @ forces.ravel()
-    expected = np.concatenate([total.rotational(), total.translational()])
-    np.testing.assert_allclose(wrench, expected, rtol=0, atol=1e-14)
-
-
-@over_shapes
-def test_grasp_matrix_is_the_papers_with_its_row_blocks_exchanged(attachments, rng):
-    paper = paper_grasp_matrix(attachments, np.eye(3))
-    np.testing.assert_array_equal(grasp_matrix(attachments), np.vstack([paper[3:], paper[:3]]))
-
-
-@over_shapes
-def test_forces_of_a_tilted_load_add_up_to_the_wrench(attachments, rng):
-    (state, wrench, *others), constants = random_arguments(attachments, rng)
-    forces, _ = cable_forces_and_rates(state, wrench, *others, **constants)
-    G = paper_grasp_matrix(attachments, rotation(state[:4]))
-    np.testing.assert_allclose(G @ forces.ravel(), paper_order(wrench), rtol=0, atol=1e-12)
 
 
 @over_shapes

@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import LinearSpringDamper, SpatialInertia, UnitInertia
-from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
 
-from drake_nonstop.mechanics.cable import cable_forces_and_tensions
 from drake_nonstop.mechanics.lumped_cable import (
     CableMaterial,
     lumped_cables,
@@ -14,7 +12,6 @@ from drake_nonstop.mechanics.lumped_cable import (
     segment_shares,
     straight_nodes,
 )
-from drake_nonstop.systems.loop_equations import Step, runge_kutta3
 
 LENGTH, STIFFNESS, GRAVITY, AIR = 150.0, 120.0, 9.81, 1.225
 CABLE = CableMaterial(LENGTH, STIFFNESS, 2.0, 1e-3, 970.0, 1.1, 0.0, AIR, GRAVITY)
@@ -122,18 +119,6 @@ def test_a_towed_line_is_straight_at_the_angle_at_which_its_drag_across_bears_it
     assert most - least == pytest.approx(along + CABLE.mass * GRAVITY * way[2], rel=1e-3)
 
 
-def test_a_thin_line_is_a_straight_cable():
-    thin = CABLE._replace(diameter=1e-7)
-    carrier = np.array([20.0, -10.0, 148.6, 3.0, 0.1, -0.2])
-    _, found = settled(carrier, 5, cable=thin)
-    forces, tensions = cable_forces_and_tensions(
-        *(REST, carrier), attachments=ONE, rest_length=LENGTH, stiffness=STIFFNESS, damping=0.0
-    )
-    assert tensions[0] > 10
-    np.testing.assert_allclose(found.load_forces, forces, rtol=2e-3)
-    np.testing.assert_allclose(found.carrier_forces, forces, rtol=2e-3)
-
-
 def plant_of(nodes, end, cable):
     """One cable in the air-free plant of Drake, with a small ball for each node."""
     plant = MultibodyPlant(0.0)
@@ -182,33 +167,3 @@ def test_accelerations_are_those_of_drakes_bodies_and_springs():
         np.testing.assert_allclose(
             found.rates[3 * nodes :].reshape(-1, 3), expected, rtol=1e-9, atol=1e-9
         )
-
-
-def test_a_flight_is_that_of_drakes_bodies_and_springs():
-    """A line is plucked, and swings for 2 s."""
-    nodes, end = 4, np.array([0.0, 0.0, 150.4])
-    cable = CABLE._replace(damping=0.02, drag=0.0)
-    carrier = np.concatenate([end, np.zeros(3)])
-    state = straight_nodes(REST, carrier, attachments=ONE, nodes=nodes)
-    state[: 3 * nodes] += np.tile([0.8, -0.3, 0.01], nodes)
-    plant = plant_of(nodes, end, cable)
-    simulator = Simulator(plant)
-    simulator.get_mutable_context().SetContinuousState(as_bodies(*nodes_of(state, 1)))
-    ApplySimulatorConfig(
-        SimulatorConfig(
-            integration_scheme="runge_kutta3", max_step_size=2e-3, use_error_control=False
-        ),
-        simulator,
-    )
-    simulator.AdvanceTo(2.0)
-    for step in np.arange(0, 2.0 - 1e-9, 2e-3):
-        state = runge_kutta3(
-            lambda now, _: moved(now, carrier, cable=cable, ratio=1e6).rates,
-            state,
-            Step(step, 2e-3, step + 2e-3, is_shown=False),
-        )
-    shown = simulator.get_context().get_continuous_state_vector().CopyToVector()
-    drakes = shown[: 7 * nodes].reshape(-1, 7)[:, 4:]
-    found = nodes_of(state, 1)[0][:, 0]
-    assert np.max(np.abs(found - drakes)) < 1e-6
-    assert np.max(np.abs(found[:, 0] - 0.8)) > 0.5  # it moved

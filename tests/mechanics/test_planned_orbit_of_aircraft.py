@@ -3,14 +3,11 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
-from helpers import Motion, difference, resting_orbits
+from helpers import Motion
 
 from drake_nonstop.mechanics.aircraft import (
     flight_needs,
     needed_force,
-    stall_factor,
-    stall_speed,
 )
 from drake_nonstop.mechanics.carrier import carrier_positions
 from drake_nonstop.mechanics.grasp import cable_forces_and_rates, forces_along
@@ -18,7 +15,6 @@ from drake_nonstop.mechanics.internal_force import harmonics
 from drake_nonstop.mechanics.load_motion import LoadMotion, in_axes
 from drake_nonstop.mechanics.planned_orbit import (
     FlightTerms,
-    flight_terms,
     needs_of_motion,
     orbit_motion,
     turning_terms,
@@ -128,49 +124,6 @@ def test_needs_are_those_of_the_exact_inverse_of_the_commanded_motion(rng):
             )
 
 
-def test_terms_of_a_wrench_have_the_rates_of_its_components(rng):
-    """The force in L, its first and second rates, of a wrench that grows steadily in W."""
-    model = aircraft_model()
-    motion, (start, rate) = Motion(3), rng.uniform(5, 20, (2, 6))
-
-    def forces(time):
-        wrench = start + time * rate
-        terms = flight_terms(motion.reference(time), wrench, rate, **distribution_of(model))
-        return terms.forces.rates
-
-    for order in (1, 2):
-        expected = difference(lambda t, k=order: forces(t)[k - 1], 0.4)
-        np.testing.assert_allclose(forces(0.4)[order], expected, atol=1e-8)
-
-
-@pytest.mark.parametrize("yaw_rate", [0.0, 0.4])
-def test_above_a_resting_load_needs_are_those_of_the_margins(yaw_rate):
-    """`aircraft_margins` takes the exact orbit in time; here it is the plan at one instant."""
-    pattern = ConstantSpreadConfig(spread=30.0) if yaw_rate else None
-    model = aircraft_model(pattern, 60.0 if yaw_rate else 150.0)
-    phases = np.linspace(0, 6, 7)
-    xi, A = 0.595, 0.0 if yaw_rate else 1.0
-    reference = np.zeros(22)
-    reference[0], reference[9] = 1.0, yaw_rate
-    parameters = np.array([xi, A])
-    motion = resting_orbits(
-        model, reference, phases / xi, parameters, yaw_rate=yaw_rate, load_wind=WIND
-    )
-    force = needed_force(model.aircraft, motion.accelerations, motion.cable_forces)
-    expected = flight_needs(model.aircraft, force, motion.velocities - WIND)
-    turned = []
-    for phase in phases:
-        angle = yaw_rate * phase / xi
-        moved = reference.copy()
-        moved[0], moved[3] = np.cos(angle / 2), np.sin(angle / 2)
-        turned.append(moved)
-    needs = needs_of(model, stack(turned, model, WIND), constant_plan(phases, xi, A))
-    for name in ("airspeed", "lift", "bank", "climb", "thrust"):
-        np.testing.assert_allclose(
-            getattr(needs, name), getattr(expected, name), rtol=1e-7, atol=1e-7, err_msg=name
-        )
-
-
 def test_closed_forms_of_level_orbits_that_turn_with_the_load():
     """theory: tan ϑ = C/f₀, tan φ = [V²/gR − μ tan ϑ]/(1 + μ), C_L = 2 (W + f₀)/(ρ S V² cos φ)."""
     spread, rate, length = 30.0, 0.4, 60.0
@@ -193,33 +146,6 @@ def test_closed_forms_of_level_orbits_that_turn_with_the_load():
     np.testing.assert_allclose(needs.climb, 0, atol=1e-9)
     np.testing.assert_allclose(needs.lift, lift, rtol=0.02)  # without the thrust's T sin α
     assert np.all(needs.lift < lift)
-
-
-def test_wind_only_shifts_the_velocities(rng):
-    model = aircraft_model()
-    orbit, references = plan(rng, 4), [slow_motion(i) for i in range(4)]
-    # The drag of the load changes the forces, too: those are of the still air here.
-    airspeeds = needs_of(model, stack(references, model, np.zeros(3)), orbit).airspeed
-    for i, reference in enumerate(references):
-        own = commanded(model, reference, orbit[i], np.zeros(3))[0] - WIND
-        np.testing.assert_allclose(airspeeds[i], np.linalg.norm(own, axis=1), rtol=1e-12)
-
-
-@pytest.mark.parametrize("wind", [0.0, 3.0])
-def test_the_stall_factor_bounds_the_lift_share(wind):
-    """‖F‖ ≤ κ V² asks for up to 3 % more in still air, and for 7 % where thrust is large."""
-    model = aircraft_model()
-    aircraft = model.aircraft
-    weight = aircraft.mass * aircraft.gravity
-    assert stall_factor(aircraft, 1.0) * stall_speed(aircraft) ** 2 == pytest.approx(weight)
-    count = 40
-    orbit = constant_plan(np.linspace(0, 6.2, count), 0.595, 1.0)
-    terms = stack([np.eye(22)[0]] * count, model, np.array([wind, 0.0, 0.0]))
-    needs = needs_of(model, terms, orbit, np.array([wind, 0.0, 0.0]))
-    share = needs.force / (stall_factor(aircraft, 1.0) * needs.airspeed**2)
-    ratio = share / (needs.lift / aircraft.max_lift)
-    assert ratio.min() > 1.0
-    assert ratio.max() < (1.07 if wind else 1.03)
 
 
 def test_terms_of_a_turning_load_are_those_of_its_turned_motion(rng):
@@ -251,14 +177,3 @@ def test_terms_of_a_turning_load_are_those_of_its_turned_motion(rng):
         for own, known in series:
             for order in range(3):
                 np.testing.assert_allclose(own.rates[order][i], known.rates[order], atol=1e-12)
-
-
-def test_the_squared_airspeed_is_quadratic_in_the_rate_of_a_turn(rng):
-    model = aircraft_model(ConstantSpreadConfig(spread=30.0), 60.0)
-    motion, wrench = np.eye(22)[0], np.array([0, 0, 0, 2.0, 0, 98.1])
-    rates = np.linspace(0.1, 0.9, 9)
-    terms = turning_terms(
-        motion, wrench, np.zeros(6), rates, np.full(9, 1.1), **distribution_of(model)
-    )
-    needs = needs_of(model, terms, constant_plan(np.zeros(1), 0.0, 0.0))
-    np.testing.assert_allclose(np.diff(needs.airspeed**2, n=3, axis=0), 0, atol=1e-9)

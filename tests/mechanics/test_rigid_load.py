@@ -55,28 +55,10 @@ def test_load_moves_as_a_free_body_of_multibody_plant(plant, rng, shape, time):
     np.testing.assert_allclose(rate, expected, rtol=0, atol=1e-9)
 
 
-def test_rate_does_not_change_with_the_norm_of_the_quaternion_but_in_its_own_scale(rng):
-    state, forces = Motion(5).state(0.4), rng.normal(size=12)
-    arguments = forces, np.zeros(6)
-    scaled = np.concatenate([1.1 * state[:4], state[4:]])
-    rate, scaled_rate = (
-        load_state_rate(LOAD, s, *arguments, attachments=SHAPES["spatial-4"])
-        for s in (state, scaled)
-    )
-    np.testing.assert_allclose(scaled_rate[:4], 1.1 * rate[:4], rtol=1e-12)
-    np.testing.assert_allclose(scaled_rate[4:], rate[4:], rtol=1e-12)
-
-
 def test_load_under_its_gravity_wrench_stays_at_rest():
     state = np.concatenate([Motion(6).state(1.0)[:7], np.zeros(6)])
     angular, translational = load_acceleration(LOAD, state, gravity_wrench(MASS, GRAVITY))
     np.testing.assert_allclose(angular, 0, rtol=0, atol=1e-15)
-    np.testing.assert_allclose(translational, 0, rtol=0, atol=1e-14)
-
-
-def test_falling_load_reaches_its_terminal_velocity():
-    state = np.array([1.0, *np.zeros(11), -MASS * GRAVITY / DRAG])
-    _, translational = load_acceleration(LOAD, state, np.zeros(6))
     np.testing.assert_allclose(translational, 0, rtol=0, atol=1e-14)
 
 

@@ -15,7 +15,7 @@ from pydrake.geometry import (
 )
 from pydrake.math import RigidTransform, RotationMatrix
 
-from drake_nonstop.mechanics.rounded_box import nearest_to, outline_in
+from drake_nonstop.mechanics.rounded_box import nearest_to
 from drake_nonstop.scenario.obstacles import BoxConfig, GroundConfig, SphereConfig
 from drake_nonstop.view.bodies import cylinder_poses
 
@@ -106,19 +106,3 @@ def test_no_point_of_a_segment_is_nearer_by_drakes_distances_of_points(kind):
             assert nearest.distance <= least + 1e-9
             if nearest.distance > 1e-9:
                 np.testing.assert_allclose(nearest.grad_W, gradients[k], atol=1e-6)
-
-
-@pytest.mark.parametrize("kind", [BoxConfig, SphereConfig])
-def test_outline_is_the_hull_of_the_points_that_are_seen(kind):
-    rng = np.random.default_rng(4)
-    box = drawn(kind, rng)[0].shape()
-    view = np.linalg.qr(rng.normal(size=(3, 3)))[0][:2]
-    points = rng.normal(size=(20000, 3))
-    points /= np.linalg.norm(points, axis=1, keepdims=True)
-    inside = np.sign(points) * box.half @ box.rotation.T + box.radius * points  # to the corners
-    seen, outline = (box.position + inside) @ view.T, outline_in(box, view)
-    angles = 2 * np.pi * np.arange(len(outline)) / len(outline)
-    ways = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    farthest = (ways @ seen.T).max(axis=1)
-    assert (ways * outline).sum(axis=1) == pytest.approx(farthest, abs=1e-2)
-    assert (ways @ outline.T).max(axis=1) == pytest.approx(farthest, abs=1e-2)

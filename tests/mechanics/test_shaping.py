@@ -27,15 +27,6 @@ def test_a_step_is_that_of_drakes_linear_system(bandwidth, period):
 
 
 @CASES
-def test_the_first_stage_has_a_pole_at_the_samples(bandwidth, period):
-    smoothing, stages, time = Smoothing(bandwidth=bandwidth, period=period), [0.0] * 3, 0.0
-    for _ in range(20):
-        *stages, _ = smoothing.after(*stages, smoothing.approach(stages[0], 2.0))
-        time += period
-        assert stages[0] == pytest.approx(2 * (1 - np.exp(-bandwidth * time)), abs=1e-12)
-
-
-@CASES
 def test_rates_are_the_slopes_of_the_smoothed_number(bandwidth, period):
     first_rate, step = 1.7, 1e-3 / bandwidth
 

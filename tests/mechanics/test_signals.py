@@ -1,6 +1,5 @@
 """The named parts of flat signals: order, shapes, and views in place of copies."""
 
-import casadi
 import numpy as np
 import pytest
 
@@ -23,35 +22,6 @@ KINDS = pytest.mark.parametrize("kind", SIZES, ids=lambda kind: kind.__name__)
 def test_the_parts_are_the_whole_vector_in_order(kind):
     values = np.arange(float(SIZES[kind]))
     np.testing.assert_array_equal(np.concatenate(kind.view(values)), values)
-
-
-@KINDS
-def test_the_parts_of_a_log_are_the_parts_of_its_rows(kind):
-    log = np.random.default_rng(1).normal(size=(5, SIZES[kind]))
-    for k, row in enumerate(log):
-        for whole, single in zip(kind.view(log), kind.view(row), strict=True):
-            np.testing.assert_array_equal(whole[k], single)
-
-
-@KINDS
-def test_the_parts_are_views(kind):
-    values = np.zeros(SIZES[kind])
-    assert all(np.shares_memory(part, values) for part in kind.view(values))
-
-
-@KINDS
-def test_the_parts_of_symbols_are_arrays(kind):
-    values = np.array([casadi.SX.sym("x") for _ in range(SIZES[kind])], dtype=object)
-    assert all(isinstance(part, np.ndarray) for part in kind.view(values))
-
-
-def test_a_reference_begins_like_a_state():
-    values = np.arange(22.0)
-    reference, state = signals.LoadReference.view(values), signals.LoadState.view(values)
-    for expected, part in zip(reference, state, strict=False):
-        np.testing.assert_array_equal(part, expected)
-    for expected, part in zip(reference, signals.Pose.view(values), strict=False):
-        np.testing.assert_array_equal(part, expected)
 
 
 @pytest.mark.parametrize("lead", [(), (5,)])

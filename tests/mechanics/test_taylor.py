@@ -53,12 +53,6 @@ def test_rates_and_integrals_are_those_of_the_polynomial():
     assert series.integral(2.0).at(0.8) == pytest.approx(known.integ(k=2.0)(0.8), rel=1e-14)
 
 
-def test_a_result_has_the_rates_that_all_operands_have(rng):
-    long, short = drawn(rng, 3), drawn(rng, 3).truncated(2)
-    for made in (long * short, short + long, long / short, np.concatenate([long, short])):
-        assert len(made.rates) == 3
-
-
 def test_axes_turn_as_the_exponential_about_a_fixed_axis():
     axis, tilt = np.array([0.6, -0.48, 0.64]), rotation([0.9, 0.3, -0.2, 0.245])
     speed = Polynomial([0.7, -0.4, 0.5])

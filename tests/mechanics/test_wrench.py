@@ -1,7 +1,6 @@
 import numpy as np
 import pytest
 from helpers import GAINS, INERTIA, Motion, difference, nightly_beyond, rotation
-from pydrake.math import RollPitchYaw, RotationMatrix
 
 from drake_nonstop.mechanics.rigid_load import RigidLoad, load_state_rate
 from drake_nonstop.mechanics.rotation import quaternion_rate
@@ -10,25 +9,6 @@ from drake_nonstop.mechanics.wrench import tracking_error, wrench_and_rate
 LOAD = RigidLoad(mass=1.3, inertia=INERTIA, drag=0.7, gravity=9.7)
 WIND = np.array([3.0, -2.0, 0.5])  # m/s
 NO_GAINS = dict.fromkeys(GAINS, 0.0)
-
-
-def rotated_load(angle, axis):
-    """A load state and a reference at rest, the load rotated about an axis of its own."""
-    reference = np.zeros(22)
-    reference[:4] = RollPitchYaw([0.3, -0.2, 0.9]).ToQuaternion().wxyz()
-    turn = RotationMatrix(RollPitchYaw(angle * np.array(axis)))
-    desired = RollPitchYaw([0.3, -0.2, 0.9]).ToRotationMatrix()
-    state = np.zeros(13)
-    state[:4] = (desired @ turn).ToQuaternion().wxyz()
-    return state, reference
-
-
-@pytest.mark.parametrize("axis", [[1, 0, 0], [0, 1, 0], [0, 0, 1]])
-@pytest.mark.parametrize("angle", [0.4, -1.2])
-def test_orientation_error_is_the_sine_of_the_angle_about_the_axis(axis, angle):
-    error = tracking_error(*rotated_load(angle, axis))
-    np.testing.assert_allclose(error[:3], np.sin(angle) * np.array(axis), rtol=0, atol=1e-15)
-    np.testing.assert_array_equal(error[3:], 0)
 
 
 def test_errors_on_two_independent_motions():
@@ -46,26 +26,6 @@ def test_errors_on_two_independent_motions():
     )
     error = tracking_error(state, reference)
     np.testing.assert_allclose(error, expected, rtol=0, atol=1e-14)
-
-
-def test_orientation_error_rate_in_closed_form():
-    actual, desired = Motion(10), Motion(11)
-
-    def error(t):
-        return tracking_error(actual.state(t), desired.reference(t))
-
-    for time in (0.3, 2.2):
-        R_LD = rotation(actual.state(time)[:4]).T @ rotation(desired.reference(time)[:4])
-        expected = (np.trace(R_LD) * np.eye(3) - R_LD) @ error(time)[6:9] / 2
-        rate = difference(lambda t: error(t)[:3], time)
-        np.testing.assert_allclose(rate, expected, rtol=0, atol=1e-10)
-
-
-def test_wrench_of_a_load_on_its_resting_reference_is_its_weight():
-    state, reference = rotated_load(0, [1, 0, 0])
-    wrench, rate = wrench_and_rate(LOAD, state, reference, np.zeros(6), **GAINS, feedforward=1.0)
-    np.testing.assert_allclose(wrench, [0, 0, 0, 0, 0, 1.3 * 9.7], rtol=0, atol=1e-15)
-    np.testing.assert_allclose(rate, 0, rtol=0, atol=1e-13)
 
 
 @pytest.mark.parametrize("feedforward", [0.0, 1.0, 0.4])
@@ -166,17 +126,6 @@ def test_wrench_rate_without_feedforward_is_the_difference_of_the_wrench(gain):
 def test_wrench_rate_with_feedforward_is_the_difference_of_the_wrench(gains, feedforward):
     rate, expected = differences_of_wrench(gains, feedforward, spinning_up)
     np.testing.assert_allclose(rate, expected, rtol=0, atol=RATE_TOLERANCE)
-
-
-def test_feedforward_alone_carries_the_load_along_its_reference():
-    motion = Motion(17)
-    for time in (0.2, 1.6):
-        state, reference = motion.state(time), motion.reference(time)
-        wrench, _ = wrench_and_rate(
-            LOAD, state, reference, np.zeros(6), **NO_GAINS, feedforward=1.0
-        )
-        rate = load_state_rate(LOAD, state, np.zeros(3), wrench, attachments=np.zeros((1, 3)))
-        np.testing.assert_allclose(rate[7:], reference[13:19], rtol=0, atol=1e-13)
 
 
 def test_table_gains_damp_the_rotation():

@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 
 from drake_nonstop.planning.diagnostics import (
-    DIAGNOSTICS_SIZE,
     Diagnostics,
     Outcome,
     count_update,
@@ -19,10 +18,3 @@ def test_an_update_is_counted_under_its_outcome(outcome):
     counts = {outcome.name.lower(): getattr(before, outcome.name.lower()) + 1}
     expected = before._replace(outcome=outcome, updates=11, speed_margin=0.1, **counts)
     np.testing.assert_array_equal(after, expected)
-
-
-def test_a_log_has_its_entries_over_time():
-    log = np.arange(3.0 * DIAGNOSTICS_SIZE).reshape(3, DIAGNOSTICS_SIZE)
-    diagnostics = Diagnostics.view(log)
-    np.testing.assert_array_equal(diagnostics.updates, log[:, 1])
-    np.testing.assert_array_equal(np.stack(diagnostics, axis=-1), log)

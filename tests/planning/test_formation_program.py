@@ -87,19 +87,6 @@ def test_the_least_rows_are_those_of_numbers_at_many_phases_at_once(kind, gust):
     assert rows.min() == pytest.approx(program.on_way(values, phases=8).min(), rel=1e-9)
 
 
-@pytest.mark.parametrize(("limit", "value"), EVERY, ids=lambda each: getattr(each, "field", ""))
-def test_a_limit_that_is_asked_for_is_a_row_of_one_at_the_limit(limit, value):
-    given = task(asked=((limit, value),))
-    values = [1.2, 0, 0, 0, 0.4, 60.0, 0.0]
-    program = FormationProgram(given, CO_ROTATING, phases=4)
-    needs, _ = needs_at(given, CO_ROTATING, values, 4)
-    margins = limit.margins(given.aircraft._replace(cable_length=60.0), needs, value)
-    rows, _ = program.rows_of_carriers(
-        FormationVariables(*values), given.angles(CO_ROTATING, 4), given.motions[0]
-    )
-    np.testing.assert_allclose(rows[9:], 1 + np.array(margins) / 0.2, rtol=1e-9, atol=1e-9)
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_rows_are_the_distances_to_the_limits_over_their_margins(kind):
     given = task(LoadMotion(X, 0.2 * X, 0.1 * X, -0.05 * X), wind=2 * X)

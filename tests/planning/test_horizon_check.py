@@ -39,13 +39,6 @@ def test_a_value_that_cannot_be_used_is_named_with_its_remedy(fields, remedy):
         check(**fields)
 
 
-def test_knots_are_multiples_of_the_control_period():
-    with pytest.raises(ScenarioError, match=r"layer.knot_spacing = 0.394: .* 0.004, such as 0.392"):
-        check(control_period=0.004, knot_spacing=0.394)
-    check(control_period=0.004, knot_spacing=0.392)
-    check(control_period=0.004)
-
-
 def test_the_defaults_are_accepted():
     check()
     for field in dataclasses.fields(HorizonConfig):

@@ -8,7 +8,6 @@ from helpers import Motion, difference
 from plan_checks import (
     AT_REST,
     EXAMPLES,
-    LIMITS,
     NO_LIMITS,
     NO_SHARES,
     PATTERNS,
@@ -23,12 +22,10 @@ from plan_checks import (
     motion_at,
     points_problem,
     reference_of,
-    straight_velocities,
 )
 
 from drake_nonstop.planning.diagnostics import BOUND
 from drake_nonstop.planning.horizon_problem import (
-    ORBIT_TIGHTENING,
     SLACK_WEIGHT,
     TERMINAL_KNOTS,
     TERMINAL_PHASES,
@@ -108,23 +105,6 @@ def test_margins_of_the_last_part_are_those_of_whole_orbits(name):
         require_margins(name, orbits[:, orbit, phase], expected)
 
 
-@pytest.mark.parametrize("name", ["ellipse-6", "aircraft"])
-def test_phases_of_whole_orbits_are_close_enough_to_tell_the_worst_of_720(name):
-    problem = example(name)
-    data = problem.data(0.0, 0.0, lambda time: AT_REST, problem.limits.speed_bound, wind=WIND)
-    x, phases = problem.nominal_coefficients() * 1.05, TERMINAL_PHASES
-    found = problem.linearization(data, x).margins[:, -phases:].min(axis=1)
-    worst = np.full(len(found), np.inf)
-    for angle in 2 * np.pi * np.arange(720) / 720:
-        orbit = angle, *(1.05 * problem.nominal)
-        own = expected_orbit_margins(problem, lambda time: AT_REST, data.speed_bounds, orbit, 0.0)
-        worst = np.minimum(worst, own)
-    for row in dict.fromkeys(problem.names):
-        own = problem.names == row
-        if worst[own].min() < 1:  # others are far from deciding
-            assert found[own].min() == pytest.approx(worst[own].min(), abs=0.02), row
-
-
 @pytest.mark.parametrize("limit", ROWS, ids=lambda row: row.name)
 def test_what_is_missed_has_the_name_of_its_row(limit):
     make, limits = (functools.partial(points_problem, "cycle-4"), NO_LIMITS)
@@ -161,28 +141,6 @@ def test_slacks_are_those_of_the_bound_of_aircraft_and_of_others_in_each_interva
     assert problem.missed(np.full(problem.slacks.shape, np.nan), 1.0) == {*problem.names}
 
 
-def test_bounds_are_raised_by_a_share_of_the_speed_of_orbits():
-    problem = points_problem("cycle-4", **LIMITS)
-    speeds = np.zeros((36, 4))
-    for k, angle in enumerate(2 * np.pi * np.arange(36) / 36):
-        velocities = straight_velocities(
-            problem.model,
-            lambda time: AT_REST,
-            lambda time, angle=angle: (angle + 2.0 * time, 0.8),
-            0.0,
-            0 * WIND,
-        )
-        speeds[k] = np.linalg.norm(velocities, axis=1)
-    slow, fast, none = (
-        problem.data(0.0, 0.0, lambda time: AT_REST, bound).speed_bounds
-        for bound in (0.01, 10.0, 0.0)
-    )
-    shares = (slow - 0.01) / speeds.max(axis=0) / ORBIT_TIGHTENING
-    assert np.all((shares > 0.7) & (shares < 1))
-    np.testing.assert_allclose(fast, 1.02 * 10.0)
-    np.testing.assert_array_equal(none, 0.0)
-
-
 @pytest.mark.parametrize("name", ["cycle-5", "aircraft"])
 def test_data_that_continue_the_last_are_those_made_anew(name):
     problem, asked = example(name), []
@@ -200,16 +158,3 @@ def test_data_that_continue_the_last_are_those_made_anew(name):
         anew = problem.data(knot * spacing, 0.1, reference, 0.5, wind=wind)
         for field, values in last._asdict().items():
             np.testing.assert_array_equal(values, getattr(anew, field))
-
-
-def test_wind_counts_for_aircraft_alone():
-    for name in ("cycle-5", "aircraft"):
-        problem = example(name)
-        x = problem.nominal_coefficients()
-        still, windy = (
-            problem.linearization(
-                problem.data(1.0, 0.3, reference_of(name), 0.4, wind=wind), x
-            ).margins
-            for wind in (0 * WIND, WIND)
-        )
-        assert np.array_equal(still, windy) == (name == "cycle-5")

@@ -6,7 +6,7 @@ from unittest.mock import patch
 
 import numpy as np
 import pytest
-from helpers import model, nightly_beyond
+from helpers import nightly_beyond
 from plan_checks import (
     AT_REST,
     NO_LIMITS,
@@ -32,7 +32,6 @@ from drake_nonstop.planning.diagnostics import BOUND
 from drake_nonstop.planning.horizon_config import HorizonConfig
 from drake_nonstop.planning.horizon_problem import HorizonProblem
 from drake_nonstop.planning.horizon_solver import (
-    PLAN_TOLERANCE,
     HorizonSolver,
 )
 from drake_nonstop.planning.limits import LIMITS
@@ -87,21 +86,6 @@ def least_speed(system, plan, reference, start, end, step=0.007):
     return np.linalg.norm(places[2:] - places[:-2], axis=-1).min() / (2 * step)
 
 
-def test_cost_is_that_of_a_fine_sum():
-    problem, data = example("cycle-4"), data_of("cycle-4")
-    x = drawn_coefficients(problem, 5, 0.2)
-    plan, step, tau = problem.plan(data, x), 1e-3, 0.4 * problem.config.smoothing
-    times = data.start_time + step * (np.arange(4000) + 0.5)
-    values = np.array([plan.planned(time) for time in times])
-    xi, A = values[:, 1] / problem.nominal[0], values[:, 2] / problem.nominal[1]
-    A_2, A_3 = values[:, 6:].T / problem.nominal[1]
-    xi_2 = values[:, 5] / problem.nominal[0]
-    xi_3 = np.gradient(xi_2, step)
-    parts = (xi - 1) ** 2 + 4 * (A - 1) ** 2 + tau**4 * (xi_2**2 + A_2**2)
-    expected = step * np.sum(parts + tau**6 * (xi_3**2 + A_3**2))
-    assert problem.cost(x) == pytest.approx(expected, rel=1e-3)
-
-
 @pytest.mark.parametrize("name", nightly_beyond(1, "studies", ["quintic", "line"]))
 def test_the_best_plan_of_a_task_keeps_the_bound_between_instants_too(name):
     system, bound, reference, _ = paper_task(name)
@@ -127,15 +111,6 @@ def test_the_receding_horizon_keeps_the_bound_and_is_close_to_the_best_plan():
     assert whole.cost(flown) <= 1.05 * plans_of("quintic")[0].cost
 
 
-def test_at_rest_above_the_bound_nothing_changes():
-    problem = HorizonProblem(model(), limits(0.2), HorizonConfig())
-    data = problem.data(0.0, 0.0, lambda time: AT_REST, 0.2)
-    solver = HorizonSolver(problem)
-    answer = solver.solve(data, solver.first_guess(data))
-    assert answer.converged
-    assert answer.cost == pytest.approx(0, abs=1e-12)
-
-
 def pulled(time):
     """At rest, but for a push to and fro along x between 1 and 3 s, of 0.3 m/s² at most.
 
@@ -152,13 +127,6 @@ def best_plan(problem, bound, reference=pulled):
     data = problem.data(0.0, 0.0, reference, bound)
     solver = HorizonSolver(problem)
     return data, solver.solve(data, solver.first_guess(data), max_iterations=40)
-
-
-def test_slack_far_below_the_tolerance_does_not_end_a_plan_early():
-    """Its penalty outweighs what steps gain, unless these follow the curvature of the limits."""
-    _, answer = best_plan(points_problem("spread-7", tightening=0.002), 0.4)
-    assert answer.converged
-    assert answer.iterations < 7
 
 
 KEPT_BY_POINTS = {"max_speed": 0.83, "min_tension": 1.562, "max_tension": 2.705}
@@ -199,14 +167,6 @@ def test_a_plan_keeps_a_limit_that_the_plan_without_it_exceeds(field, value):
         assert (margins[limited.names == name].min() >= -room) == (problem is limited)
 
 
-def test_limits_that_no_plan_keeps_are_told():
-    problem = aircraft_problem(**NO_SHARES | {"max_lift_share": 0.3, "max_bank": 0.2})
-    data = problem.data(0.0, 0.0, lambda time: AT_REST, 25.0)
-    answer = HorizonSolver(problem).solve(data, problem.nominal_coefficients())
-    assert not answer.is_feasible
-    assert problem.missed(answer.margins, PLAN_TOLERANCE) >= {"airspeed", "lift", "bank"}
-
-
 def test_rates_keep_their_limits_at_all_times():
     rates = {"max_frequency_rate": 0.1, "max_amplitude_rate": 0.05}
     for limited in (rates, {}):
@@ -216,37 +176,12 @@ def test_rates_keep_their_limits_at_all_times():
             assert (largest <= limit + 1e-6) == bool(limited)
 
 
-def test_without_a_bound_the_plan_returns_to_the_nominal_parameters():
-    problem = points_problem("cycle-5")
-    data = problem.data(0.0, 0.0, pulled, 0.0)
-    start = np.full((2, problem.count), 1.2)
-    answer = HorizonSolver(problem).solve(data, start, max_iterations=6)
-    assert answer.converged
-    assert answer.slack == 0
-    assert answer.cost < problem.cost(start) / 5
-    np.testing.assert_allclose(answer.coefficients[:, -4:], 1.0, atol=0.01)
-
-
 def speeds_at_instants(problem, data, margins):
     """The speeds (n, k), m/s, of margins."""
     shares = margins[: problem.model.n, : len(problem.instants)]
     bounds = data.speed_bounds[:, None]
     units = np.where(bounds > 0, bounds, 1.0)
     return np.sqrt(shares * units**2 + bounds**2)
-
-
-def test_a_start_below_the_bound_is_left_as_soon_as_the_rates_allow():
-    problem = points_problem("cycle-4")
-    data, start = problem.data(0.0, 0.0, lambda time: AT_REST, 1.0), problem.nominal_coefficients()
-    first = problem.linearization(data, start).margins
-    assert speeds_at_instants(problem, data, first).max() < 1.0
-    answer = HorizonSolver(problem).solve(data, start, max_iterations=20, tolerance=1e-4)
-    assert np.isfinite(answer.coefficients).all()
-    assert not answer.is_feasible
-    slowest = speeds_at_instants(problem, data, answer.margins).min(axis=0)
-    assert answer.slowest == pytest.approx(slowest.min())
-    assert problem.instants[slowest < 1.0].max() < 1.0
-    assert problem.least_slacks(answer.margins)[3:].max() < 1e-3
 
 
 def test_limits_that_exclude_each_other_give_a_finite_plan_that_prefers_the_speed_bound():

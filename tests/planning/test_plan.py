@@ -1,6 +1,5 @@
 import numpy as np
 import pytest
-from helpers import difference
 from scipy.interpolate import BSpline
 
 from drake_nonstop.planning.plan import Plan, spline_rows
@@ -23,24 +22,6 @@ def test_rows_are_those_of_scipy():
     np.testing.assert_allclose(rows.integral, integral(times) - integral(0.0), atol=1e-12)
 
 
-def test_values_are_those_of_the_rows_with_their_rates():
-    times = np.linspace(0, 8 * SPACING, 23)[1:-1]
-    rows = spline_rows(times, 8, SPACING)
-    c, d = COEFFICIENTS
-    found = np.array([PLAN.planned(3.0 + time) for time in times])
-    expected = [
-        0.7 + 2.0 * rows.integral @ c,
-        2.0 * rows.value @ c,
-        1.2 * rows.value @ d,
-        2.0 * rows.rate @ c,
-        1.2 * rows.rate @ d,
-        2.0 * rows.second_rate @ c,
-        1.2 * rows.second_rate @ d,
-        1.2 * rows.third_rate @ d,
-    ]
-    np.testing.assert_allclose(found, np.transpose(expected), atol=1e-9)
-
-
 @pytest.mark.parametrize("count", [1, 3])
 def test_a_shifted_plan_goes_on_as_the_plan_with_three_continuous_rates(count):
     shifted = PLAN.shifted(count)
@@ -52,14 +33,6 @@ def test_a_shifted_plan_goes_on_as_the_plan_with_three_continuous_rates(count):
     start = shifted.start_time
     np.testing.assert_allclose(other.planned(start), PLAN.planned(start), atol=1e-8)
     assert not np.allclose(other.planned(start + SPACING), PLAN.planned(start + SPACING))
-
-
-def test_after_its_end_a_plan_is_constant():
-    end, after = (PLAN.planned(PLAN.end_time + late) for late in (0.0, 1.5))
-    assert after[0] == pytest.approx(end[0] + 1.5 * end[1])
-    assert after[1:] == pytest.approx([*end[1:3], 0, 0, 0, 0, 0])
-    rate = difference(lambda t: PLAN.planned(t)[0], PLAN.end_time + 1.0)
-    assert rate == pytest.approx(end[1])
 
 
 def test_traced_values_are_those_of_the_plan():

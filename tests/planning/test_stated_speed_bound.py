@@ -5,7 +5,6 @@ import math
 import pytest
 
 from drake_nonstop import ScenarioError, dump_scenario, load_scenario, parse_scenario
-from drake_nonstop.blocks.optimization_layer import ConstantParameters, ConstantParametersConfig
 from drake_nonstop.model.system import Model
 from drake_nonstop.planning.problem_config import stated_speed_bound
 
@@ -24,14 +23,6 @@ def test_a_scenario_has_it_in_metres_per_second_once_it_is_sampled():
     assert heavier.speed_bound == pytest.approx(2 * 1.4 * STALL)
 
 
-def test_a_block_takes_it_as_well():
-    scenario = load_scenario("aircraft_rest")
-    model = Model(scenario.system, scenario.pattern)
-    block = ConstantParameters(model, ConstantParametersConfig(speed_bound="1.2 V_s"))
-    bound = block.GetOutputPort("speed_bound").Eval(block.CreateDefaultContext())
-    assert bound[0] == pytest.approx(1.2 * STALL)
-
-
 @pytest.mark.parametrize(
     "text", ["1.4", "V_s", "1.4V_s", "1.4 Vs", "-1 V_s", "0 V_s", "nan V_s", "inf V_s", "a b c", ""]
 )
@@ -39,13 +30,3 @@ def test_other_texts_get_one_sentence(text):
     aircraft = Model(load_scenario("aircraft_rest").system, load_scenario("aircraft_rest").pattern)
     with pytest.raises(ScenarioError, match=r'or a multiple of the stall speed, as "1\.4 V_s"$'):
         stated_speed_bound(PATH, text, aircraft.aircraft)
-
-
-def test_without_aircraft_there_is_no_stall_speed():
-    scenario = load_scenario("line", [f"{PATH}=1.4 V_s"])
-    with pytest.raises(ScenarioError) as error:
-        scenario.sampled()
-    assert str(error.value) == (
-        "optimization_layer.speed_bound = 1.4 V_s: only aircraft have a stall speed, and "
-        "system.aircraft is none; give a number of m/s"
-    )
