@@ -1,3 +1,5 @@
+"""The drawing of any diagram: all is drawn, wires lead where they should, nothing is covered."""
+
 import re
 from functools import cache
 from itertools import combinations, pairwise
@@ -7,23 +9,14 @@ import pytest
 from helpers import nightly_beyond
 from pydrake.systems.framework import Diagram, DiagramBuilder, LeafSystem
 
-from drake_nonstop.diagrams.nonstop import PLACES, SIGNALS, SYMBOLS, make_nonstop
+from drake_nonstop.diagrams.nonstop import PLACES, SYMBOLS, make_nonstop
 from drake_nonstop.scenario.loading import SCENARIOS as SCENARIO_FILES
-from drake_nonstop.scenario.loading import load_scenario
+from drake_nonstop.scenario.loading import load_scenario, scenario_names
 from drake_nonstop.systems import wiring
 from drake_nonstop.view.drawing import draw_diagram
 
 SVG = "{http://www.w3.org/2000/svg}"
 FONT_SIZES = {"name": 13, "class": 11, "wire-label": 12, "unread-label": 12}
-SCENARIOS = {
-    "sampled": ("quintic", []),
-    "cables_with_nodes": ("aircraft_rest_cables", []),
-    "continuous": ("quintic", ["control_period=0"]),
-    "printed_phase": ("paper_line", []),
-    "open_loop": ("static_hold_open_loop", []),
-    "no_optimization": ("line_without_optimization", []),
-}
-
 Point = tuple[float, float]
 
 
@@ -40,35 +33,33 @@ class Toy(LeafSystem):
             )
 
 
-def connected(blocks: dict[str, Toy], name: str) -> Diagram:
-    """The blocks in a diagram of that name."""
+def connected(blocks: dict[str, Toy]) -> Diagram:
     builder = DiagramBuilder()
     wiring.connect_by_name(builder, blocks)
     diagram = builder.Build()
-    diagram.set_name(name)
+    diagram.set_name("toys & extras")
     return diagram
 
 
-def with_extra_blocks(diagram: Diagram) -> Diagram:
-    """Toys with the ports of the diagram's blocks, and blocks that the layout does not know."""
+def with_extra_blocks() -> Diagram:
+    """Toys with the ports of a loop's blocks, and blocks that the layout does not know."""
     blocks = {
         system.get_name(): Toy(
             [s for s in wiring.input_names(system) if s not in ("speed_bound_command", "plan")],
             wiring.output_names(system),
         )
-        for system in diagram.GetSystems()
+        for system in make_nonstop(load_scenario("quintic")).GetSystems()
     }
     blocks["load_plant"] = Toy(["cable_forces", "disturbance_wrench", "gust"], ["load_state"])
     read = ["load_state", "carrier_state", "reference"]
     blocks["wind_estimator"] = Toy(read, ["wind_estimate", "wind_speed"])
     blocks["wind <tunnel>"] = Toy(["wind_speed", "phase"], ["gust"])
-    return connected(blocks, name="toys & extras")
+    return connected(blocks)
 
 
 def with_labels_in_the_way() -> Diagram:
     """The short ways of some wires would be through labels or behind a box."""
-    hidden = [f"hidden_{i}" for i in range(4)]
-    signals = ["a_long_name_of_a_signal", "s"]
+    hidden, signals = [f"hidden_{i}" for i in range(4)], ["a_long_name_of_a_signal", "s"]
     return connected(
         {
             "load_trajectory": Toy([], ["from_above"]),
@@ -76,71 +67,61 @@ def with_labels_in_the_way() -> Diagram:
             "wrench_controller": Toy([], signals),
             "optimization_layer": Toy(signals, []),
             "force_distribution": Toy(["from_above", *hidden, *signals], []),
-        },
-        name="labels",
+        }
     )
+
+
+TOYS = {"labels": with_labels_in_the_way, "extra_blocks": with_extra_blocks}
+NAMES = ("quintic", *TOYS, "aircraft_rest_cables", *scenario_names())
 
 
 class Picture:
     """What an SVG shows, in numbers."""
 
     def __init__(self, diagram: Diagram):
-        self.diagram = diagram
-        self.text = draw_diagram(diagram)
+        self.diagram, self.text = diagram, draw_diagram(diagram)
         root = ElementTree.fromstring(self.text)
-        self.size = (float(root.get("width", 0)), float(root.get("height", 0)))
-        self.blocks = {
-            group.get("data-block", ""): _rectangle(group)
-            for group in root.iter(f"{SVG}g")
-            if group.get("data-block")
+        groups = [*root.iter(f"{SVG}g")]
+        blocks = {group.get("data-block"): group for group in groups if group.get("data-block")}
+        signals = {group.get("data-signal"): group for group in groups if group.get("data-signal")}
+        self.size = (float(root.get("width")), float(root.get("height")))
+        self.blocks = {name: _rectangle(group.find(f"{SVG}rect")) for name, group in blocks.items()}
+        self.words = {name: _words(group) for name, group in blocks.items()}
+        self.labels = {
+            name: " ".join(map(_words, group.iter(f"{SVG}text"))) for name, group in signals.items()
         }
-        self.words = {
-            group.get("data-block", ""): [text.text for text in group.iter(f"{SVG}text")]
-            for group in root.iter(f"{SVG}g")
-            if group.get("data-block")
+        paths = {name: [*group.iter(f"{SVG}path")] for name, group in signals.items()}
+        self.nets = {
+            name: [segment for path in found for segment in pairwise(_points(path))]
+            for name, found in paths.items()
         }
-        self.wires: dict[str, list[Point]] = {}
-        self.nets: dict[str, list[list[Point]]] = {}
-        self.labels: dict[str, str] = {}
-        for group in root.iter(f"{SVG}g"):
-            signal = group.get("data-signal")
-            if signal is None:
-                continue
-            self.labels[signal] = " ".join(map(_words, group.iter(f"{SVG}text")))
-            paths = list(group.iter(f"{SVG}path"))
-            self.nets[signal] = [_points(path.get("d", "")) for path in paths]
-            for path, points in zip(paths, self.nets[signal], strict=True):
-                if path.get("data-wire"):
-                    self.wires[path.get("data-wire", "")] = points
+        found = [path for each in paths.values() for path in each if path.get("data-wire")]
+        self.wires = {path.get("data-wire"): _points(path) for path in found}
         self.texts = [_text_rectangle(text) for text in root.iter(f"{SVG}text")]
 
-    def segments(self, net: str) -> list[tuple[Point, Point]]:
-        return [segment for points in self.nets[net] for segment in pairwise(points)]
+
+def _words(element: ElementTree.Element) -> str:
+    return "".join("".join(text.itertext()) for text in element.iter(f"{SVG}text"))
 
 
-def _words(text: ElementTree.Element) -> str:
-    return "".join(text.itertext())
-
-
-def _points(data: str) -> list[Point]:
+def _points(path: ElementTree.Element) -> list[Point]:
     """The ends and corners of a path."""
-    points = [tuple(map(float, text.split(","))) for text in re.findall(r"[ML]([\d.,-]+)", data)]
+    found = re.findall(r"[ML]([\d.,-]+)", path.get("d"))
+    points = [tuple(map(float, text.split(","))) for text in found]
     lines = zip(points, points[1:], points[2:], strict=False)
     corners = [b for a, b, c in lines if len({a[0], b[0], c[0]}) > 1 < len({a[1], b[1], c[1]})]
     return [points[0], *corners, points[-1]]
 
 
-def _rectangle(group: ElementTree.Element) -> tuple[float, float, float, float]:
-    rect = group.find(f"{SVG}rect")
-    assert rect is not None
-    x, y, width, height = (float(rect.get(key, 0)) for key in ("x", "y", "width", "height"))
+def _rectangle(rect: ElementTree.Element) -> tuple[float, float, float, float]:
+    x, y, width, height = (float(rect.get(key)) for key in ("x", "y", "width", "height"))
     return x, y, x + width, y + height
 
 
 def _text_rectangle(text: ElementTree.Element) -> tuple[float, float, float, float]:
-    size = FONT_SIZES[text.get("class", "")]
-    x, y = float(text.get("x", 0)), float(text.get("y", 0))
-    half = 0.25 * size * len(_words(text))
+    size = FONT_SIZES[text.get("class")]
+    x, y = float(text.get("x")), float(text.get("y"))
+    half = 0.25 * size * len("".join(text.itertext()))
     return x - half, y - 0.72 * size, x + half, y
 
 
@@ -166,131 +147,78 @@ def touch(a: tuple[Point, Point], b: tuple[Point, Point]) -> bool:
     return not (left < x < right and top < y < bottom)
 
 
-PICTURES = nightly_beyond(
-    3,
-    "studies",
-    dict.fromkeys(["sampled", "labels", "cables_with_nodes", "extra_blocks", *SCENARIOS]),
-)
-
-
 @cache
 def picture_of(name: str) -> Picture:
-    if name == "labels":
-        return Picture(with_labels_in_the_way())
-    if name == "extra_blocks":
-        return Picture(with_extra_blocks(make_nonstop(load_scenario("quintic"))))
-    scenario, overrides = SCENARIOS[name]
-    return Picture(make_nonstop(load_scenario(scenario, overrides)))
+    return Picture(TOYS[name]() if name in TOYS else make_nonstop(load_scenario(name)))
 
 
-@pytest.fixture(scope="module", params=PICTURES)
+@pytest.fixture(scope="module", params=nightly_beyond(4, "studies", dict.fromkeys(NAMES)))
 def picture(request: pytest.FixtureRequest) -> Picture:
     return picture_of(request.param)
 
 
-def test_every_subsystem_and_connection_is_drawn(picture: Picture):
+def test_every_subsystem_connection_and_signal_is_drawn_and_named(picture: Picture):
     systems = {system.get_name(): system for system in picture.diagram.GetSystems()}
     assert picture.blocks.keys() == systems.keys()
+    labels = {}
     for name, system in systems.items():
-        words = "".join(picture.words[name]).replace(" ", "")
-        assert words == name.replace("_", "").replace(" ", "") + type(system).__name__
-    assert sorted(picture.wires) == sorted(wiring.connections(picture.diagram))
-
-
-def test_every_signal_is_named_once(picture: Picture):
-    for system in picture.diagram.GetSystems():
+        expected = name.replace("_", "").replace(" ", "") + type(system).__name__
+        assert picture.words[name].replace(" ", "") == expected
         for port in wiring.output_names(system):
-            label = picture.labels.pop(f"{system.get_name()}.{port}")
-            symbol = SYMBOLS.get(port.removeprefix("held_"), "")
-            assert label == f"{port.replace('_', ' ')} {symbol.replace('_', '')}".strip()
-    assert not picture.labels
+            symbol = SYMBOLS.get(port.removeprefix("held_"), "").replace("_", "")
+            labels[f"{name}.{port}"] = f"{port.replace('_', ' ')} {symbol}".strip()
+    assert sorted(picture.wires) == sorted(wiring.connections(picture.diagram))
+    assert picture.labels == labels
 
 
-def test_symbols_are_those_of_signals():
-    assert set(SYMBOLS) <= set(SIGNALS)
-    assert '<tspan class="index" dy="3">d</tspan>' in picture_of("sampled").text
-
-
-def test_wires_lead_from_their_source_to_their_target(picture: Picture):
+def test_wires_lead_from_their_source_to_their_target_across_or_down(picture: Picture):
     for wire, points in picture.wires.items():
-        source, target = wire.split(" -> ")
-        left, top, right, bottom = picture.blocks[target.split(".")[0]]
-        assert points[-1][0] in (left, right)
-        assert top < points[-1][1] < bottom
-        others = picture.segments(source)
-        for segment in pairwise(points):
-            others.remove(segment)
-        left, top, right, bottom = picture.blocks[source.split(".")[0]]
-        at_source = points[0][0] in (left, right) and top < points[0][1] < bottom
-        assert at_source or any(touch((points[0], points[0]), segment) for segment in others)
-
-
-def test_wires_run_across_or_down_and_inside_the_picture(picture: Picture):
-    for net in picture.nets:
-        for segment in picture.segments(net):
-            left, top, right, bottom = span(segment)
-            assert left == right or top == bottom
-            assert 0 < left <= right < picture.size[0]
-            assert 0 < top <= bottom < picture.size[1]
-
-
-def test_no_wire_passes_through_a_box(picture: Picture):
-    for net in picture.nets:
-        for segment in picture.segments(net):
-            for box in picture.blocks.values():
-                assert not overlap(span(segment), box), (net, segment)
+        for (port, _), (x, y) in zip(
+            (name.split(".") for name in wire.split(" -> ")), (points[0], points[-1]), strict=True
+        ):
+            left, top, right, bottom = picture.blocks[port]
+            assert x in (left, right)
+            assert top < y < bottom
+    for segment in (segment for net in picture.nets.values() for segment in net):
+        left, top, right, bottom = span(segment)
+        assert left == right or top == bottom
+        assert 0 < left <= right < picture.size[0]
+        assert 0 < top <= bottom < picture.size[1]
 
 
 def test_nets_only_cross(picture: Picture):
     for net, other in combinations(picture.nets, 2):
-        for segment in picture.segments(net):
-            for other_segment in picture.segments(other):
+        for segment in picture.nets[net]:
+            for other_segment in picture.nets[other]:
                 assert not touch(segment, other_segment), (net, other)
 
 
-def test_texts_are_clear_of_each_other_and_of_wires(picture: Picture):
-    for text, other in combinations(picture.texts, 2):
-        assert not overlap(text, other)
-    for net in picture.nets:
-        for segment in picture.segments(net):
-            for text in picture.texts:
-                assert not overlap(span(segment), text), (net, segment)
-
-
-def test_boxes_are_apart_and_texts_inside_or_outside(picture: Picture):
-    for box, other in combinations(picture.blocks.values(), 2):
-        assert not overlap(box, other)
+def test_nothing_is_covered(picture: Picture):
+    for net, segments in picture.nets.items():
+        for segment in segments:
+            for covered in (*picture.blocks.values(), *picture.texts):
+                assert not overlap(span(segment), covered), (net, segment)
+    for things in (picture.texts, picture.blocks.values()):
+        assert not [pair for pair in combinations(things, 2) if overlap(*pair)]
     for text in picture.texts:
         for box in picture.blocks.values():
             inside = box[0] < text[0] and text[2] < box[2] and box[1] < text[1] and text[3] < box[3]
             assert inside or not overlap(text, box)
 
 
-def test_unknown_blocks_stand_below_the_known(picture: Picture):
-    known = [box for name, box in picture.blocks.items() if name in PLACES]
+def test_blocks_stand_as_in_the_figure_and_unknown_ones_below(picture: Picture):
+    known = {name: box for name, box in picture.blocks.items() if name in PLACES}
+    for (name, box), (other, below) in combinations(known.items(), 2):
+        place, place_below = PLACES[name], PLACES[other]
+        if place.row < place_below.row:
+            assert box[3] < below[1]
+        if place.column < place_below.column:
+            assert box[2] < below[0]
     for name, box in picture.blocks.items():
-        if name not in PLACES:
-            assert box[1] > max(bottom for _, _, _, bottom in known)
+        assert name in known or box[1] > max(bottom for _, _, _, bottom in known.values())
 
 
-def test_layout_is_that_of_the_figure():
-    blocks = picture_of("sampled").blocks
-    main_row = [
-        "load_feedback",
-        "sample_and_hold",
-        "wrench_controller",
-        "force_distribution",
-        "carrier_trajectory",
-    ]
-    for name, following in pairwise(main_row):
-        assert blocks[name][2] < blocks[following][0]
-    for name, below in pairwise(["optimization_layer", "internal_force", "force_distribution"]):
-        assert blocks[name][3] < blocks[below][1]
-        assert blocks[name][0] == blocks[below][0]
-
-
-def test_the_same_diagram_gives_the_same_text(monkeypatch: pytest.MonkeyPatch):
-    """In whatever order its connections are listed."""
+def test_the_same_diagram_gives_the_same_text_in_whatever_order_it_is_wired(monkeypatch):
     connections = wiring.connections
     monkeypatch.setattr(wiring, "connections", lambda diagram: connections(diagram)[::-1])
     assert draw_diagram(with_labels_in_the_way()) == picture_of("labels").text
@@ -298,8 +226,7 @@ def test_the_same_diagram_gives_the_same_text(monkeypatch: pytest.MonkeyPatch):
 
 def test_the_committed_drawing_is_that_of_the_built_diagram():
     committed = SCENARIO_FILES.parent / "nonstop.svg"
-    drawn = picture_of("sampled").text
-    assert committed.read_text(encoding="utf-8") == drawn, (
+    assert committed.read_text(encoding="utf-8") == picture_of("quintic").text, (
         "the figure has changed; `drake-nonstop run quintic` draws it anew as "
         "out/quintic/diagram.svg: copy that to diagrams/nonstop.svg"
     )

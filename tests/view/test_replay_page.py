@@ -103,10 +103,13 @@ def test_colours_switch_and_trails_fade(watched, tmp_path):
         material(["carriers", "0", "mark", "<object>"]).color.toArray(),
         material(["cables", "0", "<object>"]).color.toArray(),
         material(["trails", "1", "0", "<object>"]).opacity,
+        material(["trails", "1", "0", "<object>"]).color.toArray(),
+        material(["carriers", "0", "fuselage", "<object>"]).color.toArray(),
       ];
     }"""
     instants = [page.evaluate(mark, time) for time in (0.0, 0.2, 0.8, 1.9)]
-    marks, cables, opacities = zip(*instants, strict=True)
+    marks, cables, opacities, trails, carriers = zip(*instants, strict=True)
+    np.testing.assert_allclose(trails, carriers, atol=0.01)
     assert np.ptp(marks, axis=0).max() > 0.05
     assert np.ptp(cables, axis=0).max() > 0.05
     assert opacities[0] == 0
