@@ -1,9 +1,8 @@
 """Checks the built documentation: `python -m site_pages ../site` in this folder.
 
 Links lead somewhere, pictures have texts, headings divide long pages, nothing is loaded from
-elsewhere, and no page is large. With `--browser` each page is also opened at the width of a desk's
-screen and of a phone's, and must not scroll sideways; `--pictures FOLDER` keeps what is seen.
-`--replays FOLDER` takes the pictures by which the first page shows its replays.
+elsewhere, and no page is large. `--replays FOLDER` takes the pictures by which the first page shows
+its replays.
 """
 
 import argparse
@@ -13,7 +12,6 @@ from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote
 
-WIDTHS = (1360, 390)  # pixels
 LARGEST_PAGE = 1_500_000  # bytes, with the pictures, styles and scripts that it loads
 MOST_WORDS = 600  # between two headings, but for docstrings
 _UNREAD = {"pre", "svg", "style", "script", "table"}  # no running text
@@ -99,54 +97,6 @@ def broken_links(path: Path, pages: dict[Path, Page]) -> list[str]:
     return broken
 
 
-# What reaches beyond the right edge; on a phone code, formulas and notebooks may scroll.
-_CUT_OFF = """() => {
-  const wide = document.documentElement.clientWidth;
-  const scrolls = (element) => /auto|scroll/.test(getComputedStyle(element).overflowX);
-  const spills = (element) => {
-    if (element.getBoundingClientRect().right <= wide + 1) return false;
-    for (let each = element; each; each = each.parentElement)
-      if (scrolls(each)) return false;
-    return true;
-  };
-  const mayScroll = (element) =>
-    wide < 1000 && element.closest("pre, .arithmatex, .jupyter-wrapper");
-  const isCut = (element) =>
-    scrolls(element) && element.scrollWidth > element.clientWidth + 1 && !mayScroll(element);
-  const found = [...document.querySelectorAll("article *")].filter(
-    (e) => e instanceof HTMLElement && (spills(e) || isCut(e)));
-  const names = found.map((e) => `cut off: ${e.tagName} ${e.textContent.trim().slice(0, 60)}`);
-  if (document.documentElement.scrollWidth > wide) names.push("the page scrolls sideways");
-  return names;
-}"""
-
-
-def faults_in_browser(site: Path, pictures: Path | None) -> list[str]:
-    """What is cut off, what a page asks the network for, and errors of scripts; takes pictures."""
-    from drake_nonstop.view.browser import open_browser
-
-    found: list[str] = []
-    pages = [p for p in sorted(site.rglob("*.html")) if p.parent.name != "replays"]
-    for width in WIDTHS:
-        with open_browser(width, 900) as page:
-            noted: list[str] = []
-            page.on("pageerror", lambda error, noted=noted: noted.append(str(error)))
-            page.on("request", lambda request, noted=noted: noted.append(request.url))
-            for path in pages:
-                name = path.relative_to(site)
-                if name.name == "404.html":
-                    continue
-                noted.clear()
-                page.goto(path.resolve().as_uri())
-                cut = page.evaluate(_CUT_OFF)
-                wrong = [text for text in noted if not re.match("(file|data|blob):", text)]
-                found += [f"{name} at {width} px: {fault}" for fault in (*wrong, *cut)]
-                if pictures:
-                    file = "_".join(name.with_suffix("").parts)
-                    page.screenshot(path=pictures / f"{file}_{width}.png", full_page=True)
-    return found
-
-
 def picture_replays(site: Path, folder: Path, share: float = 0.55) -> None:
     """A picture of each replay, at a share of its time."""
     from drake_nonstop.view.browser import open_browser
@@ -166,15 +116,11 @@ def main() -> int:
     """The command; its exit code is 1 where something is wrong."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("site", type=Path)
-    parser.add_argument("--browser", action="store_true")
-    parser.add_argument("--pictures", type=Path)
     parser.add_argument("--replays", type=Path)
     options = parser.parse_args()
     if options.replays:
         picture_replays(options.site, options.replays)
     found = faults(options.site.resolve())
-    if options.browser or options.pictures:
-        found += faults_in_browser(options.site, options.pictures)
     print("\n".join(found) or "nothing is wrong with the pages")
     return bool(found)
 

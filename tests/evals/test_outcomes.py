@@ -47,3 +47,12 @@ def test_outcome_of_a_flight(fleet, name):
     assert bool(first) == bool(reason), first
     assert ALSO.get(name, "") in "; ".join(others)
     assert bool(run.stopped) == (outcome == "stopped")
+
+
+def test_distances_of_the_flight_over_a_tower_follow_from_its_path_alone(fleet):
+    """The load's path is 1.3 m high, the tower 0.7 m; it rests 2.3 m above the ground."""
+    _, metrics = fleet.evaluated("quintic_over_tower")
+    assert metrics["obstacles"]["load_distance_min_m"] == pytest.approx(0.6, abs=1e-4)
+    said = " ".join(metrics["obstacles"]["approaches"])
+    assert "the load came within 0.6 m of tower" in said
+    assert "the load came within 2.3 m of ground" in said
