@@ -74,33 +74,31 @@ def check_errors(field: str, errors: Any) -> None:
         require_known(path.partition(".")[0], OWNERS, f"{field}.{path}", value)
 
 
-def with_errors(
-    scenario: "Scenario", draw: Callable[[], float], read: Callable[[dict[str, Any], Any], Any]
-) -> tuple["Scenario", dict[str, float]]:
-    """The scenario whose plant and measurements have its errors, and what was drawn for a set.
-
-    Args:
-        scenario: with errors; itself returned where it has none.
-        draw: a number from -1 to 1.
-        read: changes a scenario by a tree.
-    """
+def with_fields(
+    scenario: "Scenario", read: Callable[[dict[str, Any], "Scenario"], None]
+) -> "Scenario":
+    """The scenario with the fields of the mapping that it states; `read` changes it by a tree."""
     check_errors("errors", scenario.errors)
-    if scenario.errors == NONE or not scenario.errors:
-        return scenario, {}
-    errors, scenario = scenario.errors, copy.deepcopy(scenario)
+    errors: Any = scenario.errors
+    scenario = copy.deepcopy(scenario)
     scenario.errors = NONE
-    if isinstance(errors, str):
-        return _with_set(scenario, SETS[errors], draw)
     for path, value in errors.items():
         for key in reversed(path.split(".")):
             value = {key: value}
         read(value, scenario)
-    return scenario, {}
+    return scenario
 
 
-def _with_set(
-    scenario: "Scenario", errors: ErrorSet, draw: Callable[[], float]
+def with_set(
+    scenario: "Scenario", draw: Callable[[], float]
 ) -> tuple["Scenario", dict[str, float]]:
+    """The scenario with errors of the set that it states, and these errors by their names.
+
+    `draw` makes numbers from -1 to 1; those of the scenario have been drawn.
+    """
+    check_errors("errors", scenario.errors)
+    errors, scenario = SETS[str(scenario.errors)], copy.deepcopy(scenario)
+    scenario.errors = NONE
     plant = overridden(scenario.system, scenario.simulated)
     places = np.array(plant.attachments, dtype=float)
     width = np.linalg.norm(places[:, None] - places, axis=-1).max()
@@ -162,9 +160,11 @@ def _add_noise(scenario: "Scenario", errors: ErrorSet) -> None:
         feedback = FilteredFeedbackConfig(
             measures_attitude=isinstance(feedback, IdealFeedbackConfig),
             period=scenario.control_period or MeasurementConfig.period,
+            seed=scenario.random_seed,
             **{f"believed_{name}": size for name, size in sizes.items() if name != "delay"},
         )
     if isinstance(feedback, MeasurementConfig):
         periods = round(sizes.get("delay", 0.0) / feedback.period)
-        sizes["delay"] = max(feedback.delay, periods * feedback.period)
-        scenario.load_feedback = dataclasses.replace(feedback, **sizes)
+        sizes["delay"] = periods * feedback.period
+        larger = {name: max(size, getattr(feedback, name)) for name, size in sizes.items()}
+        scenario.load_feedback = dataclasses.replace(feedback, **larger)

@@ -21,7 +21,7 @@ from drake_nonstop.model.system import SystemOverrides, SystemParameters, aircra
 from drake_nonstop.planning.problem_config import stated_speed_bound
 from drake_nonstop.scenario import distributions
 from drake_nonstop.scenario.choices import PATTERNS
-from drake_nonstop.scenario.errors import NONE, check_errors, with_errors
+from drake_nonstop.scenario.errors import NONE, check_errors, with_fields, with_set
 from drake_nonstop.scenario.fields import Walk, write
 from drake_nonstop.scenario.obstacles import Obstacle, require_obstacles
 from drake_nonstop.scenario.run_limits import RunLimits
@@ -184,7 +184,7 @@ def check(scenario: Scenario) -> None:
     require(not is_drawn, "random_seed", "a distribution", "give the whole number to draw with")
     scenario = _checked(scenario)
     if isinstance(scenario.errors, dict):
-        _checked(with_errors(scenario, lambda: 0.0, _read_into)[0])
+        _checked(with_fields(scenario, _read_into))
     require_obstacles("obstacles", scenario.obstacles)
     for owner in ("system", "simulated"):  # a file that was named after the scenario was loaded
         remedy = f"it is read with a scenario: give {owner}.load_file in its file or an override"
@@ -243,20 +243,20 @@ def drawn(
         scenario = copy.copy(scenario)
         scenario.random_seed = generator()
     random = RandomGenerator(scenario.random_seed)
-    even = Uniform(min=-1.0, max=1.0)
-    scenario, errors = with_errors(scenario, lambda: Sample(even, random), _read_into)
-    values: dict[str, Any] = {**errors}
+    values: dict[str, Any] = {}
+    if isinstance(scenario.errors, dict):
+        scenario = with_fields(scenario, _read_into)
 
     def draw(path: str, distribution: Any, kind: Any) -> Any:
-        drawn = distributions.draw(distribution, kind, random)
-        if isinstance(drawn, list):
-            values.update({f"{path}[{i}]": number for i, number in enumerate(drawn)})
-        else:
-            values[path] = drawn
-        return drawn
+        values[path] = distributions.draw(distribution, kind, random)
+        return values[path]
 
     sampled = Walk(change=draw, reads_trees=False).read("", Scenario, scenario)
-    scenario = sampled if len(values) > len(errors) else scenario
+    scenario = sampled if values else scenario
+    if scenario.errors != NONE:
+        even = Uniform(min=-1.0, max=1.0)
+        scenario, errors = with_set(scenario, lambda: Sample(even, random))
+        values |= errors
     if isinstance(getattr(scenario.optimization_layer, "speed_bound", None), str):
         bound, scenario = scenario.speed_bound, copy.copy(scenario)
         scenario.optimization_layer = copy.copy(scenario.optimization_layer)

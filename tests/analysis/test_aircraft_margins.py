@@ -150,15 +150,6 @@ def test_leaning_circles_are_those_of_the_closed_form():
     assert [climbing.min(), climbing.max()] == pytest.approx([-swing, swing], rel=1e-4)
 
 
-def test_extremes_are_found_between_the_phases_of_the_grid(monkeypatch):
-    made, wind = model(F150, 150.0), (1.3, 0.7, 0.0)
-    fine = margins(made, 0.595, wind=wind).margins
-    monkeypatch.setattr(aircraft_margins, "_INSTANTS", 90)
-    for coarse, exact in zip(margins(made, 0.595, wind=wind).margins, fine, strict=True):
-        assert coarse.margin == pytest.approx(exact.margin, abs=1e-5)
-        assert coarse.value == pytest.approx(exact.value, rel=1e-3)
-
-
 def test_wind_beyond_what_the_formation_can_take_is_told_with_what_it_can():
     made = model(F150, 150.0)
     result = margins(made, 0.595, wind=(0.0, 4.0, 0.0))

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from helpers import fix, model, output
-from pydrake.autodiffutils import AutoDiffXd
 
 from drake_nonstop import Block, Layout, Part, load_scenario, make_nonstop, set_parameter, simulate
 from drake_nonstop.systems.block import number
@@ -81,15 +80,6 @@ def test_it_flies_in_both_engines_with_parameters_of_the_context():
     after = diagram.GetOutputPort("disturbance_wrench").Eval(context)
     np.testing.assert_allclose(after, 3 * before, rtol=1e-14)
     assert before[3] != 0
-
-
-def test_gradients_pass_through_it():
-    block = Dragged(model()).ToAutoDiffXd()
-    context = block.CreateDefaultContext()
-    load = np.array([AutoDiffXd(value, np.eye(13)[k]) for k, value in enumerate(np.eye(13)[0])])
-    fix(block, context, load_state=load)
-    (wrench,) = (output(block, context, "disturbance_wrench")[3:4],)
-    np.testing.assert_array_equal(wrench[0].derivatives(), -2.0 * np.eye(13)[4])
 
 
 @dataclass(kw_only=True)

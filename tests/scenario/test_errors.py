@@ -42,6 +42,7 @@ def test_a_set_is_drawn_within_its_sizes(errors, name):
         assert noise == (sizes.aircraft_position_noise if is_aircraft else sizes.position_noise)
         assert plant.load_feedback.delay == pytest.approx(sizes.aircraft_delay * is_aircraft)
         drawn.append([mass, *lengths, *off.ravel()])
+        assert plant.load_feedback.seed == k
     assert len({*map(tuple, drawn)}) == 8
     assert scenario.sampled() == scenario.sampled()
     assert without_errors(scenario) == load_scenario(name)
@@ -51,6 +52,19 @@ def test_a_set_is_drawn_within_its_sizes(errors, name):
 def test_every_scenario_takes_every_set(name):
     for errors in SETS:
         assert load_scenario(name, [f"errors={errors}"]).sampled().simulated.load_mass is not None
+
+
+def test_a_set_comes_on_top_of_what_the_scenario_states():
+    changes = [
+        "simulated.load_mass=!Uniform {min: 2, max: 3}",
+        "wind=!SteadyWind {velocity: [5, 0, 0]}",
+        "load_feedback=!NoisyFeedback {position_noise: 0.1, delay: 0.02}",
+    ]
+    plant = load_scenario("quintic", [*changes, "errors=light"]).sampled()
+    assert 1.9 < plant.simulated.load_mass < 3.15
+    assert 4.5 <= plant.wind.velocity[0] <= 5.5
+    feedback = plant.load_feedback
+    assert (feedback.position_noise, feedback.velocity_noise, feedback.delay) == (0.1, 0.002, 0.02)
 
 
 def test_a_mapping_changes_the_fields_that_it_has():
