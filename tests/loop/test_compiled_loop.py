@@ -53,7 +53,8 @@ def traced(scenario, **options):
 def assert_equal(scenario, loop, context):
     scenario = changed(scenario, [f"simulation_duration={DURATION}"])
     times, signals = loop.run(context, DURATION)
-    run = simulate(scenario)
+    run = simulate(scenario, engine="diagram")
+    assert run.engine == "diagram"
     every = round(run.time[1] / times[1])
     np.testing.assert_allclose(times[::every], run.time, atol=1e-12)
     compared = 0
