@@ -2,27 +2,9 @@
 
 import numpy as np
 import pytest
-from helpers import fix, model, output, regular
 
-from drake_nonstop.blocks.cables import Cables
 from drake_nonstop.run.simulate import simulate
 from drake_nonstop.scenario.loading import load_scenario
-
-
-def test_resting_carriers_straight_above_hold_a_load_by_stretched_cables():
-    block = Cables(model(4))
-    context = block.CreateDefaultContext()
-    above = regular(4) + np.array([0, 0, 0.8 + 0.005])
-    fix(
-        block,
-        context,
-        load_state=np.array([1.0, *np.zeros(12)]),
-        carrier_state=np.concatenate([above.ravel(), np.zeros(12)]),
-    )
-    np.testing.assert_allclose(output(block, context, "tensions"), 2.5, rtol=1e-12)
-    np.testing.assert_allclose(
-        output(block, context, "cable_forces"), [0, 0, 2.5] * 4, rtol=0, atol=1e-12
-    )
 
 
 @pytest.mark.nightly("flights")

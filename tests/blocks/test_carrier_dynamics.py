@@ -10,7 +10,6 @@ from drake_nonstop.blocks.carrier_dynamics import (
     LimitedCarriers,
     LimitedCarriersConfig,
 )
-from drake_nonstop.diagrams.nonstop import make_nonstop
 from drake_nonstop.run.simulate import simulate
 from drake_nonstop.scenario.loading import load_scenario
 
@@ -79,19 +78,6 @@ def test_a_limited_carrier_without_a_command_has_derivatives():
     slopes = ExtractGradient(rate)[24:]
     expected = np.eye(12) / (model().carrier_mass * block.config.lag)
     np.testing.assert_allclose(slopes, expected, atol=1e-9)
-
-
-def test_a_run_starts_with_the_accelerations_that_the_references_need():
-    settings = [WEIGHTY, "optimization_layer=ConstantParameters"]
-    loop = make_nonstop(load_scenario("quintic", settings))
-    context = loop.CreateDefaultContext()
-    Simulator(loop, context).Initialize()  # what is sampled is held from then on
-    carriers = loop.GetSubsystemByName("carrier_dynamics").GetMyContextFromRoot(context)
-    own = carriers.get_continuous_state_vector().CopyToVector()[24:]
-    pull = output(loop, context, "cable_forces").reshape(4, 3)
-    desired = output(loop, context, "carrier_reference_acceleration").reshape(4, 3)
-    expected = desired + pull / 0.1 + [0, 0, 9.81]
-    np.testing.assert_allclose(own.reshape(4, 3), expected, atol=1e-6)
 
 
 @pytest.mark.slow

@@ -35,16 +35,6 @@ from drake_nonstop.model.system import SystemParameters
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.systems.compiled_loop import CompiledLoop
-from drake_nonstop.systems.wiring import input_names
-
-
-def generator_inputs(rng, n):
-    return {
-        "reference": Motion(61).reference(0.3),
-        "desired_cable_forces": rng.uniform(0.5, 2.0, 3 * n),
-        "desired_cable_force_rates": rng.normal(size=3 * n),
-    }
-
 
 SIGNALS = {"measured_load_state": Motion(3).state(0.3), "reference": Motion(4).reference(0.3)}
 
@@ -204,37 +194,6 @@ def test_carousel_over_a_resting_load_in_closed_form(n):
         from_centre = positions - (attachments + np.array([0, 0, height])).ravel()
         np.testing.assert_allclose(acceleration, -(2.0**2) * from_centre, rtol=0, atol=1e-12)
         np.testing.assert_allclose(jerk, -(2.0**2) * velocities, rtol=0, atol=1e-12)
-
-
-def orbit(rng):
-    """What the derivatives need besides, of four carriers."""
-    return {"internal_force_higher_rates": rng.normal(size=8), "wind_estimate": np.zeros(3)}
-
-
-def test_references_go_on_with_the_derivatives_of_the_sample(rng):
-    block = CarrierTrajectory(model(4, 0.01))
-    context = block.CreateDefaultContext()
-    fix(block, context, **generator_inputs(rng, 4), **orbit(rng), sample_time=np.array([2.0]))
-    context.SetTime(2.0)
-    motion, acceleration, jerk = (
-        output(block, context, name) for name in ("carrier_reference", *DERIVATIVES)
-    )
-    positions, velocities = np.split(motion, 2)
-    for since in (0.004, 0.01):
-        context.SetTime(2.0 + since)
-        expected = [
-            positions + since * velocities + since**2 / 2 * acceleration + since**3 / 6 * jerk,
-            velocities + since * acceleration + since**2 / 2 * jerk,
-        ]
-        np.testing.assert_allclose(
-            output(block, context, "carrier_reference"), np.ravel(expected), rtol=0, atol=1e-12
-        )
-        np.testing.assert_allclose(
-            output(block, context, DERIVATIVES[0]), acceleration + since * jerk, atol=1e-12
-        )
-    continuous = CarrierTrajectory(model(4))
-    context = continuous.CreateDefaultContext()
-    assert "sample_time" not in input_names(continuous)
 
 
 AIRCRAFT = ["simulation_duration=0.2", "carrier_trajectory=!BowedCarrierTrajectory {nodes: 2}"]

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from helpers import difference, model, output, rotation
 from pydrake.math import RollPitchYaw
+from registries import LIVELY
 
 from drake_nonstop.blocks.load_trajectory import (
     ConstantVelocityMove,
@@ -19,6 +20,8 @@ from drake_nonstop.blocks.load_trajectory import (
     Waypoints,
     WaypointsConfig,
 )
+from drake_nonstop.diagrams.nonstop import BOXES
+from drake_nonstop.systems.documentation import own_config_class
 
 START = {"start_position": [0.5, -1.0, 2.0], "start_roll_pitch_yaw": [0.2, -0.3, 0.4]}
 REST_TO_REST = RestToRestConfig(
@@ -58,26 +61,21 @@ SAMPLES = [  # the first pose is START
     [9.0, 0.5, 0.4, 2.0, 0.0, 0.0, 1.5],
 ]
 
-# config: (block, breaks between polynomials)
-CASES = {
+SAMPLED = SampledTrajectoryConfig(samples=SAMPLES)
+QUINTIC = {
     "rest to rest": (RestToRest, REST_TO_REST, [1, 5]),
-    "blend 0": (ConstantVelocityMove, move(0.0), [2.5, 8.5]),
     "blend 1": (ConstantVelocityMove, move(1.0), [2, 3, 8, 9]),
-    "blend 4": (ConstantVelocityMove, move(4.0), [0.5, 4.5, 6.5, 10.5]),
     "no cruise": (ConstantVelocityMove, move(4.0, 4.0), [0.5, 4.5, 8.5]),
     "waypoints": (Waypoints, WAYPOINTS, [0.5, 3, 7, 8, 11]),
-    "samples": (
-        SampledTrajectory,
-        SampledTrajectoryConfig(samples=SAMPLES),
-        [row[0] for row in SAMPLES],
-    ),
+    "steady turn": (SteadyTurn, STEADY_TURN, [1, 10]),
 }
-
-
-@pytest.fixture(params=CASES.values(), ids=CASES.keys())
-def case(request):
-    block, config, breaks = request.param
-    return reference_of(block, config), breaks
+# All trajectories whose motion is known beforehand, with their own settings and with those above.
+KNOWN = [
+    (kind, own_config_class(kind)(**LIVELY.get(kind.__name__, {})))
+    for kind in BOXES["load_trajectory"].variants
+    if "planned" not in kind.reads
+]
+KNOWN += [(kind, config) for kind, config, _ in QUINTIC.values()] + [(SampledTrajectory, SAMPLED)]
 
 
 def reference_of(block, config, name="reference"):
@@ -92,18 +90,37 @@ def reference_of(block, config, name="reference"):
     return reference
 
 
-EVERY_KIND = CASES | {"steady turn": (SteadyTurn, STEADY_TURN, [1, 10])}
+def check_rates(reference, time, higher_rates=None):
+    """The derivatives at a time around which the polynomials do not change."""
+    now = reference(time)
+    R = rotation(now[:4])
+    S = difference(lambda t: rotation(reference(t)[:4]), time) @ R.T
+    rates = difference(reference, time)
+    expected = {
+        "ω": (now[7:10], [S[2, 1], S[0, 2], S[1, 0]]),
+        "v": (now[10:13], rates[4:7]),
+        "ω̇": (now[13:16], rates[7:10]),
+        "a": (now[16:19], rates[10:13]),
+        "jerk": (now[19:22], rates[16:19]),
+    }
+    if higher_rates is not None:
+        expected["higher"] = higher_rates(time), np.concatenate([rates[13:16], rates[19:]])
+    for name, (value, rate) in expected.items():
+        # Rounding of 10 m over a step of 1 ms, and h⁴ times the fifth derivative.
+        np.testing.assert_allclose(value, rate, rtol=0, atol=1e-8, err_msg=f"{name} at {time}")
 
 
-@pytest.mark.parametrize(("block", "config", "breaks"), EVERY_KIND.values(), ids=EVERY_KIND.keys())
-def test_preview_is_the_reference_to_the_bit_at_any_time(block, config, breaks):
-    made = block(model(), config)
+@pytest.mark.parametrize(("block", "config"), KNOWN, ids=lambda each: type(each).__name__)
+def test_a_motion_has_its_rates_as_differences_and_is_its_preview_to_the_bit(block, config):
+    reference, made = reference_of(block, config), block(model(), config)
+    higher = reference_of(block, config, "reference_higher_rates")
+    times = 0.0611 + 0.15 * np.arange(80)  # s, in between all instants of the settings
+    for time in times:
+        check_rates(reference, time, higher)
     preview = made.GetOutputPort("reference_preview").Eval(made.CreateDefaultContext())
-    times = np.sort([-1.0, 0.0, *breaks, *np.linspace(0.1, 12, 40), 1e3])
-    reference = reference_of(block, config)
+    times = np.sort([-1.0, 0.0, *times, 1e3])
     expected = np.array([reference(time) for time in times])
     np.testing.assert_array_equal(preview.at(times), expected)
-    np.testing.assert_array_equal([preview(time) for time in times], expected)
     assert preview.end_time == np.inf
     with ThreadPoolExecutor(2) as threads:
         for result in threads.map(preview.at, [times, times[::-1]] * 10):
@@ -112,8 +129,7 @@ def test_preview_is_the_reference_to_the_bit_at_any_time(block, config, breaks):
 
 SEPTIC = {
     name: (block, dataclasses.replace(config, blend="c4"), breaks)
-    for name, (block, config, breaks) in EVERY_KIND.items()
-    if name not in ("samples", "blend 0")
+    for name, (block, config, breaks) in QUINTIC.items()
 }
 
 
@@ -140,51 +156,10 @@ def test_with_c4_one_more_derivative_is_continuous_where_polynomials_meet(block,
             np.testing.assert_allclose(smooth(time)[16:], 0, rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize("kind", [*EVERY_KIND, *(f"{name}, c4" for name in SEPTIC)])
-def test_higher_rates_are_the_differences_of_the_reference(kind):
-    name, *septic = kind.split(", ")
-    block, config, breaks = (SEPTIC if septic else EVERY_KIND)[name]
+@pytest.mark.parametrize("name", [name for name in QUINTIC if name != "steady turn"])
+def test_load_rests_before_and_after(name):
+    block, config, breaks = QUINTIC[name]
     reference = reference_of(block, config)
-    higher_rates = reference_of(block, config, "reference_higher_rates")
-    times = [t for t in np.linspace(0.05, 12, 25) if np.min(np.abs(t - np.array(breaks))) > 0.005]
-    assert len(times) > 20
-    largest = 0.0
-    for time in times:
-        now = higher_rates(time)
-        rates = difference(lambda t: reference(t)[13:], time)
-        expected = np.concatenate([rates[:3], rates[6:]])
-        np.testing.assert_allclose(now, expected, rtol=0, atol=1e-8, err_msg=f"at {time}")
-        largest = max(largest, np.max(np.abs(now)))
-    assert largest > 0.01 or name in ("blend 0", "samples")
-
-
-def check_rates(reference, time):
-    """The derivatives at a time around which the polynomials do not change."""
-    now = reference(time)
-    R = rotation(now[:4])
-    S = difference(lambda t: rotation(reference(t)[:4]), time) @ R.T
-    expected = {
-        "ω": (now[7:10], [S[2, 1], S[0, 2], S[1, 0]]),
-        "v": (now[10:13], difference(lambda t: reference(t)[4:7], time)),
-        "ω̇": (now[13:16], difference(lambda t: reference(t)[7:10], time)),
-        "a": (now[16:19], difference(lambda t: reference(t)[10:13], time)),
-        "jerk": (now[19:22], difference(lambda t: reference(t)[16:19], time)),
-    }
-    for name, (value, rate) in expected.items():
-        # Rounding of 10 m over a step of 1 ms, and h⁴ times the fifth derivative.
-        np.testing.assert_allclose(value, rate, rtol=0, atol=1e-9, err_msg=f"{name} at {time}")
-
-
-def test_each_rate_is_the_difference_of_what_it_is_the_rate_of(case):
-    reference, breaks = case
-    times = [t for t in np.linspace(0.05, 12, 120) if np.min(np.abs(t - np.array(breaks))) > 0.005]
-    assert len(times) > 110
-    for time in times:
-        check_rates(reference, time)
-
-
-def test_load_rests_before_and_after(case):
-    reference, breaks = case
     first, last = reference(0.0), reference(100.0)
     np.testing.assert_allclose(first[4:7], START["start_position"], rtol=0, atol=1e-15)
     R = RollPitchYaw(START["start_roll_pitch_yaw"]).ToRotationMatrix().matrix()

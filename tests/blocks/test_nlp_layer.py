@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from helpers import Motion, fix, model, nightly_beyond, output
+from helpers import fix, model, nightly_beyond, output
 from nonstop_cases import (
     AT_REST,
     START,
@@ -19,18 +19,11 @@ from pydrake.symbolic import Evaluate, Expression, Variable
 from drake_nonstop import (
     cable_tensions,
     carrier_distances,
-    carrier_motion,
     carrier_speeds,
     flight_margins,
 )
 from drake_nonstop.blocks.nlp_layer import NlpLayer, NlpLayerConfig
 from drake_nonstop.blocks.paper_layer import PaperLayer, PaperLayerConfig
-from drake_nonstop.mechanics.aircraft import (
-    flight_needs,
-    needed_force,
-    stall_factor,
-    thrust_limits,
-)
 from drake_nonstop.mechanics.rigid_load import load_acceleration
 from drake_nonstop.model.aircraft import AircraftParameters
 from drake_nonstop.planning.diagnostics import Diagnostics, Outcome
@@ -198,29 +191,6 @@ def test_what_is_no_cost_or_constraint_is_said_in_a_sentence(name, function, sai
 def model_of_aircraft():
     own = AircraftParameters(model="rascal_110")
     return model(aircraft=own, cable_length=60.0, load_mass=6.0)
-
-
-def test_margins_of_aircraft_are_those_of_what_they_need():
-    own = model_of_aircraft()
-    limits = AircraftLimits(max_lift_share=0.8, max_bank=0.3, max_climb=0.1, max_thrust_share=0.5)
-    motion, wrench = Motion(3).reference(0.4), np.array([0.3, -0.2, 0.1, 1.0, -2.0, 60.0])
-    given = own, motion, wrench, np.array([0, 0, 0, 1.0, -0.5, 0.3]), 0.3, 4.0
-    phases, wind = np.array([0.2, 1.7, 4.0]), np.array([1.0, -2.0, 0.3])
-    margins = flight_margins(own, limits, *given[1:], phases, wind)
-    assert margins.shape == (3, 4, 5)
-    flown = carrier_motion(*given, phases, wind)
-    force = needed_force(own.aircraft, flown.accelerations, flown.forces)
-    needs = flight_needs(own.aircraft, force, flown.velocities)
-    least, most = thrust_limits(own.aircraft, needs.airspeed)
-    in_range = (needs.thrust - (most + least) / 2) / ((most - least) / 2)
-    np.testing.assert_array_equal(margins[..., 1] >= 0, abs(needs.bank) <= 0.3)
-    np.testing.assert_array_equal(margins[..., 2] >= 0, abs(needs.climb) <= 0.1)
-    np.testing.assert_array_equal(margins[..., 3:].min(axis=-1) >= 0, abs(in_range) <= 0.5)
-    factor = needs.force / needs.airspeed**2 / stall_factor(own.aircraft, 0.8)
-    np.testing.assert_allclose(margins[..., 0], 1 - factor, rtol=1e-10)
-    assert flight_margins(own, AircraftLimits(), *given[1:], phases).shape == (3, 4, 0)
-    with pytest.raises(ScenarioError, match=r"system.aircraft = none: .*flies aircraft"):
-        flight_margins(model(), limits, *given[1:], phases)
 
 
 class Banked(NlpLayer):

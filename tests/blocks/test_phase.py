@@ -112,21 +112,6 @@ def test_continuous_parameters_follow_through_three_equal_poles():
         np.testing.assert_allclose(row, expected, rtol=1e-6, atol=1e-6)
 
 
-def test_sampled_parameters_follow_almost_so():
-    """The first stage moves along chords of its exponential."""
-    period, steps = 1e-3, 60
-    times = 0.02 + period * np.arange(1, steps)
-    values = [[1.7, 0.9], [1.7, 0.9], [2.7, 1.4]]
-    found = planned(values, period=period, times=times + period / 2)
-    expected = np.array([step_response(time - 0.02) for time in times])
-    np.testing.assert_allclose(found[:, 1] - 1.7, expected[:, 0], atol=3e-4)
-    np.testing.assert_allclose(found[:, 3], expected[:, 1], atol=0.02)
-    # Each sample follows of the last one, by the constant third rate of a chord's motion.
-    slopes = np.diff(found[:, 1]) / period
-    middle = (found[1:, 3] + found[:-1, 3]) / 2
-    np.testing.assert_allclose(slopes, middle, atol=40.0**3 * period**2 / 6)
-
-
 @pytest.mark.parametrize("period", [0.0, 0.01])
 def test_a_plan_takes_the_place_of_the_parameters(period):
     block = ShapedPhase(model(4, period))

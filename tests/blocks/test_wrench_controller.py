@@ -61,16 +61,6 @@ SIGNALS = STILL_AIR | {
 INTEGRALS = np.array([0.1, -0.2, 0.3, 0.2, 0.1, -0.1])
 
 
-def test_sign_of_the_paper_reverses_the_damping_of_the_rotation():
-    paper = outputs(PaperWrenchController(model()), INTEGRALS, **SIGNALS)["wrench"]
-    without_feedforward = WrenchControllerConfig(feedforward=0.0)
-    damped = outputs(WrenchController(model(), without_feedforward), INTEGRALS, **SIGNALS)["wrench"]
-    undamped = dataclasses.replace(without_feedforward, angular_velocity_gain=0.0)
-    without = outputs(WrenchController(model(), undamped), INTEGRALS, **SIGNALS)["wrench"]
-    np.testing.assert_allclose(paper - without, without - damped, rtol=0, atol=1e-14)
-    assert np.linalg.norm((without - damped)[:3]) > 1e-3
-
-
 @pytest.mark.parametrize("make", [WrenchController, PaperWrenchController])
 def test_gains_that_are_auto_are_those_of_the_load_about_its_quickest_axis(rng, make):
     turned, _ = np.linalg.qr(rng.normal(size=(3, 3)))

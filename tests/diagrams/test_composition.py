@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from helpers import model, nightly_beyond, vector_outputs, with_ports
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
-from pydrake.systems.framework import DiagramBuilder, LeafSystem
+from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource, Multiplexer
 
 from drake_nonstop import (
@@ -136,38 +136,6 @@ def test_boxes_left_out_and_given_as_extra_blocks_make_the_same_signals(seed, pe
     assert_flies_like_the_figure(nonstop, blocks, period)
 
 
-class Both(LeafSystem):
-    """A carrier's controller and its dynamics in one: the carriers stay on their references."""
-
-    def __init__(self, model):
-        super().__init__()
-        self._reference = self.DeclareVectorInputPort("carrier_reference", 6 * model.n)
-        for name, size in (("carrier_forces", 3 * model.n), ("carrier_state", 6 * model.n)):
-            self.DeclareVectorOutputPort(name, size, getattr(self, f"_calc_{name}"))
-
-    def _calc_carrier_forces(self, context, output):
-        output.SetFromVector(np.zeros(output.size()))
-
-    def _calc_carrier_state(self, context, output):
-        output.SetFromVector(self._reference.Eval(context))
-
-
-@pytest.mark.parametrize("box", ["carrier_controller", "carrier_dynamics"])
-@pytest.mark.parametrize("period", [0.0, 0.01])
-def test_one_block_may_stand_for_two_boxes(box, period):
-    other = {"carrier_controller", "carrier_dynamics"} - {box}
-    nonstop = make_nonstop(scenario(period), **{box: Both}, **dict.fromkeys(other))
-    assert nonstop.num_input_ports() == 0
-    wires = connections(nonstop)
-    assert f"{box}.carrier_state -> cables.carrier_state" in wires
-    context = nonstop.CreateDefaultContext()
-    Simulator(nonstop, context).Initialize()
-    reference, state = (
-        nonstop.GetOutputPort(name).Eval(context) for name in ("carrier_reference", "carrier_state")
-    )
-    np.testing.assert_array_equal(state, reference)
-
-
 def test_extra_blocks_read_and_make_signals_of_any_name():
     nonstop = make_nonstop(
         scenario(0.01),
@@ -228,40 +196,6 @@ def test_what_does_not_fit_is_named_with_the_remedy(arguments, told, remedy):
     assert told in str(error.value)
     assert remedy in str(error.value).partition(told)[2]
     assert "\n" not in str(error.value)
-
-
-def wired_by_hand(blocks):
-    """What connect_by_name does, with Drake's own calls, as far as there are sources."""
-    builder = DiagramBuilder()
-    sources = {}
-    for name, block in blocks.items():
-        builder.AddNamedSystem(name, block)
-        sources |= dict.fromkeys(output_names(block), block)
-    for block in blocks.values():
-        for port in input_names(block):
-            if port in sources:
-                builder.Connect(sources[port].GetOutputPort(port), block.GetInputPort(port))
-    for port, block in sources.items():
-        builder.ExportOutput(block.GetOutputPort(port), port)
-    return builder.Build()
-
-
-def test_the_equilibrium_of_a_loop_wired_by_hand_names_what_is_not_connected():
-    blocks = make_blocks(scenario(0.01))
-    del blocks["sample_and_hold"]
-    nonstop = wired_by_hand(blocks)
-    said = r"^wrench_controller \(.*\): its input sample_time is not connected; "
-    with pytest.raises(ScenarioError, match=said):
-        set_equilibrium(nonstop, nonstop.CreateDefaultContext())
-    blocks = make_blocks(scenario(0.0))
-    del blocks["load_disturbance"]
-    nonstop = wired_by_hand(blocks)
-    said = r"^load_plant \(.*\): its input disturbance_wrench is not connected; "
-    with pytest.raises(ScenarioError, match=said):
-        set_equilibrium(nonstop, nonstop.CreateDefaultContext())
-    nonstop = make_nonstop(scenario(0.0), load_disturbance=None)
-    with pytest.raises(ScenarioError, match=said):
-        set_equilibrium(nonstop, nonstop.CreateDefaultContext())
 
 
 def test_a_context_of_another_loop_is_refused_in_a_sentence():

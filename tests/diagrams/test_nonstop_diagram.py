@@ -23,8 +23,6 @@ from drake_nonstop.blocks.sample_and_hold import SampleAndHold
 from drake_nonstop.blocks.turn_rate_optimizer import TurnRateOptimizer
 from drake_nonstop.diagrams.nonstop import BOXES, figure_wires, make_nonstop
 from drake_nonstop.loop.box import config_class
-from drake_nonstop.loop.parameters import set_parameter
-from drake_nonstop.loop.start import set_equilibrium
 from drake_nonstop.model.system import SystemOverrides, SystemParameters
 from drake_nonstop.scenario.loading import dump_scenario
 from drake_nonstop.scenario.schema import Scenario
@@ -178,22 +176,6 @@ def test_signals_that_others_need_have_to_be_made_in_their_sizes(box, scenario_a
             build(**{box: with_ports({}, others | {signal: sizes[signal] + 1})})
         with pytest.raises(ScenarioError, match=f"{signal}, (which {box} = Ports does n|of wh)"):
             build(**{box: with_ports({}, others)})
-
-
-@pytest.mark.parametrize("period", [0.0, 0.01])
-def test_a_run_starts_at_the_parameters_that_the_context_has(period):
-    diagram = make_nonstop(plain(period))
-    context = diagram.CreateDefaultContext()
-    set_parameter(diagram, context, "optimization_layer.frequency", 2.5)
-    set_parameter(diagram, context, "optimization_layer.amplitude", 1.4)
-    set_equilibrium(diagram, context)
-    simulator = Simulator(diagram, context)
-    for time in (0.0, 0.05):
-        simulator.AdvanceTo(time)
-        planned = output(diagram, context, "planned")
-        angle = 2.5 * np.floor(time / period + 0.5) * period if period else 2.5 * time
-        np.testing.assert_allclose(planned[0], angle, atol=0.026)  # of the sample, or of the last
-        np.testing.assert_allclose(planned[1:], [2.5, 1.4, 0, 0, 0, 0, 0], rtol=0, atol=1e-9)
 
 
 def test_box_can_be_replaced_by_a_config_and_by_a_class():

@@ -4,7 +4,6 @@ import gc
 import json
 import weakref
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -15,7 +14,6 @@ from pydrake.systems.framework import EventStatus, LeafSystem
 from registries import LIVELY, LOOPS, VARIANTS
 
 from drake_nonstop import (
-    Block,
     DisturbanceForceConfig,
     ScenarioError,
     load_scenario,
@@ -165,24 +163,6 @@ def test_parameters_are_inputs_of_one_trace():
     assert_equal(other, loop, context)
 
 
-def test_a_layer_keeps_its_parameters_by_its_context():
-    """Another ε from the start on."""
-    scenario = load_scenario("quintic")
-    loop, context = traced(scenario, compiles=False)
-    diagram = make_nonstop(scenario)
-    simulator = Simulator(diagram)
-    for own, root in ((loop.diagram, context), (diagram, simulator.get_mutable_context())):
-        layer = own.GetSubsystemByName("optimization_layer")
-        layer.set_speed_bound(layer.GetMyMutableContextFromRoot(root), 0.62)
-    ApplySimulatorConfig(scenario.simulator_config, simulator)
-    _, signals = loop.run(context, DURATION)
-    simulator.AdvanceTo(DURATION)
-    for name in ("diagnostics", "parameters", "load_state", "speed_bound"):
-        shown = diagram.GetOutputPort(name).Eval(simulator.get_context())
-        np.testing.assert_allclose(signals[name][-1], shown, rtol=1e-9, atol=1e-9)
-    assert signals["diagnostics"][-1, 1] > 0
-
-
 OTHER_NUMBERS = [
     *("simulated.load_mass=1.07", "simulated.load_drag=0.2", "random_seed=3"),
     *("load_trajectory.start_time=0.05", "wind.gust=1", "wind.seed=4", "load_feedback.seed=2"),
@@ -216,19 +196,6 @@ def test_loops_of_equal_equations_share_their_functions():
     smaller = [*OTHER_NUMBERS, "simulator_config.max_step_size=0.0025"]
     other, _ = traced(changed(scenario, smaller), compiles=False)
     assert loop.sample is not other.sample
-
-
-def test_a_value_that_is_not_finite_is_no_result():
-    scenario = load_scenario("quintic", [CONSTANT])
-    loop, context = traced(scenario, compiles=False)
-    plant = loop.diagram.GetSubsystemByName("load_plant")
-    own = plant.GetMyMutableContextFromRoot(context)
-    state = own.get_continuous_state_vector().CopyToVector()
-    state[4] = np.nan
-    own.SetContinuousState(state)
-    with pytest.raises(NotFiniteError, match=r"\w+, at t = 0 s, made") as raised:
-        loop.run(context, DURATION)
-    assert loop.diagram.HasSubsystemNamed(raised.value.block.partition(",")[0])
 
 
 class FailingPush(DisturbanceForce):
@@ -330,38 +297,6 @@ def test_signals_of_steps_are_those_of_a_log_of_each_step():
     simulator.set_monitor(show)
     simulator.AdvanceTo(0.06)
     np.testing.assert_allclose(steps, shown, rtol=1e-9, atol=1e-9)
-
-
-@dataclass
-class CommandConfig:
-    """It has no parameters."""
-
-
-class Command(Block):
-    """Asks for a speed that one of two loops allows."""
-
-    makes = ("speed_bound_command",)
-
-    @staticmethod
-    def equations():
-        return np.array([0.6])
-
-
-def test_what_a_command_may_be_is_that_of_each_loop():
-    """Loops whose highest bounds differ share a trace, which does not have them."""
-    shown = []
-    for highest in (0.5, 3.0):
-        bounds = ["optimization_layer.speed_bound=0.3", f"optimization_layer.max_speed={highest}"]
-        scenario = load_scenario("quintic", bounds)
-        diagram = make_nonstop(scenario, at_equilibrium=False, extra={"command": Command})
-        loop = CompiledLoop(
-            diagram, scenario.simulator_config, 0.01, signals=["speed_bound"], compiles=False
-        )
-        flight = loop.fly(diagram.CreateDefaultContext())
-        shown.append(flight)
-    with pytest.raises((ScenarioError, NotFiniteError)):
-        shown[0].start()
-    assert shown[1].start()[0] == 0.6
 
 
 def test_what_loops_share_keeps_no_diagram():

@@ -50,16 +50,6 @@ def test_a_loop_set_to_numbers_is_the_one_built_for_them():
         )
 
 
-def test_a_role_is_set_by_itself_and_a_block_too():
-    loop = quintic()
-    context = loop.CreateDefaultContext()
-    set_parameter(loop, context, "system.load_mass", 1.1)
-    set_parameter(loop, context, "carrier_trajectory.load_mass", 1.3)
-    names = [f"{owner}.load_mass" for owner in ("wrench_controller", "simulated")]
-    assert [get_parameter(loop, context, name) for name in names] == [1.1, 1.0]
-    assert get_parameter(loop, context, "carrier_trajectory.load_mass") == 1.3
-
-
 def test_numbers_are_set_inside_of_a_bigger_diagram_and_with_derivatives():
     builder = DiagramBuilder()
     loop = builder.AddSystem(make_nonstop(load_scenario("quintic", [CONSTANT])))

@@ -1,13 +1,11 @@
 """Where runs start whose load and carriers are blocks of the user's own."""
 
-import warnings
 from functools import partial
 
 import numpy as np
 import pytest
 from helpers import nightly_beyond
 from pydrake.common.value import Value
-from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 from pydrake.systems.framework import (
     LeafSystem,
@@ -48,11 +46,6 @@ def distance(run, other):
 def without_drag():
     scenario = short(0.15, "simulated.load_drag=0.0")
     return scenario, simulate(scenario)
-
-
-def test_multibody_plants_fly_as_our_blocks(without_drag):
-    scenario, ours = without_drag
-    assert max(distance(simulate(scenario, **own_plants(0.0)), ours).values()) < 1e-10
 
 
 @pytest.mark.nightly("engines")
@@ -270,32 +263,6 @@ def test_an_articulated_load_starts_where_the_whole_hangs_at_rest():
     assert np.abs(hinge_rates(diagram, context)).max() < 1e-6
     tensions = diagram.GetOutputPort("cable_forces").Eval(context).reshape(-1, 3)
     np.testing.assert_allclose(tensions.sum(0), [0, 0, 9.81], rtol=0, atol=1e-6)  # of 1 kg
-
-
-def test_a_load_trims_its_further_states():
-    """A tilted platform: the pendulum does not hang straight down in its default state."""
-    tilt = 0.3
-    scenario = short(0.1, f"load_trajectory.start_roll_pitch_yaw=[0,{tilt},0]")
-
-    def trimmed(model):
-        block = articulated_load.load(model)
-
-        def trim(context):
-            (plant,) = (s for s in block.GetSystems() if isinstance(s, MultibodyPlant))
-            own = block.GetMutableSubsystemContext(plant, context)
-            w, _, y, _ = plant.GetPositions(own)[:4]
-            plant.GetJointByName("hinge").set_angle(own, -2 * np.arctan2(y, w))
-
-        block.trim = trim
-        return block
-
-    for make, hangs in ((articulated_load.load, False), (trimmed, True)):
-        with warnings.catch_warnings():
-            warnings.simplefilter("error" if hangs else "ignore", ScenarioWarning)
-            diagram = make_nonstop(scenario, load_plant=make)
-        context = diagram.CreateDefaultContext()
-        Simulator(diagram, context).Initialize()
-        assert (np.abs(hinge_rates(diagram, context)).max() < 1e-5) == hangs
 
 
 def test_a_block_whose_defaults_cannot_be_set_is_named_and_set_equilibrium_helps():

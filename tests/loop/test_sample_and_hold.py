@@ -15,7 +15,7 @@ from drake_nonstop import (
     make_nonstop,
     set_default_equilibrium,
 )
-from drake_nonstop.systems.wiring import connections, input_names, output_names, wires
+from drake_nonstop.systems.wiring import input_names, output_names, wires
 
 PERIOD = 0.01  # s
 SCENARIOS = {
@@ -108,22 +108,6 @@ def added(blocks):
     for name, block in blocks.items():
         builder.AddNamedSystem(name, block)
     return builder
-
-
-def test_what_was_connected_or_exported_stays():
-    blocks = controllers()
-    builder = added(blocks)
-    by_hand = blocks["trajectory"].GetOutputPort("reference")
-    builder.Connect(by_hand, blocks["controller"].GetInputPort("reference"))
-    builder.ExportInput(blocks["layer"].GetInputPort("reference"), "reference")
-    add_sample_and_hold(builder, model(4, PERIOD))
-    assert set(connections(builder.Build())) == {
-        "trajectory.reference -> controller.reference",
-        "trajectory.reference -> sample_and_hold.reference",
-        "feedback.measured_load_state -> sample_and_hold.measured_load_state",
-        "sample_and_hold.held_measured_load_state -> controller.measured_load_state",
-        "sample_and_hold.sample_time -> layer.sample_time",
-    }
 
 
 def test_the_wind_is_held_where_it_may_change():

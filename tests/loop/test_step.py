@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from helpers import QuadraticDrag
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import LinearSystem
@@ -56,14 +55,6 @@ def test_a_shorter_step_is_a_whole_part_of_the_signals_period_and_flies():
         for each in ("load_state", "reference")
     )
     np.testing.assert_allclose(load[4:7], reference[4:7], atol=0.01)
-
-
-def test_equations_without_a_slope_where_the_flight_starts_have_a_step_all_the_same():
-    scenario = load_scenario("quintic", [CONSTANT])
-    loop = make_nonstop(scenario, load_disturbance=QuadraticDrag)
-    _, other, context = loop_with()
-    own = largest_step(loop, loop.CreateDefaultContext())
-    assert own == pytest.approx(largest_step(other, context), rel=1e-3)
 
 
 def test_a_block_that_makes_no_number_is_named():

@@ -8,13 +8,11 @@ from helpers import Ports, output
 from pydrake.systems.framework import DiagramBuilder
 
 from drake_nonstop import (
-    get_parameter,
     load_scenario,
     make_blocks,
     make_nonstop,
     set_default_equilibrium,
     set_equilibrium,
-    set_parameter,
 )
 from drake_nonstop.systems.wiring import input_names, output_names, wires
 from drake_nonstop.validation import ScenarioError
@@ -97,7 +95,6 @@ def shown(diagram, context):
     return found
 
 
-NOT_CONNECTED = r"^LoadPlant \(.*\): its input disturbance_wrench is not connected; "
 BOTH = pytest.mark.parametrize("make", [wired, nested])
 NAMED = pytest.mark.parametrize("names", [False, True])
 
@@ -162,25 +159,3 @@ def test_a_parameter_that_is_no_number_is_blamed_on_its_block(name, group, names
     with pytest.raises(ScenarioError) as error:
         set_equilibrium(diagram, context)
     assert str(error.value).startswith(f"start = {called}: it makes a value that is not finite")
-
-
-def test_an_open_input_in_a_diagram_inside_is_named():
-    blocks = make_blocks(scenario())
-    del blocks["load_disturbance"]
-    plant = grouped({name: blocks.pop(name) for name in PLANT}, left_open=["disturbance_wrench"])
-    diagram = wired(blocks | {"plant": plant})
-    with pytest.raises(ScenarioError, match=NOT_CONNECTED):
-        set_equilibrium(diagram, diagram.CreateDefaultContext())
-
-
-@BOTH
-@NAMED
-def test_parameters_of_a_loop_that_exports_nothing(make, names):
-    diagram = make(make_blocks(scenario()), names=names)
-    context = diagram.CreateDefaultContext()
-    path = f"{'wrench_controller' if names else 'WrenchController'}.position_gain"
-    for changed in (path, "system.load_mass", "simulated.cable_damping"):
-        value = 1.1 * get_parameter(diagram, context, changed)
-        set_parameter(diagram, context, changed, value)
-        assert get_parameter(diagram, context, changed) == pytest.approx(value, abs=0)
-    set_equilibrium(diagram, context)

@@ -44,22 +44,9 @@ FREE = RASCAL._replace(cable_diameter=0.0)  # of any cable
 NO_PULL = np.zeros(3)
 
 
-def straight(speed):
-    return np.array([speed, 0.0, 0.0])
-
-
 def steady(aircraft, velocity, acceleration=(0.0, 0.0, 0.0), pull=NO_PULL, wind=NO_PULL):
     force = needed_force(aircraft, np.array(acceleration), pull)
     return flight_needs(aircraft, force, np.asarray(velocity) - wind).command
-
-
-def test_level_turn():
-    """tan μ = V²/(g R) where the thrust's part across the path is inside of N: exactly."""
-    speed, radius = 18.0, 60.0
-    lift, bank, _ = steady(FREE, straight(speed), [0.0, -(speed**2) / radius, 0.0])
-    assert np.tan(bank) == pytest.approx(speed**2 / (9.81 * radius), rel=1e-12)  # to the right
-    level = steady(FREE, straight(speed))
-    assert lift > level.lift
 
 
 def test_needs_are_the_inverse(rng):

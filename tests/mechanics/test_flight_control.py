@@ -8,7 +8,6 @@ from drake_nonstop.mechanics.aircraft import (
     air_force,
     air_frame,
     flight_needs,
-    stall_speed,
     thrust_limits,
 )
 from drake_nonstop.mechanics.flight_control import (
@@ -122,14 +121,6 @@ def test_where_lift_is_short_the_vertical_part_is_kept_and_the_bank_is_cut(bank,
     np.testing.assert_allclose(lift * np.cos(less), wanted * np.cos(bank), rtol=1e-9)
     assert np.sign(less) == np.sign(bank)
     np.testing.assert_allclose(flags, [cut, cut, False], atol=1e-6)
-
-
-def test_below_the_share_of_the_stall_speed_thrust_is_added():
-    slow = 1.2 * stall_speed(RASCAL) - 0.5
-    command = np.array([1.0, 0.0, 10.0])
-    (_, _, thrust), flags = limited_command(RASCAL, command, np.array([slow]), **LIMITS)
-    assert thrust == pytest.approx(10.0 + 6.0 * 2.7 * 0.5)
-    np.testing.assert_allclose(flags, [0, 0, 1], atol=1e-6)
 
 
 LAGS = np.array([0.2, 0.2, 0.2, 0.15, 0.2])  # s, of the observer's states

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from helpers import difference, regular, resting_orbits
+from helpers import regular, resting_orbits
 
 from drake_nonstop.mechanics.formation_orbit import CarriedLoad, FormationShape, carrier_orbit
 from drake_nonstop.model.pattern import ConstantSpreadConfig, EllipticCarouselConfig
@@ -57,28 +57,3 @@ def test_they_are_those_of_the_general_equations(pattern, n, yaw_rate, turns):
             (found.accelerations, general.accelerations),
         ):
             np.testing.assert_allclose(values, expected[:, i], rtol=1e-10, atol=1e-9)
-
-
-@pytest.mark.parametrize("yaw_rate", [0.0, 0.7])
-def test_velocities_and_accelerations_are_the_rates_of_positions(yaw_rate):
-    """Also where the load moves with a constant snap, and orbits lean above a load that turns."""
-    shape = FormationShape(6.0, 2.0, 3.0, 1.5, 0.9, yaw_rate, 40.0)
-    load = CarriedLoad(10.0, 0.6, 9.81, 4, 1.5, 1 / 120.0)
-    way = np.polynomial.Polynomial([0.0, 2.0, 0.15, 0.05, 0.02])
-    along = np.array([0.7, -0.4, 0.2])
-
-    def orbit(time):
-        angles = np.array([0.4 + yaw_rate * time]), np.array([0.9 * time])
-        velocity, *rates = (way.deriv(order)(time) * along for order in (1, 2, 3, 4))
-        names = ("acceleration", "jerk", "snap")
-        moved = dict(zip(names, rates, strict=True))
-        return carrier_orbit(shape, load, *angles, air_velocity=velocity - WIND, **moved)
-
-    def position(time):
-        return way(time) * along + orbit(time).positions
-
-    found = orbit(1.3)
-    rate = difference(position, 1.3)
-    np.testing.assert_allclose(found.velocities + WIND, rate, atol=1e-8)
-    rate = difference(lambda time: orbit(time).velocities, 1.3)
-    np.testing.assert_allclose(found.accelerations, rate, atol=1e-8)

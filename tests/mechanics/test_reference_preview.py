@@ -1,11 +1,8 @@
-import copy
-import math
-
 import numpy as np
 import pytest
 from helpers import Motion, difference, rotation
 
-from drake_nonstop.mechanics.reference_preview import ReferencePreview, continued_reference
+from drake_nonstop.mechanics.reference_preview import continued_reference
 from drake_nonstop.mechanics.signals import LoadReference
 
 
@@ -32,12 +29,3 @@ def test_its_rates_are_differences_of_what_they_are_the_rates_of(time):
     }
     for name, rate in expected.items():
         np.testing.assert_allclose(getattr(parts, name), rate, rtol=0, atol=1e-8, err_msg=name)
-
-
-def test_references_at_many_instants_are_those_at_each():
-    preview = ReferencePreview(Motion(5).reference, end_time=3.0)
-    assert math.isinf(ReferencePreview(Motion(5).reference).end_time)
-    times = [0.1, 2.0]
-    np.testing.assert_array_equal(preview.at(times), [preview(time) for time in times])
-    assert preview.at([]).shape == (0, 22)
-    assert copy.deepcopy(preview) is preview

@@ -7,7 +7,6 @@ from pydrake.multibody.tree import RotationalInertia, SpatialInertia
 
 from drake_nonstop.mechanics.rigid_load import (
     RigidLoad,
-    gravity_wrench,
     load_acceleration,
     load_state_rate,
 )
@@ -53,13 +52,6 @@ def test_load_moves_as_a_free_body_of_multibody_plant(plant, rng, shape, time):
     expected = plant.EvalTimeDerivatives(context).CopyToVector()
     rate = load_state_rate(LOAD, state, forces.ravel(), disturbance, attachments=attachments)
     np.testing.assert_allclose(rate, expected, rtol=0, atol=1e-9)
-
-
-def test_load_under_its_gravity_wrench_stays_at_rest():
-    state = np.concatenate([Motion(6).state(1.0)[:7], np.zeros(6)])
-    angular, translational = load_acceleration(LOAD, state, gravity_wrench(MASS, GRAVITY))
-    np.testing.assert_allclose(angular, 0, rtol=0, atol=1e-15)
-    np.testing.assert_allclose(translational, 0, rtol=0, atol=1e-14)
 
 
 def test_torque_free_load_keeps_its_angular_momentum_and_energy():

@@ -167,15 +167,6 @@ def test_a_plan_keeps_a_limit_that_the_plan_without_it_exceeds(field, value):
         assert (margins[limited.names == name].min() >= -room) == (problem is limited)
 
 
-def test_rates_keep_their_limits_at_all_times():
-    rates = {"max_frequency_rate": 0.1, "max_amplitude_rate": 0.05}
-    for limited in (rates, {}):
-        _, answer = best_plan(points_problem("cycle-4", **limited), 0.8)
-        values = np.array([answer.plan.planned(time) for time in np.linspace(0, 4, 200)])
-        for largest, limit in zip(np.abs(values[:, 3:5]).max(axis=0), rates.values(), strict=True):
-            assert (largest <= limit + 1e-6) == bool(limited)
-
-
 def speeds_at_instants(problem, data, margins):
     """The speeds (n, k), m/s, of margins."""
     shares = margins[: problem.model.n, : len(problem.instants)]
