@@ -12,14 +12,13 @@ import re
 import shlex
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from benchmarks.measures import MEASURES, OF_SPEED, RUN
-from drake_nonstop.run.run import RunStopped
-from drake_nonstop.scenario.loading import load_scenario
-from drake_nonstop.validation import ScenarioError, read_text, require
+from drake_nonstop import load_scenario
 
+README = Path(__file__).parents[2] / "README.md"
 _PRINTED = r"(?:≤ )?\d+(?:\.\d+)?(?:–\d+(?:\.\d+)?)?"
 _ROW = re.compile(rf"^\| `([^`]+)` \| ([^|]+) \|[^|]*\| ({_PRINTED}) \|$")
 _NUMBER = re.compile(r"\d+(?:\.\d+)?")
@@ -27,8 +26,7 @@ _START, _END = "<!-- measured", "-->"  # of the rows of a paragraph
 _FACTOR = 2.0  # between the speeds of machines
 
 
-@dataclass(frozen=True, kw_only=True)
-class Claim:
+class Claim(NamedTuple):
     """What a text prints: the arguments that measure it, the quantity, and the number's digits."""
 
     arguments: str
@@ -49,7 +47,7 @@ class Claim:
 
     def fault(self, value: float) -> str:
         """Why the claim does not hold, such as "= 0.3, not 0.2"; "" where it does."""
-        return "" if self.holds(value) else f"= {value:.4g}, not {self.printed}"
+        return "" if self.holds(value) else f"{self} = {value:.4g}, not {self.printed}"
 
     def holds(self, value: float) -> bool:
         """Whether the value rounds to what is printed; a bare 0 stands for exactly zero.
@@ -66,23 +64,18 @@ class Claim:
         return value <= most and (self.printed.startswith("≤") or value >= least)
 
 
-def documentation(readme: Path) -> str:
-    """The text of a README and of the pages in the folder `docs` beside it.
-
-    Raises:
-        ScenarioError: it cannot be read.
-    """
-    text = read_text(readme, "--readme", "run it in a checkout, or give the file")
-    pages = sorted((readme.parent / "docs").glob("*.md"))
-    return "\n".join([text, *(page.read_text(encoding="utf-8") for page in pages)])
+def documentation() -> str:
+    """The text of the README and of the pages."""
+    pages = [README, *sorted((README.parent / "docs").glob("*.md"))]
+    return "\n".join(page.read_text(encoding="utf-8") for page in pages)
 
 
 def read_claims(text: str) -> list[Claim]:
     """The claims of a text in Markdown.
 
     Raises:
-        ScenarioError: there are none, one is of an unknown quantity, or one on a paragraph is of
-            a number that does not stand there.
+        ValueError: one is of an unknown quantity, has no number, or is on a paragraph in which its
+            number does not stand.
     """
     claims = []
     paragraph, is_in_table = "", True
@@ -90,34 +83,23 @@ def read_claims(text: str) -> list[Claim]:
         if line in (_START, _END):
             is_in_table = line == _END
         elif found := _ROW.match(line):
-            arguments, quantity, printed = found.groups()
-            missing = set(_NUMBER.findall(printed)) - set(_NUMBER.findall(paragraph)) - {"0"}
-            remedy = "print in the paragraph above what its comment claims"
-            require(is_in_table or not missing, f"claim on {arguments}", printed, remedy)
-            claim = Claim(
-                arguments=arguments, quantity=quantity, printed=printed, is_in_table=is_in_table
-            )
-            known = MEASURES[claim.measure].quantities
-            remedy = f"give one of {', '.join(known)}"
-            require(quantity in known, f"claim on {arguments}", quantity, remedy)
+            claim = Claim(*found.groups(), is_in_table)
+            missing = {*_NUMBER.findall(claim.printed)} - {*_NUMBER.findall(paragraph)} - {"0"}
+            if missing and not is_in_table:
+                raise ValueError(f"{claim}: print in the paragraph above what its comment claims")
+            if claim.quantity not in MEASURES[claim.measure].quantities:
+                raise ValueError(f"{claim}: give one of {[*MEASURES[claim.measure].quantities]}")
             claims.append(claim)
         elif line.startswith("| `") and line.count("|") == 5:
-            remedy = "give a row of `run` | quantity | paper | ours, with ours a number"
-            require(False, "claim", line, remedy)
+            raise ValueError(f"{line}: give a row of `run` | quantity | paper | ours, a number")
         else:
             is_same = line and not line.startswith("- ")
             paragraph = f"{paragraph} {line}" if is_same else line
-    require(claims, "--readme", "a text without claims", "give the README of drake_nonstop")
     return claims
 
 
 def measure(claims: Sequence[Claim]) -> Iterator[tuple[Claim, float]]:
-    """The value of each claim, as it is found, in a process per core; of speed last, one by one.
-
-    Raises:
-        ScenarioError: a claim's arguments make no scenario, its run did not complete, or its
-            quantity was not measured in that run.
-    """
+    """The value of each claim, as it is found, in a process per core; of speed last, one by one."""
     of_arguments: dict[str, list[Claim]] = {}
     for claim in claims:
         of_arguments.setdefault(claim.arguments, []).append(claim)
@@ -131,15 +113,12 @@ def measure(claims: Sequence[Claim]) -> Iterator[tuple[Claim, float]]:
 
 
 def values_of(claims: Sequence[Claim]) -> list[float]:
-    """The values of claims on the same arguments; raises ScenarioError as `measure`."""
-    arguments, measure = claims[0].arguments, MEASURES[claims[0].measure]
-    name, *overrides = shlex.split(arguments.removeprefix(claims[0].measure))
-    try:
-        found = measure.measure(load_scenario(name, overrides))
-    except (RunStopped, ScenarioError) as error:
-        raise ScenarioError(f"claim on {arguments} = {error}") from None
+    """The values of claims on the same arguments."""
+    measure = MEASURES[claims[0].measure]
+    name, *overrides = shlex.split(claims[0].arguments.removeprefix(claims[0].measure))
+    found = measure.measure(load_scenario(name, overrides))
     values = [measure.quantities[claim.quantity](found) for claim in claims]
-    for claim, value in zip(claims, values, strict=True):
-        remedy = "give a quantity that this run measures"
-        require(value is not None, f"claim on {arguments}", claim.quantity, remedy)
-    return [float(value) for value in values]
+    unknown = [claim for claim, value in zip(claims, values, strict=True) if value is None]
+    if unknown:
+        raise ValueError(f"{unknown[0]}: give a quantity that this run measures")
+    return [float(value) for value in values if value is not None]

@@ -137,14 +137,13 @@ def _plans(scenario: Scenario) -> float:
 
 
 MEASURES = {
-    # Every metric that is one number, by its heading, and figures that are no metrics.
+    # Every metric by its heading, and figures that are no metrics.
     RUN: Measure(
         measure=_run,
         quantities={
             **{
                 metric.heading: lambda found, metric=metric: metric.shown(metric.value(found[1]))
                 for metric in METRICS
-                if not metric.is_list
             },
             "slowest while moving (m/s)": _slowest_while_moving,
             "slowest final speed (m/s)": lambda found: min(found[1]["carriers"]["speed_final_m_s"]),
