@@ -40,15 +40,14 @@ COLOURS = {
 }
 
 UNIT = 10  # px between neighbouring lanes; lengths are in units unless they say px
-BOX_WIDTH = 12
+BOX_WIDTH = 13
 INPUT_SPACING = 3
 GAP = 2  # between a lane and a box
 NAME_SIZE, CLASS_SIZE, LABEL_SIZE = 13, 11, 12  # px
-BOLD_WIDTH = 1.25  # over that of the same text in regular
 LABEL_LIFT = 4  # px from the wire
 LINE_HEIGHT = 1.1  # of the size of a font
-LABEL_CHARACTERS = 13  # in one line
-NARROW, WIDE = set("fijlrt I,"), set("mwMW")
+LETTER_WIDTH = 0.55  # of the size of a font
+NAME_CHARACTERS, CLASS_CHARACTERS, LABEL_CHARACTERS = 15, 22, 13  # in one line
 
 WIRE_COLOUR, UNREAD_COLOUR = "#333", "#999"
 STYLE = f"""
@@ -101,7 +100,7 @@ class _Signal:
     @property
     def label_width(self) -> int:
         """Units along the wire."""
-        return math.ceil((max(text_width(line, LABEL_SIZE) for line in self.lines) + 8) / UNIT)
+        return math.ceil((LETTER_WIDTH * LABEL_SIZE * max(map(len, self.lines)) + 8) / UNIT)
 
     @property
     def height(self) -> int:
@@ -128,8 +127,9 @@ class _Box:
     @cached_property
     def texts(self) -> list[tuple[str, str, int]]:
         """The lines of text in the box: style, text, size in px."""
-        names = _wrapped(self.name.split("_"), " ", BOLD_WIDTH * NAME_SIZE)
-        classes = _wrapped(re.findall("[A-Z]+[^A-Z]*|[^A-Z]+", self.class_name), "", CLASS_SIZE)
+        names = textwrap.wrap(self.name.replace("_", " "), NAME_CHARACTERS)
+        words = re.sub("(?<=[a-z])(?=[A-Z])", " ", self.class_name)
+        classes = [line.replace(" ", "") for line in textwrap.wrap(words, CLASS_CHARACTERS)]
         styles = (("name", names, NAME_SIZE), ("class", classes, CLASS_SIZE))
         return [(style, line, size) for style, lines, size in styles for line in lines]
 
@@ -504,19 +504,3 @@ def _text_svg(kind: str, text: str, x: float, y: float) -> str:
     lowered = r'<tspan class="index" dy="3">\1</tspan><tspan dy="-3">\2</tspan>'
     shown = re.sub(r"_(\w+)([^_]*)", lowered, html.escape(text, quote=False))
     return f'<text class="{kind}" x="{x:.1f}" y="{y:.1f}">{shown}</text>'
-
-
-def _wrapped(words: list[str], joint: str, size: float) -> list[str]:
-    """The words in lines that fit into a box."""
-    lines = [words[0]]
-    for word in words[1:]:
-        longer = lines[-1] + joint + word
-        fits = text_width(longer, size) <= BOX_WIDTH * UNIT - 10
-        lines[-1:] = [longer] if fits else [lines[-1], word]
-    return lines
-
-
-def text_width(text: str, size: float) -> float:
-    """The approximate width of a text in px."""
-    widths = [0.3 if c in NARROW else 0.85 if c in WIDE else 0.58 for c in text]
-    return size * sum(widths)

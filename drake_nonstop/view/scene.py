@@ -1,5 +1,7 @@
 """The objects of a run in Meshcat: load, reference, cables, carriers and trails."""
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.geometry import Cylinder, Meshcat, Rgba, Sphere
@@ -99,11 +101,6 @@ class Scene:
         self._piece_time = fading / _TRAIL_PIECES  # s
         self._aircraft = aircraft_in(system)
         self._trail_colours = [rgb(LOAD_COLOUR), *(rgb(carrier_colour(i)) for i in range(self._n))]
-        # Of a piece by the number of newer ones; the oldest is invisible, and used again.
-        fresh = 1 - np.arange(_TRAIL_PIECES) / (_TRAIL_PIECES - 1)
-        opacities = np.ceil(_TRAIL_OPACITIES * fresh) / _TRAIL_OPACITIES
-        ages = np.flatnonzero(np.diff(opacities, prepend=2.0))  # where it changes
-        self._trail_opacities = {int(age): float(opacities[age]) for age in ages}
         self._start: tuple[NDArray, NDArray] | None = None  # the reference and grid, to be followed
         self.aspect_ratio = 1.0  # of the narrowest window with all in view, once the stage is set
         self._reset()
@@ -270,10 +267,10 @@ class Scene:
         for body, colour in enumerate(self._trail_colours):
             trail = f"{ROOT}/trails/{body}"
             canvas.place(f"{trail}/{newest % _TRAIL_PIECES}", poses[body], lengths[body])
-            for age, opacity in self._trail_opacities.items():
-                if age <= newest:
-                    path = f"{trail}/{(newest - age) % _TRAIL_PIECES}"
-                    canvas.paint(path, colour, opacity, fades=age > 0)
+            for age in range(min(newest + 1, _TRAIL_PIECES)):  # the oldest is used again
+                opacity = math.ceil(_TRAIL_OPACITIES * (1 - age / (_TRAIL_PIECES - 1)))
+                path = f"{trail}/{(newest - age) % _TRAIL_PIECES}"
+                canvas.paint(path, colour, opacity / _TRAIL_OPACITIES, fades=age > 0)
         self._trail_ends, self._trail_start = bodies.copy(), time
         self._trail_length += 1
 
