@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from drake_nonstop.mechanics.aircraft import stall_speed, thrust_limits
 from drake_nonstop.run.run import Run
 from drake_nonstop.run.run_quantities import RunQuantities, load_errors
-from drake_nonstop.run.signal_table import SignalTable, UnknownSignalError
+from drake_nonstop.run.signal_table import SignalTable
 from drake_nonstop.validation import require
 from drake_nonstop.view.figure_style import (
     LIMIT,
@@ -145,9 +145,9 @@ def make_signal_figure(runs: Mapping[str, SignalTable], signals: Sequence[str]) 
         signals: as of `SignalTable.columns`.
 
     Raises:
-        ScenarioError: no run has such a signal, or there are more than 20 panels.
+        ScenarioError: a run has no such signal, or there are more than 20 panels.
     """
-    columns = _columns(runs, signals)
+    columns = {label: run.columns([*signals]) for label, run in runs.items()}
     panels: dict[str, list[str]] = {}
     for name in dict.fromkeys(name for found in columns.values() for name in list(found)[1:]):
         panels.setdefault(_quantity(name), []).append(name)
@@ -176,27 +176,6 @@ def _draw_quantity(
                 line = LINE_STYLES[run % len(LINE_STYLES)]
                 plot(axes, found["time [s]"], factor * found[name], linestyle=line, **options)
     axes.set_ylabel(f"{title}\n({unit})" if unit else title)
-
-
-def _columns(
-    runs: Mapping[str, SignalTable], signals: Sequence[str]
-) -> dict[str, dict[str, NDArray]]:
-    """Of each run the time and the columns of those signals that it has.
-
-    Raises:
-        UnknownSignalError: no run has one of the signals.
-    """
-    found = {label: {"time [s]": run.time} for label, run in runs.items()}
-    for signal in signals:
-        refusals = []
-        for label, run in runs.items():
-            try:
-                found[label] |= run.columns([signal])
-            except UnknownSignalError as error:
-                refusals.append(error)
-        if refusals and len(refusals) == len(runs):
-            raise refusals[0]
-    return found
 
 
 def _quantity(name: str) -> str:
