@@ -15,7 +15,7 @@ from drake_nonstop.loop.box import config_class
 from drake_nonstop.mechanics.signals import HELD, SIGNALS
 from drake_nonstop.scenario.choices import CHOICES, PATTERN, block_name, tag_of
 from drake_nonstop.scenario.distributions import is_entry
-from drake_nonstop.scenario.fields import Tree, fields_of, item_of, parts_of, write
+from drake_nonstop.scenario.fields import Tree, fields_of, item_of, parts_of, takes_fields, write
 from drake_nonstop.scenario.overrides import BASE, to_tree
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.scenario.yaml_text import dump_plain
@@ -197,6 +197,6 @@ def _of(kind: Any) -> Schema:
     options += [{"type": "null"}, *map(_object, parts)] if parts else []
     if item is not None:
         options.append({"type": "array", "items": _of(item)})
-    if {float, int} & {*members}:
-        options.append({"type": "object"})  # a distribution, a tag with a mapping
+    if {float, int} & {*members} or takes_fields(kind):
+        options.append({"type": "object"})  # also a distribution, a tag with a mapping
     return {"anyOf": options} if options else {}

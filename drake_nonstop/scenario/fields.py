@@ -78,6 +78,11 @@ def item_of(kind: Any) -> Any:
     return typing.get_args(lists[0])[0] if lists else None
 
 
+def takes_fields(kind: Any) -> bool:
+    """Whether a field may hold a tree, of paths of fields to their values."""
+    return any(typing.get_origin(member) is dict for member in members_of(kind))
+
+
 def kept(path: str, distribution: Any, kind: Any) -> Any:
     """The distribution itself, from which a number for the field can be drawn."""
     ends(path, distribution, kind)
@@ -129,8 +134,8 @@ class Walk:
         if isinstance(given, list) and item is not None:
             read = [self.read(f"{path}[{i}]", item, value) for i, value in enumerate(given)]
             return given if all(map(operator.is_, read, given)) else read
-        if isinstance(given, dict) and any(typing.get_origin(each) is dict for each in members):
-            return given  # of fields to values, as a tree
+        if isinstance(given, dict) and takes_fields(kind):
+            return given
         scalars = [member for member in members if member in _SCALARS]
         if scalars:
             is_text = isinstance(given, str) and str in scalars

@@ -17,7 +17,6 @@ from drake_nonstop import (
     read_grid,
     simulate,
 )
-from drake_nonstop.scenario.yaml_text import parse_plain
 
 FIVE = "[1, 0, 0], [0.3, 1, 0], [-0.8, 0.6, 0], [-0.8, -0.6, 0], [0.3, -1, 0]"
 FORCE = "load_disturbance=!DisturbanceForce"
@@ -156,21 +155,6 @@ def test_bytes_that_are_no_scenario(content, tmp_path):
     for read in (load_scenario, read_grid):
         with pytest.raises(ScenarioError):
             read(path)
-
-
-@pytest.mark.parametrize(
-    ("text", "value"),
-    [
-        *(("10", 10), ("+1", 1), ("-0", 0), ("1e3", 1000.0), ("1.", 1.0), (".5", 0.5)),
-        *(("true", True), ("null", None), ("~", None), (".inf", math.inf), ("-.Inf", -math.inf)),
-        *(("010", "010"), ("0x10", "0x10"), ("1_000", "1_000"), ("yes", "yes"), ("1:30", "1:30")),
-        *(("2024-01-01", "2024-01-01"), ("'5'", "5"), ("=", "=")),
-    ],
-)
-def test_scalars_are_those_of_yaml_1_2(text, value):
-    read = parse_plain(text, "text")
-    assert read == value
-    assert type(read) is type(value)
 
 
 @pytest.mark.parametrize(

@@ -85,7 +85,8 @@ def test_scenarios_keep_the_schema(faults):
         assert faults((FOLDER / f"{name}.yaml").read_text()) == []
     for name in ("quintic", "aircraft_transfer_rising_wind"):
         assert faults(commented_scenario(load_scenario(name), "mine")) == []
-    assert faults("a: {system: {load_mass: !Uniform {min: 0.5, max: 1.0}}}") == []
+    for entry in ("system: {load_mass: !Uniform {min: 0.5, max: 1.0}}", "errors: {wind: {}}"):
+        assert faults(f"a: {{{entry}}}") == []
 
 
 @pytest.mark.parametrize(
