@@ -22,7 +22,6 @@ _FACTORS = (1.2, 1.5, 2.5)  # of quantities that are changed, one after the othe
 _EASED = (0.98, 0.9, 0.7)  # of a bound that is missed, what is asked for instead
 _MOST = 3  # remedies that are told
 _LEAST_TIME = 3.0  # s of the processor, of trials; or as long as the flights took
-_SMALL = 0.01  # of a formation's width, by which its centre may be off
 
 _LOST = (RunOutcome.LOAD_LOST, RunOutcome.STOPPED)
 _TOO_CLOSE = (RunOutcome.COLLISION, RunOutcome.CABLES_SLACK, RunOutcome.CABLE_BROKEN)
@@ -167,14 +166,6 @@ def _planned(failed: _Failed) -> _Proposals:
         yield ["optimization_layer=RecedingHorizonOptimizer"]
 
 
-def _spread(failed: _Failed) -> _Proposals:
-    """Carriers that circle beside each other."""
-    amplitude = getattr(failed.scenario.optimization_layer, "amplitude", None)
-    for factor in _FACTORS:
-        if amplitude is not None and failed.scenario.system.aircraft is None:
-            yield [f"pattern=!SpreadCarousel {{spread: {_rounded(factor * amplitude, 1):g}}}"]
-
-
 def _lifted(failed: _Failed) -> _Proposals:
     """A path that is higher by more than what is missing of the clearance."""
     missing = failed.value("clearance")
@@ -192,25 +183,10 @@ def _lifted(failed: _Failed) -> _Proposals:
         yield said
 
 
-def _centred(failed: _Failed) -> _Proposals:
-    """Attachments about the centre of mass."""
-    places = np.asarray(failed.scenario.system.attachments)
-    off = places.mean(axis=0) * [1, 1, 0]
-    if np.linalg.norm(off) > _SMALL * np.linalg.norm(places, axis=1).max():
-        yield [as_override("system.attachments", (places - off).round(4).tolist())]
-
-
 def _tuned(failed: _Failed) -> _Proposals:
     """Carriers with gains that suit their mass and their samples."""
     if failed.scenario.system.aircraft is None:
         yield ["carrier_controller=TunedFeedforwardCarrierPid"]
-
-
-def _less_wind(failed: _Failed) -> _Proposals:
-    velocity = getattr(failed.scenario.wind, "velocity", [0.0])
-    for factor in _FACTORS:
-        if np.any(velocity):
-            yield [as_override("wind.velocity", (np.asarray(velocity) / factor).round(2).tolist())]
 
 
 # Which outcomes a change may help against, those that take the cause away first.
@@ -223,14 +199,11 @@ _FAMILIES: tuple[tuple[tuple[RunOutcome, ...], Callable[[_Failed], _Proposals]],
     (_BEYOND, _eased_limits),
     (_LOST + _TOO_CLOSE + _BEYOND, _of_layer("amplitude", -1)),
     (_LOST, _tuned),
-    ((RunOutcome.COLLISION,), _spread),
     (_TOO_SLOW + _BEYOND, _planned),
     (_TOO_SLOW + _BEYOND, _of_layer("frequency", 1)),
     (_ALL, _slower_motion),
-    (_LOST, _centred),
     (_TOO_SLOW, _longer_cables),
     (_TOO_SLOW, _of_layer("amplitude", 1)),
-    (_BEYOND, _less_wind),
 )
 
 

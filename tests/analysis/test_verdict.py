@@ -21,6 +21,7 @@ from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.validation import ScenarioError
 
 SHORT = "simulation_duration=3"
+WIND = "wind=!SteadyWind {velocity: [0.5, 0, 0]}"
 OFF = "[[0.77,0.75,0],[-0.75,0.77,0],[-0.75,-0.75,0],[0.75,-0.75,0]]"
 NOISE = (
     "position_noise: {0}, velocity_noise: {1}, orientation_noise: {0}, angular_velocity_noise: {1}"
@@ -70,8 +71,7 @@ def test_noise_is_flown_in_seeds_and_a_filter_that_was_flown_is_told():
         [
             ("quintic", [f"simulated.attachments={OFF}"]),
             ("line_without_optimization", ["optimization_layer.speed_bound=1.2"]),
-            ("aircraft_rest_cables", ["wind.velocity=[0.5, 0, 0]", "wind_estimator=NoWind"]),
-            ("aircraft_transfer_cables", ["simulated.load_mass=7"]),
+            ("aircraft_rest_cables", [WIND, "wind_estimator=NoWind"]),
         ],
     ),
 )
