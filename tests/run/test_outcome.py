@@ -1,5 +1,6 @@
 """What becomes of a run: made-up runs with faults drawn at random, and a few real ones."""
 
+import dataclasses
 import json
 import math
 import re
@@ -23,7 +24,8 @@ from drake_nonstop import (
 from drake_nonstop.blocks.receding_horizon import RecedingHorizonOptimizerConfig
 from drake_nonstop.model.system import SystemParameters
 from drake_nonstop.planning.limits import Of, limits_of
-from drake_nonstop.run.outcome import LIMITS
+from drake_nonstop.run.metrics import metrics_table
+from drake_nonstop.run.outcome import LIMITS, find_margins
 from drake_nonstop.run.run import Run
 from drake_nonstop.run.run_quantities import RunQuantities
 from drake_nonstop.scenario.obstacles import GroundConfig, SphereConfig
@@ -161,44 +163,20 @@ def stopped(made):
     made.stopped = "the run diverged at t = 1.0000 s"
 
 
+# What each fault makes of a run, and what a reason names: a field, or a body.
 FAULTS = {
-    load_far_off: RunOutcome.LOAD_LOST,
-    load_turned: RunOutcome.LOAD_LOST,
-    carriers_meet: RunOutcome.COLLISION,
-    cables_cross: RunOutcome.COLLISION,
-    tower_hit: RunOutcome.COLLISION,
-    cable_broken: RunOutcome.CABLE_BROKEN,
-    cable_slack: RunOutcome.CABLES_SLACK,
-    carrier_slow: RunOutcome.BOUND_MISSED,
-    commands_saturated: RunOutcome.LIMIT_MISSED,
-    unresolved: RunOutcome.UNCONVERGED,
-    stopped: RunOutcome.STOPPED,
+    stopped: (RunOutcome.STOPPED, "the run diverged at t = 1.0000 s"),
+    cable_broken: (RunOutcome.CABLE_BROKEN, " 1257 N (system.cable_breaking_load)"),
+    load_far_off: (RunOutcome.LOAD_LOST, "(limits.position_error: "),
+    load_turned: (RunOutcome.LOAD_LOST, "(limits.orientation_error: "),
+    carriers_meet: (RunOutcome.COLLISION, "(limits.carrier_distance: "),
+    cables_cross: (RunOutcome.COLLISION, "(limits.cable_distance: "),
+    tower_hit: (RunOutcome.COLLISION, " hit tower at t = "),
+    cable_slack: (RunOutcome.CABLES_SLACK, "(limits.slack_time: "),
+    carrier_slow: (RunOutcome.BOUND_MISSED, "(limits.time_below_bound: "),
+    commands_saturated: (RunOutcome.LIMIT_MISSED, "(limits.saturated_share: "),
+    unresolved: (RunOutcome.UNCONVERGED, "half the step"),
 }
-SENTENCES = {
-    load_far_off: "from its reference (limits.position_error: ",
-    load_turned: "(limits.orientation_error: ",
-    carriers_meet: "two carriers came within ",
-    cables_cross: "two cables came within ",
-    tower_hit: " hit tower at t = ",
-    cable_broken: " N: it bears 1257 N (system.cable_breaking_load)",
-    cable_slack: "a cable was slack for ",
-    carrier_slow: "a carrier was below the bound for ",
-    commands_saturated: "commands of aircraft were at their limits for ",
-    unresolved: "half the step",
-    stopped: "the run diverged at t = 1.0000 s",
-}
-SEVERITY = (
-    *(
-        "stopped",
-        "cable_broken",
-        "load_lost",
-        "collision",
-        "cables_slack",
-        "bound_missed",
-        "limit_missed",
-    ),
-    "unconverged",
-)
 
 
 @settings(max_examples=30, deadline=None, derandomize=True)
@@ -210,21 +188,20 @@ SEVERITY = (
 )
 def test_the_outcome_is_the_worst_of_all_faults_and_each_is_said(seed, n, size, faults):
     made = MadeUpRun(np.random.default_rng(seed), n, size)
-    for fault in FAULTS:  # in one order: a carrier that crosses another one may then meet it
-        if fault in faults:
-            fault(made)
+    present = [fault for fault in reversed(FAULTS) if fault in faults]
+    for fault in present:  # carriers meet last: one that crosses another may then meet it
+        fault(made)
     metrics = compute_metrics(made.run())
     reasons = metrics["reasons"]
-    worst = min((SEVERITY.index(FAULTS[fault].value) for fault in faults), default=None)
-    assert metrics["outcome"] == ("ok" if worst is None else SEVERITY[worst])
+    outcomes = [outcome for outcome in RunOutcome if outcome in [FAULTS[f][0] for f in faults]]
+    assert metrics["outcome"] == (outcomes[0].value if outcomes else "ok")
     assert bool(reasons) == bool(faults)
-    for fault in faults:
-        if fault is carriers_meet and cables_cross in faults:
-            continue  # the one may have been moved away by the other
-        assert any(SENTENCES[fault] in reason for reason in reasons), (fault, reasons)
-    if worst is not None:
-        first = [SENTENCES[f] for f in FAULTS if FAULTS[f].value == SEVERITY[worst]]
-        assert any(text in reasons[0] for text in first)
+    for fault in faults - ({cables_cross} if carriers_meet in faults else set()):
+        assert any(FAULTS[fault][1] in reason for reason in reasons), (fault, reasons)
+    if faults:
+        assert any(
+            said in reasons[0] for outcome, said in FAULTS.values() if outcome == outcomes[0]
+        )
     assert json.loads(json.dumps(metrics, allow_nan=False))["outcome"] == metrics["outcome"]
 
 
@@ -341,21 +318,38 @@ def test_a_limit_of_aircraft_is_missed_by_what_they_flew(limit):
     assert f"(optimization_layer.{limit.field}: " in reason
 
 
-def short():
-    return load_scenario("line", ["simulation_duration=0.2", CONSTANT])
-
-
 @pytest.mark.parametrize("after", [0.0, 0.1, 0.2])
 def test_a_run_that_is_ended_before_its_time_has_stopped(after):
-    run = simulate(
-        short(),
-        after_step=lambda simulator, nonstop: (
-            StepAction.END
-            if simulator.get_context().get_time() > after - 1e-9
-            else StepAction.CONTINUE
-        ),
-    )
+    def end(simulator, nonstop):
+        is_late = simulator.get_context().get_time() > after - 1e-9
+        return StepAction.END if is_late else StepAction.CONTINUE
+
+    run = simulate(load_scenario("line", ["simulation_duration=0.2", CONSTANT]), after_step=end)
     metrics = compute_metrics(run)
     assert metrics["outcome"] == ("ok" if after == 0.2 else "stopped")
-    if after < 0.2:
-        assert metrics["reasons"][0].startswith(f"the run was ended at t = {after:.2f}")
+    assert after == 0.2 or f"t = {after:.2f}" in metrics["reasons"][0]
+
+
+def test_a_run_that_stopped_at_once_has_an_outcome_and_no_values():
+    run = MadeUpRun(np.random.default_rng(1)).run()
+    nothing = {
+        "time": run.time[:0],
+        "signals": {name: values[:0] for name, values in run.signals.items()},
+        "steps": {name: values[:0] for name, values in run.steps.items()},
+    }
+    metrics = compute_metrics(dataclasses.replace(run, stopped="it", **nothing))
+    assert (metrics["outcome"], metrics["reasons"]) == ("stopped", ["it"])
+    assert metrics["carriers"]["speed_min_m_s"] is None
+    assert metrics_table(metrics)
+
+
+def test_margins_have_their_places_and_times():
+    """A margin for each limit of the outcome, and those of tensions and speeds over time."""
+    made = everything_stated()
+    made.tensions[20, 2], made.load[30, 4:7] = 0.05, made.reference[30, 4:7] + [9.0, 0, 0]
+    margins = {margin.name: margin for margin in find_margins(RunQuantities(made.run()))}
+    assert {"position error", "carrier distance", "speed / bound", "tension"} <= {*margins}
+    assert margins["position error"].when == pytest.approx(made.time[30])
+    assert not margins["position error"].is_kept
+    assert margins["tension"].value == pytest.approx(0.05)
+    assert (margins["tension"].where, margins["tension"].when) == ("cable 3", made.time[20])
