@@ -1,9 +1,7 @@
 """Faults that happen for real: no room, a solver that throws, Ctrl-C while a file is written."""
 
 import json
-import os
 import resource
-import shutil
 import signal
 import subprocess
 import sys
@@ -24,58 +22,32 @@ LIMIT = 20_000  # bytes of a file
 BRIEF = ["--quiet", "--no-figures", "--no-replay", "--set", "simulation_duration=0.2"]
 
 
-def command(folder, *more):
-    return [
-        *(sys.executable, "-m", "drake_nonstop.cli", "run", "quintic"),
-        *("--out", str(folder), *BRIEF, *more),
-    ]
-
-
 def contents(folder):
+    assert not [path for path in folder.iterdir() if path.name.startswith(".new")]
     return {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
 
 
-@pytest.fixture(scope="module")
-def results(tmp_path_factory):
-    """The results of a run, to be copied."""
-    folder = tmp_path_factory.mktemp("results")
-    assert main(["run", "quintic", "--out", str(folder), *BRIEF, CONSTANT]) == 0
-    return folder
+@pytest.fixture
+def results(tmp_path):
+    """The folder of a run, with its results."""
+    assert main(["run", "quintic", "--out", str(tmp_path), *BRIEF, CONSTANT]) == 0
+    return tmp_path
 
 
 @pytest.mark.nightly("processes")
-def test_results_that_cannot_be_written_leave_the_earlier_ones(tmp_path, results, capsys):
+def test_results_that_cannot_be_written_leave_the_earlier_ones(results, capsys):
     """The kernel refuses to let any file grow beyond 20 kB, in the middle of signals.npz."""
-    shutil.copytree(results, tmp_path, dirs_exist_ok=True)
-    before = contents(tmp_path)
+    before = contents(results)
     assert len(before["signals.npz"]) > LIMIT
-
-    heavier = ["system.load_mass=1.1", CONSTANT]
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (LIMIT, hard))
     try:
-        assert main(["run", "quintic", "--out", str(tmp_path), *BRIEF, *heavier]) == 2
+        heavier = [*BRIEF, "system.load_mass=1.1", CONSTANT]
+        assert main(["run", "quintic", "--out", str(results), *heavier]) == 2
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert "give a folder with room to write to" in capsys.readouterr().err
-    assert contents(tmp_path) == before
-    assert not [path for path in tmp_path.iterdir() if path.name.startswith(".new")]
-
-
-LAYERS = [
-    (NlpLayer, "_solved", ["optimization_layer=NlpLayer"]),
-    (
-        HorizonSolver,
-        "solve",
-        ["optimization_layer.knot_spacing=0.13", "optimization_layer.intervals=25"],
-    ),
-]
-
-
-def layers(count):
-    return pytest.mark.parametrize(
-        ("solver", "method", "settings"), nightly_beyond(count, "adversary", LAYERS)
-    )
+    assert contents(results) == before
 
 
 def angle(data):
@@ -83,7 +55,17 @@ def angle(data):
     return data[-1][3] if isinstance(data[0], np.ndarray) else data[0].start_angle
 
 
-@layers(1)
+@pytest.mark.parametrize(
+    ("solver", "method", "settings"),
+    nightly_beyond(
+        1,
+        "adversary",
+        [
+            (NlpLayer, "_solved", ["optimization_layer=NlpLayer"]),
+            (HorizonSolver, "solve", ["optimization_layer.intervals=25"]),
+        ],
+    ),
+)
 def test_a_solver_that_throws_stops_the_run_with_its_cause_and_keeps_what_there_is(
     tmp_path, monkeypatch, capsys, solver, method, settings
 ):
@@ -95,40 +77,32 @@ def test_a_solver_that_throws_stops_the_run_with_its_cause_and_keeps_what_there_
         return solve(solver, *data, **options)
 
     monkeypatch.setattr(solver, method, failing)
-    settings = [*settings, "engine=diagram"]  # the compiled loop has a search of its own
+    settings = [*settings, "engine=diagram"]
     assert main(["run", "quintic", "--out", str(tmp_path), *BRIEF, *settings]) == 1
-    error = capsys.readouterr().err
-    assert "RuntimeError: the solver is out of licences" in error
-    metrics = json.loads((tmp_path / "metrics.json").read_text())
-    assert 0.09 < metrics["simulated_s"] < 0.2
+    assert "RuntimeError: the solver is out of licences" in capsys.readouterr().err
+    assert 0.09 < json.loads((tmp_path / "metrics.json").read_text())["simulated_s"] < 0.2
     with np.load(tmp_path / "signals.npz") as signals:
         assert all(np.isfinite(signals[name]).all() for name in signals if "." in name)
 
 
 @pytest.mark.nightly("processes")
 @pytest.mark.parametrize("delay", [0.0, 0.05])
-def test_ctrl_c_while_results_are_written_leaves_what_was_flown(tmp_path, results, delay):
-    shutil.copytree(results, tmp_path, dirs_exist_ok=True)
-    before = contents(tmp_path)
-    # The signal comes as the new folder appears.
-    process = subprocess.Popen(
-        [*command(tmp_path, "system.load_mass=1.1"), "simulation_duration=1"],
-        stderr=subprocess.PIPE,
-        text=True,
-        env=os.environ | {"PYTHONUNBUFFERED": "1"},
-    )
-    while process.poll() is None:
-        if any(path.name.startswith(".new") for path in tmp_path.iterdir()):
-            time.sleep(delay)
-            process.send_signal(signal.SIGINT)
-            break
-        time.sleep(0.001)
-    _, error = process.communicate(timeout=60)
+def test_ctrl_c_while_results_are_written_leaves_what_was_flown(results, delay):
+    before = contents(results)
+    command = [sys.executable, "-m", "drake_nonstop.cli", "run", "quintic", "--out", str(results)]
+    longer = [*BRIEF, "system.load_mass=1.1", "simulation_duration=1"]
+    with subprocess.Popen([*command, *longer], stderr=subprocess.PIPE, text=True) as process:
+        while process.poll() is None:  # the signal comes as the new folder appears
+            if any(path.name.startswith(".new") for path in results.iterdir()):
+                time.sleep(delay)
+                process.send_signal(signal.SIGINT)
+                break
+            time.sleep(0.001)
+        _, error = process.communicate(timeout=60)
     assert "Traceback" not in error
-    after = contents(tmp_path)
+    assert process.returncode in (0, 130)
+    after = contents(results)
     assert before.keys() - {"diagram.svg"} <= after.keys() <= before.keys()
     json.loads(after["metrics.json"])
-    with np.load(tmp_path / "signals.npz") as signals:
+    with np.load(results / "signals.npz") as signals:
         assert len(signals["time"]) == 101
-    assert process.returncode in (0, 130)
-    assert not [path for path in tmp_path.iterdir() if path.name.startswith(".new")]

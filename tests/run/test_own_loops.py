@@ -1,9 +1,18 @@
-"""Loops of the user's own are logged, simulated, judged and written like one of make_nonstop."""
+"""Loops and simulations of the user's own are logged, judged and drawn from as the figure's."""
+
+import functools
+import os
 
 import numpy as np
 import pytest
 from helpers import nightly_beyond
-from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
+from pydrake.common import RandomGenerator
+from pydrake.systems.analysis import (
+    ApplySimulatorConfig,
+    MonteCarloSimulation,
+    RandomSimulation,
+    Simulator,
+)
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 
 from drake_nonstop import (
@@ -15,20 +24,41 @@ from drake_nonstop import (
     load_scenario,
     make_blocks,
     make_nonstop,
+    make_simulator,
     set_equilibrium,
     simulate,
+    study,
     verify_step,
+    with_largest_step,
 )
+from drake_nonstop.mechanics.signals import SIGNAL_PERIOD
+from drake_nonstop.scenario.loading import scenario_names
+from drake_nonstop.scenario.overrides import changed
+from drake_nonstop.studies.workers import SerialExecutor
 from drake_nonstop.systems.wiring import output_names
 
-DURATION = 0.1  # s
+DURATION = 0.2  # s
+CONSTANT = "optimization_layer=ConstantParameters"
+# 50 of them agree; the suite flies a few, since a loop is traced for each.
+RUNS = int(os.environ.get("DRAKE_NONSTOP_RANDOM_RUNS", "2"))
+DRAWN = (
+    "simulated.load_mass=!Gaussian {mean: 1, stddev: 0.1}",
+    "load_disturbance=!DisturbanceForce {force: [!Gaussian {mean: 0, stddev: 0.2}, 0, 0], "
+    "gust_force: !Uniform {min: 0, max: 0.3}, seed: !Uniform {min: 0, max: 1e9}}",
+    "wrench_controller.position_gain=!Uniform {min: 4, max: 6}",
+)
+
+
+def by_diagram(name, *overrides):
+    """A scenario that flies as a Simulator of one's own does."""
+    return load_scenario(
+        name, [CONSTANT, "engine=diagram", f"simulation_duration={DURATION}", *overrides]
+    )
 
 
 @pytest.fixture(scope="module", params=nightly_beyond(1, "flights", [0.01, 0.0]))
 def scenario(request):
-    overrides = ["optimization_layer=ConstantParameters", f"control_period={request.param}"]
-    overrides += ["engine=diagram"]  # as a Simulator of ones own
-    return load_scenario("line", [*overrides, f"simulation_duration={DURATION}"])
+    return by_diagram("line", f"control_period={request.param}")
 
 
 @pytest.fixture(scope="module")
@@ -54,41 +84,36 @@ def wrapped(scenario, **replacements):
 
 
 def assert_same(run, shipped):
-    assert {name.partition(".")[2] for name in run.signals} == {
-        name.partition(".")[2] for name in shipped.signals
-    }
+    """Signals, steps and metrics to the bit, but for the names of blocks and for wall times."""
     np.testing.assert_array_equal(run.time, shipped.time)
+    assert len(run.signals) == len(shipped.signals)
     for name, values in shipped.signals.items():
         assert run.signal(name.partition(".")[2]).tobytes() == values.tobytes(), name
     for name in shipped.steps.keys() - {"solve_time"}:
         assert run.steps[name].tobytes() == shipped.steps[name].tobytes(), name
     assert run.step == shipped.step
-
-
-def metrics_of(run):
-    wall_times = {"wall_s", "real_time_factor"}
-    return {name: value for name, value in compute_metrics(run).items() if name not in wall_times}
+    measured = ("wall_s", "real_time_factor")
+    of_both = [compute_metrics(each).items() for each in (run, shipped)]
+    ours, theirs = ({k: v for k, v in items if k not in measured} for items in of_both)
+    assert ours == theirs
 
 
 @pytest.mark.parametrize("make_loop", [renamed, wrapped])
 def test_simulate_flies_a_loop_of_ones_own_like_the_figure(make_loop, scenario, shipped):
     run = simulate(scenario, make_loop=make_loop)
     assert_same(run, shipped)
-    assert metrics_of(run) == metrics_of(shipped)
     assert "my_load_plant.load_state" in run.signals
-    finer = verify_step(run)
-    assert finer.half_step == {"step_s": run.step / 2, "moved": {}}
+    assert verify_step(run).half_step == {"step_s": run.step / 2, "moved": {}}
 
 
 def flown(scenario, nonstop):
-    """The logs and the simulator of a loop in a builder of the user's own, and its context."""
+    """The logs and the simulator of a loop in a builder of the user's own."""
     builder = DiagramBuilder()
     loop = builder.AddSystem(nonstop)
     logs = LogSignals.AddToBuilder(builder, loop)
     simulator = Simulator(builder.Build())
     ApplySimulatorConfig(scenario.simulator_config, simulator)
-    context = simulator.get_mutable_context()
-    set_equilibrium(loop, loop.GetMyMutableContextFromRoot(context))
+    set_equilibrium(loop, loop.GetMyMutableContextFromRoot(simulator.get_mutable_context()))
     simulator.AdvanceTo(DURATION)
     return logs, simulator
 
@@ -98,7 +123,6 @@ def test_logs_of_ones_own_simulation_are_a_run(make_loop, scenario, shipped):
     logs, simulator = flown(scenario, make_loop(scenario))
     run = Run.from_logs(logs, simulator.get_context(), scenario)
     assert_same(run, shipped)
-    assert metrics_of(run) == metrics_of(shipped)
     with pytest.raises(ScenarioError, match=r"^run = from logs: give a run of simulate, which can"):
         verify_step(run)
 
@@ -106,76 +130,63 @@ def test_logs_of_ones_own_simulation_are_a_run(make_loop, scenario, shipped):
 def test_each_context_has_its_logs_and_the_last_flight_counts(scenario, shipped):
     logs, simulator = flown(scenario, make_nonstop(scenario))
     first = simulator.get_mutable_context()
-    second = Simulator(simulator.get_system())
-    with pytest.raises(ScenarioError, match=r"^logs = no samples: advance a Simulator"):
-        Run.from_logs(logs, second.get_context(), scenario)
-    for context in (None, logs.nonstop.GetMyContextFromRoot(first)):
-        with pytest.raises(ScenarioError, match=r"^context = .*: give that of the whole diagram"):
-            Run.from_logs(logs, context, scenario)
-    with pytest.raises(ScenarioError, match=r"^logs = None: give what LogSignals"):
-        Run.from_logs(None, first, scenario)
-    with pytest.raises(ScenarioError, match=r"^scenario = line: give the Scenario"):
-        Run.from_logs(logs, first, "line")
+    second = Simulator(simulator.get_system()).get_context()
+    for given, said in (
+        ((logs, second, scenario), "logs = no samples: advance a Simulator"),
+        ((logs, None, scenario), "context = .*: give that of the whole diagram"),
+        ((None, first, scenario), "logs = None: give what LogSignals"),
+        ((logs, first, "line"), "scenario = line: give the Scenario"),
+    ):
+        with pytest.raises(ScenarioError, match=f"^{said}"):
+            Run.from_logs(*given)
     # Again from the start, and initialized twice.
-    loop = logs.nonstop
     first.SetTime(0.0)
-    set_equilibrium(loop, loop.GetMyMutableContextFromRoot(first))
+    set_equilibrium(logs.nonstop, logs.nonstop.GetMyMutableContextFromRoot(first))
     simulator.Initialize()
     simulator.Initialize()
     simulator.AdvanceTo(0.05)
     run = Run.from_logs(logs, first, scenario, wall_time=2.0)
     np.testing.assert_array_equal(run.time, shipped.time[:6])
     assert np.all(np.diff(run.steps["time"]) > 0)
-    assert run.steps["time"][[0, -1]].tolist() == pytest.approx([0.0, 0.05], abs=1e-12)
     # The wrench controller's integral goes on from the first flight; the trajectory does not.
     expected = shipped.signal("reference")[:6]
     assert run.signal("reference").tobytes() == expected.tobytes()
     assert compute_metrics(run)["wall_s"] == 2.0
 
 
-def test_a_loop_that_cannot_be_logged_is_refused(scenario):
+def test_a_loop_that_cannot_be_flown_is_refused(scenario):
     builder = DiagramBuilder()
-    blocks = make_blocks(scenario)
-    connect_by_name(builder, {"cables": blocks["cables"]}, inputs=["load_state", "carrier_state"])
-    cables = builder.Build()
-    with pytest.raises(ScenarioError) as error:
-        LogSignals.AddToBuilder(DiagramBuilder(), cables)
-    assert str(error.value) == (
-        "LogSignals = Diagram without output ports load_state, reference, carrier_state, "
-        "parameters: give it blocks that make load_state (13), reference (22), carrier_state, "
-        "tensions, parameters (2), and export these by their names, as connect_by_name does"
-    )
-    with pytest.raises(ScenarioError, match=r"^make_loop = Diagram without output ports"):
-        simulate(scenario, make_loop=lambda scenario: cables)
-    with pytest.raises(ScenarioError, match=r"^LogSignals = nonstop: add it to the builder first"):
-        LogSignals.AddToBuilder(DiagramBuilder(), make_nonstop(scenario))
-    for arguments, said in (
-        ((None, cables), "builder = None"),
-        ((DiagramBuilder(), 3), "LogSignals = 3"),
+    cables = {"cables": make_blocks(scenario)["cables"]}
+    connect_by_name(builder, cables, inputs=["load_state", "carrier_state"])
+    alone = builder.Build()
+    for builder, loop, said in (
+        (DiagramBuilder(), alone, "LogSignals = Diagram without output ports load_state, .*: give"),
+        (DiagramBuilder(), make_nonstop(scenario), "LogSignals = nonstop: add it to the builder"),
+        (DiagramBuilder(), 3, "LogSignals = 3: give a"),
+        (None, alone, "builder = None: give a"),
     ):
-        with pytest.raises(ScenarioError, match=f"^{said}: give a"):
-            LogSignals.AddToBuilder(*arguments)
-    for make_loop, said in (
-        (3, "3: give a function that"),
-        (lambda scenario: 3, "3: return a"),
-        (lambda: 3, "<lambda>: it cannot be called so"),
+        with pytest.raises(ScenarioError, match=f"^{said}"):
+            LogSignals.AddToBuilder(builder, loop)
+    for given, said in (
+        ({"make_loop": lambda scenario: alone}, "make_loop = Diagram without output ports"),
+        ({"make_loop": 3}, "make_loop = 3: give a function that"),
+        ({"make_loop": lambda scenario: 3}, "make_loop = 3: return a"),
+        ({"make_loop": lambda: 3}, "make_loop = <lambda>: it cannot be called so"),
+        ({"load_disturbance": None}, "inputs = disturbance_wrench: no block makes these"),
     ):
-        with pytest.raises(ScenarioError, match=f"^make_loop = {said}"):
-            simulate(scenario, make_loop=make_loop)
+        with pytest.raises(ScenarioError, match=f"^{said}"):
+            simulate(scenario, **given)
 
 
 class Echo(LeafSystem):
-    """An extra block that reads a signal and shows it, or fails."""
+    """An extra block that reads a signal and shows it."""
 
-    def __init__(self, model, fails_at=np.inf):
+    def __init__(self, model):
         super().__init__()
-        self._fails_at = fails_at
         self._tensions = self.DeclareVectorInputPort("tensions", model.n)
         self.DeclareVectorOutputPort("echo", model.n, self._calc)
 
     def _calc(self, context, output):
-        if context.get_time() > self._fails_at:
-            raise ValueError("no echo")
         output.SetFromVector(self._tensions.Eval(context))
 
 
@@ -184,10 +195,71 @@ def test_extra_blocks_are_logged_and_change_nothing(scenario, shipped):
     assert run.signal("echo").tobytes() == shipped.signal("tensions").tobytes()
     for name, values in shipped.signals.items():
         assert run.signals[name].tobytes() == values.tobytes(), name
-    assert verify_step(run).half_step["moved"] == {}
 
 
-def test_a_box_left_out_needs_another_maker(scenario):
-    said = r"^inputs = disturbance_wrench: no block makes these signals; give one that does"
-    with pytest.raises(ScenarioError, match=said):
-        simulate(scenario, load_disturbance=None)
+# Simulators of scenarios: the README's recipe, and as Drake's Monte Carlo functions take them.
+
+FIRST = "aircraft_rest_cables"  # whose step has to be shorter than its scenario's
+
+
+@pytest.mark.parametrize(
+    "name", nightly_beyond(1, "studies", [FIRST, *({*scenario_names()} - {FIRST})])
+)
+def test_the_recipe_of_the_readme_flies_as_simulate_does(name):
+    # Steps need not end for the sake of a run's signals.
+    step = min(load_scenario(name).simulator_config.max_step_size, SIGNAL_PERIOD)
+    step = f"simulator_config.max_step_size={step}"
+    scenario = load_scenario(name, ["simulation_duration=1", step])
+    diagram = make_nonstop(scenario)
+    simulator = Simulator(diagram)
+    context = simulator.get_context()
+    config = with_largest_step(scenario.simulator_config, diagram, context)
+    ApplySimulatorConfig(config, simulator)
+    simulator.AdvanceTo(1.0)
+    run = simulate(scenario)
+    for signal in ("load_state", "carrier_state"):
+        flown = diagram.GetOutputPort(signal).Eval(context)
+        np.testing.assert_allclose(flown, run.signal(signal)[-1], rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        ("control_period=0", "simulator_config.max_step_size=0.0023"),
+        ("optimization_layer=RecedingHorizonOptimizer",),
+    ],
+)
+def test_a_drawn_simulator_flies_as_simulate_does(overrides):
+    """With the scenario's own random_seed, once the context was reset to its defaults."""
+    scenario = changed(by_diagram("quintic", *DRAWN), [*overrides, "random_seed=8"])
+    simulator = make_simulator(scenario)
+    system, context = simulator.get_system(), simulator.get_mutable_context()
+    system.SetRandomContext(context, RandomGenerator(1))
+    simulator.AdvanceTo(DURATION)
+    run = simulate(scenario)
+    assert run.scenario == scenario.sampled()
+    for name in ("load_state", "carrier_state", "tensions", "wrench"):
+        value = system.GetOutputPort(name).Eval(context)
+        np.testing.assert_array_equal(value, run.signal(name)[-1])
+    with pytest.raises(ScenarioError, match="replacement cables = None: give a block"):
+        make_simulator(scenario, cables=None)
+
+
+@pytest.mark.nightly("studies")
+def test_monte_carlo_gives_what_a_study_gives_to_the_bit():
+    def position_error(system, context):
+        load, reference = (
+            system.GetOutputPort(name).Eval(context) for name in ("load_state", "reference")
+        )
+        return float(np.linalg.norm([load[4:7] - reference[4:7]], axis=1)[0])
+
+    scenario, generator = by_diagram("quintic", *DRAWN), RandomGenerator(5)
+    seeds = [generator() for _ in range(RUNS)]
+    table = study(scenario, {}, seeds, executor=SerialExecutor()).table
+    make = functools.partial(make_simulator, scenario)
+    results = MonteCarloSimulation(make, position_error, DURATION, RUNS, RandomGenerator(5))
+    outputs = [result.output for result in results]
+    assert outputs == [*table["load.position_error_final_m"]]
+    assert len(set(outputs)) == RUNS
+    again = RandomSimulation(make, position_error, DURATION, results[1].generator_snapshot)
+    assert again == outputs[1]

@@ -1,24 +1,161 @@
-"""Runs: where they start, that they repeat, and what is left when they end early."""
+"""Runs of `simulate`: starts, steps, samples, and what is said where one ends early."""
+
+import os
+import signal
 
 import numpy as np
 import pytest
 from helpers import nightly_beyond
-from pydrake.systems.framework import LeafSystem
+from pydrake.systems.framework import DiagramBuilder, LeafSystem
+from pydrake.systems.primitives import ConstantVectorSource
+from pydrake.trajectories import PiecewisePolynomial
 
-from drake_nonstop import RunStopped, ScenarioError, load_scenario, simulate
+from drake_nonstop import (
+    LoadTrajectory,
+    RunInterrupted,
+    RunStopped,
+    ScenarioError,
+    compute_metrics,
+    load_scenario,
+    make_nonstop,
+    set_equilibrium,
+    simulate,
+    verify_step,
+)
+from drake_nonstop.mechanics.signals import LoadReference, LoadState
 
 CONSTANT = "optimization_layer=ConstantParameters"
+GENERATOR = np.random.default_rng(16)
+MOVING_PARAMETERS = (  # in steps, which the carriers' references follow
+    "load_trajectory.roll_pitch_yaw=[0, 0, 12.566]",
+    *("load_trajectory.start_time=0", "load_trajectory.move_time=6"),
+    *("optimization_layer=PaperLayer", "phase=AccumulatedPhase"),
+    *("carrier_trajectory.hold=velocity", "carrier_controller=CarrierPid"),
+    "limits.time_below_bound=0.1",
+)
 
 
-def short(name, *overrides, duration=0.2):
+def short(*overrides, name="quintic", duration=0.2):
     """A scenario with constant parameters if the overrides do not say otherwise."""
     return load_scenario(name, [CONSTANT, *overrides, f"simulation_duration={duration}"])
 
 
+def drawn(count, values):
+    return nightly_beyond(count, "studies", values.tolist())
+
+
+# Starts
+
+
+@pytest.mark.parametrize(
+    ("name", "control_period", "sag"),
+    nightly_beyond(
+        2,
+        "flights",
+        [("quintic", 0.0, 0), ("paper_quintic", 0.01, 0.006), ("three_carriers", 0.01, 0)],
+    ),
+)
+def test_the_load_starts_at_rest_on_its_equilibrium(name, control_period, sag):
+    run = simulate(short(f"control_period={control_period}", name=name, duration=0.1))
+    state = LoadState.view(run.signal("load_state"))
+    assert abs(np.linalg.norm(state.position[0]) - sag) < 5e-4
+    assert np.max(np.linalg.norm(state.velocity, axis=1)) < 5e-3
+
+
+def test_a_tilted_load_starts_at_rest_too():
+    run = simulate(short("load_trajectory=!RestToRest {start_roll_pitch_yaw: [0.3, -0.2, 1.0]}"))
+    # What is left is the lag of the carriers behind their turning references.
+    assert np.max(np.abs(run.signal("tracking_error")[:, :6])) < 5e-4
+
+
+@pytest.mark.parametrize("points", drawn(2, GENERATOR.uniform(-1, 1, (5, 4, 3))))
+def test_a_load_starts_with_the_acceleration_of_its_reference(points):
+    """Splines through drawn points accelerate from their start on."""
+    rows = np.hstack([np.zeros((4, 3)), points]).T
+    curve = PiecewisePolynomial.CubicWithContinuousSecondDerivatives(
+        1.5 * np.arange(4), rows, np.zeros((6, 1)), np.zeros((6, 1))
+    )
+    run = simulate(short(duration=0.05), load_trajectory=lambda model: LoadTrajectory(curve))
+    reference, soon = (LoadReference.view(values) for values in run.signal("reference")[[0, 1]])
+    start, after = (LoadState.view(state) for state in run.signal("load_state")[[0, 1]])
+    size = np.linalg.norm(reference.acceleration)
+    assert size > 0.1
+    np.testing.assert_allclose(start.position, reference.position, atol=1e-4)
+    change, desired = after.velocity - start.velocity, soon.velocity - reference.velocity
+    np.testing.assert_allclose(change, desired, atol=0.05 * 0.01 * size)
+
+
+@pytest.mark.parametrize("scenario", ["paper_quintic", "aircraft_rest"])
+def test_a_load_at_its_equilibrium_stays_there_to_the_bit(scenario):
+    nonstop = make_nonstop(load_scenario(scenario))
+    context = nonstop.CreateDefaultContext()
+    before = context.get_continuous_state_vector().CopyToVector()
+    set_equilibrium(nonstop, context)
+    np.testing.assert_array_equal(context.get_continuous_state_vector().CopyToVector(), before)
+
+
+@pytest.mark.parametrize("share", [-0.12, 0.1, 0.15])
+def test_a_load_whose_attachments_are_elsewhere_starts_near_its_reference(share):
+    """Full steps of Newton's method wind such a load up in its cables, or leave them slack."""
+    attachments = np.array(load_scenario("three_carriers").system.attachments)
+    shift = share * np.ptp(attachments[:, 0])
+    overrides = [f"simulated.attachments={(attachments + np.array([shift, 0, 0])).tolist()}"]
+    loop = make_nonstop(load_scenario("three_carriers", overrides))
+    context = loop.CreateDefaultContext()
+    state = LoadState.view(loop.GetOutputPort("load_state").Eval(context))
+    assert np.abs(state.quaternion[1:]).max() < 0.1
+    assert np.abs(state.position[0] + shift) < 0.05
+    assert loop.GetOutputPort("tensions").Eval(context).min() > 1.0
+
+
+LIFTING = "load_disturbance=!DisturbanceForce {{force: [0, 0, {}], start_time: {}}}"
+# What cannot start, and what the message has: the field or block, and the remedy.
+CANNOT_START = [
+    ("simulated.cable_length=3", "do not hold the load"),
+    (LIFTING.format(40, 0), "let it start later: load_disturbance lifts it with 40 N"),
+    (
+        "load_trajectory=!RestToRest {displacement: [1e9, 0, 0], move_time: 0.01}",
+        "start = load_trajectory: it makes a value",
+    ),
+    (
+        "optimization_layer=!ConstantParameters {amplitude: 4.0e+8}",
+        "start = internal_force: it makes a value",
+    ),
+    ("system.gravity=1e9", "start = wrench_controller: it makes a value"),
+    (LIFTING.format(0, 0).replace("[0", "[1e9"), "start = load_disturbance: it makes a value"),
+    ("system.cable_damping=2e4", "fastest mode"),
+]
+
+
+@pytest.mark.parametrize("engine", ["auto", "diagram"])
+@pytest.mark.parametrize(("override", "said"), CANNOT_START)
+def test_what_cannot_start_is_told_with_what_is_at_fault(override, said, engine):
+    with pytest.raises(ScenarioError, match=said):
+        simulate(short(override, f"engine={engine}"))
+
+
+def test_a_disturbance_that_lifts_the_load_later_starts():
+    simulate(short(LIFTING.format(40, 0.05), duration=0.05))
+    simulate(short(LIFTING.format(6, 0), duration=0.05))
+
+
+def test_a_reference_of_no_rotation_is_refused():
+    def twice_as_long(model):
+        builder = DiagramBuilder()
+        source = builder.AddSystem(ConstantVectorSource(np.append(2.0, np.zeros(21))))
+        builder.ExportOutput(source.get_output_port(), "reference")
+        return builder.Build()
+
+    with pytest.raises(ScenarioError, match=r"load_trajectory.reference = \[2. .* of length 1"):
+        simulate(short(), load_trajectory=twice_as_long)
+
+
+# Steps and samples
+
+
 def test_two_runs_of_one_scenario_are_equal_to_the_bit():
     # The line's first solve is after 5 s: start the move at once to have some here.
-    layer = "optimization_layer=!NlpLayer {speed_bound: 0.72}"
-    scenario = short("quintic", layer)
+    scenario = short("optimization_layer=!NlpLayer {speed_bound: 0.72}")
     first, second = simulate(scenario), simulate(scenario, progress=lambda time: None)
     assert first.signals["optimization_layer.diagnostics"][-1, 3] > 0  # solved
     assert first.signals.keys() == second.signals.keys()
@@ -27,84 +164,11 @@ def test_two_runs_of_one_scenario_are_equal_to_the_bit():
 
 
 def test_signals_are_sampled_at_100_hz_and_hold_no_wall_time():
-    run = simulate(short("quintic", "simulator_config.max_step_size=0.003"))
+    run = simulate(short("simulator_config.max_step_size=0.003"))
     np.testing.assert_allclose(run.time, np.arange(21) / 100, atol=1e-12)
     assert not any("solve_time" in name for name in run.signals)
     assert len(run.steps["time"]) > len(run.time)
     assert run.steps["time"][0] == 0
-
-
-@pytest.mark.parametrize(
-    ("name", "control_period"),
-    nightly_beyond(
-        2,
-        "flights",
-        [
-            *(("quintic", 0.0), ("paper_quintic", 0.01), ("quintic", 0.01), ("paper_quintic", 0.0)),
-            *(("three_carriers", 0.0), ("three_carriers", 0.01)),
-        ],
-    ),
-)
-def test_the_load_starts_at_rest_on_its_equilibrium(name, control_period):
-    run = simulate(short(name, f"control_period={control_period}", duration=0.1))
-    speed = np.linalg.norm(run.signal("load_state")[:, 10:], axis=1)
-    error = np.linalg.norm(run.signal("load_state")[0, 4:7])
-    sag = 0.0 if name != "paper_quintic" else 0.006
-    assert abs(error - sag) < 5e-4
-    assert np.max(speed) < 5e-3
-
-
-def test_a_tilted_load_starts_at_rest_too():
-    run = simulate(
-        short(
-            "quintic",
-            "load_trajectory=!RestToRest {start_roll_pitch_yaw: [0.3, -0.2, 1.0]}",
-        )
-    )
-    # What is left is the lag of the carriers behind their turning references.
-    assert np.max(np.abs(run.signal("tracking_error")[:, :6])) < 5e-4
-
-
-def test_a_load_that_the_cables_cannot_hold_is_an_error_before_the_run():
-    with pytest.raises(ScenarioError, match="do not hold the load"):
-        simulate(short("quintic", "simulated.cable_length=3"))
-
-
-class FailsAt(LeafSystem):
-    """A ConstantParameters that raises, or gives NaN, from some time on."""
-
-    def __init__(self, time, error):
-        super().__init__()
-        self._time, self._error = time, error
-        self.DeclareVectorOutputPort("parameters", 2, self._calc)
-
-    def _calc(self, context, output):
-        late = context.get_time() >= self._time
-        if late and self._error:
-            raise self._error
-        output.SetFromVector([np.nan if late else 2.0, 1.2])
-
-
-def test_a_nan_from_a_users_block_stops_the_run_and_is_blamed_on_it():
-    with pytest.raises(RunStopped, match="optimization_layer made a value that is not") as caught:
-        simulate(short("quintic"), optimization_layer=lambda model: FailsAt(0.105, None))
-    assert 0.05 < caught.value.run.time[-1] < 0.111
-
-
-def test_an_error_in_a_users_block_is_reported_with_its_time():
-    layer = lambda model: FailsAt(0.105, ZeroDivisionError("my mistake"))  # noqa: E731
-    with pytest.raises(RunStopped, match="my mistake") as caught:
-        simulate(short("quintic"), optimization_layer=layer)
-    assert 0.05 < caught.value.run.time[-1] < 0.111
-
-
-def test_an_interrupt_keeps_the_signals():
-    from drake_nonstop import RunInterrupted
-
-    layer = lambda model: FailsAt(0.105, KeyboardInterrupt())  # noqa: E731
-    with pytest.raises(RunInterrupted) as caught:
-        simulate(short("quintic"), optimization_layer=layer)
-    assert 0.05 < caught.value.run.time[-1] < 0.111
 
 
 @pytest.mark.parametrize("n", nightly_beyond(1, "flights", [8, 6]))
@@ -112,7 +176,84 @@ def test_the_step_is_shortened_where_the_fastest_mode_needs_it(n):
     angles = 2 * np.pi * np.arange(n) / n
     points = 1.06 * np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1)
     overrides = [f"system.attachments={points.tolist()}", "pattern=!HamiltonianCycle {}"]
-    run = simulate(short("quintic", *overrides))
+    run = simulate(short(*overrides))
     assert np.max(np.diff(run.steps["time"])) < 0.004  # less than the scenario's 5 ms
     assert np.min(run.steps["tensions"]) > 0
     assert np.max(np.abs(run.signal("tracking_error")[:, 3:6])) < 1e-3
+
+
+@pytest.mark.parametrize("damping", drawn(2, np.sort(10 ** GENERATOR.uniform(0, 3, 6)).round(3)))
+def test_half_the_step_of_the_fastest_mode_moves_nothing(damping):
+    run = simulate(short(f"system.cable_damping={damping}"))
+    assert verify_step(run).half_step == {"step_s": run.step / 2, "moved": {}}
+
+
+def test_what_half_the_step_moves_is_named_and_decides_the_outcome():
+    run = simulate(short(*MOVING_PARAMETERS, duration=2.0))
+    assert compute_metrics(run)["outcome"] != "unconverged"
+    verified = compute_metrics(verify_step(run))
+    assert verified["outcome"] == "unconverged"
+    assert verified["half_step"]["moved"]
+    assert "simulator_config.max_step_size" in verified["reasons"][0]
+
+
+def test_an_interrupt_of_the_second_flight_keeps_the_first():
+    run = simulate(short(duration=2.0))
+    with pytest.raises(RunInterrupted) as raised:
+        verify_step(run, progress=lambda time: os.kill(os.getpid(), signal.SIGINT))
+    assert raised.value.run is run
+
+
+# Early ends
+
+
+class Faulty(LeafSystem):
+    """Makes constant signals; from 0.105 s on one of them is off, or an error is raised."""
+
+    def __init__(self, name, fault):
+        super().__init__()
+        for each in VALUES if name in VALUES else [name]:
+            value = np.array(VALUES.get(each, [2.0, 1.2] if each == "parameters" else np.zeros(6)))
+
+            def calc(context, output, each=each, value=value):
+                is_wrong = each == name and context.get_time() >= 0.105
+                if is_wrong and isinstance(fault, BaseException):
+                    raise fault
+                output.SetFromVector(value + (fault if is_wrong else 0.0))
+
+            self.DeclareVectorOutputPort(each, len(value), calc)
+
+
+VALUES = {"internal_force": np.zeros(8), "internal_force_higher_rates": np.zeros(8)}
+FAULTS = [
+    ("load_disturbance", "disturbance_wrench"),
+    ("optimization_layer", "parameters"),
+    ("internal_force", "internal_force"),
+    ("internal_force", "internal_force_higher_rates"),
+]
+
+
+@pytest.mark.parametrize(
+    ("box", "name", "fault"),
+    nightly_beyond(
+        6, "adversary", [(*case, fault) for fault in (np.nan, 1e12, np.inf) for case in FAULTS]
+    ),
+)
+def test_the_block_that_made_a_value_that_is_not_finite_is_named(box, name, fault):
+    settings = [] if box == "load_disturbance" else ["load_feedback=DesiredStateFeedback"]
+    with pytest.raises(RunStopped, match=f"diverged at t = 0.1.* s: {box} made a value") as caught:
+        simulate(short(*settings), **{box: lambda model: Faulty(name, fault)})
+    assert 0.05 < caught.value.run.time[-1] < 0.13
+
+
+@pytest.mark.parametrize(
+    ("error", "ending", "said"),
+    [
+        (ZeroDivisionError("my mistake"), RunStopped, "my mistake"),
+        (KeyboardInterrupt(), RunInterrupted, "interrupted at t = 0.1"),
+    ],
+)
+def test_an_error_in_a_users_block_keeps_the_signals_up_to_it(error, ending, said):
+    with pytest.raises(ending, match=said) as caught:
+        simulate(short(), optimization_layer=lambda model: Faulty("parameters", error))
+    assert 0.05 < caught.value.run.time[-1] < 0.111

@@ -1,39 +1,45 @@
-"""A run that is read back from its folder, and its signals as columns."""
+"""A run that is read back from its folder or another process, and its signals as columns."""
 
 import dataclasses
 import json
+import pickle
 import shutil
+from concurrent.futures import ProcessPoolExecutor
 from typing import ClassVar
 
 import numpy as np
 import pytest
+from pydrake.systems.framework import LeafSystem
 
 from drake_nonstop import (
     Run,
+    RunInterrupted,
+    RunStopped,
     ScenarioError,
     ScenarioWarning,
+    ShapedPhase,
     compute_metrics,
     load_scenario,
     simulate,
     write_results,
 )
 from drake_nonstop.mechanics.signal_layouts import Layout, Part
-from drake_nonstop.run.metrics import metrics_table
 from drake_nonstop.run.signal_table import UnknownSignalError
-from drake_nonstop.systems.block import LeafBlock
 from drake_nonstop.view.replay import record_replay
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
-CONSTANT = "optimization_layer=ConstantParameters"
-BRIEF = ["simulation_duration=0.2"]
+
+def short(*changes):
+    constant = "optimization_layer=ConstantParameters"
+    return load_scenario("quintic", [constant, "simulation_duration=0.2", *changes])
 
 
 @pytest.fixture(scope="module")
 def stored(tmp_path_factory):
     """A run, and the folder that it is written to."""
     folder = tmp_path_factory.mktemp("stored") / "run"
-    run = simulate(load_scenario("quintic", [*BRIEF, CONSTANT]))
+    run = simulate(short())
     write_results(run, folder, figures=False, replay=False)
     return run, folder
 
@@ -61,31 +67,58 @@ def test_it_is_written_again_to_the_bit(stored, tmp_path):
         assert (tmp_path / name).read_bytes() == (folder / name).read_bytes(), name
 
 
+class Clock(LeafSystem):
+    """An extra block, whose signal has a unit."""
+
+    signal_layouts: ClassVar = {"hours": Layout(Part("", "1", "h"))}
+
+    def __init__(self, model):
+        super().__init__()
+        self.DeclareVectorOutputPort("hours", 1, self._calc)
+
+    def _calc(self, context, output):
+        output.SetAtIndex(0, context.get_time() / 3600)
+
+
 def test_a_run_with_blocks_of_ones_own_says_so(tmp_path):
-    class Clock(LeafBlock):
-        signal_layouts: ClassVar = {"hours": Layout(Part("", "1", "h"))}
-
-        def __init__(self, model):
-            super().__init__()
-            self.DeclareVectorOutputPort("hours", 1, self._calc, {self.time_ticket()})
-            self.DeclareVectorOutputPort("numbers", 2, self._calc_numbers)
-
-        def _calc(self, context, output):
-            output.SetAtIndex(0, context.get_time() / 3600)
-
-        def _calc_numbers(self, context, output):
-            output.SetFromVector([1.0, 2.0])
-
-    run = simulate(load_scenario("quintic", [*BRIEF, CONSTANT]), extra={"clock": Clock})
-    frame = run.to_pandas(["clock.hours", "numbers"])
-    assert list(frame.columns) == ["hours [h]", "numbers.1", "numbers.2"]
-    assert frame["hours [h]"].iloc[-1] == pytest.approx(0.2 / 3600)
+    run = simulate(short(), extra={"clock": Clock})
+    frame = run.to_pandas(["clock.hours"])
+    assert frame["hours [h]"].iloc[-1] == pytest.approx(run.time[-1] / 3600)
     write_results(run, tmp_path, figures=False, replay=False)
     with pytest.warns(ScenarioWarning, match="blocks that its scenario does not name"):
         loaded = Run.load(tmp_path)
     assert loaded.replacements is None
     assert list(loaded.columns(["clock.hours"])) == ["time [s]", "hours [h]"]
     assert compute_metrics(loaded) == compute_metrics(run)
+
+
+class OwnPhase(ShapedPhase):
+    """One of the user's own."""
+
+
+def test_processes_return_the_runs_of_this_one():
+    scenarios = [short(f"system.load_mass={mass}") for mass in (0.9, 1.1)]
+    with ProcessPoolExecutor(1) as executor:
+        runs = list(executor.map(simulate, scenarios))
+    for run, scenario in zip(runs, scenarios, strict=True):
+        here = simulate(scenario)
+        assert run.scenario == scenario
+        for name, values in here.signals.items():
+            assert values.tobytes() == run.signals[name].tobytes(), name
+        assert compute_metrics(run)["load"] == compute_metrics(here)["load"]
+        assert run.diagram.HasSubsystemNamed("load_plant")
+        assert run.diagram is run.diagram
+
+
+@pytest.mark.parametrize("kind", [None, RunStopped, RunInterrupted])
+def test_a_pickled_run_or_the_exception_with_it_builds_its_loop_again(kind):
+    run = simulate(short(), phase=OwnPhase)
+    given = {None: run, RunStopped: RunStopped("it fell", run), RunInterrupted: RunInterrupted(run)}
+    copied = pickle.loads(pickle.dumps(given[kind]))
+    assert type(copied) is type(given[kind])
+    assert str(copied) == str(given[kind])
+    of_copy = getattr(copied, "run", copied)
+    assert type(of_copy.diagram.GetSubsystemByName("phase")) is OwnPhase
 
 
 def test_columns_and_frames_have_units(stored):
@@ -115,25 +148,6 @@ def test_a_dataset_has_units_as_attributes(stored):
     assert data["load_state.velocity.x"].attrs == {"units": "m/s", "frame": "W"}
     np.testing.assert_array_equal(data["tensions.2"], run.signal("tensions")[:, 1])
     np.testing.assert_array_equal(data["time"], run.time)
-
-
-def test_without_xarray_its_extra_is_named(stored, monkeypatch):
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(ScenarioError, match=r"pip install 'drake-nonstop\[xarray\]'"):
-        stored[0].to_xarray()
-
-
-def test_a_run_that_stopped_at_once_has_an_outcome_and_no_values():
-    run = dataclasses.replace(simulate(load_scenario("quintic", [*BRIEF, CONSTANT])), stopped="it")
-    nothing = {
-        "time": run.time[:0],
-        "signals": {name: values[:0] for name, values in run.signals.items()},
-        "steps": {name: values[:0] for name, values in run.steps.items()},
-    }
-    metrics = compute_metrics(dataclasses.replace(run, **nothing))
-    assert (metrics["outcome"], metrics["reasons"]) == ("stopped", ["it"])
-    assert metrics["carriers"]["speed_min_m_s"] is None
-    assert metrics_table(metrics)
 
 
 def test_a_run_is_shown_in_one_line(stored):

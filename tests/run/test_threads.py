@@ -1,7 +1,7 @@
 """Threads that fly one loop, each with a context of its own, do not disturb each other."""
 
 import sys
-import threading
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 from helpers import nightly_beyond
@@ -15,38 +15,25 @@ LOW = "optimization_layer.amplitude=0.6"  # too low for the bound: every update 
 BOUND = "optimization_layer.speed_bound"
 BOUNDS = BOUND, [0.5, 0.55, 0.6, 0.65]  # m/s
 # Of each flight the scenario, its overrides, its duration in s, and what differs from thread to
-# thread.
+# thread: a layer each.
 FLIGHTS = {
     "horizon": ("quintic", [], 0.4, BOUNDS),
     "horizon of aircraft": (
-        "aircraft_transfer_rising_wind",
-        [],
-        0.04,
+        *("aircraft_transfer_rising_wind", [], 0.04),
         (BOUND, [11.0, 13.4, 13.6, 14.0]),
     ),
-    "search": ("quintic", [ONE_SAMPLE, LOW], 0.05, BOUNDS),
-    "snopt": (
-        "quintic",
-        [ONE_SAMPLE, LOW, "optimization_layer.solver=snopt"],
-        0.05,
-        BOUNDS,
-    ),
+    "program": ("quintic", [ONE_SAMPLE, LOW], 0.05, BOUNDS),
+    "snopt": ("quintic", [ONE_SAMPLE, LOW, "optimization_layer.solver=snopt"], 0.05, BOUNDS),
     "governed": (
-        "quintic",
-        [ONE_SAMPLE, "load_trajectory.move_time=3", "reference_governor={}"],
-        0.05,
+        *("quintic", [ONE_SAMPLE, "load_trajectory.move_time=3", "reference_governor={}"], 0.05),
         BOUNDS,
     ),
     "turn rate": (
-        "aircraft_co_rotating_rising_wind",
-        ["optimization_layer.max_frequency_rate=1"],
-        0.08,
+        *("aircraft_co_rotating_rising_wind", ["optimization_layer.max_frequency_rate=1"], 0.08),
         (BOUND, [15.0, 15.5, 16.0, 16.5]),
     ),
     "constant": (
-        "quintic",
-        ["optimization_layer=ConstantParameters"],
-        0.05,
+        *("quintic", ["optimization_layer=ConstantParameters"], 0.05),
         ("optimization_layer.frequency", [2.0, 2.1, 2.2, 2.3]),
     ),
 }
@@ -111,14 +98,6 @@ def test_flights_in_threads_are_those_one_after_the_other_to_the_bit(flight, eng
     assert all(isinstance(signals, dict) for signals in expected), expected
     assert len({signals["parameters"] for signals in expected}) == THREADS
     for _ in range(tries):
-        found = [{}] * THREADS
-
-        def fly_one(k, found=found):
-            found[k] = signals_of(fly, starts[k])
-
-        threads = [threading.Thread(target=fly_one, args=(k,)) for k in range(THREADS)]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
+        with ThreadPoolExecutor(THREADS) as pool:
+            found = [*pool.map(lambda start: signals_of(fly, start), starts)]
         assert found == expected
