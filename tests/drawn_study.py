@@ -9,7 +9,6 @@ import gc
 import sys
 import warnings
 from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -90,8 +89,8 @@ def fly(tasks: str, seed: int, condition: str, overrides: Sequence[str]) -> dict
     """How a flight ended, and its figures; never an error of the run."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ScenarioWarning)
-        make = partial(scenario_of, tasks, seed, condition, overrides)
-        _, tried = next(attempts([(make, {})]))
+        scenario = scenario_of(tasks, seed, condition, overrides)
+        _, tried = next(attempts([(scenario, {})]))
     if tried.run is None:
         return {"ending": tried.ending, "outcome": "", "message": tried.message}
     wrong = _wrong(RunQuantities(tried.run), _JUDGED_BY[tasks])

@@ -165,7 +165,7 @@ class Summary:
 
     def html(self, metrics: Sequence[Metric], name: Callable[[int], str] | None = None) -> str:
         """The table as HTML, with changes marked; `name` is the first cell of a setting."""
-        from pandas import DataFrame
+        from pandas import DataFrame, option_context
 
         def mark(cell: str, is_better: bool) -> str:
             return f"<span class={'better' if is_better else 'worse'}>{cell}</span>"
@@ -179,7 +179,8 @@ class Summary:
             cells[next(iter(cells))] = [name(k) for k in range(len(self.settings))]
         frame = DataFrame(cells)
         frame.columns = [html.escape(heading) for _, heading in cells]
-        return frame.to_html(index=False, escape=False, border=0)
+        with option_context("display.max_colwidth", None):
+            return frame.to_html(index=False, escape=False, border=0)
 
     def latex(self, metrics: Sequence[Metric]) -> str:
         """The table as LaTeX, for booktabs."""
