@@ -56,6 +56,7 @@ def make_page(
     template = resources.files("drake_nonstop.studies").joinpath("study.html")
     return Template(template.read_text(encoding="utf-8")).substitute(
         title=html.escape(title),
+        factors=len(summary.factors),
         description=html.escape(scenario.description),
         table=summary.html(metrics, name),
         note=note,

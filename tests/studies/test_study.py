@@ -239,7 +239,7 @@ def test_changes_are_marked_where_their_interval_leaves_no_doubt():
 
 
 def test_no_name_is_cut_in_tables():
-    names = [f"variant & number {k} with quite a long name {'x' * k}" for k in range(40)]
+    names = [f"variant & number {k} with quite a long name{'x' * k}" for k in range(40)]
     done = made(np.random.default_rng(0).random((40, 3)), [{"variant": name} for name in names])
     assert all(name in str(done) for name in names)
     assert all(name.replace("&", "&amp;") in done._repr_html_() for name in names)
@@ -250,7 +250,7 @@ def test_no_name_is_cut_in_tables():
 @pytest.mark.parametrize(
     ("given", "text"),
     [
-        ((2.0,), "2.0"),
+        ((2.0,), "2.00"),
         ((0.123456, 0.0123), "0.123 ± 0.012"),
         ((1.0, 1e-12), "1.00"),
         ((1e-6,), "≈ 0"),
@@ -316,16 +316,13 @@ def test_a_file_states_variants_or_values(written):
     grid = read_grid(written(text))
     assert grid.seeds == [3, 4]  # not a factor: what a figure's bands are over
     settings = settings_of_factors(grid.factors)
-    phases = ", ".join(["phases=[0.0, 0.5, 0.0, 0.5]", "velocity_gain="])
-    expected = itertools.product(["PaperPhase", "AccumulatedPhase"], ["1.5", "10.0"])
-    names = [
-        setting.name.replace("[0.0, 0.5, 0.0, 0.5]", "[0.0, 0.5, 0.0, 0.5]") for setting in settings
-    ]
-    assert [name.split(", ")[0] for name in names] == [phase for phase, _ in expected]
+    gains = [setting.factors["carrier_controller.velocity_gain"] for setting in settings]
+    phases = [setting.factors["phase"] for setting in settings]
+    assert phases == 2 * ["PaperPhase"] + 2 * ["AccumulatedPhase"]
+    assert gains == 2 * [1.5, 10.0]
     made = changed(load_scenario("line"), settings[0].changes)
     assert made.pattern.phases == [0.0, 0.5, 0.0, 0.5]
     assert type(made.phase).__name__ == "PaperPhaseConfig"
-    assert phases
 
 
 GRIDS = [
@@ -443,11 +440,7 @@ def test_the_commands(written, tmp_path, capsys, undrawn):
     drawn = re.search(r"load_mass: (.*)", (tmp_path / "one" / "scenario.yaml").read_text())
     assert drawn
     capsys.readouterr()
-    for bad in (
-        ["study", *call],
-        ["ablate", *call],
-        ["ablate", *call, "--swap", "phase"],
-        one + ["6"],
-    ):
+    swap = ["ablate", *call, "--swap", "phase"]
+    for bad in (["study", *call], ["ablate", *call], swap, [*one, "6"]):
         assert main(bad) == 2
         assert re.match(r"drake-nonstop: --.* = .*: give ", capsys.readouterr().err)
