@@ -127,7 +127,7 @@ class Summary:
                 cells = [number(*each, "+") for each in zip(change, change_half, strict=True)]
                 better = change * metric.better
                 is_clear = (change.abs() > change_half.fillna(0.0)) & (better != 0)
-                for k in np.flatnonzero(is_clear):
+                for k in np.flatnonzero(is_clear & (change.abs() > _LEAST)):
                     cells[k] = mark(cells[k], bool(better[k] > 0))
                 found.append(("change", ["", *cells[1:]]))
         return {(k, heading): cells for k, (heading, cells) in enumerate(found)}

@@ -1,186 +1,79 @@
-"""The command, as a user meets it."""
+"""The commands, as a user meets them: their help, their errors, their files, their exit codes."""
 
-import contextlib
-import io
+import dataclasses
 import json
 import os
+import random
 import re
 import subprocess
 import sys
 
 import numpy as np
 import pytest
+from helpers import nightly_beyond
 
-from drake_nonstop.cli import run
-from drake_nonstop.cli.main import commands, main
+from drake_nonstop.cli import run as run_command
+from drake_nonstop.cli.ending import BAD_INPUT, FAILED
+from drake_nonstop.cli.main import commands, main, make_parser
+from drake_nonstop.planning.formation_program import FormationVariables
+from drake_nonstop.run.run import RunInterrupted, RunStopped
+from drake_nonstop.run.simulate import simulate
 from drake_nonstop.scenario.loading import dump_scenario, load_scenario, scenario_names
+from drake_nonstop.studies import design, results_folder
+from drake_nonstop.studies.design import Design
+from drake_nonstop.studies.formation_search import Refusal
 
 DATA = {"scenario.yaml", "metrics.json", "signals.npz"}
 RESULTS = DATA | {"diagram.svg", "replay.html", "figures"}
-FIGURES = {
-    "carrier_paths_from_above",
-    "load_errors",
-    "carrier_speeds",
-    "tensions",
-    "internal_force_parameters",
-    "snapshots",
-}
 BRIEF = ["--quiet", "--no-figures", "--no-replay"]
+SHORT = ["simulation_duration=0.05", "optimization_layer=ConstantParameters"]
+RUN = "{run}"  # a folder with a run's results
+
+
+def files(folder):
+    return {path for path in folder.rglob("*") if not path.is_dir()}
 
 
 def contents(folder):
     return {path.name for path in folder.iterdir()}
 
 
-def test_list_has_a_line_for_each_scenario(capsys):
-    assert main(["list"]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert len(lines) == len(scenario_names())
-    assert all(len(line.split()) > 4 for line in lines)
-
-
-def test_a_run_leaves_all_its_results_and_a_table(tmp_path, capsys):
-    assert (
-        main(["run", "quintic", "--out", str(tmp_path / "a"), "--set", "simulation_duration=0.3"])
-        == 0
-    )
-    folder = tmp_path / "a"
-    assert contents(folder) == RESULTS
-    assert contents(folder / "figures") == {f"{name}.png" for name in FIGURES}
-    assert all(path.stat().st_size > 5000 for path in (folder / "figures").iterdir())
-    with np.load(folder / "signals.npz") as signals:
-        assert signals["time"][-1] == pytest.approx(0.3)
-        assert signals["load_plant.load_state"].shape == (31, 13)
-        assert signals["carrier_dynamics.carrier_state"].shape == (31, 24)
-        assert "steps/load_state" in signals
-    metrics = json.loads((folder / "metrics.json").read_text())
-    assert metrics["simulated_s"] == pytest.approx(0.3)
-    resolved = load_scenario(folder / "scenario.yaml")
-    assert dump_scenario(resolved) == (folder / "scenario.yaml").read_text()
-    shown = capsys.readouterr().out
-    assert "carrier speed" in shown
-    assert str(folder) in shown
+@pytest.fixture(scope="module")
+def whole():
+    return simulate(load_scenario("line", SHORT))
 
 
 @pytest.fixture(scope="module")
-def brief_runs(tmp_path_factory):
-    """The folders of two equal runs, one of which replaces an earlier one, and what they print."""
-    new, used = (tmp_path_factory.mktemp(name) for name in ("new", "used"))
-    (used / "figures").mkdir()
-    (used / "figures" / "tensions.png").write_text("old")
-    (used / "figures" / "sketch.png").write_text("mine")
-    (used / "replay.html").write_text("old")
-    (used / "notes.txt").write_text("mine")
-    text = io.StringIO()
-    with contextlib.redirect_stdout(text), contextlib.redirect_stderr(text):
-        for folder in (new, used):
-            overrides = ["--set", "simulation_duration=0.3", "system.load_mass=1.3"]
-            assert main(["run", "quintic", "--out", str(folder), *overrides, *BRIEF]) == 0
-    return new, used, text.getvalue()
+def stored(whole, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("stored") / "run"
+    results_folder.write_data(whole, folder)
+    return folder
 
 
-def signals_in(folder):
-    """The bytes of a run's signals at 100 Hz, by their names."""
-    with np.load(folder / "signals.npz") as signals:
-        return {name: signals[name].tobytes() for name in signals if "." in name or name == "time"}
+def options_of(name):
+    """All options of a command, as its parser has them."""
+    subparsers = make_parser(name)._subparsers._group_actions[0]
+    actions = subparsers.choices[name]._actions
+    return {option for action in actions for option in action.option_strings}
 
 
-def test_the_resolved_scenario_repeats_the_run(brief_runs, tmp_path):
-    resolved = str(brief_runs[0] / "scenario.yaml")
-    assert main(["run", resolved, "--out", str(tmp_path), *BRIEF]) == 0
-    first, second = map(signals_in, (brief_runs[0], tmp_path))
-    assert first == second
-    assert signals_in(brief_runs[1]) == first
-    assert brief_runs[2] == ""  # --quiet
+def test_the_help_names_all_commands_and_imports_none():
+    script = "import sys; from drake_nonstop.cli.main import make_parser; make_parser('--help')"
+    script += "; assert 'pydrake' not in sys.modules, 'pydrake'"
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    subprocess.run([sys.executable, "-c", script], check=True, env=environment)
+    assert {"run", "check", "list", "sweep", "design"} <= {*commands()}
 
 
-def test_a_run_replaces_all_of_an_earlier_one_and_touches_nothing_else(brief_runs):
-    folder = brief_runs[1]
-    assert contents(folder) == RESULTS - {"replay.html"} | {"notes.txt"}
-    assert contents(folder / "figures") == {"sketch.png"}
-
-
-def test_bad_input_leaves_no_new_folder(tmp_path):
-    assert (
-        main(["run", "quintic", "--out", str(tmp_path / "a"), "--set", "pattern.phases=[0]"]) == 2
-    )
-    assert contents(tmp_path) == set()
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["quintik"], "quintic"),
-        (["quintic", "--set", "system.load_mass=-1"], "system.load_mass = -1.0"),
-        (["quintic", "--set", "optimization_layer.knot_spacing=0.003"], "multiple"),
-        (
-            [
-                "quintic",
-                "--set",
-                "optimization_layer=NlpLayer",
-                "optimization_layer.period=0.003",
-            ],
-            "multiple",
-        ),
-        (["nothing.yaml"], "nothing.yaml"),
-    ],
-)
-def test_bad_input_is_one_sentence_and_leaves_earlier_results(tmp_path, capsys, arguments, words):
-    (tmp_path / "metrics.json").write_text("earlier")
-    assert main(["run", *arguments, "--out", str(tmp_path)]) == 2
-    error = capsys.readouterr().err
-    assert error.startswith("drake-nonstop: ")
-    assert error.count("\n") == 1
-    assert words in error
-    assert contents(tmp_path) == {"metrics.json"}
-    assert (tmp_path / "metrics.json").read_text() == "earlier"
-
-
-def test_an_unwritable_folder_is_reported_before_the_run(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(run, "simulate", lambda *_: pytest.fail("the run began"))
-    (tmp_path / "file").write_text("")
-    for folder in (tmp_path / "file", tmp_path / "file" / "below"):
-        assert main(["run", "line", "--out", str(folder)]) == 2
-        assert "--out = " in capsys.readouterr().err
-
-
-def test_a_diverging_run_exits_with_1_and_writes_what_there_is(tmp_path, capsys):
-    overrides = [
-        "--set",
-        "simulator_config.integration_scheme=explicit_euler",
-        "simulation_duration=2",
-    ]
-    assert main(["run", "quintic", "--out", str(tmp_path), *overrides, *BRIEF]) == 1
-    error = capsys.readouterr().err
-    assert "diverged at t = " in error
-    assert "Traceback" not in error
-    with np.load(tmp_path / "signals.npz") as signals:
-        assert 0 < signals["time"][-1] < 2
-    metrics = json.loads((tmp_path / "metrics.json").read_text())
-    assert metrics["simulated_s"] < 2
-    assert metrics["outcome"] == "stopped"
-    assert "diverged at t = " in metrics["reasons"][0]
-
-
-def test_a_live_run_without_a_browser_ends_with_its_results(tmp_path, capsys):
-    options = ["--live", "--realtime", "0", "--set", "simulation_duration=0.2", *BRIEF[1:]]
-    assert main(["run", "quintic", "--out", str(tmp_path), *options]) == 0
-    assert "http://localhost:" in capsys.readouterr().out
-    assert contents(tmp_path) == RESULTS - {"figures", "replay.html"}
-
-
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (["--realtime", "2"], "--realtime = 2.0: give --live with it"),
-        (["--live", "--realtime", "-1"], "--realtime = -1.0"),
-    ],
-)
-def test_bad_options_of_a_live_run(options, words, tmp_path, capsys):
-    folder = tmp_path / "out"
-    assert main(["run", "quintic", "--out", str(folder), *options]) == 2
-    assert words in capsys.readouterr().err
-    assert not folder.exists()
+@pytest.mark.parametrize("name", [*commands()])
+def test_each_command_has_its_help_and_refuses_an_option_that_it_has_not(name, capsys):
+    assert commands()[name][1]
+    with pytest.raises(SystemExit, match=r"^0$"):
+        main([name, "--help"])
+    told = capsys.readouterr().out
+    assert all(option in told for option in options_of(name))
+    with pytest.raises(SystemExit, match=r"^2$"):
+        main([name, "--no-such-option"])
 
 
 def test_run_says_all_its_exit_codes(capsys):
@@ -190,17 +83,125 @@ def test_run_says_all_its_exit_codes(capsys):
     assert set(re.findall(r"\d+", said)) == {"0", "1", "2", "3", "129", "130", "143"}
 
 
-def test_the_help_names_all_commands_and_imports_none():
-    found = commands()
-    script = "import sys; from drake_nonstop.cli.main import make_parser; make_parser('--help')"
-    script += "; assert 'pydrake' not in sys.modules, 'pydrake'"
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
-    subprocess.run([sys.executable, "-c", script], check=True, env=environment)
-    assert {"run", "check", "list", "sweep", "design"} <= {*found}
-    for name, (module, about) in found.items():
-        assert about, module
-        with pytest.raises(SystemExit, match=r"^0$"):
-            main([name, "--help"])
+# Arguments, and what the sentence has: the field, the value or what it should be, the remedy.
+REFUSED = [
+    (["run", "quintik"], ("quintik", "did you mean quintic")),
+    (["run", "nothing.yaml"], ("nothing.yaml", "give a file that can be read")),
+    (["run", "line", "--set", "system.load_mass=-1"], ("system.load_mass", "-1.0", "give")),
+    (["run", "line", "--set", "pattern.phases=[0]"], ("pattern.phases", "give")),
+    (["run", "quintic", "--set", "optimization_layer.knot_spacing=0.003"], ("0.003", "multiple")),
+    (
+        [
+            "run",
+            "quintic",
+            "--set",
+            "optimization_layer=NlpLayer",
+            "optimization_layer.period=0.003",
+        ],
+        ("period", "0.003", "multiple"),
+    ),
+    (["run", "line", "--realtime", "2"], ("--realtime", "2.0", "give --live with it")),
+    (["run", "line", "--live", "--realtime", "-1"], ("--realtime", "-1.0", "give a finite number")),
+    (["run", "line", "--live", "--verify-step"], ("--verify-step", "--live", "give one of them")),
+    (["check", "quintik"], ("quintik", "did you mean quintic")),
+    (["stability", "line", "--set", "system.load_mass=-1"], ("system.load_mass", "-1.0", "give")),
+    (["robustness", "line", "--seeds", "0"], ("seeds", "0", "give a number of seeds")),
+    (["design", "none.yaml"], ("REQUEST", "none.yaml", "give a file that can be read")),
+    (["design", "--set", "speed=-1"], ("request.speed", "-1.0", "give 0 to 1000 m/s")),
+    (["export", ".", "--to", "csv"], (".", "give the folder of a run")),
+    (["export", RUN, "--to", "csv", "--signal", "tension"], ("signal", "tension", "give a port")),
+    (["export", RUN, "--to", "mcap", "--signal", "x"], ("--signal", "x", "leave it out")),
+    (["export", RUN, "--to", "csv", "--out", "signals.npz"], ("signals.npz", "ends in .csv")),
+    (["export", RUN, "--to", "csv", "--out", "pipe.csv"], ("pipe.csv", "give another file")),
+    (["plot", RUN, "--signal", "tension"], ("signal", "tension", "give a port")),
+    (["plot", RUN, RUN, "--figure", "snapshots"], ("RUN", "2 runs", "give one run")),
+    (["plot", RUN, "--signal", "tensions", "--out", "a.txt"], ("--out", "a.txt", "give a name")),
+    (["video", RUN, "--size", "3"], ("--size", "3", "such as 640x480")),
+    (["video", RUN, "--out", "a.txt"], ("--out", "a.txt", "give a name in .gif")),
+    (["blocks", "phases"], ("phases", "phase")),
+    (["new", "a.txt"], ("NAME", "a.txt", "give a name that ends in .yaml")),
+    (["new", "mine.yaml"], ("NAME", "mine.yaml", "give another name")),
+    (["schema", "--out", "pipe.csv"], ("--out", "pipe.csv", "give another file")),
+]
+
+
+@pytest.mark.parametrize(("arguments", "words"), REFUSED, ids=lambda given: " ".join(given))
+def test_bad_input_is_one_sentence_and_changes_nothing(
+    stored, tmp_path, monkeypatch, capsys, arguments, words
+):
+    monkeypatch.chdir(tmp_path)
+    os.mkfifo("pipe.csv")
+    (tmp_path / "mine.yaml").write_text("mine")
+    before = files(tmp_path), files(stored)
+    given = [str(stored) if argument == RUN else argument for argument in arguments]
+    assert main(given) == BAD_INPUT
+    error = capsys.readouterr().err.splitlines()[-1]
+    assert error.startswith("drake-nonstop: ")
+    assert all(word in error for word in words)
+    assert (files(tmp_path), files(stored)) == before
+
+
+def test_an_unwritable_folder_is_reported_before_the_run(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(run_command, "simulate", lambda *_: pytest.fail("the run began"))
+    (tmp_path / "file").write_text("")
+    for folder in (tmp_path / "file", tmp_path / "file" / "below"):
+        assert main(["run", "line", "--out", str(folder)]) == BAD_INPUT
+        assert "--out = " in capsys.readouterr().err
+
+
+def test_list_has_a_line_for_each_scenario(capsys):
+    assert main(["list"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == len(scenario_names())
+    assert all(len(line.split()) > 4 for line in lines)
+
+
+def test_a_run_leaves_all_its_results_which_repeat_it(tmp_path, capsys):
+    for place in ("a", "b"):
+        (tmp_path / place / "figures").mkdir(parents=True)
+        for name in ("figures/tensions.png", "figures/sketch.png", "notes.txt"):
+            (tmp_path / place / name).write_text("old")
+    folder = tmp_path / "a"
+    change = ["--set", "simulation_duration=0.3", "system.load_mass=1.3"]
+    assert main(["run", "quintic", "--out", str(folder), *change]) == 0
+    assert contents(folder) == RESULTS | {"notes.txt"}
+    drawn = [path for path in (folder / "figures").iterdir() if path.name != "sketch.png"]
+    assert all(path.stat().st_size > 5000 for path in drawn)
+    metrics = json.loads((folder / "metrics.json").read_text())
+    assert metrics["simulated_s"] == pytest.approx(0.3)
+    resolved = load_scenario(folder / "scenario.yaml")
+    assert dump_scenario(resolved) == (folder / "scenario.yaml").read_text()
+    shown = capsys.readouterr().out
+    assert "carrier speed" in shown
+    assert str(folder) in shown
+    assert main(["run", str(folder / "scenario.yaml"), "--out", str(tmp_path / "b"), *BRIEF]) == 0
+    assert contents(tmp_path / "b") == RESULTS - {"replay.html"} | {"notes.txt"}
+    assert contents(tmp_path / "b" / "figures") == {"sketch.png"}  # nobody else's is touched
+    assert capsys.readouterr() == ("", "")
+    with np.load(folder / "signals.npz") as first, np.load(tmp_path / "b/signals.npz") as second:
+        names = {name for name in first if "." in name or name == "time"}
+        assert names
+        assert all(first[name].tobytes() == second[name].tobytes() for name in names)
+
+
+def test_a_diverging_run_exits_with_1_and_writes_what_there_is(tmp_path, capsys):
+    scheme = "simulator_config.integration_scheme=explicit_euler"
+    options = ["--out", str(tmp_path), "--set", scheme, "simulation_duration=2", *BRIEF]
+    assert main(["run", "quintic", *options]) == FAILED
+    error = capsys.readouterr().err
+    assert "diverged at t = " in error
+    assert "Traceback" not in error
+    metrics = json.loads((tmp_path / "metrics.json").read_text())
+    assert 0 < metrics["simulated_s"] < 2
+    assert metrics["outcome"] == "stopped"
+    assert "diverged at t = " in metrics["reasons"][0]
+
+
+def test_a_live_run_without_a_browser_ends_with_its_results(tmp_path, capsys):
+    options = ["--live", "--realtime", "0", "--set", "simulation_duration=0.2", *BRIEF[1:]]
+    assert main(["run", "quintic", "--out", str(tmp_path), *options]) == 0
+    assert "http://localhost:" in capsys.readouterr().out
+    assert contents(tmp_path) == RESULTS - {"figures", "replay.html"}
 
 
 @pytest.mark.nightly("processes")
@@ -218,3 +219,71 @@ def test_results_do_not_depend_on_what_is_printed(tmp_path, redirection, code, w
     assert words in done.stderr
     assert "Traceback" not in done.stderr
     assert contents(tmp_path / "out" / "static_hold_open_loop") == DATA | {"diagram.svg"}
+
+
+@pytest.mark.usefixtures("undrawn")
+@pytest.mark.parametrize(
+    ("options", "seed"),
+    nightly_beyond(
+        3,
+        "studies",
+        [(place, k) for k in range(2) for place in ([], ["--out", "mine"], ["--out", "."])],
+    ),
+)
+def test_in_any_order_results_of_a_whole_run_stay(
+    whole, tmp_path, monkeypatch, capsys, options, seed
+):
+    work = tmp_path / "work"
+    work.mkdir()
+    monkeypatch.chdir(work)
+    folder = work / (options[1] if options else "out/line")
+    stopped = folder.resolve().with_name(f"{folder.resolve().name}_stopped")
+
+    def flown(scenario, **_):
+        run = dataclasses.replace(whole, scenario=scenario, stopped="" if how == "whole" else how)
+        if how == "whole":
+            return run
+        raise RunInterrupted(run) if how == "interrupted" else RunStopped("the run stopped", run)
+
+    def read(place):
+        return {path: path.read_bytes() for path in place.rglob("*") if path.is_file()}
+
+    monkeypatch.setattr(run_command, "simulate", flown)
+    kept, kinds = None, ["interrupted", "stopped", "whole"]
+    for how in ["interrupted", "whole", *random.Random(seed).choices(kinds, k=5)]:
+        code = main(["run", "line", *BRIEF[1:], *options, "--set", *SHORT])
+        said = capsys.readouterr().err
+        assert (how == "whole") == (code == 0)
+        place = folder if how == "whole" or kept is None else stopped
+        outcome = json.loads((place / "metrics.json").read_text())["outcome"]
+        assert (outcome == "ok") == (how == "whole")
+        if how == "whole":
+            kept = read(folder)
+        elif kept is not None:
+            assert read(folder) == kept
+            assert f"{stopped.name}; those of an earlier run stay in " in said
+
+
+def test_a_design_that_cannot_be_is_said_in_a_folder_of_its_own(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    other = tmp_path / "out" / "design" / "formation"
+    other.mkdir(parents=True)
+    (other / "request.yaml").write_text("load_mass: 1.0\n")
+    variables = FormationVariables(*np.ones(6), reserve=-1.0)
+    about = {"kind": "leaning", "carriers": 3, "phase_turns": 1, "variables": variables}
+    missed = Refusal(**about, why="it banks")
+
+    def none(request, progress):
+        return Design(request=request, formations=(), refusals=(missed,))
+
+    monkeypatch.setattr(design, "design", none)
+    assert main(["design", "--set", "carriers=[3]", "kinds=[co_rotating]"]) == FAILED
+    shown = capsys.readouterr().out
+    assert shown.startswith("1 kinds and numbers of carriers, 1 at a time")
+    assert "3 leaning, is at -1 of them: it banks; give longer cables" in shown
+    assert "results: out/design/formation_2" in shown
+    assert (other / "request.yaml").read_text() == "load_mass: 1.0\n"
+    assert main(["design", "--print-request"]) == 0
+    (tmp_path / "again.yaml").write_text(capsys.readouterr().out)
+    assert main(["design", "again.yaml", "--print-request"]) == 0
+    assert capsys.readouterr().out == (tmp_path / "again.yaml").read_text()

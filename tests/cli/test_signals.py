@@ -17,10 +17,10 @@ from drake_nonstop.cli import scenarios
 from drake_nonstop.cli.main import main
 from drake_nonstop.run import flight
 
-_DATA = {"scenario.yaml", "metrics.json", "signals.npz"}
-_GRACE = 2.0  # s, from the second signal to the end
+DATA = {"scenario.yaml", "metrics.json", "signals.npz"}
+GRACE = 2.0  # s, from the second signal to the end
 
-_BLOCKS = """
+BLOCKS = """
 import time
 from dataclasses import dataclass
 from pydrake.systems.framework import LeafSystem
@@ -53,59 +53,7 @@ class Swallows(Spins):
                 time.sleep(0.01)
             except BaseException:
                 pass
-
 """
-
-
-@pytest.fixture
-def start(tmp_path):
-    """Starts the command as a terminal would, in tmp_path, and waits until it hears signals."""
-    (tmp_path / "stays.py").write_text(_BLOCKS)
-    processes = []
-
-    def started(*arguments):
-        process = subprocess.Popen(
-            [sys.executable, "-m", "drake_nonstop.cli", *arguments],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            cwd=tmp_path,
-            start_new_session=True,
-            preexec_fn=handle_signals_as_a_shell_does,
-            env=os.environ | {"PYTHONUNBUFFERED": "1", "PYTHONPATH": os.pathsep.join(sys.path)},
-        )
-        processes.append(process)
-        while process.poll() is None and not _handles(process.pid, signal.SIGHUP):
-            time.sleep(0.001)
-        return process
-
-    yield started
-    for process in processes:
-        process.kill()
-        process.communicate()
-
-
-def _handles(pid, number):
-    """Whether a process has a handler for the signal (Linux)."""
-    with open(f"/proc/{pid}/status") as file:
-        caught = int(re.search(r"SigCgt:\s*(\w+)", file.read())[1], 16)
-    return bool(caught >> (number - 1) & 1)
-
-
-def ended(process):
-    """The exit code, the sentences and the time from now to the end of a process."""
-    begin = time.monotonic()
-    _, error = process.communicate(timeout=30)
-    assert "Traceback" not in error, error
-    sentences = [line for line in error.splitlines() if line.startswith("drake-nonstop: ")]
-    return process.returncode, sentences, time.monotonic() - begin
-
-
-def wait_for(path):
-    begin = time.monotonic()
-    while not path.exists():
-        assert time.monotonic() - begin < 30
-        time.sleep(0.01)
 
 
 def flown(folder):
@@ -120,20 +68,35 @@ def flown(folder):
 
 @pytest.mark.nightly("processes")
 @pytest.mark.parametrize("block", ["Spins", "Swallows"])
-def test_a_block_that_never_returns_is_ended_and_what_was_flown_is_kept(start, tmp_path, block):
+def test_a_block_that_never_returns_is_ended_by_the_second_signal(tmp_path, block):
+    """What was flown is kept, unless the block swallows the KeyboardInterrupt."""
+    (tmp_path / "stays.py").write_text(BLOCKS)
     options = ["--out", "o", "--trust", "--quiet", "--set", f"phase=stays.{block}"]
-    process = start("run", "quintic", *options)
-    wait_for(tmp_path / "there")
-    process.send_signal(signal.SIGINT)
-    time.sleep(0.1)
-    process.send_signal(signal.SIGINT)
-    code, sentences, took = ended(process)
-    assert code == 130
-    assert took < _GRACE
-    assert len(sentences) == 1
-    assert "the results up to 0.3" in sentences[0]
-    assert flown(tmp_path / "o") == pytest.approx(0.3, abs=0.011)
-    assert {path.name for path in (tmp_path / "o").iterdir()} == _DATA
+    process = subprocess.Popen(
+        [sys.executable, "-m", "drake_nonstop.cli", "run", "quintic", *options],
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=tmp_path,
+        start_new_session=True,
+        preexec_fn=handle_signals_as_a_shell_does,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
+    )
+    end = time.monotonic() + 30
+    while not (tmp_path / "there").exists() and time.monotonic() < end:
+        time.sleep(0.01)
+    for _ in range(2):
+        process.send_signal(signal.SIGINT)
+        time.sleep(0.1)
+    begin = time.monotonic()
+    _, error = process.communicate(timeout=30)
+    assert time.monotonic() - begin < GRACE
+    assert process.returncode == 130
+    assert error.count("drake-nonstop: interrupted") == 1
+    assert "Traceback" not in error
+    if block == "Spins":
+        assert "the results up to 0.3" in error
+        assert flown(tmp_path / "o") == pytest.approx(0.3, abs=0.011)
+        assert {path.name for path in (tmp_path / "o").iterdir()} == DATA
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -152,7 +115,7 @@ def test_a_signal_while_a_run_goes_on_keeps_what_was_flown(tmp_path, monkeypatch
     (simulated,) = re.fullmatch(kept, capsys.readouterr().err).groups()
     assert 0 < flown(tmp_path) < 1000
     assert flown(tmp_path) == pytest.approx(float(simulated), abs=6e-4)
-    assert {path.name for path in tmp_path.iterdir()} == _DATA | {"diagram.svg"}
+    assert {path.name for path in tmp_path.iterdir()} == DATA | {"diagram.svg"}
 
 
 def test_a_keyboard_interrupt_that_became_another_error_is_one(monkeypatch, capsys):
