@@ -8,15 +8,10 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from drake_nonstop.cli import check
-from drake_nonstop.cli.ending import BAD_INPUT, FAILED
+from drake_nonstop.cli.ending import FAILED
 from drake_nonstop.cli.main import main
 from drake_nonstop.scenario.loading import load_scenario
 
-# Refused by what the loop is built from, and by what a run is flown with.
-REFUSED = [
-    "optimization_layer.max_speed=0.5",
-    "simulator_config.integration_scheme=euler",
-]
 SHORT = "simulation_duration=0.2"  # the aircraft's margins are those of a load at rest
 RASCAL = "system.aircraft.model=rascal_110"
 
@@ -26,16 +21,6 @@ def plain_figures(monkeypatch):
     """Empty figures, in less time."""
     for name in ("make_check_figure", "make_aircraft_margins_figure"):
         monkeypatch.setattr(check, name, lambda found: Figure(figsize=(12, 8)))
-
-
-@pytest.mark.parametrize("override", REFUSED)
-def test_what_a_run_refuses_the_check_refuses_in_the_same_words(override, tmp_path, capsys):
-    told = []
-    for command in ("run", "check"):
-        arguments = [command, "quintic", "--out", str(tmp_path / command), "--set", SHORT, override]
-        assert main(arguments) == BAD_INPUT
-        told.append(capsys.readouterr().err.strip().splitlines()[-1])
-    assert told[0] == told[1]
 
 
 @pytest.mark.nightly("flights")

@@ -1,8 +1,5 @@
 """Runs in the files of other tools, read back by readers that are not ours."""
 
-import os
-import stat
-
 import numpy as np
 import pandas
 import pytest
@@ -111,45 +108,15 @@ def test_a_recording_has_the_motion_and_the_plots(run, tmp_path):
     assert path.read_bytes()[:3] == b"RRF"
 
 
-def test_the_command_writes_them_beside_the_run(run, tmp_path, capsys):
+@pytest.mark.parametrize("kind", ["csv", "parquet"])
+def test_the_command_writes_tables_without_the_scenario_and_its_blocks(run, tmp_path, kind):
     pytest.importorskip("pyarrow")
-    write_data(run, tmp_path / "run")
-    arguments = ["export", str(tmp_path / "run"), "--to", "parquet", "--signal", "tensions"]
-    assert main(arguments) == 0
-    assert (tmp_path / "run" / "signals.parquet").is_file()
-    assert capsys.readouterr().out.startswith("written: ")
-    assert main([*arguments[:2], "--to", "mcap", "--signal", "tensions"]) == 2
-    assert "--signal = ['tensions']: leave it out" in capsys.readouterr().err
-    assert main(["export", str(tmp_path), "--to", "csv"]) == 2
-    assert "give the folder of a run" in capsys.readouterr().err
-    assert main([*arguments[:4], "--signal", "tension"]) == 2
-    assert "signal = tension: give a port of the run, such as" in capsys.readouterr().err
-
-
-def test_nothing_but_a_file_of_that_kind_is_replaced(run, tmp_path, capsys):
-    folder = tmp_path / "run"
-    write_data(run, folder)
-    before = {path.name: path.read_bytes() for path in folder.iterdir()}
-    (tmp_path / "folder.csv").mkdir()
-    os.mkfifo(tmp_path / "pipe.csv")
-    for out, said in [
-        (folder / "signals.npz", "signals.npz: give a name that ends in .csv"),
-        (tmp_path / "folder.csv", "folder.csv: a folder or a device is in its place"),
-        (tmp_path / "pipe.csv", "pipe.csv: a folder or a device is in its place"),
-    ]:
-        assert main(["export", str(folder), "--to", "csv", "--out", str(out)]) == 2
-        assert said in capsys.readouterr().err
-    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
-    assert stat.S_ISFIFO((tmp_path / "pipe.csv").lstat().st_mode)
-
-
-def test_tables_need_neither_the_scenario_nor_its_blocks(run, tmp_path):
-    folder = tmp_path / "run"
-    write_data(run, folder)
-    (folder / "scenario.yaml").write_text("own: {phase: !no_such_module.Phase {}}")
-    assert main(["export", str(folder), "--to", "csv", "--signal", "tensions"]) == 0
-    columns = np.genfromtxt(folder / "signals.csv", delimiter=",", skip_header=1)
-    np.testing.assert_array_equal(columns[:, 1:], run.signal("tensions"))
+    write_data(run, tmp_path)
+    (tmp_path / "scenario.yaml").write_text("own: {phase: !no_such_module.Phase {}}")
+    assert main(["export", str(tmp_path), "--to", kind, "--signal", "tensions"]) == 0
+    file = tmp_path / f"signals.{kind}"
+    frame = pandas.read_csv(file, index_col=0) if kind == "csv" else pandas.read_parquet(file)
+    np.testing.assert_allclose(frame.to_numpy(), run.signal("tensions"), rtol=1e-15)
 
 
 @pytest.mark.parametrize("write", [write_parquet, write_mcap, write_rerun])
