@@ -138,6 +138,7 @@ def test_a_last_line_that_was_cut_short_is_dropped(tmp_path):
         assert [*write(tmp_path, keys="")] == ["a", "b"][: max(0, lines - 1)]
     path.write_bytes(content[:-3])
     assert [*write(tmp_path, keys="c")] == ["a", "c"]
+    assert [*write(tmp_path, keys="")] == ["a", "c"]
 
 
 DAMAGED = [b"x\n", b"[]\n", b'{"settings": "s"}\n3\n', b'{"settings": "s"}\n{}\n', b"\xff\n"]

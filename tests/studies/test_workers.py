@@ -17,6 +17,7 @@ BLAS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")
 
 def doubled(values):
     """Twice each value; some values stand for what may go wrong."""
+    time.sleep(0.05)
     for value in values:
         if value == "error":
             raise ValueError("no number")
