@@ -205,22 +205,6 @@ def run_line(line, capfd):
         assert words[0].endswith("pip"), f"{line}: how is it tried?"
 
 
-@pytest.mark.nightly("examples")
-def test_a_layer_of_a_page_runs_in_an_ablation(tmp_path, monkeypatch):
-    """The custom optimization layer, as a file in the current folder, and the page's command."""
-    page = "docs/howto_optimizer.md"
-    code = module_of(page, "my_optimizer.py", tmp_path, monkeypatch)
-    after = PAGES[page][PAGES[page].index(code) :]
-    command = re.search(r"drake-nonstop (ablate .*?)```", after, re.DOTALL).group(1)
-    arguments = shlex.split(command.replace("\\\n", " "))
-    assert (
-        main([*arguments, "--no-replay", "--out", "out", "--set", "simulation_duration=0.5"]) == 0
-    )
-    table = (tmp_path / "out" / "table.md").read_text()
-    assert "Faster" in table
-    assert "PaperLayer" in table
-
-
 def module_of(page, name, tmp_path, monkeypatch):
     """A module that a page has its readers save, in the current folder."""
     (code,) = [code for code in BLOCKS[page] if file_name(code) == name]

@@ -11,7 +11,6 @@ from drake_nonstop import compute_metrics, load_scenario
 from drake_nonstop.diagrams.nonstop import BOXES
 from drake_nonstop.run.outcome import RunOutcome
 from drake_nonstop.scenario.choices import PATTERNS
-from drake_nonstop.scenario.schema import DIAGRAM
 
 SHORT = load_scenario(
     "quintic", ["simulation_duration=0.1", "optimization_layer=ConstantParameters"]
@@ -63,23 +62,3 @@ def test_a_flight_is_flown_once_and_is_that_of_the_scenario(store, tmp_path, mon
     metrics, expected = stores[1].evaluated(SHORT)[1], compute_metrics(fresh)
     assert metrics["carriers"] == expected["carriers"]
     assert metrics["load"] == expected["load"]
-
-
-def test_an_engine_has_a_flight_of_its_own(store, tmp_path):
-    store.run(SHORT)
-    assert_same(store.run(SHORT, DIAGRAM), flown(SHORT, engine=DIAGRAM))
-    assert len([*tmp_path.glob("*.pickle")]) == 2
-
-
-def test_a_shared_run_cannot_be_changed(store):
-    run = store.run(SHORT)
-    with pytest.raises(ValueError, match="read-only"):
-        run.signal("load_state")[0, 0] = 1.0
-
-
-def test_an_error_of_a_flight_is_raised_and_nothing_is_kept(store, tmp_path):
-    wrong = load_scenario("quintic")
-    wrong.system.load_mass = -1.0  # checked as the loop is built
-    with pytest.raises(ValueError, match="load_mass"):
-        store.run(wrong)
-    assert not [*tmp_path.glob("*.pickle")]

@@ -5,18 +5,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers import nightly_beyond
 from numpy.typing import NDArray
 
 from drake_nonstop import (
     NlpLayer,
     NlpLayerConfig,
-    Run,
     Scenario,
     carrier_distances,
     compute_metrics,
     load_scenario,
+    simulate,
 )
-from drake_nonstop.run.simulate import simulate
 
 
 @dataclass(kw_only=True)
@@ -33,27 +33,9 @@ class Apart(NlpLayer):
         return np.concatenate([super().constraints(x, now).ravel(), apart.ravel()])
 
 
-def with_fields(scenario: Scenario, **fields: float) -> Scenario:
-    for name, value in fields.items():
-        setattr(scenario.optimization_layer, name, value)
-    return scenario
-
-
-def quintic(duration: float, **fields: float) -> Scenario:
-    """Up to s at which the limits matter; the load moves until 9 s."""
-    return with_fields(load_scenario("quintic", [f"simulation_duration={duration}"]), **fields)
-
-
-def flown(scenario: Scenario, **blocks: Any) -> Run:
-    return simulate(scenario, **blocks)
-
-
 def metrics_of(scenario: Scenario, **blocks: Any) -> dict:
-    return kept(compute_metrics(flown(scenario, **blocks)))
-
-
-def kept(metrics: dict) -> dict:
     """The metrics of a run in which every update of the optimization succeeded."""
+    metrics = compute_metrics(simulate(scenario, **blocks))
     assert metrics["carriers"]["time_below_bound_s"] == 0
     assert metrics["optimizer"]["relaxed"] == metrics["optimizer"]["held"] == 0
     return metrics
@@ -67,35 +49,35 @@ def test_a_constraint_on_distances_keeps_the_carriers_apart():
     assert apart["carriers"]["separation_min_m"] >= 0.8
 
 
-def test_min_tension_keeps_every_cable_above_it(evaluated):
-    run, free = evaluated("quintic")
-    kept(free)
-    assert run.steps["tensions"][run.steps["time"] <= 8].min() < 2.55
-    taut = metrics_of(quintic(8.0, min_tension=2.6))
-    assert taut["cables"]["tension_min_N"] >= 2.6
-
-
-@pytest.mark.nightly("flights")
-def test_max_tension_keeps_every_cable_below_it(evaluated):
-    _, free = evaluated("quintic")
-    assert kept(free)["cables"]["tension_max_N"] > 2.9
-    spared = metrics_of(quintic(15.0, max_tension=2.85))
-    assert spared["cables"]["tension_max_N"] <= 2.85
-
-
-def test_max_speed_keeps_every_carrier_below_it():
-    free = metrics_of(quintic(5.0, speed_bound=0.25))
-    assert free["carriers"]["speed_max_m_s"] > 0.98
-    slow = metrics_of(quintic(5.0, speed_bound=0.25, max_speed=0.95))
-    assert slow["carriers"]["speed_max_m_s"] <= 0.95
+@pytest.mark.parametrize(
+    ("limit", "value", "part", "metric", "others"),
+    nightly_beyond(
+        2,
+        "flights",
+        [  # with the time until which the load moves
+            ("max_speed", 0.95, "carriers", "speed_max_m_s", (5, "speed_bound=0.25")),
+            ("min_tension", 2.6, "cables", "tension_min_N", (8, "speed_bound=0.55")),
+            ("max_tension", 2.85, "cables", "tension_max_N", (15, "speed_bound=0.55")),
+        ],
+    ),
+)
+def test_a_limit_is_kept_that_is_missed_without_it(limit, value, part, metric, others):
+    duration, bound = others
+    changes = [f"simulation_duration={duration}", f"optimization_layer.{bound}"]
+    free = metrics_of(load_scenario("quintic", changes))[part][metric]
+    limited = load_scenario("quintic", [*changes, f"optimization_layer.{limit}={value}"])
+    kept = metrics_of(limited)[part][metric]
+    sign = 1 if "max" in limit else -1
+    assert sign * free > sign * value + 0.03
+    assert sign * kept <= sign * value
 
 
 def test_rates_of_the_parameters_stay_within_their_limits():
     limits = {"max_frequency_rate": 1.0, "max_amplitude_rate": 0.2}
-    run = flown(quintic(5.0, **limits))
+    changes = [f"optimization_layer.{name}={value}" for name, value in limits.items()]
+    run = simulate(load_scenario("quintic", ["simulation_duration=5", *changes]))
     parameters, largest = run.signal("parameters"), np.array(list(limits.values()))
-    steps = np.abs(np.diff(parameters, axis=0))
-    assert np.any(steps > 0)
+    assert np.any(np.abs(np.diff(parameters, axis=0)) > 0)
     assert np.all(np.abs(run.signal("plan")[:, 3:5]) <= largest * (1 + 1e-6))
     # By rounding, an interval of the log may hold two samples or none.
     assert np.all(np.abs(parameters[2:] - parameters[:-2]) <= 0.03 * largest * (1 + 1e-6))

@@ -37,27 +37,3 @@ def test_spread_carousel_flies_any_number_of_carriers_apart(n, fleet):
     at_rest = (run.time <= 5) | (run.time >= 60)
     assert np.mean(error[at_rest]) <= 0.02
     assert np.linalg.norm(run.signal("load_state")[-1, 4:7] - [100, 0, 10]) <= 0.02
-
-
-@pytest.mark.nightly("flights")
-def test_without_the_optimization_carriers_are_too_slow():
-    scenario = load_scenario(
-        "real_scale_spread", ["optimization_layer=ConstantParameters", "simulation_duration=12"]
-    )
-    carriers = compute_metrics(simulate(scenario))["carriers"]
-    assert carriers["speed_bound_m_s"] == 8
-    assert carriers["speed_min_m_s"] < 7.5
-    assert carriers["time_below_bound_s"] > 1
-
-
-@pytest.mark.parametrize(
-    ("name", "carriers_meet", "cables_cross"),
-    [("real_scale_cycle", True, True), ("real_scale_carousel", False, True)],
-)
-def test_other_patterns_bring_carriers_or_cables_together(
-    name, carriers_meet, cables_cross, evaluated
-):
-    _, metrics = evaluated(name)
-    assert metrics["carriers"]["time_below_bound_s"] == 0
-    assert (metrics["carriers"]["separation_min_m"] < 0.5) == carriers_meet
-    assert (metrics["cables"]["separation_min_m"] < 0.05) == cables_cross
