@@ -14,6 +14,7 @@ from pydrake.systems.framework import Context, Diagram
 
 from drake_nonstop import Model, ScenarioError, load_scenario, make_nonstop
 from drake_nonstop.diagrams.nonstop import BOXES
+from drake_nonstop.mechanics.signals import HELD
 from drake_nonstop.systems.documentation import own_config_class
 
 VARIANTS: dict[str, tuple[str, Any]] = {
@@ -67,12 +68,18 @@ class Case(NamedTuple):
         return f"{self.kind.__name__}{own}-{'sampled' if self.is_sampled else 'continuous'}"
 
 
+def _samplings(kind: Any) -> tuple[bool, ...]:
+    """Whether controllers are sampled: both, of a block that differs with it."""
+    reads_samples = any(name == "sample_time" or name.startswith(HELD) for name in kind.reads)
+    return (False, True) if kind.is_sampled or reads_samples else (True,)
+
+
 CASES = [
     Case(box, kind, fields, is_sampled)
     for box, kind in VARIANTS.values()
     for fields in ({}, LIVELY.get(kind.__name__))
     if fields is not None
-    for is_sampled in (False, True)
+    for is_sampled in _samplings(kind)
 ]
 _MODELS = ("quintic", "aircraft_rest", "aircraft_co_rotating")  # the first that fits
 

@@ -199,6 +199,7 @@ def test_carousel_over_a_resting_load_in_closed_form(n):
 AIRCRAFT = ["simulation_duration=0.2", "carrier_trajectory=!BowedCarrierTrajectory {nodes: 2}"]
 
 
+@pytest.mark.slow
 def test_references_on_lines_without_mass_and_drag_are_straight():
     """At the start of a turning load, and of one that is carried."""
     for name, allowed in (("aircraft_co_rotating", 1e-8), ("aircraft_transfer", 2e-4)):
@@ -223,6 +224,7 @@ def turning_path():
     return PiecewisePolynomial([np.array([[Polynomial(row)] for row in rows])], [0.0, 3.0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("changes", [[], ["optimization_layer=ConstantParameters"]])
 def test_flown_references_have_the_differences_of_those_below_as_rates(changes):
     """Of sixth order, before the first replan; on a load that turns faster and faster."""

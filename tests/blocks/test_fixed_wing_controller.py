@@ -10,6 +10,7 @@ from drake_nonstop.systems.compiled_flight import sample_times
 from drake_nonstop.systems.wiring import input_names
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("samples", [0, 1, 2, 15, 16])
 def test_the_command_that_is_held_is_that_of_the_plan_at_its_own_sample(samples):
     """The observer, whose state steps at the sample, is left out."""

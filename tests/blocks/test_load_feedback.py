@@ -130,6 +130,7 @@ def wandering(count, config):
     return errors
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("delay", [0.0, 0.05])
 def test_errors_of_a_long_record_have_the_covariance_that_is_told(delay):
     """Beside a reference that moves, with measurements that are late, and rates that are noisy."""

@@ -105,6 +105,7 @@ def test_at_one_phase_of_a_load_on_its_reference_it_is_the_paper_s_layer(seed, s
     assert told.speed_margin == pytest.approx(0.01 * bound, abs=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ahead", nightly_beyond(1, "studies", [0.05, 0.0]))
 def test_along_the_orbit_it_keeps_every_carrier_above_the_bound_of_first_principles(ahead):
     inputs = on_its_reference(2)

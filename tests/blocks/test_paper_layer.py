@@ -67,6 +67,7 @@ def test_solution_over_a_square_at_rest_is_the_global_optimum(excess):
     assert cost(frequency, amplitude) == pytest.approx(cheapest, rel=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", ["snopt", "ipopt"])
 @pytest.mark.parametrize(("seed", "slope"), [(1, 0.0), (2, 3.0), (5, 0.0)])
 def test_solution_is_the_cheapest_above_the_bound_of_first_principles(seed, slope, solver, rng):

@@ -109,6 +109,7 @@ def _sizes(block):
     return {port.get_name(): port.size() for port in ports}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "changes",
     nightly_beyond(1, "flights", [([],), (HORIZON,), ([*LUMPED, "system.cable_diameter=0.003"],)]),

@@ -55,6 +55,7 @@ def dryden_spectrum(k, x):
 
 
 class TestGusts:
+    @pytest.mark.slow
     def test_spectra_are_drydens(self):
         """From a twentieth of a wave in the time constant to 10 Hz, where 64 waves left gaps."""
         times, count = np.array([3.0, 2.0, 1.5]), 1 << 13

@@ -119,6 +119,7 @@ def test_wrench_rate_without_feedforward_is_the_difference_of_the_wrench(gain):
     np.testing.assert_allclose(rate, expected, rtol=0, atol=RATE_TOLERANCE)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("gains", "feedforward"),
     nightly_beyond(2, "studies", [(NO_GAINS, 1.0), (GAINS, 0.5), (NO_GAINS, 0.5), (GAINS, 1.0)]),

@@ -65,6 +65,7 @@ def test_what_is_declared_is_what_there_is(n, kind, factor):
         assert number(rates[0]) == pytest.approx(factor * 0.5 / model(n).load.mass, rel=1e-14)
 
 
+@pytest.mark.slow
 def test_it_flies_in_both_engines_with_parameters_of_the_context():
     scenario = load_scenario("quintic", SETTINGS)
     runs = [

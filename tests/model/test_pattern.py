@@ -260,6 +260,7 @@ def co_rotating(**changes):
     return dataclasses.replace(parse_scenario(textwrap.dedent(text)), **changes)
 
 
+@pytest.mark.slow
 def test_co_rotating_formation_flies_as_its_closed_form_says():
     run = simulate(co_rotating())
     share, length = 98.1 / 4, 60.0

@@ -145,6 +145,7 @@ def with_limit(field, value):
     return points_problem("spread-7", system=system, horizon=horizon, **NO_LIMITS | fields)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("field", "value"), (KEPT_BY_POINTS | KEPT_BY_AIRCRAFT).items())
 def test_a_plan_keeps_a_limit_that_the_plan_without_it_exceeds(field, value):
     """Also between instants, but for the tightening."""
@@ -185,6 +186,7 @@ def test_limits_that_exclude_each_other_give_a_finite_plan_that_prefers_the_spee
     assert above > max(below, 1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["cycle-3", "aircraft"])
 def test_all_solvers_find_the_same_steps(name):
     """Of recorded programs cost and constraints are equal."""

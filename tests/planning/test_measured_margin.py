@@ -85,6 +85,7 @@ def flown(name, *overrides):
     return RunQuantities(run)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "override"), nightly_beyond(2, "studies", wrong_models()))
 def test_carriers_stay_above_the_bound_where_the_model_is_wrong(name, override):
     quantities = flown(name, override)

@@ -115,6 +115,7 @@ def test_check_flies_them_in_seeds_and_once_without_them():
     assert len({*values}) == 3
 
 
+@pytest.mark.slow
 def test_the_command_flies_what_is_drawn_in_each_seed(tmp_path, capsys):
     short = ["simulation_duration=0.5", "optimization_layer=ConstantParameters"]
     arguments = ["check", "quintic", "--seeds", "3", "--out", str(tmp_path), "--set", *short]
@@ -124,6 +125,7 @@ def test_the_command_flies_what_is_drawn_in_each_seed(tmp_path, capsys):
     assert load_scenario(tmp_path / "scenario.yaml").errors == "rough"
 
 
+@pytest.mark.slow
 def test_a_study_takes_them_as_a_factor():
     short = ["simulation_duration=0.5", "optimization_layer=ConstantParameters"]
     factors = {"errors": ["none", "light", "rough"]}
