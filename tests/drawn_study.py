@@ -5,7 +5,7 @@ core.
 """
 
 import argparse
-import gc
+import multiprocessing
 import sys
 import warnings
 from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
@@ -15,18 +15,20 @@ import numpy as np
 import pandas as pd
 from drawn_tasks import aircraft_task, carriers_task
 
+from drake_nonstop import (
+    Run,
+    RunOutcome,
+    RunStopped,
+    Scenario,
+    ScenarioError,
+    ScenarioWarning,
+    read_grid,
+    simulate,
+)
 from drake_nonstop.mechanics.signals import SIGNAL_PERIOD, Parameters, PlannedParameters
-from drake_nonstop.run.outcome import LIMITS, RunOutcome
-from drake_nonstop.run.run import Run
+from drake_nonstop.run.outcome import LIMITS
 from drake_nonstop.run.run_quantities import RunQuantities
 from drake_nonstop.scenario.overrides import changed
-from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.studies.attempts import COMPLETED, FAILED, attempts
-from drake_nonstop.studies.presets import read_grid
-from drake_nonstop.studies.workers import SerialExecutor, results_of
-from drake_nonstop.systems.block import release
-from drake_nonstop.validation import ScenarioWarning
-from drake_nonstop.view.progress import TaskProgress
 
 TASKS: dict[str, Callable[[int], Scenario]] = {
     "carriers": carriers_task,
@@ -90,20 +92,19 @@ def fly(tasks: str, seed: int, condition: str, overrides: Sequence[str]) -> dict
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ScenarioWarning)
         scenario = scenario_of(tasks, seed, condition, overrides)
-        _, tried = next(attempts([(scenario, {})]))
-    if tried.run is None:
-        return {"ending": tried.ending, "outcome": "", "message": tried.message}
-    wrong = _wrong(RunQuantities(tried.run), _JUDGED_BY[tasks])
-    result = {
-        "ending": tried.ending,
+        try:
+            run = simulate(scenario)
+        except ScenarioError as error:
+            return {"ending": "refused", "outcome": "", "message": str(error)}
+        except RunStopped as stopped:
+            run = stopped.run
+    wrong = _wrong(RunQuantities(run), _JUDGED_BY[tasks])
+    return {
+        "ending": "stopped" if run.stopped else "completed",
         "outcome": next((outcome.value for outcome in RunOutcome if outcome in wrong), "ok"),
         "message": "; ".join(wrong.values()),
-        **figures_of(tried.run),
+        **figures_of(run),
     }
-    release(tried.run.diagram)
-    del tried
-    gc.collect()
-    return result
 
 
 def _wrong(run: RunQuantities, outcomes: Collection[RunOutcome]) -> dict[RunOutcome, str]:
@@ -164,21 +165,12 @@ def flown(
     *,
     is_serial: bool = False,
 ) -> dict[Any, dict[str, Any]]:
-    """The results of a function by the keys of its calls, each call in a process."""
-    found: dict[Any, dict[str, Any]] = {}
-    batches = [[(key, function, arguments)] for key, arguments in calls.items()]
-    with TaskProgress() as progress:
-        executor = SerialExecutor() if is_serial else None
-        for ((key, *_),), results in results_of(_each, batches, executor):
-            is_failed = isinstance(results, str)
-            failed = {"ending": FAILED, "outcome": "", "message": results}
-            found[key] = failed if is_failed else results[0]
-            progress("flying", len(found) / len(batches))
-    return found
-
-
-def _each(calls: list[tuple[Any, Callable[..., dict[str, Any]], tuple[Any, ...]]]) -> list[Any]:
-    return [function(*arguments) for _, function, arguments in calls]
+    """The results of a function by the keys of its calls, in a process per core."""
+    if is_serial:
+        return {key: function(*arguments) for key, arguments in calls.items()}
+    # A process flies a few: diagrams of Python's systems stay in its memory.
+    with multiprocessing.get_context("forkserver").Pool(maxtasksperchild=10) as pool:
+        return dict(zip(calls, pool.starmap(function, calls.values(), chunksize=1), strict=True))
 
 
 def study(
@@ -211,8 +203,8 @@ def table(rows: pd.DataFrame) -> str:
     base = rows.loc[names[0]]
     for name in names:
         own = rows.loc[name]
-        whole = own.ending == COMPLETED
-        both = whole & (base.ending == COMPLETED)
+        whole = own.ending == "completed"
+        both = whole & (base.ending == "completed")
         peaks = own.peak[both] / base.peak[both]
         squares = own.speed_squared[both].sum() / base.speed_squared[both].sum()
         errors = own.position_error[whole]
