@@ -97,6 +97,7 @@ def test_new_contexts_start_in_trim(loop):
     assert np.all(shown.lift < 0.8 * 1.4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stops", [True, False])
 def test_a_run_goes_on_to_its_first_stall(stops):
     """The second aircraft is told to pull up, and stalls within the half second."""

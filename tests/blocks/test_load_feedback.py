@@ -60,6 +60,7 @@ def test_noise_has_the_deviations_that_were_asked_for_and_repeats():
     assert not np.array_equal(noisy[0], measured(config, times[:1], still[:1])[0])
 
 
+@pytest.mark.slow
 def test_a_delayed_state_is_that_of_so_many_samples_ago():
     """In the loop: what the controllers hold is what the load was N periods before."""
     for periods in (1, 3):

@@ -166,6 +166,7 @@ TOLD = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "overrides", "told", "remedy"), TOLD)
 def test_what_a_user_may_not_expect_is_told_once(name, overrides, told, remedy):
     with pytest.warns(ScenarioWarning) as warned:

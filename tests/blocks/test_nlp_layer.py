@@ -205,6 +205,7 @@ class Banked(NlpLayer):
         return flight_margins(self.model, limits, *self.prediction(x, now)[1:])
 
 
+@pytest.mark.slow
 def test_a_limit_of_the_bank_is_kept_on_a_level_circle():
     own = model_of_aircraft()
     config = NlpLayerConfig(frequency=0.3, amplitude=4.0, amplitude_bounds=[3.999, 4.001])

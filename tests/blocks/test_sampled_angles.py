@@ -17,6 +17,7 @@ def told_of(yaws):
     return " ".join(str(warning.message) for warning in told)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("yaws", "words"),
     [

@@ -125,6 +125,7 @@ def test_cables_of_five_lengths_carry_an_l_shaped_load_as_well_as_equal_ones(cha
     assert np.all(unlike < 1.5 * alike + 1e-6)
 
 
+@pytest.mark.slow
 def test_references_are_at_the_ends_of_cables_of_their_own_length():
     """p = p_L + R b + (L + T/K) f/T (eq. 1)."""
     stiffness = [400.0, 500.0, 600.0, 700.0, 800.0]

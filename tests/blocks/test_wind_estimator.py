@@ -52,6 +52,7 @@ def test_an_anemometer_tells_the_wind_at_the_load_and_that_of_each_carrier_beyon
     np.testing.assert_allclose(gusts, (1 - np.exp(-2)) * winds - expected, atol=0.04)
 
 
+@pytest.mark.slow
 def test_noise_of_an_anemometer_passes_with_its_time_constant():
     """White noise ν held for samples of h leaves ν² h/(2 T), for h much below T (Lyapunov)."""
     fields = {"time_constant": 1.0, "noise": 0.5, "airspeed_noise": 0.0, "seed": 4}
@@ -69,6 +70,7 @@ def test_noise_of_an_anemometer_passes_with_its_time_constant():
     assert np.std(found) == pytest.approx(expected, rel=0.15)
 
 
+@pytest.mark.slow
 def test_a_loop_starts_with_what_its_carriers_observe():
     """The estimate at t = 0 is the carriers' mean wind, and repeats to the bit."""
     overrides = ["wind_estimator=WindObserver", "simulation_duration=0.4"]

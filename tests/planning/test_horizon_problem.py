@@ -45,6 +45,7 @@ def coefficients_of(name):
     return drawn_coefficients(problem, 6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_gradients_of_all_margins_are_central_differences(name):
     problem, data = example(name), data_of(name)

@@ -86,6 +86,7 @@ def least_speed(system, plan, reference, start, end, step=0.007):
     return np.linalg.norm(places[2:] - places[:-2], axis=-1).min() / (2 * step)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", nightly_beyond(1, "studies", ["quintic", "line"]))
 def test_the_best_plan_of_a_task_keeps_the_bound_between_instants_too(name):
     system, bound, reference, _ = paper_task(name)

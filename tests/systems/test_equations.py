@@ -102,6 +102,7 @@ def own_block(function):
     return type("Shows", (Own,), {"equations": staticmethod(function), "__module__": __name__})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("function", "remedy"), BAD.items(), ids=lambda bad: getattr(bad, "__name__", "")
 )
@@ -138,6 +139,7 @@ def test_constants_that_cannot_be_pickled_are_taken_and_shared_with_none():
     assert loop.GetSubsystemByName("own").equations_of_block.key is None
 
 
+@pytest.mark.slow
 def test_a_layer_may_show_its_state_alone():
     class Shows(Own):
         reads, is_sampled, state_ports = ("load_state",), True, ("shown",)

@@ -125,6 +125,7 @@ def calls(x, t, p, row):
 CASES = [(all_operations, casadi.SX), (calls, casadi.MX)]
 
 
+@pytest.mark.slow
 @needs_compiler
 @pytest.mark.parametrize(("make", "kind"), CASES)
 def test_all_operations_give_the_bits_of_the_virtual_machine_in_lanes_too(make, kind):
@@ -150,6 +151,7 @@ def test_all_operations_give_the_bits_of_the_virtual_machine_in_lanes_too(make, 
         assert_same_bits([flights[k][1], *shown[2]], [expected[1], *shown[1]])
 
 
+@pytest.mark.slow
 @needs_compiler
 @pytest.mark.parametrize("place", ["shown", "steps", "state", "times"])
 def test_a_flight_ends_before_what_is_not_finite_and_other_lanes_go_on(place):
