@@ -97,7 +97,7 @@ $(VENV)/.installed: pyproject.toml | $(VENV)/bin/python
 	@touch $@
 
 $(VENV)/.installed-dev: pyproject.toml | $(VENV)/bin/python
-	$(BIN)/pip install --quiet --editable '.[dev]'
+	$(BIN)/pip install --quiet --editable '.[dev,mutants]'
 	@touch $@ $(VENV)/.installed
 
 # In an environment of its own, with the oldest Python that is found.

@@ -4,6 +4,8 @@ import queue
 
 import pytest
 
+pytest.importorskip("cosmic_ray")  # it is not where the lowest versions are tried
+
 from mutants import faults
 from mutants.__main__ import examined, files_of, summary
 from mutants.faults import ROOT, chosen_faults, drawn_faults
