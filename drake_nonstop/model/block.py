@@ -180,7 +180,7 @@ class Block(EquationBlock):
     unconnected: ClassVar[Mapping[str, float]] = {}
     state_ports: ClassVar[tuple[str, ...]] = ()
     start: ClassVar[Callable | None] = None
-    equations: ClassVar[Callable | None] = None
+    equations: Any = None
     reads_time = makes_next_state = is_joint = False
 
     def __init_subclass__(cls) -> None:
