@@ -27,11 +27,15 @@ def add_trust(
     parser.add_argument("--trust", action="store_true", help=about)
 
 
-def add_scenario(parser: argparse.ArgumentParser, folder: str = "out/NAME") -> None:
-    """Adds the scenario, --out, whose default the help names, --set and --trust."""
+def add_scenario(parser: argparse.ArgumentParser, folder: str | None = "out/NAME") -> None:
+    """Adds the scenario, --set and --trust, and --out, whose default the help names.
+
+    A command whose `folder` is None writes nothing.
+    """
     parser.add_argument("scenario", metavar="NAME|FILE.yaml", help="a scenario's name or file")
-    parser.add_argument("--out", type=Path, metavar="DIR", help=f"results' folder ({folder})")
-    parser.set_defaults(default_folder=Path(folder).parent, restart=False)
+    if folder is not None:
+        parser.add_argument("--out", type=Path, metavar="DIR", help=f"results' folder ({folder})")
+        parser.set_defaults(default_folder=Path(folder).parent, restart=False)
     add_changes(parser, "--set", "change the scenario: system.load_mass=1.2, phase=PaperPhase")
     add_trust(parser, "let it import blocks of your own, such as phase=my_blocks.MyPhase")
 

@@ -3,7 +3,7 @@
 import argparse
 
 from drake_nonstop.analysis.stability import linearize
-from drake_nonstop.cli.arguments import Commands, add_changes, add_trust, read_scenario
+from drake_nonstop.cli.arguments import Commands, add_scenario, read_scenario
 from drake_nonstop.systems.tracing import NotFiniteError
 from drake_nonstop.validation import ScenarioError
 from drake_nonstop.view.progress import TaskProgress
@@ -13,9 +13,7 @@ def add_to(commands: Commands) -> None:
     """Adds the subcommand."""
     parser = commands.add_parser("stability")
     parser.set_defaults(action=_stability)
-    parser.add_argument("scenario", metavar="NAME|FILE.yaml", help="a scenario's name or file")
-    add_changes(parser, "--set", "change the scenario: system.load_mass=1.2, phase=PaperPhase")
-    add_trust(parser)
+    add_scenario(parser, None)
 
 
 def _stability(options: argparse.Namespace) -> int:
