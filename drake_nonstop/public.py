@@ -16,6 +16,7 @@ from drake_nonstop.scenario.loading import (
     dump_scenario as dump_scenario,
     scenario_names as scenario_names,
 )
+from drake_nonstop.scenario.overrides import changed as changed
 from drake_nonstop.scenario.run_limits import RunLimits as RunLimits
 from drake_nonstop.scenario.scene_config import SceneConfig as SceneConfig
 from drake_nonstop.model.aircraft import AircraftParameters as AircraftParameters
@@ -112,6 +113,8 @@ from drake_nonstop.run.make_gym_env import (
 )
 from drake_nonstop.run.outcome import RunOutcome as RunOutcome
 from drake_nonstop.analysis.aircraft_margins import aircraft_margins as aircraft_margins
+from drake_nonstop.analysis.stability import linearize as linearize
+from drake_nonstop.analysis.verdict import check_scenario as check_scenario
 
 # Compared, designed.
 from drake_nonstop.studies.results_folder import write_results as write_results

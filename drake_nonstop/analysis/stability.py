@@ -105,6 +105,9 @@ def linearize(
 ) -> Stability:
     """The Floquet multipliers of a scenario's loop around the motion of a resting load.
 
+    They are what `drake-nonstop stability` prints: `largest`, `is_stable`, and the growth `rate` in
+    1/s of the least stable mode.
+
     The compiled loop is differentiated, with its sampled controllers, delays and integrator. The
     map from one sample to the next is found at some phases of a turn and interpolated between
     them; the product of these Jacobians is the map of a whole turn (own derivation). The phase is

@@ -22,7 +22,7 @@ from drake_nonstop.analysis.stability import Stability, linearize
 from drake_nonstop.analysis.stated_errors import is_random, with_seed, without_errors
 from drake_nonstop.analysis.task import Task, task_of
 from drake_nonstop.run.outcome import RunOutcome
-from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.scenario.schema import Scenario, check
 from drake_nonstop.systems.tracing import NotFiniteError
 from drake_nonstop.validation import ScenarioError, finite, require
 
@@ -221,7 +221,7 @@ def check_scenario(
     tries_remedies: bool = True,
     progress: Progress = lambda what, share: None,
 ) -> ScenarioCheck:
-    """Flies a scenario as it states, and explains what becomes of it.
+    """Flies a scenario as it states, and explains what becomes of it: `drake-nonstop check`.
 
     Where it has random numbers it is flown in several seeds, its own first; where it states errors
     at all, also without them. All flights go side by side.
@@ -236,6 +236,7 @@ def check_scenario(
         ScenarioError: the scenario cannot be built, or no number of seeds is given.
         KeyboardInterrupt: Ctrl-C.
     """
+    check(scenario)
     is_count = isinstance(seeds, int) and 1 <= seeds <= _MOST_SEEDS
     require(is_count, "seeds", seeds, f"give a whole number from 1 to {_MOST_SEEDS}")
     stated = flights_of(scenario, seeds)
