@@ -103,6 +103,7 @@ from drake_nonstop.run.run import (
     Run as Run,
     RunStopped as RunStopped,
     RunInterrupted as RunInterrupted,
+    RunsInterrupted as RunsInterrupted,
     StepAction as StepAction,
 )
 from drake_nonstop.run.recording import LogSignals as LogSignals
