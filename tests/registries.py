@@ -1,5 +1,7 @@
 """The rows of the package's own tables, for contracts that run over all of them.
 
+`BOXES` has the blocks of each box, `CHOICES` their configs and those of patterns.
+
 A new variant of a box is tested by being listed in the box's `VARIANTS`. Where its defaults leave
 a state, noise or a port out, a row of `LIVELY` brings them in; where it does not fly alone in the
 loop of "quintic", a row of `LOOPS` names the scenario and the blocks that it flies with.
@@ -13,12 +15,17 @@ import numpy as np
 from pydrake.systems.framework import Context, Diagram
 
 from drake_nonstop import Model, ScenarioError, load_scenario, make_nonstop
-from drake_nonstop.diagrams.nonstop import BOXES
+from drake_nonstop.diagrams.nonstop import BOXES as BOXES
 from drake_nonstop.mechanics.signals import HELD
-from drake_nonstop.systems.documentation import own_config_class
+from drake_nonstop.scenario.choices import CHOICES as CHOICES
 
 VARIANTS: dict[str, tuple[str, Any]] = {
     f"{box}-{kind.__name__}": (box, kind) for box in BOXES for kind in BOXES[box].variants
+}
+CONFIGS = {
+    kind: config
+    for box in BOXES.values()
+    for kind, config in zip(box.variants, box.configs, strict=True)
 }
 NOISE = {"position_noise": 0.01, "orientation_noise": 0.01, "velocity_noise": 0.01, "delay": 0.04}
 
@@ -51,6 +58,11 @@ LOOPS: dict[str, tuple[str, list[str]]] = {
     ),
     "PlannedTurn": ("quintic", ["simulator_config.max_step_size=0.0025"]),
 }
+
+
+def block_name(config: type) -> str:
+    """The block's name in a scenario: X of XConfig."""
+    return config.__name__.removesuffix("Config")
 
 
 class Case(NamedTuple):
@@ -106,7 +118,7 @@ def made(case: Case) -> tuple[Any, str]:
 @functools.cache
 def _made(kind: Any, case_name: str) -> tuple[Any, str]:
     case = next(case for case in CASES if case.kind is kind and case.name == case_name)
-    config = own_config_class(kind)(**case.fields)
+    config = CONFIGS[kind](**case.fields)
     for name in _MODELS:
         try:
             return kind(_model_in(name, case.is_sampled), config), name

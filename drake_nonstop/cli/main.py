@@ -42,6 +42,7 @@ def main(arguments: list[str] | None = None) -> int:
         if arguments is not None:
             return _ended(_main(arguments, interruption), interruption)
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # matrices are small, processes several
+        os.environ["MPLBACKEND"] = "agg"  # figures are files, and a backend may not be installed
         for stream in (sys.stdout, sys.stderr):
             if stream is not None:  # characters that a terminal does not have are no errors
                 stream.reconfigure(errors="replace")  # type: ignore[union-attr]

@@ -4,21 +4,14 @@ import os
 
 from hypothesis import HealthCheck, Phase, settings
 
+COUNT = os.environ.get("ADVERSARY_COUNT")
+few = {"derandomize": True, "phases": [Phase.explicit, Phase.generate], "max_examples": 12}
+many = {"derandomize": False, "print_blob": True, "max_examples": int(COUNT or 0) or 200}
 settings.register_profile(
-    "few",
-    max_examples=12,
+    "adversary",
     deadline=None,
-    derandomize=True,
     database=None,
-    phases=[Phase.explicit, Phase.generate],
     suppress_health_check=list(HealthCheck),
+    **(many if COUNT else few),
 )
-settings.register_profile(
-    "many",
-    settings.get_profile("few"),
-    max_examples=int(os.environ.get("ADVERSARY_COUNT", "200")),
-    derandomize=False,
-    phases=[*Phase],
-    print_blob=True,
-)
-settings.load_profile("many" if "ADVERSARY_COUNT" in os.environ else "few")
+settings.load_profile("adversary")

@@ -1,14 +1,16 @@
 """Strategies for bad and extreme values, and for the fields of scenarios that they are put at."""
 
+import dataclasses
 import math
+import types
+import typing
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 from hypothesis import strategies as st
+from registries import CHOICES, block_name
 
 from drake_nonstop import AircraftParameters, RunLimits, SceneConfig, SystemParameters
-from drake_nonstop.scenario.choices import CHOICES, block_name
-from drake_nonstop.scenario.fields import fields_of
 
 SHORT = "simulation_duration=0.02"
 
@@ -59,10 +61,9 @@ def as_yaml(value: Any) -> str:
         return str(value).lower()
     if isinstance(value, float) and not math.isfinite(value):
         return ".nan" if value != value else ".inf" if value > 0 else "-.inf"
-    if isinstance(value, int):
-        digits = hex(value)  # what has too many digits for `str` is written as a float is
-        return f"{'-' * (value < 0)}1{'0' * 5000}" if len(digits) > 3000 else str(value)
-    return str(value) if isinstance(value, (float, str)) else "null"
+    if isinstance(value, int) and value.bit_length() > 10_000:  # too many digits for `str`
+        return f"{'-' * (value < 0)}1{'0' * 5000}"
+    return "null" if value is None else str(value)
 
 
 VALUES = st.one_of(
@@ -74,10 +75,10 @@ VALUES = st.one_of(
 
 
 class Field(NamedTuple):
-    """A declared field: how a change of it is written, its type, its default, and a scenario."""
+    """A declared field: the change that gives it a value {}, its types, its default, a scenario."""
 
-    form: str  # with {} for the value
-    kind: Any
+    form: str
+    kinds: set[Any]
     default: Any
     scenario: str = "quintic"
 
@@ -87,22 +88,25 @@ class Field(NamedTuple):
 
 
 def _declared() -> Iterator[Field]:
-    parts: dict[str, Any] = {"limits": RunLimits, "scene": SceneConfig, "system": SystemParameters}
-    for name, config in (*parts.items(), ("simulated", SystemParameters)):
-        for field, kind in fields_of(config).items():
-            yield Field(f"{name}.{field}={{}}", kind, getattr(config(), field))
-    aircraft = AircraftParameters(model="rascal_110")
-    for field, kind in fields_of(AircraftParameters).items():
-        form, value = f"system.aircraft.{field}={{}}", getattr(aircraft, field)
-        yield Field(form, kind, value, "aircraft_rest")
+    owners = {
+        "limits.NAME={}": RunLimits(),
+        "scene.NAME={}": SceneConfig(),
+        "system.NAME={}": SystemParameters(),
+        "simulated.NAME={}": SystemParameters(),
+        "system.aircraft.NAME={}": AircraftParameters(model="rascal_110"),
+    }
     for box, configs in CHOICES.items():
-        for config in configs:
-            for field, kind in fields_of(config).items():
-                form = f"{box}=!{block_name(config)} {{{field}: {{}}}}"
-                yield Field(form, kind, getattr(config(), field))
-    plain = ("control_period", 0.01, float), ("random_seed", 0, int), ("engine", "auto", str)
-    for field, default, kind in (*plain, ("simulator_config.max_step_size", 0.1, float)):
-        yield Field(f"{field}={{}}", kind, default)
+        owners |= {f"{box}=!{block_name(kind)} {{NAME: {{}}}}": kind() for kind in configs}
+    for form, owner in owners.items():
+        hints = typing.get_type_hints(type(owner))
+        scenario = "aircraft_rest" if ".aircraft." in form else "quintic"
+        for name in (field.name for field in dataclasses.fields(owner)):
+            kind = hints[name]
+            kinds = {*typing.get_args(kind)} if isinstance(kind, types.UnionType) else {kind}
+            yield Field(form.replace("NAME", name), kinds, getattr(owner, name), scenario)
+    for name, default in (("control_period", 0.01), ("random_seed", 0), ("engine", "auto")):
+        yield Field(f"{name}={{}}", {type(default)}, default)
+    yield Field("simulator_config.max_step_size={}", {float}, 0.1)
 
 
 FIELDS = [*_declared()]
