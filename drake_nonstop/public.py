@@ -127,6 +127,7 @@ from drake_nonstop.studies.presets import (
     read_grid as read_grid,
 )
 from drake_nonstop.studies.workers import SerialExecutor as SerialExecutor
+from drake_nonstop.studies.journal import StudyInterrupted as StudyInterrupted
 from drake_nonstop.studies.design import design as design
 from drake_nonstop.studies.design_request import (
     read_request as read_request,
@@ -144,3 +145,7 @@ from drake_nonstop.view.meshcat_server import start_meshcat as start_meshcat
 from drake_nonstop.view.live import run_live as run_live
 from drake_nonstop.view.replay import record_replay as record_replay
 from drake_nonstop.view.video import record_video as record_video
+from drake_nonstop.view.progress import (
+    TaskProgress as TaskProgress,
+    RunProgress as RunProgress,
+)

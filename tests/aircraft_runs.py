@@ -7,7 +7,6 @@ from drake_nonstop.mechanics.aircraft import flight_needs, needed_force
 from drake_nonstop.model.aircraft import AircraftParameters
 from drake_nonstop.model.system import SystemParameters, aircraft_in
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.view.bodies import Snapshot
 
 LOAD_MASS, ATTACHMENTS_RADIUS, CABLE_LENGTH = 10.0, 1.5, 150.0  # kg, m, m
 FREQUENCY = 0.595  # rad/s
@@ -86,19 +85,4 @@ def aircraft_run(duration=11.0, wind=(0.0, 0.0, 0.0), velocity=(0.0, 0.0, 0.0)):
         },
         solve_times=np.zeros(0),
         wall_time=1.0,
-    )
-
-
-def instant_of(run, row):
-    """A sample of a run."""
-    return Snapshot.from_signals(
-        run.time[row],
-        speed_bound=np.zeros(1),
-        **{
-            name: run.signal(name)[row]
-            for name in (
-                *("load_state", "reference", "carrier_state", "tensions"),
-                *("aircraft_state", "wind"),
-            )
-        },
     )

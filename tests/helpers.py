@@ -247,6 +247,7 @@ def circling_run(n=4, duration=0.5, cable_length=0.8):
     reference = np.hstack([load, np.zeros((len(time), 9))])
     turns = time[:, None] + angles
     positions = np.stack([np.cos(turns), np.sin(turns), np.full(turns.shape, cable_length)], 2)
+    positions += load[:, None, 4:7]
     velocities = np.stack([-np.sin(turns), np.cos(turns), np.zeros(turns.shape)], 2)
     velocities *= (1 + 0.3 * np.sin(5 * turns))[..., None]
     carriers = [values.reshape(len(time), -1) for values in (positions, velocities)]

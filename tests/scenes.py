@@ -1,72 +1,104 @@
-"""Scenes and instants to show in them, for the tests of the visualization."""
+"""What a Meshcat, or the page of a replay, is told to show, for the tests of the visualization."""
 
-from collections import defaultdict
+import base64
+import gzip
+import re
+from collections.abc import Iterable, Iterator
+from typing import Any
 
+import msgpack
 import numpy as np
-from pydrake.math import RigidTransform
+from numpy.typing import NDArray
 
-from drake_nonstop.mechanics.signals import CarrierStates, Pose
-from drake_nonstop.model.system import SystemParameters
-from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.view.bodies import Snapshot
-from drake_nonstop.view.scene import ROOT, Scene
+from drake_nonstop import NonstopVisualizer, Run, Scenario
 
 
-class ListCanvas:
-    """A canvas that lists what it was given, in order, by path below the root."""
+class Screen:
+    """A Meshcat that keeps what it is told, by path."""
 
-    def __init__(self):
-        self.poses = defaultdict(list)
-        self.lengths = defaultdict(list)
-        self.colours = defaultdict(list)
-        self.opacities = defaultdict(list)
+    def __init__(self) -> None:
+        self.matrices: dict[str, NDArray] = {}  # (4, 4), the z axis of cylinders as long as they
+        self.colours: dict[str, NDArray] = {}  # red, green, blue, opacity
+        self.paint_calls = 0
 
-    def place(self, path, pose, length=1.0):
-        self.poses[path.removeprefix(ROOT)].append(RigidTransform(pose))
-        self.lengths[path.removeprefix(ROOT)].append(length)
+    def SetTransform(self, path: str, pose: Any) -> None:  # noqa: N802
+        self.matrices[path] = np.array(getattr(pose, "GetAsMatrix4", lambda: pose)())
 
-    def paint(self, path, colour, opacity, *, fades=False):
-        self.colours[path.removeprefix(ROOT)].append(tuple(colour))
-        self.opacities[path.removeprefix(ROOT)].append(opacity)
+    def SetProperty(self, path: str, name: str, value: Any) -> None:  # noqa: N802
+        if name == "color":
+            self.colours[path], self.paint_calls = np.array(value), self.paint_calls + 1
 
-    def ends(self, path, which=0):
-        """The ends of a cylinder that was placed."""
-        pose, length = self.poses[path][which], self.lengths[path][which]
-        return np.array([pose @ np.array([0, 0, side * length / 2]) for side in (-1, 1)])
+    def __getattr__(self, name: str) -> Any:  # whatever else it is told
+        return lambda *_: None
 
-
-def polygon(n):
-    angles = 2 * np.pi * np.arange(n) / n
-    return np.column_stack([np.cos(angles), np.sin(angles), np.zeros(n)])
+    def ends(self, path: str) -> NDArray:
+        """The ends (2, 3) of a cylinder, m."""
+        centre, along = self.matrices[path][:3, 3], self.matrices[path][:3, 2]
+        return np.array([centre - along / 2, centre + along / 2])
 
 
-def scenario(n=4, **fields):
-    system = SystemParameters(attachments=polygon(n).tolist(), cable_length=0.8)
-    return Scenario(system=system, **fields)
+def instant(run: Run, row: int = 0, **changes: Any) -> dict[str, Any]:
+    """A sample of a run: its time and the signals that a visualizer reads, some of them changed."""
+    ports = {name.partition(".")[2] for name in run.signals}
+    read = [name for name in NonstopVisualizer.reads if name in ports]
+    return {"time": run.time[row]} | {name: run.signal(name)[row] for name in read} | changes
 
 
-def snapshot(time=0.0, n=4, speed_bound=0.5, velocities=None, **fields):
-    """Carriers that circle above a turning load on its way along x."""
-    angles = time + 2 * np.pi * np.arange(n) / n
-    position, quaternion = np.array([0.7 * time, 0, 0]), [np.cos(time / 4), 0, 0, np.sin(time / 4)]
-    if velocities is None:
-        velocities = np.column_stack([-np.sin(angles), np.cos(angles), np.zeros(n)])
-    return Snapshot(
-        time=time,
-        load=Pose(np.array(quaternion), position),
-        reference=Pose(np.array(quaternion), position + np.array([0, 0.1, 0])),
-        carriers=CarrierStates(
-            position + np.column_stack([np.cos(angles), np.sin(angles), np.full(n, 0.8)]),
-            velocities,
-        ),
-        speed_bound=speed_bound,
-        **{"tensions": np.full(n, 2.5)} | fields,
-    )
+def watch(
+    scenario: Scenario, instants: Iterable[dict[str, Any]], screen: Any, nodes: int = 0
+) -> Iterator[Any]:
+    """The screen after each of the instants that a visualizer shows on it."""
+    visualizer = NonstopVisualizer(scenario, screen, nodes=nodes)
+    context = visualizer.CreateDefaultContext()
+    for each in instants:
+        context.SetTime(each["time"])
+        for name in each.keys() - {"time"}:
+            visualizer.GetInputPort(name).FixValue(context, each[name])
+        visualizer.ForcedPublish(context)
+        yield screen
 
 
-def shown(*snapshots, n=4, nodes=0):
-    canvas = ListCanvas()
-    made = Scene(scenario(n), nodes=nodes)
-    for each in snapshots:
-        made.show(canvas, each)
-    return canvas
+def shown(scenario: Scenario, *instants: dict[str, Any], nodes: int = 0) -> Screen:
+    """The screen after the last of the instants."""
+    return [*watch(scenario, instants, Screen(), nodes)][-1]
+
+
+class Recording:
+    """What the page of a replay tells Meshcat's viewer, decoded by msgpack."""
+
+    def __init__(self, page: str):
+        kinds = {"gzip": gzip.decompress, "octet-binary": bytes}
+        texts = re.findall(r"application/(gzip|octet-binary);base64,([\w+/=]+)", page)
+        contents = [kinds[kind](base64.b64decode(text)) for kind, text in texts]
+        self.commands = [msgpack.unpackb(each) for each in contents]
+        animations = [each["animations"] for each in self.of_type("set_animation")]
+        self.tracks = {
+            f"{each['path']}{track['name']}": (
+                [key["time"] for key in track["keys"]],  # frames
+                np.array([key["value"] for key in track["keys"]], dtype=float),
+            )
+            for each in (animations[0] if animations else ())
+            for track in each["clip"]["tracks"]
+        }
+
+    def of_type(self, kind: str) -> list[dict[str, Any]]:
+        return [each for each in self.commands if each["type"] == kind]
+
+    def objects(self) -> dict[str, Any]:
+        """The objects by their paths."""
+        return {each["path"]: each["object"] for each in self.of_type("set_object")}
+
+    def value(self, path: str, name: str) -> Any:
+        """The value of a property."""
+        (found,) = (
+            each["value"]
+            for each in self.of_type("set_property")
+            if (each["path"], each["property"]) == (path, name)
+        )
+        return found
+
+    def at(self, frame: float, track: str) -> NDArray:
+        """The value of a track as the viewer has it, interpolated linearly."""
+        frames, values = self.tracks[track]
+        columns = values.reshape(len(frames), -1).T
+        return np.array([np.interp(frame, frames, column) for column in columns])

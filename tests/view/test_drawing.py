@@ -3,57 +3,52 @@
 import re
 from functools import cache
 from itertools import combinations, pairwise
+from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
-from helpers import nightly_beyond
-from pydrake.systems.framework import Diagram, DiagramBuilder, LeafSystem
+from helpers import Ports, nightly_beyond
+from pydrake.systems.framework import Diagram, DiagramBuilder
 
-from drake_nonstop.diagrams.nonstop import PLACES, SYMBOLS, make_nonstop
-from drake_nonstop.scenario.loading import SCENARIOS as SCENARIO_FILES
+from drake_nonstop import connect_by_name, draw_diagram, make_nonstop
 from drake_nonstop.scenario.loading import load_scenario, scenario_names
-from drake_nonstop.systems import wiring
-from drake_nonstop.view.drawing import draw_diagram
 
+COMMITTED = Path(__file__).parents[2] / "diagrams" / "nonstop.svg"
 SVG = "{http://www.w3.org/2000/svg}"
 FONT_SIZES = {"name": 13, "class": 11, "wire-label": 12, "unread-label": 12}
 Point = tuple[float, float]
 
 
-class Toy(LeafSystem):
-    """A block with the given ports that does nothing."""
-
-    def __init__(self, inputs: list[str], outputs: list[str]):
-        super().__init__()
-        for name in inputs:
-            self.DeclareVectorInputPort(name, 1)
-        for name in outputs:
-            self.DeclareVectorOutputPort(
-                name, 1, lambda context, output: None, {self.time_ticket()}
-            )
-
-
-def connected(blocks: dict[str, Toy]) -> Diagram:
+def connected(blocks: dict[str, tuple[list[str], list[str]]]) -> Diagram:
+    """Blocks with inputs and outputs of these names that do nothing."""
     builder = DiagramBuilder()
-    wiring.connect_by_name(builder, blocks)
+    toys = {
+        name: Ports(*(dict.fromkeys(each, 1) for each in ports)) for name, ports in blocks.items()
+    }
+    connect_by_name(builder, toys)
     diagram = builder.Build()
     diagram.set_name("toys & extras")
     return diagram
 
 
+def ports_of(system) -> tuple[list[str], list[str]]:
+    return (
+        [system.get_input_port(k).get_name() for k in range(system.num_input_ports())],
+        [system.get_output_port(k).get_name() for k in range(system.num_output_ports())],
+    )
+
+
 def with_extra_blocks() -> Diagram:
     """Toys with the ports of a loop's blocks, and blocks that the layout does not know."""
-    blocks = {
-        system.get_name(): Toy(
-            [s for s in wiring.input_names(system) if s not in ("speed_bound_command", "plan")],
-            wiring.output_names(system),
-        )
-        for system in make_nonstop(load_scenario("quintic")).GetSystems()
-    }
-    blocks["load_plant"] = Toy(["cable_forces", "disturbance_wrench", "gust"], ["load_state"])
+    blocks = {}
+    for system in make_nonstop(load_scenario("quintic")).GetSystems():
+        inputs, outputs = ports_of(system)
+        inputs = [name for name in inputs if name not in ("speed_bound_command", "plan")]
+        blocks[system.get_name()] = inputs, outputs
+    blocks["load_plant"] = ["cable_forces", "disturbance_wrench", "gust"], ["load_state"]
     read = ["load_state", "carrier_state", "reference"]
-    blocks["wind_estimator"] = Toy(read, ["wind_estimate", "wind_speed"])
-    blocks["wind <tunnel>"] = Toy(["wind_speed", "phase"], ["gust"])
+    blocks["wind_estimator"] = read, ["wind_estimate", "wind_speed"]
+    blocks["wind <tunnel>"] = ["wind_speed", "phase"], ["gust"]
     return connected(blocks)
 
 
@@ -62,11 +57,11 @@ def with_labels_in_the_way() -> Diagram:
     hidden, signals = [f"hidden_{i}" for i in range(4)], ["a_long_name_of_a_signal", "s"]
     return connected(
         {
-            "load_trajectory": Toy([], ["from_above"]),
-            "sample_and_hold": Toy([], hidden),
-            "wrench_controller": Toy([], signals),
-            "optimization_layer": Toy(signals, []),
-            "force_distribution": Toy(["from_above", *hidden, *signals], []),
+            "load_trajectory": ([], ["from_above"]),
+            "sample_and_hold": ([], hidden),
+            "wrench_controller": ([], signals),
+            "optimization_layer": (signals, []),
+            "force_distribution": (["from_above", *hidden, *signals], []),
         }
     )
 
@@ -78,9 +73,9 @@ NAMES = ("quintic", *TOYS, "aircraft_rest_cables", *scenario_names())
 class Picture:
     """What an SVG shows, in numbers."""
 
-    def __init__(self, diagram: Diagram):
-        self.diagram, self.text = diagram, draw_diagram(diagram)
-        root = ElementTree.fromstring(self.text)
+    def __init__(self, text: str, diagram: Diagram | None = None):
+        self.diagram, self.text = diagram, text
+        root = ElementTree.fromstring(text)
         groups = [*root.iter(f"{SVG}g")]
         blocks = {group.get("data-block"): group for group in groups if group.get("data-block")}
         signals = {group.get("data-signal"): group for group in groups if group.get("data-signal")}
@@ -149,7 +144,13 @@ def touch(a: tuple[Point, Point], b: tuple[Point, Point]) -> bool:
 
 @cache
 def picture_of(name: str) -> Picture:
-    return Picture(TOYS[name]() if name in TOYS else make_nonstop(load_scenario(name)))
+    diagram = TOYS[name]() if name in TOYS else make_nonstop(load_scenario(name))
+    return Picture(draw_diagram(diagram), diagram)
+
+
+@cache
+def committed() -> Picture:
+    return Picture(COMMITTED.read_text(encoding="utf-8"))
 
 
 @pytest.fixture(scope="module", params=nightly_beyond(4, "studies", dict.fromkeys(NAMES)))
@@ -160,15 +161,22 @@ def picture(request: pytest.FixtureRequest) -> Picture:
 def test_every_subsystem_connection_and_signal_is_drawn_and_named(picture: Picture):
     systems = {system.get_name(): system for system in picture.diagram.GetSystems()}
     assert picture.blocks.keys() == systems.keys()
-    labels = {}
     for name, system in systems.items():
         expected = name.replace("_", "").replace(" ", "") + type(system).__name__
         assert picture.words[name].replace(" ", "") == expected
-        for port in wiring.output_names(system):
-            symbol = SYMBOLS.get(port.removeprefix("held_"), "").replace("_", "")
-            labels[f"{name}.{port}"] = f"{port.replace('_', ' ')} {symbol}".strip()
-    assert sorted(picture.wires) == sorted(wiring.connections(picture.diagram))
-    assert picture.labels == labels
+    signals = {f"{name}.{port}" for name, each in systems.items() for port in ports_of(each)[1]}
+    assert picture.labels.keys() == signals
+    symbols = {name.partition(".")[2]: label for name, label in committed().labels.items()}
+    for name, label in picture.labels.items():  # the words of its name, and the paper's symbol
+        port = name.partition(".")[2]
+        assert label.startswith(port.replace("_", " "))
+        assert label == symbols.get(port, label)
+    wires = picture.diagram.connection_map().items()
+    assert sorted(picture.wires) == sorted(
+        f"{source.get_name()}.{source.get_output_port(out).get_name()} -> "
+        f"{sink.get_name()}.{sink.get_input_port(into).get_name()}"
+        for (sink, into), (source, out) in wires
+    )
 
 
 def test_wires_lead_from_their_source_to_their_target_across_or_down(picture: Picture):
@@ -206,27 +214,21 @@ def test_nothing_is_covered(picture: Picture):
             assert inside or not overlap(text, box)
 
 
-def test_blocks_stand_as_in_the_figure_and_unknown_ones_below(picture: Picture):
-    known = {name: box for name, box in picture.blocks.items() if name in PLACES}
-    for (name, box), (other, below) in combinations(known.items(), 2):
-        place, place_below = PLACES[name], PLACES[other]
-        if place.row < place_below.row:
-            assert box[3] < below[1]
-        if place.column < place_below.column:
-            assert box[2] < below[0]
-    for name, box in picture.blocks.items():
-        assert name in known or box[1] > max(bottom for _, _, _, bottom in known.values())
-
-
-def test_the_same_diagram_gives_the_same_text_in_whatever_order_it_is_wired(monkeypatch):
-    connections = wiring.connections
-    monkeypatch.setattr(wiring, "connections", lambda diagram: connections(diagram)[::-1])
-    assert draw_diagram(with_labels_in_the_way()) == picture_of("labels").text
+def test_blocks_stand_as_in_the_committed_drawing_and_unknown_ones_below(picture: Picture):
+    places = committed().blocks
+    known = picture.blocks.keys() & places.keys()
+    for name, other in combinations(known, 2):
+        for near, far in ((0, 2), (1, 3)):  # to the left of, or above
+            for first, second in ((name, other), (other, name)):
+                if places[first][far] < places[second][near]:
+                    assert picture.blocks[first][far] < picture.blocks[second][near]
+    if picture.diagram.get_name() == "toys & extras":
+        lowest = max(picture.blocks[name][3] for name in known)
+        assert all(picture.blocks[name][1] > lowest for name in picture.blocks.keys() - known)
 
 
 def test_the_committed_drawing_is_that_of_the_built_diagram():
-    committed = SCENARIO_FILES.parent / "nonstop.svg"
-    assert committed.read_text(encoding="utf-8") == picture_of("quintic").text, (
+    assert committed().text == picture_of("quintic").text, (
         "the figure has changed; `drake-nonstop run quintic` draws it anew as "
         "out/quintic/diagram.svg: copy that to diagrams/nonstop.svg"
     )

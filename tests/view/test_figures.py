@@ -6,24 +6,25 @@ import re
 import matplotlib
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from helpers import circling_run
+from matplotlib.figure import Figure
 from PIL import Image
 
+from drake_nonstop import ScenarioError, write_results
 from drake_nonstop.cli.main import main
 from drake_nonstop.run.run_quantities import load_errors
-from drake_nonstop.studies.results_folder import write_data
-from drake_nonstop.view.figure_style import extreme_samples, fitting_unit
-from drake_nonstop.view.path_figures import instants_along, view_beside
-from drake_nonstop.view.run_figures import FIGURES, figure_names, make_figure, make_signal_figure
+from drake_nonstop.scenario.loading import load_scenario
 
 COLUMN = 3.5  # inch
+ALWAYS = {"carrier_paths_from_above", "snapshots", "load_errors", "carrier_speeds", "tensions"}
+ALWAYS |= {"internal_force_parameters"}
 KINDS = {  # a flight of the fleet, and the figures that some runs have
     "quintic_over_tower": set(),
     "seven_gusty": set(),
     "that_diverges": set(),
     "that_stalls": {"aircraft"},
     "with_bowed_cables": {"aircraft"},
+    "quintic": {"limits"},
 }
 
 
@@ -38,13 +39,15 @@ def assert_legends_cover_no_data(figure):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_figure_of_every_kind_of_run(kind, fleet):
-    run = fleet.run(kind)
-    shown = set(figure_names(run))
-    assert shown >= set(FIGURES) - {"aircraft", "limits"} | KINDS[kind]
-    assert ("aircraft" in shown) == ("aircraft" in KINDS[kind])
+    limit = ["simulation_duration=1", "optimization_layer.max_tension=9"]
+    run = fleet.run(load_scenario(kind, limit) if "limits" in KINDS[kind] else kind)
+    shown = ALWAYS | KINDS[kind]
+    for name in {"aircraft", "limits"} - shown:
+        with pytest.raises(ScenarioError, match=rf"^figure = {name}: this run has .*snapshots"):
+            run.plot(name)
     for name in shown:
         with matplotlib.rc_context({"font.family": "monospace", "xtick.labelsize": 30}):
-            figure = make_figure(run, name)
+            figure = run.plot(name)
             assert_legends_cover_no_data(figure)
         assert figure.get_figwidth() == COLUMN
         assert figure.get_suptitle() == figure.axes[0].get_title() == ""
@@ -52,14 +55,26 @@ def test_every_figure_of_every_kind_of_run(kind, fleet):
         assert any(axes.lines and axes.get_ylabel() for axes in figure.axes) or name == "snapshots"
 
 
+def changed_run(run, **signals):
+    """A copy of a run, some of whose signals are other functions of their values."""
+    made = copy.copy(run)
+    made.signals = {name: np.array(values) for name, values in run.signals.items()}
+    for name, values in made.signals.items():
+        change = signals.get(name.partition(".")[2], signals.get("every"))
+        if change is not None:
+            made.signals[name] = change(values)
+    return made
+
+
 @pytest.mark.parametrize("rows", [slice(-1, None), slice(None)])
 def test_figures_are_drawn_of_a_run_that_stopped_at_numbers_that_are_none(rows, fleet):
-    broken = copy.copy(fleet.run("quintic"))
-    broken.signals = {name: np.array(values) for name, values in broken.signals.items()}
-    for values in broken.signals.values():
+    def broken(values):
         values[rows] = np.nan
-    for name in figure_names(broken):
-        make_figure(broken, name).draw_without_rendering()
+        return values
+
+    run = changed_run(fleet.run("quintic"), every=broken)
+    for name in ALWAYS:
+        run.plot(name).draw_without_rendering()
 
 
 def test_a_pdf_has_its_width_and_fonts_embedded_as_truetype_wherever_it_is_saved(fleet, tmp_path):
@@ -75,77 +90,86 @@ def test_a_pdf_has_its_width_and_fonts_embedded_as_truetype_wherever_it_is_saved
 
 
 @pytest.mark.parametrize(
-    ("unit", "largest", "factor", "fitting"),
+    ("part", "largest", "factor", "unit"),
     [
-        *(("m", 2.5e-6, 1e6, "µm"), ("m", 2.5e-3, 1e3, "mm"), ("m", 0.5, 1, "m")),
-        *(("rad/s", 0.02, 1e3, "mrad/s"), ("m²", 1e-6, 1, "m²"), ("kg", 1e-6, 1, "kg")),
-        *(("", 1e-6, 1, ""), ("m", 0, 1, "m")),
+        *(("position.y", 2.5e-6, 1e6, "µm"), ("position.y", 2.5e-3, 1e3, "mm")),
+        *(("position.y", 0.5, 1, "m"), ("position.y", 0, 1, "m")),
+        *(("angular_velocity.y", 0.02, 1e3, "mrad/s"), ("quaternion.y", 1e-6, 1, "")),
     ],
 )
-def test_units_fit_the_size_of_the_values(unit, largest, factor, fitting):
-    values = np.array([np.nan, -largest, 0.3 * largest])
-    assert fitting_unit(unit, values, [0.0]) == (pytest.approx(factor), fitting)
+def test_values_are_drawn_in_a_unit_that_fits_and_that_their_axis_names(
+    part, largest, factor, unit, fleet
+):
+    run = fleet.run("quintic")
+    values = np.linspace(-1, 0.3, len(run.time))[:, None] * np.full(13, largest)
+    values[20] = np.nan
+    run = changed_run(run, load_state=lambda _: values)
+    (axes,) = run.plot(f"load_state.{part}").axes
+    name = f"load_state.{part.partition('.')[0]}"
+    assert axes.get_ylabel() == (f"{name}\n({unit})" if unit else name)
+    np.testing.assert_allclose(axes.lines[0].get_ydata(), factor * values[:, 0])
 
 
-def test_values_are_drawn_in_the_unit_that_their_axis_names(fleet):
+def test_errors_are_drawn_with_their_norm(fleet):
     run = fleet.run("quintic")
     axes = run.plot("load_errors").axes[0]
     norms = np.linalg.norm(load_errors(run)[0], axis=1)
-    assert 1e-7 < norms.max() < 1e-4
     assert axes.get_ylabel().endswith("(µm)")
     np.testing.assert_allclose(axes.lines[-1].get_ydata(), 1e6 * norms)
 
 
-def test_snapshots_are_at_equal_lengths_of_the_loads_way_or_at_equal_times():
-    time = np.linspace(0, 1, 1001)
-    way = np.stack([time**3, 2 * time**3, np.zeros_like(time)], axis=1)
-    expected = np.linspace(0, 1, 5)
-    np.testing.assert_allclose(time[instants_along(way, 5)], expected ** (1 / 3), atol=2e-3)
-    np.testing.assert_allclose(time[instants_along(0 * way, 5)], expected, atol=2e-3)
-
-
-def test_snapshots_are_seen_in_parallel_from_the_right_of_the_loads_way():
-    way = np.array([[0, 0, 0], [-1.0, 2.0, 0.5]])
-    right, up = view_beside(way)
-    np.testing.assert_allclose([right @ right, up @ up, right @ up], [1, 1, 0], atol=1e-12)
-    towards_camera = np.cross(right, up)
-    assert towards_camera[2] == pytest.approx(np.sin(np.radians(28)))
-    assert right[2] == 0 < up[2]
-    assert right @ way[1] > 0  # the load moves to the right of the page
-    assert towards_camera @ np.cross(way[1], [0, 0, 1.0]) > 0
-
-
-@settings(max_examples=50, deadline=None)
-@given(
-    count=st.integers(0, 3000),
-    columns=st.integers(0, 5),
-    spare=st.integers(0, 300),
-    seed=st.integers(0, 2**32 - 1),
-)
-def test_few_samples_have_the_ends_and_all_extremes_and_gaps(count, columns, spare, seed):
-    random = np.random.default_rng(seed)
-    values = random.normal(size=(count, columns) if columns else (count,))
-    most = 2 + 4 * max(columns, 1) + spare
-    chosen = extreme_samples(values, most)
-    assert len(chosen) <= max(most, 0)
-    assert np.all(np.diff(chosen) > 0)
-    if count <= most:
-        assert len(chosen) == count
-        return
-    assert (chosen[0], chosen[-1]) == (0, count - 1)
-    np.testing.assert_array_equal(values[chosen].min(axis=0), values.min(axis=0))
-    np.testing.assert_array_equal(values[chosen].max(axis=0), values.max(axis=0))
-    gap = random.integers(count)
+def test_a_long_curve_has_few_samples_with_the_ends_and_all_extremes_and_gaps(fleet, rng):
+    run = copy.copy(fleet.run("quintic"))
+    run.time, values = 0.01 * np.arange(40_001), rng.normal(size=(40_001, 13))
+    gap = int(rng.integers(len(values)))
     values[gap] = np.nan
-    assert gap in extreme_samples(values, most)
+    run = changed_run(run, load_state=lambda _: values)
+    for line, column in zip(run.plot("load_state.position").axes[0].lines, (4, 5, 6), strict=True):
+        times, shown = line.get_data()
+        assert len(shown) <= 20_000 < len(values)
+        rows = np.searchsorted(run.time, times)
+        np.testing.assert_array_equal(shown, values[rows, column])
+        assert np.all(np.diff(rows) > 0)
+        assert (rows[0], rows[-1]) == (0, len(values) - 1)
+        assert gap in rows
+        extremes = np.nanmin(shown), np.nanmax(shown)
+        assert extremes == (np.nanmin(values[:, column]), np.nanmax(values[:, column]))
 
 
-def test_signals_have_a_panel_for_each_quantity_and_a_line_for_each_entry_and_run(fleet):
-    names = ("quintic", "three_carriers")
-    runs = {name: fleet.run(name) for name in names}
-    figure = make_signal_figure(
-        runs, ["tensions", "carrier_state.velocities.2", "load_state.position.x"]
-    )
+@pytest.mark.parametrize("rests", [False, True])
+def test_snapshots_are_at_equal_lengths_of_the_loads_way_or_at_equal_times(rests):
+    run = circling_run(duration=10.0)
+    share, way = run.time / run.time[-1], np.array([-1.0, 2.0, 0.5])
+
+    def moved(state):
+        state[:, 4:7] = share[:, None] ** 3 * (1e-3 * way if rests else way)
+        return state
+
+    (axes,) = changed_run(run, load_state=moved).plot("snapshots").axes
+    (load,) = (line for line in axes.lines if line.get_label().startswith("load, at "))
+    times = [float(text) for text in re.findall(r"[\d.]+(?=,| s)", load.get_label())]
+    expected = np.linspace(0, 1, 5) ** (1 if rests else 1 / 3)
+    np.testing.assert_allclose(times, 10 * expected, atol=0.02)
+    if not rests:  # seen in parallel, from 28° above and 65° to the right of the way
+        across, climb, (side, fore) = np.hypot(1, 2), np.radians(28), np.radians([65, 65])
+        up = 0.5 * np.cos(climb) - across * np.cos(fore) * np.sin(climb)
+        (x, y), found = (across * np.sin(side), up), np.transpose(load.get_data())
+        np.testing.assert_allclose(found[-1] - found[0], [x, y], rtol=1e-9)
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_signals_have_a_panel_for_each_quantity_and_a_line_for_each_entry_and_run(
+    fleet, tmp_path, monkeypatch
+):
+    figures, folders = [], [tmp_path / name for name in ("quintic", "three_carriers")]
+    monkeypatch.setattr(Figure, "savefig", lambda self, *_, **__: figures.append(self))
+    for folder in folders:
+        write_results(fleet.run(folder.name), folder, figures=False, replay=False)
+    names = ["tensions", "carrier_state.velocities.2", "load_state.position.x"]
+    signals = [word for name in names for word in ("--signal", name)]
+    call = ["plot", *map(str, folders), *signals, "--out", str(tmp_path / "a.png")]
+    assert main(call) == 0
+    (figure,) = figures
     assert [axes.get_ylabel() for axes in figure.axes] == [
         *("tensions\n(N)", "carrier_state.velocities\n(m/s)", "load_state.position\n(m)")
     ]
@@ -156,22 +180,13 @@ def test_signals_have_a_panel_for_each_quantity_and_a_line_for_each_entry_and_ru
     assert_legends_cover_no_data(figure)
 
 
-def test_the_command_writes_the_picture_and_refuses_what_it_cannot_draw(fleet, tmp_path, capsys):
-    write_data(fleet.run("quintic"), tmp_path / "run")
+@pytest.mark.usefixtures("undrawn")
+def test_the_command_writes_pictures(fleet, tmp_path):
+    write_results(fleet.run("quintic"), tmp_path / "run", figures=False, replay=False)
     place, picture = str(tmp_path / "run"), str(tmp_path / "a.png")
     assert main(["plot", place, place, "--signal", "tensions", "--out", picture]) == 0
     with Image.open(picture) as image:
         assert image.width == COLUMN * 300
-    figure = ["plot", place, "--figure", "snapshots", "--out", str(tmp_path / "b.pdf")]
-    assert main(figure) == 0
+    assert main(["plot", place, "--figure", "snapshots", "--out", str(tmp_path / "b.pdf")]) == 0
     assert (tmp_path / "b.pdf").read_bytes().startswith(b"%PDF")
-    for call, told in (
-        (["--signal", "tensions", "--out", "a.txt"], ("--out", "a.txt", ".png")),
-        (["--signal", "tension", "--out", picture], ("signal", "tension", "give a port")),
-        (["--figure", "aircraft", "--out", picture], ("figure", "aircraft", "snapshots")),
-        ([place, "--figure", "tensions", "--out", picture], ("RUN", "2 runs", "one run")),
-    ):
-        assert main(["plot", place, *call]) == 2
-        error = capsys.readouterr().err
-        assert all(part in error for part in told), error
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.png", "b.pdf", "run"]

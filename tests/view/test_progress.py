@@ -1,12 +1,13 @@
 """Progress on a terminal and in a log."""
 
 import io
+import itertools
 import re
+import time
 
 import pytest
 
-from drake_nonstop.view import progress
-from drake_nonstop.view.progress import RunProgress, TaskProgress
+from drake_nonstop import RunProgress, TaskProgress
 
 RUN = [(1.5,), (3.0,), (0.5,), (7.5,)]  # two runs, s
 TASK = [("simulating", 0.25), ("simulating", 0.5), ("drawing", 0.1)]
@@ -25,8 +26,8 @@ TASK = [("simulating", 0.25), ("simulating", 0.5), ("drawing", 0.1)]
     ],
 )
 def test_each_state_is_a_line_or_written_over(is_terminal, make, told, states, monkeypatch):
-    monkeypatch.setattr(progress, "_PERIODS", dict.fromkeys((False, True), 0.0))
-    stream = io.StringIO()
+    clock, stream = itertools.count(step=10), io.StringIO()
+    monkeypatch.setattr(time, "monotonic", lambda: next(clock))  # s
     stream.isatty = lambda: is_terminal
     monkeypatch.setattr("sys.stderr", stream)
     with make() as show:

@@ -1,29 +1,27 @@
-"""The page of a replay; test_replay_page.py plays it in a browser."""
+"""The page of a replay, decoded by msgpack, and by night played by a browser without network."""
 
-import base64
-import gzip
+import html
+import io
 import re
 
 import numpy as np
 import pytest
 from aircraft_runs import aircraft_run
-from helpers import circling_run
+from helpers import circling_run, rotation
+from PIL import Image
+from scenes import Recording, Screen, instant, watch
 
-from drake_nonstop.run.run import Run
-from drake_nonstop.run.simulate import simulate
+from drake_nonstop import Run, record_replay, simulate
 from drake_nonstop.scenario.loading import load_scenario
-from drake_nonstop.scenario.obstacles import GroundConfig
-from drake_nonstop.view import replay
-from drake_nonstop.view.replay import record_replay
 
-MEGABYTE = 1e6
+STRIDE, RATE = 8, 12.5  # samples of a frame, frames per s
+BODIES = r"/nonstop/(load|reference|carriers/\d+|cables/\d+)\b"
+CAMERA = "/Cameras/default/rotated/<object>"
 
 
 @pytest.fixture(scope="module")
-def simulated():
-    scenario = load_scenario("quintic")
-    scenario.simulation_duration = 0.5
-    return simulate(scenario)
+def quintic(fleet):
+    return shortened(fleet.run("quintic"), 51)
 
 
 def shortened(run, samples):
@@ -31,114 +29,320 @@ def shortened(run, samples):
     return Run(**{**vars(run), "time": run.time[:samples], "signals": signals})
 
 
-def commands(html):
-    """What the page tells the viewer, each in msgpack."""
-    for kind, text in re.findall(r"application/(octet-binary|gzip);base64,([\w+/=]+)", html):
-        content = base64.b64decode(text)
-        yield gzip.decompress(content) if kind == "gzip" else content
-
-
-def paths(html):
+def bodies(page):
     """The scene's bodies that have an object in the page."""
-    objects = [content for content in commands(html) if b"set_object" in content]
-    path = rb"/nonstop/(load|reference|carriers/\d+|cables/\d+)\b"
-    return {found.decode() for content in objects for found in re.findall(path, content)}
+    return {match[1] for path in Recording(page).objects() if (match := re.match(BODIES, path))}
 
 
-def expected_paths(n):
+def expected_bodies(n):
     return {"load", "reference"} | {f"{k}/{i}" for k in ("carriers", "cables") for i in range(n)}
 
 
-def polyline(html, index):
-    points = re.findall(r'points="([^"]*)"', html)[index]
+def polyline(page, index):
+    points = re.findall(r'points="([^"]*)"', page)[index]
     return np.array([pair.split(",") for pair in points.split()], dtype=float)
 
 
-def test_page_refers_to_nothing_outside(simulated):
-    html = record_replay(simulated)
-    assert "<script" in html
-    tags = re.findall(r"<(?:script|link|img|iframe)\b[^>]*>", html)
+def slowest_speeds(run):
+    velocities = run.signal("carrier_state")[:, 12:].reshape(-1, 4, 3)
+    return np.linalg.norm(velocities, axis=2).min(axis=1)
+
+
+def linear(colour):
+    """The linear values of sRGB's channels."""
+    return np.where(colour <= 0.04045, colour / 12.92, ((colour + 0.055) / 1.055) ** 2.4)
+
+
+def test_a_recording_shows_in_every_frame_what_a_visualizer_does():
+    run = circling_run(duration=3.0)
+    recording, frames = Recording(record_replay(run)), range(0, len(run.time), STRIDE)
+    instants = [instant(run, row) for row in frames]
+    for frame, screen in enumerate(watch(run.scenario, instants, Screen())):
+        for path in screen.colours.keys() & screen.matrices.keys() | {"/nonstop/load"}:
+            matrix = screen.matrices[path]
+            if f"{path}.position" not in recording.tracks:
+                continue
+            if recording.tracks[f"{path}.position"][0][0] <= frame:  # it is there already
+                place = recording.at(frame, f"{path}.position")
+                np.testing.assert_allclose(place, matrix[:3, 3], atol=1e-12)
+                turned = rotation(np.roll(recording.at(frame, f"{path}.quaternion"), 1))
+                length = np.linalg.norm(matrix[:3, 2])
+                np.testing.assert_allclose(turned[:, 2] * length, matrix[:3, 2], atol=1e-9)
+                if f"{path}.scale" in recording.tracks:
+                    scale = recording.at(frame, f"{path}.scale")
+                    np.testing.assert_allclose(scale, [1, 1, length], rtol=5e-3)
+        for path, colour in screen.colours.items():
+            found = recording.at(frame, f"{path}/<object>.material.color")
+            np.testing.assert_allclose(found, linear(colour[:3]), atol=1e-12, err_msg=path)
+            opacity = recording.at(frame, f"{path}/<object>.material.opacity")
+            step = 1 / 8 if "/trails/" in path else 1e-12  # that fades meanwhile
+            assert opacity == pytest.approx(colour[3], abs=step)
+    last = {times[-1] for times, _ in recording.tracks.values()}
+    assert last == {len(frames) - 1}  # shorter tracks would start again early
+    counts = [len(times) for times, _ in recording.tracks.values()]
+    assert np.mean(counts) < len(frames) / 4  # values that do not change are left out
+
+
+def projected(recording, points):
+    """Points (k, 3) in shares of a window of the aspect ratio 1, from -1 to 1, right and up."""
+    points = points @ np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]])  # y is up in the viewer
+    eye = np.array(recording.value(CAMERA, "position"))
+    (target,) = (np.array(each["value"]) for each in recording.of_type("set_target"))
+    ahead = (target - eye) / np.linalg.norm(target - eye)
+    right = np.cross(ahead, [0, 1, 0]) / np.linalg.norm(np.cross(ahead, [0, 1, 0]))
+    slope = np.tan(np.radians(recording.value(CAMERA, "fov") / 2))
+    depth = (points - eye) @ ahead
+    return (
+        (points - eye) @ np.column_stack([right, np.cross(right, ahead)]) / depth[:, None] / slope
+    )
+
+
+@pytest.mark.parametrize(("duration", "follows"), [(3.0, False), (20.0, True)])
+def test_the_camera_sees_all_and_on_a_long_way_only_follows_the_reference(duration, follows):
+    run = circling_run(duration=duration)
+    page = record_replay(run)
+    recording = Recording(page)
+    assert ("/nonstop.position" in recording.tracks) == follows
+    assert ("/Grid.position" in recording.tracks) == follows
+    loads, seen = [], []
+    for frame in range(len(range(0, len(run.time), STRIDE))):
+        shift = recording.at(frame, "/nonstop.position") if follows else np.zeros(3)
+        bodies = [f"/nonstop/carriers/{i}.position" for i in range(4)]
+        places = [recording.at(frame, path) + shift for path in ("/nonstop/load.position", *bodies)]
+        across = projected(recording, np.array(places))
+        seen += [*across]
+        loads.append(across[0])
+    right, up = np.abs(seen).max(axis=0)
+    aspect = float(re.search(r"aspect / ([\d.]+)\)", page)[1])
+    assert 0.6 < max(right / 1.5, up) < 1
+    assert 0.7 < right / aspect < 1
+    way = loads[-1] - loads[0]
+    assert np.abs(way).max() < 1e-9 if follows else way[0] > 5 * abs(way[1])  # to the right
+
+
+def test_the_camera_disregards_carriers_far_from_the_load():
+    run = circling_run()
+    near = Recording(record_replay(run))
+    run.signal("carrier_state")[:, 6] = 1e5
+    far = Recording(record_replay(run))
+    assert far.value(CAMERA, "far") < 2 * near.value(CAMERA, "far")
+
+
+def test_the_paths_and_the_goal_are_drawn(quintic):
+    objects = Recording(record_replay(quintic)).objects()
+    assert "/nonstop/goal/bar0" in objects
+    radii = []
+    for name, port in (("flown", "load_state"), ("desired", "reference")):
+        (geometry,) = objects[f"/nonstop/paths/{name}"]["geometries"]
+        data = geometry["data"]["attributes"]["position"]["array"].data
+        vertices = np.frombuffer(data, dtype=np.float32).reshape(-1, 3)
+        path = quintic.signal(port)[:49, 4:7]
+        distances = np.linalg.norm(vertices[:, None] - path[::STRIDE], axis=2).min(axis=1)
+        radii.append(distances.max())
+        np.testing.assert_allclose(distances, distances.max(), rtol=1e-2)
+    assert radii[1] > 2 * radii[0]  # the desired path encloses the flown one
+
+
+def test_the_page_refers_to_nothing_outside(quintic):
+    page = record_replay(quintic)
+    assert "<script" in page
+    tags = re.findall(r"<(?:script|link|img|iframe)\b[^>]*>", page)
     assert not [tag for tag in tags if re.search(r"\b(src|href)\s*=", tag)]
-    addresses = re.findall(r"""fetch\(["'](.{0,40})""", html)
+    addresses = re.findall(r"""fetch\(["'](.{0,40})""", page)
     assert addresses
     assert all(address.startswith("data:") for address in addresses)
-
-
-@pytest.mark.parametrize("n", [3, 6])
-def test_page_shows_all_bodies(n):
-    assert paths(record_replay(circling_run(n))) == expected_paths(n)
+    (frame,) = re.findall(r'srcdoc="([^"]*)"', page._repr_html_())
+    assert html.unescape(frame) == page
 
 
 @pytest.mark.nightly("flights")
-@pytest.mark.parametrize("n", [4, 12])
-def test_a_long_replay_has_fewer_frames_and_stays_below_twenty_megabytes(n, monkeypatch):
-    part = 20  # of a run of 2,000 s
-    empty = len(record_replay(circling_run(n, duration=0.01)))
-    assert len(record_replay(circling_run(n, duration=30.0))) < n / 4 * 5 * MEGABYTE
-    monkeypatch.setattr(replay, "_MOST_POSES", replay._MOST_POSES // part)
-    run = circling_run(n, duration=2000.0 / part)
-    run.signal("carrier_state")[5003, 3 * n :] *= 0.1  # a sample between two frames
-    html = record_replay(run)
-    assert empty + part * (len(html) - empty) < 20 * MEGABYTE
-    slowest = polyline(html, 1)
+def test_a_long_replay_has_fewer_frames_and_stays_below_twenty_megabytes():
+    assert len(record_replay(circling_run(4, duration=30.0))) < 5e6
+    run = circling_run(12, duration=2000.0)
+    run.signal("carrier_state")[5003, 36:] *= 0.1  # a sample between two frames
+    page = record_replay(run)
+    assert len(page) < 20e6
+    slowest = polyline(page, 1)
     assert len(slowest) < len(run.time)
     assert slowest[slowest[:, 1].argmin(), 0] == 50.03
 
 
-def slowest_speeds(run, end):
-    velocities = run.signal("carrier_state")[:end, 12:].reshape(-1, 4, 3)
-    return np.linalg.norm(velocities, axis=2).min(axis=1)
-
-
-def test_page_compares_the_slowest_carrier_with_the_bound(simulated):
-    html = record_replay(simulated)
-    bound, slowest = polyline(html, 0), polyline(html, 1)
-    speeds = slowest_speeds(simulated, 49)  # to the last frame, of 12.5 Hz
+def test_the_page_compares_the_slowest_carrier_with_the_bound(quintic):
+    page = record_replay(quintic)
+    bound, slowest = polyline(page, 0), polyline(page, 1)
+    speeds = slowest_speeds(quintic)[:49]  # to the last frame
     np.testing.assert_allclose(bound[:, 1], 0.55)
-    np.testing.assert_allclose(slowest[:, 0], simulated.time[:49], atol=1e-6)
+    np.testing.assert_allclose(slowest[:, 0], quintic.time[:49], atol=1e-6)
     np.testing.assert_allclose(slowest[:, 1], speeds, rtol=1e-3)
-    text = re.search(r"least margin (\S+) m/s at (\S+) s", html)
+    text = re.search(r"least margin (\S+) m/s at (\S+) s", page)
     assert float(text[1]) == pytest.approx(speeds.min() - 0.55, rel=5e-3)
-    assert float(text[2]) == pytest.approx(simulated.time[speeds.argmin()])
-    for part in (b"/nonstop/paths/flown", b"/nonstop/paths/desired", b"/nonstop/goal/bar0"):
-        assert any(part in text and b"set_object" in text for text in commands(html)), part
+    assert float(text[2]) == pytest.approx(quintic.time[speeds.argmin()])
+
+
+def test_the_page_of_aircraft_compares_the_nearest_with_its_stall():
+    run = aircraft_run(2.0, wind=(2.0, 0.0, 0.0))
+    page = record_replay(run)
+    stall, nearest = polyline(page, 0), polyline(page, 1)
+    np.testing.assert_array_equal(stall[:, 1], 1)
+    state = run.signal("aircraft_state")
+    shares = np.maximum(state[:, :4] / 1.4, (8.369 / state[:, 12:]) ** 2).max(axis=1)
+    np.testing.assert_allclose(nearest[:, 1], shares, rtol=1e-3)
+    tracks = Recording(page).tracks
+    assert "/nonstop/carriers/0/wing/<object>.material.color" in tracks
+    assert not [track for track in tracks if "mark" in track]
 
 
 def test_the_name_is_escaped_and_the_legend_has_what_there_is():
     run = circling_run()
     assert ">obstacle<" not in record_replay(run)
     run.scenario.name = "<b>&"
-    run.scenario.obstacles = [GroundConfig(height=-3.0)]
-    html = record_replay(run)
-    assert "&lt;b&gt;&amp;" in html
-    assert ">obstacle<" in html
+    ground = load_scenario("quintic", ["obstacles=[!Ground {height: -3.0}]"]).obstacles
+    run.scenario.obstacles = ground
+    page = record_replay(run)
+    assert "&lt;b&gt;&amp;" in page
+    assert ">obstacle<" in page
 
 
 @pytest.mark.parametrize(("samples", "broken", "shown"), [(1, 1, 1), (2, 2, 1), (51, 40, 33)])
-def test_samples_from_the_first_that_is_not_finite_are_left_out(simulated, samples, broken, shown):
-    run = shortened(simulated, samples)
+def test_samples_from_the_first_that_is_not_finite_are_left_out(quintic, samples, broken, shown):
+    run = shortened(quintic, samples)
     run.signal("carrier_state")[broken : broken + 1, 2] = np.nan
     run.signal("load_state")[45:, 4] = np.inf
-    html = record_replay(run)
-    assert len(polyline(html, 1)) == shown
-    assert paths(html) == expected_paths(4)
+    page = record_replay(run)
+    assert len(polyline(page, 1)) == shown
+    assert bodies(page) == expected_bodies(4)
 
 
 @pytest.mark.parametrize("broken", [np.nan, np.inf, 0.0])
-def test_run_without_a_usable_sample_gives_an_empty_page(simulated, broken):
-    run = shortened(simulated, 1)
+def test_a_run_without_a_usable_sample_gives_an_empty_page(quintic, broken):
+    run = shortened(quintic, 1)
     run.signal("load_state")[:] = broken
-    assert paths(record_replay(run)) == set()
+    assert bodies(record_replay(run)) == set()
 
 
-def test_page_of_aircraft_compares_the_nearest_with_its_stall():
-    run = aircraft_run(2.0, wind=(2.0, 0.0, 0.0))
-    html = record_replay(run)
-    stall, nearest = polyline(html, 0), polyline(html, 1)
-    np.testing.assert_array_equal(stall[:, 1], 1)
-    state = run.signal("aircraft_state")
-    shares = np.maximum(state[:, :4] / 1.4, (8.369 / state[:, 12:]) ** 2).max(axis=1)
-    np.testing.assert_allclose(nearest[:, 1], shares, rtol=1e-3)
-    (animation,) = (each for each in commands(html) if b"set_animation" in each)
-    assert b"carriers/0/wing/<object>" in animation
-    assert b"mark" not in animation
+browsers = pytest.mark.nightly("browsers")
+POSES = """() => {
+  const found = {};
+  const root = viewer.scene_tree.find(["nonstop"]).object;
+  root.updateMatrixWorld(true);
+  for (const group of ["carriers", "cables"])
+    for (const child of root.getObjectByName(group).children)
+      found[group + "/" + child.name] = [...child.matrixWorld.elements];
+  for (const name of ["load", "reference"])
+    found[name] = [...root.getObjectByName(name).matrixWorld.elements];
+  return found;
+}"""
+PLAY_SLOWLY = """(time) => {
+  viewer.animator.pause();
+  viewer.animator.actions.forEach((action) => (action.timeScale = 0.02));
+  viewer.animator.seek(time);
+  viewer.animator.play();
+}"""  # so that a busy machine sees it long before its end
+MARK = """(time) => {
+  viewer.animator.seek(time);
+  const material = (path) => viewer.scene_tree.find(["nonstop", ...path]).object.material;
+  return [
+    material(["carriers", "0", "mark", "<object>"]).color.toArray(),
+    material(["cables", "0", "<object>"]).color.toArray(),
+    material(["trails", "1", "0", "<object>"]).opacity,
+    material(["trails", "1", "0", "<object>"]).color.toArray(),
+    material(["carriers", "0", "fuselage", "<object>"]).color.toArray(),
+  ];
+}"""
+SEEN = """() => {
+  viewer.camera.updateMatrixWorld(true);
+  return viewer.scene_tree.find(["nonstop", "carriers"]).object.children.map((carrier) => {
+    carrier.updateWorldMatrix(true, true);
+    return carrier.position.clone().setFromMatrixPosition(carrier.matrixWorld)
+      .project(viewer.camera).toArray();
+  });
+}"""
+
+
+@pytest.fixture(scope="module", params=["quintic", "three_carriers"])
+def flown(request, tmp_path_factory):
+    """The page of a flight of 2 s, and its number of carriers."""
+    run = simulate(load_scenario(request.param, ["simulation_duration=2.0"]))
+    path = tmp_path_factory.mktemp(request.param) / "replay.html"
+    path.write_text(record_replay(run), encoding="utf-8")
+    return path, len(run.scenario.system.attachments)
+
+
+def opened(watched, path):
+    """The page, paused."""
+    watched.page.context.set_offline(True)
+    watched.page.goto(path.as_uri())
+    watched.page.wait_for_function("viewer.animator.actions.length > 0")
+    watched.page.evaluate("viewer.animator.pause()")
+    return watched.page
+
+
+def seek(page, time):
+    page.evaluate("(time) => { viewer.animator.seek(time); viewer.render(); }", time)
+
+
+@browsers
+def test_it_plays_offline_and_all_of_it_moves_in_its_colours(watched, flown):
+    page = opened(watched, flown[0])
+    seek(page, 1.0)
+    before = page.evaluate(POSES)
+    assert before.keys() == expected_bodies(flown[1])
+    page.evaluate(PLAY_SLOWLY, 1.0)
+    page.wait_for_function("Math.min(...viewer.animator.actions.map((a) => a.time)) > 1.02")
+    page.evaluate("viewer.animator.pause()")
+    for name, matrix in page.evaluate(POSES).items():
+        assert not np.allclose(before[name], matrix, rtol=0, atol=1e-6), name
+    picture = np.asarray(Image.open(io.BytesIO(page.screenshot())).convert("RGB")).astype(int)
+    background = np.abs(picture - [247, 247, 250]).max(axis=2) < 12
+    assert 0.3 < background.mean() < 0.97
+    for colour in ("30343b", "0072b2", "d55e00"):  # the load, two of the carriers
+        close = np.abs(picture - [*bytes.fromhex(colour)]).max(axis=2) < 60
+        assert close.sum() > 30, colour
+    assert watched.errors == []
+    assert all(url.startswith(("file:", "data:", "blob:")) for url in watched.requests)
+
+
+@browsers
+def test_colours_switch_and_trails_fade_in_the_browser(watched, tmp_path):
+    (tmp_path / "replay.html").write_text(record_replay(circling_run(duration=2.0)))
+    page = opened(watched, tmp_path / "replay.html")
+    instants = [page.evaluate(MARK, time) for time in (0.0, 0.2, 0.8, 1.9)]
+    marks, cables, opacities, trails, carriers = zip(*instants, strict=True)
+    np.testing.assert_allclose(trails, carriers, atol=0.01)
+    assert np.ptp(marks, axis=0).max() > 0.05
+    assert np.ptp(cables, axis=0).max() > 0.05
+    assert opacities[0] == 0
+    assert opacities[1] > opacities[2] > opacities[3] > 0
+
+
+@browsers
+def test_the_play_bar_pauses_seeks_and_plays(watched, flown):
+    page = opened(watched, flown[0])
+    page.evaluate(PLAY_SLOWLY, 0.0)
+    page.get_by_label("play or pause").click()
+    assert page.evaluate("viewer.animator.playing") is False
+    page.get_by_label("time").fill("1.25")
+    page.wait_for_function("document.getElementById('clock').textContent === '1.25 s'")
+    times = page.evaluate("viewer.animator.actions.map((a) => a.time)")
+    np.testing.assert_allclose(times, 1.25)
+    page.get_by_label("play or pause").click()
+    page.wait_for_function("document.getElementById('clock').textContent > '1.25 s'")
+    assert watched.errors == []
+
+
+@browsers
+@pytest.mark.parametrize(("width", "height"), [(390, 844), (1360, 900)])
+def test_all_carriers_are_in_view_in_any_window(watched, flown, width, height):
+    watched.page.set_viewport_size({"width": width, "height": height})
+    page = opened(watched, flown[0])
+    for time in (0.0, 1.0, 2.0):
+        seek(page, time)
+        page.wait_for_function(f"document.getElementById('clock').textContent === '{time:.2f} s'")
+        across, up, _ = np.transpose(page.evaluate(SEEN))
+        assert np.abs([across, up]).max() < 1
+        assert np.ptp(across) > 0.3  # of 2
+    boxes = {name: page.locator(name).bounding_box() for name in ("#meshcat-pane", "#overlay")}
+    assert boxes["#meshcat-pane"]["height"] + boxes["#overlay"]["height"] == pytest.approx(height)
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    assert page.locator("#margin").text_content().startswith("margin 0.")
+    assert watched.errors == []

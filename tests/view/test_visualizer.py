@@ -1,21 +1,28 @@
 """The visualizer beside the loop: what it shows, and that it changes nothing else."""
 
+import time
+
 import numpy as np
 import pytest
 from aircraft_runs import aircraft_run
+from helpers import circling_run
+from pydrake.math import RigidTransform
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 from pydrake.systems.framework import DiagramBuilder
+from scenes import Screen, instant, shown, watch
 
-from drake_nonstop.blocks.optimization_layer import ConstantParameters
-from drake_nonstop.diagrams.nonstop import make_nonstop
-from drake_nonstop.loop.start import set_equilibrium
+from drake_nonstop import (
+    ConstantParameters,
+    NonstopVisualizer,
+    ScenarioError,
+    SceneConfig,
+    make_nonstop,
+    set_equilibrium,
+    show_in,
+    start_meshcat,
+)
 from drake_nonstop.run.simulate import simulate
 from drake_nonstop.scenario.loading import load_scenario
-from drake_nonstop.validation import ScenarioError
-from drake_nonstop.view import nonstop_visualizer
-from drake_nonstop.view.meshcat_server import start_meshcat
-from drake_nonstop.view.nonstop_visualizer import NonstopVisualizer, show_in
-from drake_nonstop.view.scene import ROOT
 
 
 @pytest.fixture(scope="module")
@@ -36,52 +43,45 @@ def test_a_run_is_the_same_to_the_bit_with_any_number_of_viewers():
     np.testing.assert_array_equal(alone.steps["time"], watched.steps["time"])
 
 
-def beside(scenario, meshcat):
-    """A simulator of the loop with a visualizer, the latter, and the times that it shows."""
-    builder = DiagramBuilder()
+@pytest.mark.parametrize(("tick", "least", "most"), [(0.0, 1, 1), (1.0, 20, 1000)])
+def test_it_shows_the_start_and_frames_as_they_are_due_and_what_is_forced(
+    monkeypatch, tick, least, most
+):
+    class Clocked(Screen):
+        def SetSimulationTime(self, at):  # noqa: N802
+            times.append(at)
+
+    times, clock = [], iter(range(10**9))
+    monkeypatch.setattr(time, "perf_counter", lambda: tick * next(clock))  # s
+    scenario, builder = short(), DiagramBuilder()
     nonstop = builder.AddSystem(make_nonstop(scenario))
-    visualizer = NonstopVisualizer.AddToBuilder(builder, nonstop, scenario, meshcat)
+    visualizer = NonstopVisualizer.AddToBuilder(builder, nonstop, scenario, Clocked())
     simulator = Simulator(builder.Build())
     ApplySimulatorConfig(scenario.simulator_config, simulator)
     context = simulator.get_mutable_context()
     set_equilibrium(nonstop, nonstop.GetMyMutableContextFromRoot(context))
-    shown = []
-    visualizer.scene.show = lambda canvas, snapshot: shown.append(snapshot.time)
-    return simulator, visualizer, shown
-
-
-@pytest.mark.parametrize(("period", "least", "most"), [(1e3, 1, 1), (1e-6, 20, 1000)])
-def test_it_shows_the_start_and_frames_at_the_frame_rate_and_what_is_forced(
-    meshcat, monkeypatch, period, least, most
-):
-    monkeypatch.setattr(nonstop_visualizer, "FRAME_TIME", period)
-    simulator, visualizer, shown = beside(short(), meshcat)
     simulator.AdvanceTo(0.1)
-    assert shown[0] == 0.0
-    assert least <= len(shown) <= most
-    assert shown == sorted(shown)
-    visualizer.ForcedPublish(visualizer.GetMyContextFromRoot(simulator.get_context()))
-    assert shown[-1] == 0.1
+    assert times[0] == 0.0
+    assert least <= len(times) <= most
+    assert times == sorted(times)
+    visualizer.ForcedPublish(visualizer.GetMyContextFromRoot(context))
+    assert times[-1] == 0.1
 
 
-def test_all_but_load_carriers_and_tensions_may_come_from_ports_or_not_at_all(meshcat):
-    run, instants = aircraft_run(0.1, wind=(2.0, 0.0, 0.0)), []
-    visualizer = NonstopVisualizer(run.scenario, meshcat)
-    visualizer.scene.show = lambda canvas, snapshot: instants.append(snapshot)
-    context = visualizer.CreateDefaultContext()
-    given = {name: run.signal(name)[3] for name in NonstopVisualizer.reads[:4]}
-    others = {name: run.signal(name)[3] for name in ("aircraft_state", "wind")}
-    for values in (given, others | {"speed_bound": [0.7]}, {"tensions": [1.0, np.nan, 1.0, 1.0]}):
-        for name, value in values.items():
-            visualizer.GetInputPort(name).FixValue(context, value)
-        visualizer.ForcedPublish(context)
-    without, with_all = instants  # what is not finite is left to the blocks
-    assert without.speed_bound == run.scenario.speed_bound
-    assert with_all.speed_bound == 0.7
-    for name, value in others.items():
-        assert getattr(without, name) is None
-        np.testing.assert_array_equal(getattr(with_all, name), value)
-    assert not meshcat.HasPath(f"{ROOT}/carriers/0/mark")
+def test_all_but_load_carriers_and_tensions_may_be_left_out_or_not_be_finite():
+    aircraft = aircraft_run(0.1, wind=(2.0, 0.0, 0.0))
+    given = instant(aircraft, 3)
+    left_out = {name: given[name] for name in given.keys() - {"aircraft_state", "wind"}}
+    carrier = "/nonstop/carriers/0"
+    with_all, without = (shown(aircraft.scenario, each) for each in (given, left_out))
+    assert with_all.colours.keys() - without.colours.keys() == {
+        f"/nonstop/carriers/{i}/wing" for i in range(4)
+    }
+    assert not np.allclose(with_all.matrices[carrier], without.matrices[carrier])
+    run = circling_run()
+    instants = [instant(run), instant(run, 1, tensions=[1.0, np.nan, 1.0, 1.0])]
+    first, last = (screen.matrices[carrier] for screen in watch(run.scenario, instants, Screen()))
+    np.testing.assert_array_equal(first, last)  # what is not finite is left to the blocks
 
 
 def test_it_can_stand_beside_a_loop_whose_layer_has_no_bound(meshcat):
@@ -105,19 +105,19 @@ def test_it_can_stand_beside_a_loop_whose_layer_has_no_bound(meshcat):
         ("aircraft_rest", ["cables=LumpedCables", "cables.nodes=2"], "cables/3/2"),
     ],
 )
-def test_it_shows_any_scenario(meshcat, name, changes, last):
+def test_it_shows_any_scenario_in_place_of_an_earlier_one(meshcat, name, changes, last):
+    meshcat.SetTransform("/mine", RigidTransform())
     simulate(short(name, 0.02, *changes), viewers=[show_in(meshcat)])
-    assert meshcat.HasPath(f"{ROOT}/{last}")
+    assert meshcat.HasPath(f"/nonstop/{last}")
     count = len(load_scenario(name).system.attachments)
-    assert not meshcat.HasPath(f"{ROOT}/carriers/{count}")
+    assert not meshcat.HasPath(f"/nonstop/carriers/{count}")
+    assert meshcat.HasPath("/mine")
 
 
-def test_viewers_have_to_be_functions(meshcat):
+def test_what_cannot_be_shown_or_shows_nothing_is_refused(meshcat):
     with pytest.raises(ScenarioError, match=r"^viewers = .*: give a list of functions, such"):
         simulate(short(), viewers=[meshcat])
-
-
-def test_help_shows_the_ports_with_their_sizes():
-    ports = "`load_state` (13)", "`reference` (22)", "`carrier_state` (6n)", "`tensions` (n)"
-    for line in (*ports, "`aircraft_state` (4n, may", "`wind` (3n, may"):
-        assert line in NonstopVisualizer.__doc__
+    scenario = short()
+    scenario.scene = SceneConfig(wing_span=0.0)
+    with pytest.raises(ScenarioError, match=r"^scene\.wing_span = .*greater than zero"):
+        NonstopVisualizer(scenario, meshcat)
