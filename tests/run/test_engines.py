@@ -1,5 +1,6 @@
 """Both engines fly the same: the fleet, drawn blocks, ends of samples, refusals and endings."""
 
+import json
 import os
 import signal
 import warnings
@@ -10,12 +11,14 @@ import pytest
 from drawn_own_blocks import compare
 from fleet import BY_BOTH_ENGINES, FLEET
 from helpers import nightly_beyond
+from registries import LIVELY, LOOPS, VARIANTS
 
 from drake_nonstop import (
     Block,
     CompiledLoop,
     RunInterrupted,
     RunStopped,
+    ScenarioError,
     ScenarioWarning,
     StepAction,
     compute_metrics,
@@ -24,12 +27,11 @@ from drake_nonstop import (
     simulate,
 )
 from drake_nonstop.blocks.load_disturbance import DisturbanceForce
-from drake_nonstop.scenario.schema import COMPILED, DIAGRAM
-from drake_nonstop.systems.native import compiler
 from drake_nonstop.systems.tracing import where
 
 PROGRAM = "optimization_layer=NlpLayer"
 CONSTANT = "optimization_layer=ConstantParameters"
+COMPILED, DIAGRAM = "compiled", "diagram"
 BOUNDED = "optimization_layer.speed_bound=0.45"
 GROWING = {"that_diverges": 1e-5}  # rounding grows tenfold every few steps
 
@@ -60,14 +62,7 @@ def assert_same(run, expected, tolerance=1e-9):
 
 @pytest.mark.parametrize(
     "name",
-    [
-        *BY_BOTH_ENGINES,
-        *(
-            pytest.param(name, marks=pytest.mark.nightly("engines"))
-            for name in FLEET
-            if name not in BY_BOTH_ENGINES
-        ),
-    ],
+    nightly_beyond(len(BY_BOTH_ENGINES), "engines", dict.fromkeys([*BY_BOTH_ENGINES, *FLEET])),
 )
 def test_both_engines_fly_the_fleet_alike(name, fleet):
     run, metrics = fleet.evaluated(name)  # compiled
@@ -91,41 +86,55 @@ def test_drawn_blocks_fly_the_same_or_are_named(seed):
 
 
 @pytest.mark.parametrize(
-    ("name", "overrides"),
+    "overrides",
     nightly_beyond(
         3,
         "engines",
         [
             # The rest of a sample is the Simulator's.
-            ("quintic", [PROGRAM, "simulation_duration=0.104"]),
-            ("quintic", [CONSTANT, "simulation_duration=0.004"]),
-            (
-                "quintic",
-                [CONSTANT, "simulation_duration=0.06", "simulator_config.max_step_size=0.003"],
-            ),
-            ("quintic", [CONSTANT, "simulation_duration=0.06", "control_period=0.0025"]),
-            ("quintic", ["simulation_duration=0.9", "control_period=0.03"]),
+            [PROGRAM, "simulation_duration=0.104"],
+            [CONSTANT, "simulation_duration=0.004"],
+            [CONSTANT, "simulation_duration=0.06", "simulator_config.max_step_size=0.003"],
+            [CONSTANT, "simulation_duration=0.06", "control_period=0.0025"],
+            ["simulation_duration=0.9", "control_period=0.03"],
         ],
     ),
 )
-def test_steps_and_samples_of_other_lengths_are_the_diagrams(name, overrides):
-    run, told = flown(name, overrides, COMPILED)
+def test_steps_and_samples_of_other_lengths_are_the_diagrams(overrides):
+    run, told = flown("quintic", overrides, COMPILED)
     assert not told
-    assert_same(run, flown(name, overrides, DIAGRAM)[0])
+    assert_same(run, flown("quintic", overrides, DIAGRAM)[0])
+
+
+BY_DAY = ["phase-PaperPhase", "carrier_dynamics-LimitedCarriers"]
+
+
+@pytest.mark.parametrize("name", nightly_beyond(2, "engines", dict.fromkeys([*BY_DAY, *VARIANTS])))
+def test_each_variant_flies_the_same_or_is_named(name):
+    box, kind = VARIANTS[name]
+    scenario, others = LOOPS.get(kind.__name__, ("quintic", []))
+    layer = [] if box == "optimization_layer" or others else [CONSTANT]
+    fields = json.dumps(LIVELY.get(kind.__name__, {}))
+    overrides = [*layer, *others, f"{box}=!{kind.__name__} {fields}", "simulation_duration=0.24"]
+    run, told = flown(scenario, overrides, COMPILED)
+    if told:
+        assert f"{box} = {kind.__name__}: it has no equations" in told[0]
+    else:
+        assert_same(run, flown(scenario, overrides, DIAGRAM)[0])
 
 
 STEERED = {"after_step": lambda *_: StepAction.CONTINUE}
+NOT_COMPILED = [
+    (["control_period=0"], {}, "control_period = 0: it goes from sample to sample"),
+    (["control_period=0.004"], {}, "control_period = 0.004 and the 0.01 s between signals"),
+    (["load_plant=MultibodyLoadPlant"], {}, "load_plant = MultibodyLoadPlant: it has no"),
+    (["load_feedback=!NoisyFeedback {delay: 0.015, period: 0.015}"], {}, "every 0.015 s, no"),
+    (["simulator_config.use_error_control=true"], {}, "without error control"),
+    ([], STEERED, "for after_step the steps of"),
+]
 
 
-@pytest.mark.parametrize(
-    ("overrides", "arguments", "said"),
-    [
-        (["control_period=0"], {}, "control_period = 0: it goes from sample to sample"),
-        (["control_period=0.004"], {}, "control_period = 0.004 and the 0.01 s between signals"),
-        (["load_plant=MultibodyLoadPlant"], {}, "load_plant = MultibodyLoadPlant: it has no"),
-        ([], STEERED, "for after_step the steps of"),
-    ],
-)
+@pytest.mark.parametrize(("overrides", "arguments", "said"), NOT_COMPILED)
 def test_what_cannot_be_compiled_is_said_where_it_was_asked_for(overrides, arguments, said):
     overrides = [CONSTANT, "simulation_duration=0.03", *overrides]
     expected, _ = flown("quintic", overrides, DIAGRAM, **arguments)
@@ -135,19 +144,24 @@ def test_what_cannot_be_compiled_is_said_where_it_was_asked_for(overrides, argum
         assert run.engine.startswith("diagram: ")
         assert said in run.engine == compute_metrics(run)["engine"]
         assert_same(run, expected, tolerance=0)
+    if "control_period=0.004" not in overrides and not arguments:
+        scenario = load_scenario("quintic", overrides)
+        diagram = make_nonstop(scenario)
+        with pytest.raises(ScenarioError, match="simulate its diagram"):
+            CompiledLoop(diagram, scenario.simulator_config, scenario.control_period)
 
 
-@pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
 @pytest.mark.slow
 def test_c_and_the_virtual_machine_fly_the_same_to_the_bit():
     scenario = load_scenario("quintic", [CONSTANT, "system.load_drag=0.05"])
     diagram = make_nonstop(scenario)
-    ends = []
-    for compiles in (True, False):
-        loop = CompiledLoop(
-            diagram, scenario.simulator_config, scenario.control_period, compiles=compiles
-        )
-        ends.append(loop.run(diagram.CreateDefaultContext(), 0.3)[1])
+    loops = [
+        CompiledLoop(diagram, scenario.simulator_config, scenario.control_period, compiles=compiles)
+        for compiles in (True, False)
+    ]
+    if not loops[0].is_compiled:
+        pytest.skip("there is no C compiler")
+    ends = [loop.run(diagram.CreateDefaultContext(), 0.3)[1] for loop in loops]
     for name, values in ends[1].items():
         np.testing.assert_array_equal(ends[0][name], values, name)
 
