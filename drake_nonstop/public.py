@@ -40,6 +40,8 @@ from drake_nonstop.planning.carriers import (
     carrier_distances as carrier_distances,
     flight_margins as flight_margins,
 )
+from drake_nonstop.planning.problem_config import AircraftLimits as AircraftLimits
+from drake_nonstop.planning.diagnostics import Diagnostics as Diagnostics
 
 # The default block of each box, and those that pages use.
 from drake_nonstop.blocks.load_trajectory import RestToRest as RestToRest

@@ -12,7 +12,7 @@ from pydrake.autodiffutils import AutoDiffXd, ExtractGradient, ExtractValue
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.common.value import Value
 from pydrake.math import RollPitchYaw_, RotationMatrix
-from pydrake.systems.framework import Context, LeafSystem, System
+from pydrake.systems.framework import Context, Diagram, LeafSystem, PortDataType, System
 
 from drake_nonstop.analysis.resting_carriers import resting_carriers
 from drake_nonstop.blocks.optimization_layer import NlpLayerConfig
@@ -23,7 +23,6 @@ from drake_nonstop.model.pattern import HamiltonianCycleConfig
 from drake_nonstop.model.system import Model, SystemParameters
 from drake_nonstop.run.run import Run
 from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.systems.wiring import output_sizes
 
 INERTIA = np.array([[0.014, 0.001, -0.0005], [0.001, 0.011, 0.002], [-0.0005, 0.002, 0.017]])
 
@@ -117,6 +116,17 @@ def difference(function: Callable[[float], NDArray], time: float, step: float = 
         8 * (np.asarray(function(time + step)) - np.asarray(function(time - step)))
         - (np.asarray(function(time + 2 * step)) - np.asarray(function(time - 2 * step)))
     ) / (12 * step)
+
+
+def rates_by_differences(
+    reference: Callable[[float], NDArray], time: float, step: float = 1e-3
+) -> NDArray:
+    """[ω, v, ω̇, a, jerk, angular jerk, snap] (21,) by differences of what is below them."""
+    S = difference(lambda t: rotation(reference(t)[:4]), time, step)
+    S = S @ rotation(reference(time)[:4]).T
+    rates = difference(reference, time, step)
+    spin = [S[2, 1], S[0, 2], S[1, 0]]
+    return np.concatenate([spin, rates[4:13], rates[16:19], rates[13:16], rates[19:]])
 
 
 class Motion:
@@ -215,9 +225,26 @@ def ends_run(block: System, context: Context) -> bool:
     return block.ends_run(context, output(block, context, block.ending_signal))
 
 
+def sizes_of_ports(block: System, kind: str = "output") -> dict[str, int | None]:
+    """The sizes of a block's ports by their names, by Drake; None: one is abstract."""
+    count = getattr(block, f"num_{kind}_ports")()
+    ports = [getattr(block, f"get_{kind}_port")(k) for k in range(count)]
+    is_vector = [port.get_data_type() == PortDataType.kVectorValued for port in ports]
+    return {p.get_name(): p.size() if v else None for p, v in zip(ports, is_vector, strict=True)}
+
+
+def connections(diagram: Diagram) -> list[str]:
+    """The wires "block.output -> block.input" inside of a diagram, by Drake."""
+    return [
+        f"{maker.get_name()}.{maker.get_output_port(output).get_name()} -> "
+        f"{reader.get_name()}.{reader.get_input_port(port).get_name()}"
+        for (reader, port), (maker, output) in diagram.connection_map().items()
+    ]
+
+
 def vector_outputs(block: System) -> list[str]:
     """The names of the output ports, but for abstract ones."""
-    return [name for name, size in output_sizes(block).items() if size is not None]
+    return [name for name, size in sizes_of_ports(block).items() if size is not None]
 
 
 def outputs(

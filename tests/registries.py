@@ -118,13 +118,17 @@ def made(case: Case) -> tuple[Any, str]:
 @functools.cache
 def _made(kind: Any, case_name: str) -> tuple[Any, str]:
     case = next(case for case in CASES if case.kind is kind and case.name == case_name)
-    config = CONFIGS[kind](**case.fields)
     for name in _MODELS:
         try:
-            return kind(_model_in(name, case.is_sampled), config), name
+            return made_with(case, _model_in(name, case.is_sampled)), name
         except ScenarioError as error:
             reason = error
     raise reason
+
+
+def made_with(case: Case, model: Model, **fields: Any) -> Any:
+    """The block of a case with another model, and with other fields of its config."""
+    return case.kind(model, CONFIGS[case.kind](**case.fields | fields))
 
 
 def _model_in(name: str, is_sampled: bool) -> Model:

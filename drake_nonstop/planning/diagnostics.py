@@ -24,7 +24,8 @@ class Outcome(IntEnum):
 class Diagnostics(NamedTuple):
     """The entries of the signal `diagnostics` (7), in their order: numbers, or logs (k,)."""
 
-    outcome: NDArray | float  # of the last update, an `Outcome`
+    # of the last update: 1 kept, 2 solved, 3 relaxed, 4 held, as counted below; 0: none yet
+    outcome: NDArray | float
     updates: NDArray | float  # how many there were
     kept: NDArray | float  # how many of them ended in this way, as the next three
     solved: NDArray | float

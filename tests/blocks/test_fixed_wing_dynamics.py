@@ -1,4 +1,6 @@
-"""Aircraft as a block: states, trim, energies, stall and parameters of the context."""
+"""Aircraft as a block: their trim, and their stall."""
+
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -6,38 +8,29 @@ from aircraft_loops import controller, flying
 from helpers import ends_run, fix, model, output
 
 from drake_nonstop import (
+    AircraftParameters,
+    Block,
+    RunOutcome,
     compute_metrics,
     make_nonstop,
     simulate,
 )
-from drake_nonstop.blocks.carrier_dynamics import (
-    FixedWingDynamics,
-    FixedWingDynamicsConfig,
-)
+from drake_nonstop.blocks.carrier_dynamics import FixedWingDynamics, FixedWingDynamicsConfig
 from drake_nonstop.mechanics.aircraft import air_force
 from drake_nonstop.mechanics.signals import AircraftState
-from drake_nonstop.model.aircraft import AircraftParameters
-from drake_nonstop.run.outcome import RunOutcome
-from drake_nonstop.systems.equation_block import EquationBlock
-from drake_nonstop.systems.equations import Equations
 
 RASCAL = AircraftParameters(model="rascal_110")
-
-
-def set_carriers(context, value):
-    """Positions and velocities, which come first."""
-    state = context.get_continuous_state_vector().CopyToVector()
-    context.SetContinuousState(np.append(value, state[len(value) :]))
 
 
 def flown(n=3, config=None, **inputs):
     """The block and a context in flight at 15 m/s along x, with inputs."""
     block = FixedWingDynamics(model(n, aircraft=RASCAL, cable_length=150.0), config)
     context = block.CreateDefaultContext()
-    given = {"aircraft_command": 3 * n, "carrier_cable_forces": 3 * n, "wind": 3 * n}
-    fix(block, context, **{name: np.zeros(size) for name, size in given.items()} | inputs)
-    velocities = np.tile([15.0, 0.0, 0.0], n)
-    set_carriers(context, np.concatenate([np.arange(3.0 * n), velocities]))
+    given = ("aircraft_command", "carrier_cable_forces", "wind")
+    fix(block, context, **dict.fromkeys(given, np.zeros(3 * n)) | inputs)
+    state = context.get_continuous_state_vector().CopyToVector()
+    state[: 6 * n] = np.concatenate([np.arange(3.0 * n), np.tile([15.0, 0.0, 0.0], n)])
+    context.SetContinuousState(state)
     return block, context
 
 
@@ -48,15 +41,13 @@ def test_trim_gives_the_acceleration(rng, n):
     block, context = flown(n, carrier_cable_forces=pull, wind=wind)
     before = output(block, context, "carrier_state")
     block.trim(context, acceleration)
-    np.testing.assert_allclose(
-        output(block, context, "carrier_acceleration"), acceleration, atol=1e-9
-    )
+    found = output(block, context, "carrier_acceleration")
+    np.testing.assert_allclose(found, acceleration, atol=1e-9)
     np.testing.assert_array_equal(output(block, context, "carrier_state"), before)
     # Newton's second law with the forces of the shown state.
     shown = AircraftState.view(output(block, context, "aircraft_state"))
     air = (before[3 * n :] - wind).reshape(n, 3)
-    aircraft = block.model.aircraft
-    force = air_force(aircraft, air, shown.lift, shown.bank, shown.thrust)
+    force = air_force(block.model.aircraft, air, shown.lift, shown.bank, shown.thrust)
     expected = (force - pull.reshape(n, 3)) / 6.0 - [0, 0, 9.81]
     np.testing.assert_allclose(acceleration, expected.ravel(), atol=1e-9)
     np.testing.assert_allclose(shown.airspeed, np.linalg.norm(air, axis=1), rtol=1e-12)
@@ -80,51 +71,43 @@ def test_a_stall_ends_a_run(cause):
     assert not other.ends_run(its_context, output(block, context, "aircraft_state"))
 
 
-@pytest.fixture(scope="module")
-def loop():
-    return make_nonstop(flying(), carrier_controller=controller)
-
-
-def test_new_contexts_start_in_trim(loop):
+def test_new_contexts_start_in_trim():
     """The aircraft have the acceleration of their reference, and the load is at rest."""
+    loop = make_nonstop(flying(), carrier_controller=controller)
     context = loop.CreateDefaultContext()
-    np.testing.assert_allclose(
-        output(loop, context, "carrier_acceleration"),
-        output(loop, context, "carrier_reference_acceleration"),
-        atol=1e-8,
-    )
+    names = ("carrier_acceleration", "carrier_reference_acceleration")
+    found, expected = (output(loop, context, name) for name in names)
+    np.testing.assert_allclose(found, expected, atol=1e-8)
     shown = AircraftState.view(output(loop, context, "aircraft_state"))
     assert np.all(shown.lift < 0.8 * 1.4)
+
+
+@dataclass
+class StallingConfig:
+    """It has no parameters."""
+
+
+class Stalling(Block):
+    """All aircraft hold what they are trimmed to, but for the second, which pulls up."""
+
+    reads, makes = ("carrier_state",), ("aircraft_command",)
+
+    @staticmethod
+    def equations(state):
+        return np.array([0.7, 3.0, 0.7, 0.0, 0.0, 0.0, 15.0, 15.0, 15.0]) + 0 * state[:9]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("stops", [True, False])
 def test_a_run_goes_on_to_its_first_stall(stops):
-    """The second aircraft is told to pull up, and stalls within the half second."""
-    scenario = flying(
-        f"carrier_dynamics.stops_at_stall={'true' if stops else 'false'}",
-        "simulation_duration=0.6",
-    )
-    run = simulate(scenario, carrier_controller=stalling)
-    metrics = compute_metrics(run)
+    scenario = flying(f"carrier_dynamics.stops_at_stall={stops}".lower(), "simulation_duration=0.6")
+    run = simulate(scenario, carrier_controller=Stalling)
+    metrics, time = compute_metrics(run), run.steps["time"]
     assert metrics["outcome"] == RunOutcome.STALLED
-    shown = AircraftState.view(run.steps["aircraft_state"])
-    time = run.steps["time"]
-    (first,) = np.flatnonzero(np.any(shown.lift >= 1.4 * (1 - 1e-9), axis=1))[:1]
-    assert 0 < time[first] < 0.6
+    lift = AircraftState.view(run.steps["aircraft_state"]).lift
+    first = time[np.argmax(np.any(lift >= 1.4 * (1 - 1e-9), axis=1))]
+    assert 0 < first < 0.6
     (reason,) = [text for text in metrics["reasons"] if "stalled" in text]
-    assert reason.startswith(f"carrier 2 stalled at t = {time[first]:.3f} s")
-    assert time[-1] == (time[first] if stops else 0.6)
-    assert np.max(shown.lift) <= 1.4 * (1 + 1e-12)
-
-
-def stalling(model):
-    """All aircraft hold what they are trimmed to, but for the second, which pulls up."""
-    n = model.n
-    command = np.concatenate([[0.7, 3.0, 0.7], np.zeros(n), np.full(n, 15.0)])
-    equations = Equations(
-        lambda state: command + 0 * state[: 3 * n],
-        inputs={"carrier_state": 6 * n},
-        outputs={"aircraft_command": 3 * n},
-    )
-    return EquationBlock(equations)
+    assert reason.startswith(f"carrier 2 stalled at t = {first:.3f} s")
+    assert time[-1] == (first if stops else 0.6)
+    assert np.max(lift) <= 1.4 * (1 + 1e-12)

@@ -5,11 +5,10 @@ import warnings
 import numpy as np
 import pytest
 from helpers import model
-from registries import CASES, LOOPS, model_of
+from registries import CASES, LOOPS, made_with, model_of
 
 from drake_nonstop import ScenarioError, ScenarioWarning, load_scenario, make_nonstop
 from drake_nonstop.blocks.load_trajectory import SampledTrajectory, SampledTrajectoryConfig
-from drake_nonstop.systems.documentation import own_config_class
 
 NOT_NEGATIVE, POSITIVE = "number that is not negative", "number greater than zero"
 THREE, SEED, SOLVERS = "give 3 finite numbers", "a whole number from 0", "snopt, ipopt"
@@ -81,9 +80,8 @@ FIELDS = {
 )
 def test_a_field_that_a_block_cannot_have_is_named(block, field, value, remedy):
     case = next(c for c in CASES if c.kind.__name__ == block and c.is_sampled and not c.fields)
-    config = own_config_class(case.kind)(**{field: value})
     with pytest.raises(ScenarioError) as error:
-        case.kind(model_of(case), config)
+        made_with(case, model_of(case), **{field: value})
     told, _, asked = str(error.value).partition(": ")
     assert told == f"{case.box}.{field} = {value}"
     assert remedy in asked
@@ -158,11 +156,24 @@ def test_what_does_not_go_together_is_refused(name, overrides, told, remedy):
 BOWED, POINTS = LOOPS["BowedCarrierTrajectory"][0], "real_scale_spread"
 STRAIGHT = ["optimization_layer=!NlpLayer {speed_bound: 10, period: 0.04}"]
 STRAIGHT += ["pattern=!SpreadCarousel {spread: 6.75}"]
+
+
+def yaws(*angles):
+    """Samples of a load that turns by these angles, rad."""
+    rows = [[float(t), 0.0, 0.0, 0.0, 0.0, 0.0, float(yaw)] for t, yaw in enumerate(angles)]
+    samples = f"load_trajectory=!SampledTrajectory {{samples: {rows}}}"
+    return ["optimization_layer=ConstantParameters", samples]
+
+
 TOLD = [
     (POINTS, ["system.aircraft.model=rascal_110"], "CarrierDynamics", "FixedWingDynamics and"),
     (BOWED, STRAIGHT, "optimization_layer = NlpLayer", "RecedingHorizonOptimizer"),
     ("quintic", ["carrier_trajectory.correction_rates=[0, 0, 0.1]"], "[0.0, 0.0, 0.1]", "to 0"),
     ("quintic", ["phase=AccumulatedPhase"], "phase = AccumulatedPhase", "phase=ShapedPhase"),
+    ("quintic", yaws(3.0, 3.1, -3.08, -2.98), "6.18 rad from row 2 to row 3", "unwrap"),
+    ("quintic", yaws(0, 170, 190), "170 rad from row 1 to row 2", "in rad"),
+    ("quintic", yaws(*range(0, 12, 2)), "10 rad", "degrees"),
+    ("quintic", yaws(0.0, -7.0), "7 rad from row 1 to row 2", ""),
 ]
 
 
@@ -174,6 +185,12 @@ def test_what_a_user_may_not_expect_is_told_once(name, overrides, told, remedy):
     (sentence,) = (str(each.message) for each in warned)
     assert told in sentence
     assert remedy in sentence.partition(told)[2]
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("overrides", [yaws(0.0, 3.0, 6.0, 3.0), yaws(-3.0, 0.0, 3.0)])
+def test_a_turn_that_is_meant_is_not_told(overrides):
+    make_nonstop(load_scenario("quintic", overrides), at_equilibrium=False)
 
 
 FILES = [
