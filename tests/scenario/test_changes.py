@@ -5,12 +5,17 @@ import math
 import numpy as np
 import pytest
 from helpers import GAINS
+from registries import VARIANTS
 
-from drake_nonstop import ScenarioError, dump_scenario, load_scenario, parse_scenario
+from drake_nonstop import (
+    AircraftParameters,
+    ScenarioError,
+    dump_scenario,
+    load_scenario,
+    parse_scenario,
+)
 from drake_nonstop.blocks.optimization_layer import PaperLayerConfig
-from drake_nonstop.diagrams.nonstop import BOXES, replaced
-from drake_nonstop.loop.box import config_class
-from drake_nonstop.model.aircraft import AircraftParameters
+from drake_nonstop.diagrams.nonstop import replaced
 
 FIVE = "[[1, 0, 0], [0.3, 1, 0], [-0.8, 0.6, 0], [-0.8, -0.6, 0], [0.3, -1, 0]]"
 OF_AIRCRAFT = "x: {system: {aircraft: {model: rascal_110, mass: 6.2}}}"
@@ -92,16 +97,16 @@ def test_a_file_changes_single_fields_of_its_aircraft_or_takes_another_model(tmp
     assert (aircraft.mass == 6.2) == entry.startswith("max_lift")
 
 
-@pytest.mark.parametrize("box", BOXES)
-def test_a_swap_in_python_is_that_of_the_command_line(box):
-    for name in ("quintic", "real_scale_spread"):
-        scenario = load_scenario(name)
-        for block in BOXES[box].variants:
-            swapped = load_scenario(name, [f"{box}={block.__name__}"])
-            for replacement in (block, config_class(block)):
-                after, others = replaced(scenario, {box: replacement})
-                assert not others
-                assert getattr(after, box) == getattr(swapped, box)
+@pytest.mark.parametrize("name", VARIANTS)
+def test_a_swap_in_python_is_that_of_the_command_line(name):
+    """By a block, which takes what both call alike, and by its config."""
+    box, block = VARIANTS[name]
+    for scenario in ("quintic", "real_scale_spread"):
+        swapped = getattr(load_scenario(scenario, [f"{box}={block.__name__}"]), box)
+        for replacement in (block, type(swapped)):
+            after, others = replaced(load_scenario(scenario), {box: replacement})
+            assert not others
+            assert getattr(after, box) == swapped
 
 
 def test_a_chain_of_files_is_found_from_folder_to_folder(tmp_path):

@@ -2,49 +2,39 @@
 
 import dataclasses
 import json
+import re
 from pathlib import Path
 
 import pytest
 import yaml
+from registries import VARIANTS
 
 import drake_nonstop.diagrams
+from drake_nonstop import Scenario, parse_scenario, scenario_names
 from drake_nonstop.cli.main import main
-from drake_nonstop.diagrams.nonstop import BOXES
-from drake_nonstop.scenario.choices import CHOICES, PATTERNS
-from drake_nonstop.scenario.describe import choices_of, commented_scenario, parameters
-from drake_nonstop.scenario.loading import load_scenario, parse_scenario, scenario_names
-from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.scenario.choices import CHOICES
 
 FOLDER = Path(drake_nonstop.diagrams.__file__).parent / "scenarios"
-CONFIGS = [config for configs in CHOICES.values() for config in configs]
+ROW = re.compile(r"(?m)^    (\w+) {2,}(\S.*?) {2,}(\S.*?)(?: {2,}\S.*)?$")
 
 
-@pytest.mark.parametrize("config", CONFIGS, ids=lambda config: config.__name__)
-def test_parameters_are_the_fields_with_defaults_units_and_meanings(config):
-    found = parameters(config)
-    assert [parameter.name for parameter in found] == [f.name for f in dataclasses.fields(config)]
-    assert all(parameter.meaning for parameter in found if "float" in parameter.type)
-    name = next(name for name, configs in CHOICES.items() if config in configs)
-    entry = ", ".join(f"{parameter.name}: {parameter.default}" for parameter in found)
-    text = f"check: {{{name}: !{config.__name__.removesuffix('Config')} {{{entry}}}}}"
-    assert getattr(parse_scenario(text), name) == config()
-
-
-@pytest.mark.parametrize("name", CHOICES)
-def test_every_block_is_listed_with_the_default_first(name, capsys):
-    blocks = BOXES[name].variants if name in BOXES else PATTERNS
-    choices = choices_of(name)
-    assert [each.name for each in choices] == [b.__name__.removesuffix("Config") for b in blocks]
-    assert f"{choices[0].name}Config" == type(getattr(Scenario(), name)).__name__
-    assert main(["blocks", name]) == 0
-    shown = " ".join(capsys.readouterr().out.split())
-    for choice, block in zip(choices, blocks, strict=True):
-        assert choice.summary.endswith(".")
-        told = [choice.name, choice.summary, *(p.meaning for p in choice.parameters)]
-        for ports, text in (("reads", choice.reads), ("makes", choice.makes)):
-            told.append(text)
-            assert all(f"{port} (" in text for port in getattr(block, ports, ()))
-        assert all(" ".join(text.split()) in shown for text in told)
+@pytest.mark.parametrize("box", CHOICES)
+def test_every_block_is_listed_with_its_ports_and_parameters_and_their_defaults(box, capsys):
+    assert main(["blocks", box]) == 0
+    parts = re.split(r"\n\n  (?=\w)", capsys.readouterr().out)[1:]
+    assert type(getattr(Scenario(), box)) is CHOICES[box][0]
+    blocks = {kind.__name__: kind for owner, kind in VARIANTS.values() if owner == box}
+    for config, part in zip(CHOICES[box], parts, strict=True):
+        name = config.__name__.removesuffix("Config")
+        assert part.startswith(f"{name} (default)\n" if config is CHOICES[box][0] else f"{name}\n")
+        ports = " ".join(part.split())
+        for kind in ("reads", "makes"):
+            assert all(f" {port} (" in ports for port in getattr(blocks.get(name), kind, ()))
+        rows = ROW.findall(part)
+        assert [row[0] for row in rows] == [field.name for field in dataclasses.fields(config)]
+        entry = ", ".join(f"{field}: {value}" for field, _, value in rows)
+        text = f"check: {{{box}: !{name} {{{entry}}}}}"
+        assert getattr(parse_scenario(text), box) == config()
 
 
 def test_an_unknown_box_is_told_the_boxes(capsys):
@@ -80,11 +70,13 @@ def faults(schema):
     return lambda text: list(validator.iter_errors(yaml.load(text, Untagged)))
 
 
-def test_scenarios_keep_the_schema(faults):
+def test_scenarios_keep_the_schema(faults, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     for name in scenario_names():
         assert faults((FOLDER / f"{name}.yaml").read_text()) == []
     for name in ("quintic", "aircraft_transfer_rising_wind"):
-        assert faults(commented_scenario(load_scenario(name), "mine")) == []
+        assert main(["new", f"my_{name}", "--from", name]) == 0
+        assert faults(Path(f"my_{name}.yaml").read_text()) == []
     for entry in ("system: {load_mass: !Uniform {min: 0.5, max: 1.0}}", "errors: {wind: {}}"):
         assert faults(f"a: {{{entry}}}") == []
 
