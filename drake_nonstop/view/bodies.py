@@ -27,7 +27,8 @@ CARRIER_COLOURS = (
 )
 MARK_COLOURS = "#e0101a", "#f5b800", "#18a048"  # at ε or the stall, between, and far from it
 CABLE_COLOURS = "#9cc4e4", "#08306b"  # from no tension up
-SLACK_COLOUR = "#ff00c8"
+SLACK_COLOUR, GOAL_COLOUR = "#ff00c8", "#6b8e00"
+AXIS_COLOURS = "#c00000", "#008000", "#0000c0"  # of x, y and z
 
 SMALL = 1e-6  # m, m/s: a shorter vector has no direction
 _BAR_RADIUS, _CABLE_RADIUS = 0.022, 0.0035  # of the load's radius, of the reach

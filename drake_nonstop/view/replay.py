@@ -21,7 +21,9 @@ from drake_nonstop.run.run_quantities import RunQuantities, carrier_speeds
 from drake_nonstop.run.signal_table import UnknownSignalError
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.view.bodies import (
+    AXIS_COLOURS,
     CABLE_COLOURS,
+    GOAL_COLOUR,
     LOAD_COLOUR,
     MARK_COLOURS,
     OBSTACLE_COLOUR,
@@ -34,6 +36,7 @@ from drake_nonstop.view.canvas import RecordingCanvas
 from drake_nonstop.view.figure_style import MOST_POINTS, extreme_samples
 from drake_nonstop.view.meshcat_server import start_hidden_meshcat
 from drake_nonstop.view.nonstop_visualizer import NonstopVisualizer
+from drake_nonstop.view.replay_figure import figure_of
 from drake_nonstop.view.scene import COLOURED_FROM, MARK_RANGE, TENSION_RANGE, Scene
 
 _FRAME_RATE = 12.5  # 1/s; the page interpolates between frames
@@ -57,7 +60,7 @@ class Replay(str):
         )
 
 
-def record_replay(run: Run, *, frame_rate: float | None = None) -> Replay:
+def record_replay(run: Run, *, frame_rate: float | None = None, has_figure: bool = True) -> Replay:
     """The run as a Meshcat recording (see `Scene`) in an HTML page that loads nothing else.
 
     The recording ends before the first sample that is not finite.
@@ -67,6 +70,7 @@ def record_replay(run: Run, *, frame_rate: float | None = None) -> Replay:
         frame_rate: frames per second of simulated time, at most those of the signals; the page
             interpolates between them. Without it 12.5, or fewer beyond four minutes and where the
             page would be larger than 20 MB.
+        has_figure: whether the control figure is beside the scene, with the values of its wires.
 
     Raises:
         ScenarioError: a field of the scenario's scene is out of range.
@@ -80,12 +84,15 @@ def record_replay(run: Run, *, frame_rate: float | None = None) -> Replay:
         stride = max(round(1 / (SIGNAL_PERIOD * _FRAME_RATE)), math.ceil(len(run.time) / most))
         frame_rate = 1 / (SIGNAL_PERIOD * stride)
     frame_rate = min(frame_rate, 1 / SIGNAL_PERIOD)
-    snapshots = _snapshots(run, frame_rate)
+    samples = np.unique(np.floor(run.time * frame_rate + 1e-6), return_index=True)[1]
+    snapshots = _snapshots(run, samples)
     page = _COMMAND.sub(_compressed, _recorded(scene, snapshots, frame_rate))
     if not snapshots:
         return Replay(page)
     body, end = page.rsplit("</body>", 1)
     overlay = _overlay(run, scene, snapshots)
+    if has_figure and run.diagram:
+        overlay += figure_of(run, samples[: len(snapshots)])
     return Replay(f"{body}{overlay}</body>{end}")
 
 
@@ -118,24 +125,26 @@ def _compressed(command: re.Match[str]) -> str:
     )
 
 
-def _snapshots(run: Run, frame_rate: float) -> list[Snapshot]:
-    """The run at the instants of the frames, up to the first that cannot be shown."""
-    frames = np.unique(np.floor(run.time * frame_rate + 1e-6), return_index=True)[1]
+def _snapshots(run: Run, samples: NDArray) -> list[Snapshot]:
+    """The run at some of its samples, up to the first that cannot be shown."""
     signals = {"speed_bound": np.full((len(run.time), 1), run.scenario.speed_bound)}
     for name in NonstopVisualizer.reads:
         with contextlib.suppress(UnknownSignalError):
             signals[name] = run.signal(name)
     instants = (
         Snapshot.from_signals(
-            run.time[frame], **{name: values[frame] for name, values in signals.items()}
+            run.time[sample], **{name: values[sample] for name, values in signals.items()}
         )
-        for frame in frames
+        for sample in samples
     )
     return [*itertools.takewhile(lambda snapshot: snapshot.is_finite, instants)]
 
 
-def legend(scenario: Scenario, *, has_aircraft: bool = False) -> str:
-    """The legend of the scene's colours in HTML; a sample of a colour has the class `swatch`."""
+def legend(scenario: Scenario, *, has_aircraft: bool = False, square: float = 0.0) -> str:
+    """The legend of the scene's colours in HTML; a sample of a colour has the class `swatch`.
+
+    `square` is the width in m of a square of the grid, and the length of the axes; 0: not told.
+    """
     marks = f"carrier's speed, from {MARK_RANGE:g} ε down to ε"
     if has_aircraft:
         marks = f"wing, from {COLOURED_FROM:g} of the stall up to it"
@@ -144,8 +153,11 @@ def legend(scenario: Scenario, *, has_aircraft: bool = False) -> str:
         (CABLE_COLOURS, f"tension, up to {TENSION_RANGE:g} × weight / carriers"),
         ([SLACK_COLOUR] * 2, "slack cable"),
         ([LOAD_COLOUR] * 2, "load and its path"),
-        ([REFERENCE_COLOUR] * 2, "where the load should be, its path and goal"),
+        ([REFERENCE_COLOUR] * 2, "reference: the desired pose and its path"),
+        ([GOAL_COLOUR] * 2, "goal: the last reference"),
     ]
+    if square:
+        colours.append((AXIS_COLOURS, f"x, y, z: {square:g} m each, as a square of the grid"))
     if scenario.obstacles:
         colours.append(([OBSTACLE_COLOUR] * 2, "obstacle"))
     swatch = '<span><span class="swatch" style="background:linear-gradient(to right,{})"></span>{}'
@@ -188,7 +200,7 @@ def _overlay(run: Run, scene: Scene, snapshots: list[Snapshot]) -> str:
     page = resources.files("drake_nonstop.view").joinpath("replay_overlay.html")
     return Template(page.read_text(encoding="utf-8")).substitute(
         title=html.escape(run.scenario.name),
-        legend=legend(run.scenario, has_aircraft=quantities.has_aircraft),
+        legend=legend(run.scenario, has_aircraft=quantities.has_aircraft, square=scene.square),
         duration=f"{duration:g}",
         top=f"{top:g}",
         bottom=f"{bottom:g}",

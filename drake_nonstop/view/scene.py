@@ -15,7 +15,9 @@ from drake_nonstop.scenario.obstacles import GroundConfig
 from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.validation import require_ranges
 from drake_nonstop.view.bodies import (
+    AXIS_COLOURS,
     CABLE_COLOURS,
+    GOAL_COLOUR,
     LOAD_COLOUR,
     MARK_COLOURS,
     OBSTACLE_COLOUR,
@@ -58,6 +60,7 @@ _FOLLOWING_EXTENT = 1.5  # reaches; along a longer path the camera follows the r
 _FARTHEST_CARRIER = 3.0  # reaches from the reference; one farther away may be out of view
 _GROUND_CLEARANCE = 0.3  # reaches, from the lowest point to the grid
 _GROUND_WIDTH = 200.0  # reaches
+_GRID_SQUARE = 0.5  # m, of Meshcat's grid
 _MOST_PIECES = 6  # of a cable with nodes: more would make recordings large
 _SIX_DIRECTIONS = np.vstack([np.eye(3), -np.eye(3)])
 
@@ -102,7 +105,8 @@ class Scene:
         self._aircraft = aircraft_in(system)
         self._trail_colours = [rgb(LOAD_COLOUR), *(rgb(carrier_colour(i)) for i in range(self._n))]
         self._start: tuple[NDArray, NDArray] | None = None  # the reference and grid, to be followed
-        self.aspect_ratio = 1.0  # of the narrowest window with all in view, once the stage is set
+        # Once the stage is set: of the narrowest window with all in view, and a grid's square in m.
+        self.aspect_ratio, self.square = 1.0, 0.0
         self._reset()
 
     def _reset(self) -> None:
@@ -153,12 +157,12 @@ class Scene:
         ):
             meshcat.SetTriangleMesh(f"{ROOT}/paths/{name}", *tube(path, radius), rgba)
         parts = load_parts(self._attachments, _GOAL_BAR_RATIO * self._sizes.bar)
-        _draw(meshcat, "goal", parts, REFERENCE_COLOUR)
+        _draw(meshcat, "goal", parts, GOAL_COLOUR)
         (goal,) = _poses([snapshots[-1].reference])
         meshcat.SetTransform(f"{ROOT}/goal", goal)
 
     def set_stage(self, meshcat: Meshcat, path: NDArray, carriers: NDArray | None = None) -> None:
-        """Sets a plain background, a camera that sees everything, its light and a grid below.
+        """Sets a background, a camera that sees everything, its light, axes and a grid below.
 
         Along a long path, and one that is not known, the camera follows the reference; else it
         stands still.
@@ -185,10 +189,16 @@ class Scene:
         grounds = [each.height for each in self._obstacles if isinstance(each, GroundConfig)]
         lowest = max([points[..., 2].min() - _GROUND_CLEARANCE * reach, *grounds])
         floor = np.array([*(path.min(axis=0) + path.max(axis=0))[:2] / 2, lowest])
-        scale = 10.0 ** np.round(np.log10(reach / 2))  # 1: squares of 0.5 m
+        scale = 10.0 ** np.round(np.log10(reach / 2))
+        self.square = _GRID_SQUARE * scale
         meshcat.SetTransform("/Grid", RigidTransform(floor))
         meshcat.SetProperty("/Grid/<object>", "scale", [scale, scale, scale])
         meshcat.SetProperty("/Grid/<object>", "opacity", _GRID_OPACITY)
+        corner = 0.7 * seen.min(axis=0) + 0.3 * seen.mean(axis=0)
+        thick = 2 * _TRAIL_RADIUS * reach
+        for name, axis, colour in zip("xyz", np.eye(3), AXIS_COLOURS, strict=True):
+            bar = tube(np.array([corner, corner + self.square * axis]), thick)
+            meshcat.SetTriangleMesh(f"/axes/{name}", *bar, Rgba(*rgb(colour)))
         self._start = (path[0], floor) if follows else None
 
     def show(self, canvas: Canvas, snapshot: Snapshot) -> None:

@@ -40,7 +40,7 @@ def replay_pictures(
     """
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "replay.html"
-        path.write_text(record_replay(run), encoding="utf-8")
+        path.write_text(record_replay(run, has_figure=False), encoding="utf-8")
         page.goto(f"{path.as_uri()}#embedded")
         page.wait_for_function("viewer.animator.actions.length > 0")
         page.evaluate(_PREPARE, has_strip)
