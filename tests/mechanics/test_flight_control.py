@@ -12,7 +12,6 @@ from drake_nonstop.mechanics.aircraft import (
 )
 from drake_nonstop.mechanics.flight_control import (
     FlightSignals,
-    ObserverStates,
     flight_command,
     limited_command,
     observer_rate,
@@ -123,26 +122,18 @@ def test_where_lift_is_short_the_vertical_part_is_kept_and_the_bank_is_cut(bank,
     np.testing.assert_allclose(flags, [cut, cut, False], atol=1e-6)
 
 
-LAGS = np.array([0.2, 0.2, 0.2, 0.15, 0.2])  # s, of the observer's states
-
-
-def observer(states, command, acceleration, period):
-    """The rate of the observer of one aircraft in straight flight at 15 m/s, with a bank of 0.2."""
+def test_the_observer_tells_the_force_that_the_model_does_not_explain(rng):
+    """Of one aircraft in straight flight at 15 m/s, with a bank of 0.2."""
+    push, force, nothing = rng.uniform(-3, 3, 3), np.array([1.0, 2.0, 24.0]), np.zeros(3)
+    shown = np.array([[0.6], [0.2], [9.0]])
+    made = air_force(RASCAL, np.array([[15.0, 0, 0]]), *shown)[0]
+    in_world = push * [1, -1, 1]  # in flight along x the right is at -y
+    acceleration = (made + in_world - force) / 6.0 - GRAVITY
     carrier = np.array([0.0, 0, 0, 15.0, 0, 0])
-    force, nothing = np.array([1.0, 2.0, 24.0]), np.zeros(3)
     measured = np.concatenate(AircraftState(*np.array([[0.5], [0.2], [8.0], [15.0]])))
     parts = (carrier, nothing, nothing, carrier, measured, force, nothing, nothing, acceleration)
-    signals = FlightSignals(*parts)
-    return observer_rate(RASCAL, states, command, signals, observer_time=0.2, period=period)
-
-
-def test_the_observer_tells_the_force_that_the_model_does_not_explain(rng):
-    push = rng.uniform(-3, 3, 3)
-    made = air_force(
-        RASCAL, np.array([[15.0, 0, 0]]), np.array([0.6]), np.array([0.2]), np.array([9.0])
-    )
-    in_world = push * [1, -1, 1]  # in flight along x the right is at -y
-    acceleration = (made[0] + in_world - np.array([1.0, 2.0, 24.0])) / 6.0 - GRAVITY
-    states = np.concatenate(ObserverStates(np.zeros(3), np.array([0.6]), np.array([9.0])))
-    rate = observer(states, np.array([0.7, 0.3, 11.0]), acceleration, 0.0)
-    np.testing.assert_allclose(states + LAGS * rate, [*push, 0.7, 11.0], atol=1e-12)
+    states, command = np.array([0.0, 0.0, 0.0, 0.6, 9.0]), np.array([0.7, 0.3, 11.0])
+    times = {"observer_time": 0.2, "period": 0.0}
+    rate = observer_rate(RASCAL, states, command, FlightSignals(*parts), **times)
+    lags = np.array([0.2, 0.2, 0.2, 0.15, 0.2])  # s
+    np.testing.assert_allclose(states + lags * rate, [*push, 0.7, 11.0], atol=1e-12)

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
-from helpers import GAINS, INERTIA, Motion, difference, nightly_beyond, rotation
+from helpers import GAINS, INERTIA, Motion, difference, rotation
+from scipy.integrate import solve_ivp
 
 from drake_nonstop.mechanics.rigid_load import RigidLoad, load_state_rate
 from drake_nonstop.mechanics.rotation import quaternion_rate
@@ -47,54 +48,6 @@ def test_wrench_in_closed_form(rng, feedforward):
     np.testing.assert_allclose(wrench, [*(R @ torque), *force], rtol=0, atol=1e-11)
 
 
-def differences_of_wrench(gains, feedforward, reference_at):
-    """(ẇ_d, its differences) along the motion that the model makes under w_d.
-
-    `reference_at(t, q)` is the reference with the orientation q, which is integrated
-    together with the load and with the controller's integrals, from random values.
-    """
-    start, step = 0.6, 2e-3
-    rng = np.random.default_rng(14)
-    state = Motion(15).state(start)
-    desired = Motion(16).reference(start)[:4]
-    initial = np.concatenate([state, 0.3 * rng.normal(size=6), desired])
-
-    def control(t, y):
-        return wrench_and_rate(
-            LOAD,
-            y[:13],
-            reference_at(t, y[19:]),
-            y[13:19],
-            WIND,
-            **gains,
-            feedforward=feedforward,
-        )
-
-    def rate(t, y):
-        reference = reference_at(t, y[19:])
-        load_rate = load_state_rate(
-            LOAD, y[:13], np.zeros(3), control(t, y)[0], WIND, attachments=np.zeros((1, 3))
-        )
-        error = tracking_error(y[:13], reference)[:6]
-        return np.concatenate([load_rate, error, quaternion_rate(y[19:], reference[7:10])])
-
-    def advanced(t, y, h):
-        k1 = rate(t, y)
-        k2 = rate(t + h / 2, y + h / 2 * k1)
-        k3 = rate(t + h / 2, y + h / 2 * k2)
-        k4 = rate(t + h, y + h * k3)
-        return y + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-
-    def wrench(t):
-        y, count = initial, 8
-        h = (t - start) / count
-        for i in range(count):
-            y = advanced(start + i * h, y, h)
-        return control(t, y)[0]
-
-    return control(start, initial)[1], difference(wrench, start, step)
-
-
 def swinging(t, quaternion):
     """A reference that moves in every way, with an angular jerk."""
     return np.concatenate([quaternion, Motion(16).reference(t)[4:]])
@@ -102,50 +55,44 @@ def swinging(t, quaternion):
 
 def spinning_up(t, quaternion):
     """The same with a constant angular acceleration, as the feedforward's rate takes it."""
-    reference = swinging(t, quaternion)
-    alpha = np.array([0.5, -0.8, 0.3])
+    reference, alpha = swinging(t, quaternion), np.array([0.5, -0.8, 0.3])
     omega = np.array([0.4, 0.2, -0.6]) + alpha * (t - 0.6)
     return np.concatenate([reference[:7], omega, reference[10:13], alpha, reference[16:]])
 
 
-# The differences see the load's own frequencies, up to K_ω / J = 6 1/s: h⁴ 6⁵ / 30 = 4e-9.
-RATE_TOLERANCE = 1e-8
+CASES = [
+    (GAINS, 0.0, swinging),
+    (GAINS, 0.5, spinning_up),
+    *((NO_GAINS | {name: GAINS[name]}, 0.0, swinging) for name in GAINS),
+    (NO_GAINS, 1.0, spinning_up),
+]
 
 
-@pytest.mark.parametrize("gain", nightly_beyond(1, "studies", ["all", *GAINS, None]))
-def test_wrench_rate_without_feedforward_is_the_difference_of_the_wrench(gain):
-    gains = GAINS if gain == "all" else {**NO_GAINS, **({gain: GAINS[gain]} if gain else {})}
-    rate, expected = differences_of_wrench(gains, 0.0, swinging)
-    np.testing.assert_allclose(rate, expected, rtol=0, atol=RATE_TOLERANCE)
+@pytest.mark.parametrize(("gains", "feedforward", "reference_at"), CASES)
+def test_wrench_rate_is_the_difference_of_the_wrench(gains, feedforward, reference_at):
+    """Along the motion that the model makes under w_d, by SciPy.
 
+    `reference_at(t, q)` is the reference with the orientation q, which is integrated together with
+    the load and with the controller's integrals, from random values.
+    """
+    start, rng = 0.6, np.random.default_rng(14)
+    desired = Motion(16).reference(start)[:4]
+    initial = np.concatenate([Motion(15).state(start), 0.3 * rng.normal(size=6), desired])
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("gains", "feedforward"),
-    nightly_beyond(2, "studies", [(NO_GAINS, 1.0), (GAINS, 0.5), (NO_GAINS, 0.5), (GAINS, 1.0)]),
-)
-def test_wrench_rate_with_feedforward_is_the_difference_of_the_wrench(gains, feedforward):
-    rate, expected = differences_of_wrench(gains, feedforward, spinning_up)
-    np.testing.assert_allclose(rate, expected, rtol=0, atol=RATE_TOLERANCE)
+    def control(t, y):
+        signals = LOAD, y[:13], reference_at(t, y[19:]), y[13:19], WIND
+        return wrench_and_rate(*signals, **gains, feedforward=feedforward)
 
+    def rate(t, y):
+        still, reference = {"attachments": np.zeros((1, 3))}, reference_at(t, y[19:])
+        moved = load_state_rate(LOAD, y[:13], np.zeros(3), control(t, y)[0], WIND, **still)
+        error = tracking_error(y[:13], reference)[:6]
+        return np.concatenate([moved, error, quaternion_rate(y[19:], reference[7:10])])
 
-def test_table_gains_damp_the_rotation():
-    J, K_omega, K_R, K_i = 0.01, 0.06, 0.5, 0.1
-    load = RigidLoad(mass=1.3, inertia=J * np.eye(3), drag=0.7, gravity=9.7)
-    reference = np.array([1.0, *np.zeros(21)])
+    def wrench(t):
+        flown = solve_ivp(rate, (start, t), initial, "DOP853", rtol=1e-13, atol=1e-13)
+        return control(t, flown.y[:, -1])[0]
 
-    def rate(y):
-        """Of [∫e_R, small rotation, ω] about x."""
-        state = np.array([1.0, y[1] / 2, *np.zeros(5), y[2], *np.zeros(5)])
-        integrals = np.array([y[0], *np.zeros(5)])
-        wrench, _ = wrench_and_rate(load, state, reference, integrals, **GAINS, feedforward=1.0)
-        load_rate = load_state_rate(load, state, np.zeros(3), wrench, attachments=np.zeros((1, 3)))
-        return np.array([tracking_error(state, reference)[0], y[2], load_rate[7]])
-
-    h = 1e-6
-    matrix = np.column_stack([(rate(h * e) - rate(-h * e)) / (2 * h) for e in np.eye(3)])
-    poles = np.sort_complex(np.linalg.eigvals(matrix))
-    expected = np.sort_complex(np.roots([J, K_omega, K_R, K_i]))
-    np.testing.assert_allclose(poles, expected, rtol=1e-6)
-    assert np.max(poles.real) < 0
-    np.testing.assert_allclose(poles[0], -2.90 - 6.36j, atol=0.01)
+    # The differences see the load's own frequencies, up to K_ω / J = 6 1/s: h⁴ 6⁵ / 30 = 4e-9.
+    expected = difference(wrench, start, 2e-3)
+    np.testing.assert_allclose(control(start, initial)[1], expected, rtol=0, atol=1e-8)
