@@ -184,7 +184,11 @@ def _flown(
     """The run, of which a page is shown where it has a rate."""
     if live_rate is None:
         run = simulate(scenario, progress=bar)
-        return verify_step(run, progress=bar) if verifies_step else run
+        if not verifies_step:
+            return run
+        if bar is not None:
+            bar = RunProgress(f"{scenario.name} with half the steps", scenario.simulation_duration)
+        return verify_step(run, progress=bar)
     from drake_nonstop.view.live import run_live
     from drake_nonstop.view.meshcat_server import start_meshcat
 

@@ -45,6 +45,7 @@ AIRCRAFT_NUMBERS = (
     "gravity",
 )
 AUTO = "auto"  # in the place of a field of a config that follows from the system
+_ROUNDED = 1e-6  # of a period, that of a number of samples which was written in decimals
 LOAD = ("load_mass", "load_inertia", "load_drag", "load_angular_drag", "gravity")
 
 
@@ -246,7 +247,8 @@ class Block(EquationBlock):
         is_sampled = self.answer is None or (has_state and own_period > 0)
         require(is_sampled, self._said("answer"), "that of no sampled state", remedy)
         samples = own_period / period if period > 0 else 0.0
-        is_multiple = round(samples) > 0 and abs(samples - round(samples)) < 1e-9
+        is_multiple = round(samples) > 0 and math.isclose(samples, round(samples), rel_tol=_ROUNDED)
+        own_period = round(samples) * period if is_multiple else own_period
         block = Equations(
             equations,
             inputs=signal_sizes(self, model, reads),

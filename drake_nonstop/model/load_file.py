@@ -111,6 +111,8 @@ def _parse_into(plant: MultibodyPlant, path: str | Path) -> ModelInstanceIndex:
         elements = [(f"load_file {path}: {owner}", part) for owner, part in _named(root)]
         for owner, element in elements:
             _require_numbers(owner, element)
+            if element.tag == "mesh":
+                _require_faces(Path(path), element)
         with drake_log_level(logging.CRITICAL):
             models = Parser(plant).AddModels(str(path))
         require(
@@ -119,7 +121,8 @@ def _parse_into(plant: MultibodyPlant, path: str | Path) -> ModelInstanceIndex:
         plant.Finalize()
     except ScenarioError:
         raise
-    except (RuntimeError, ValueError, OSError, ElementTree.ParseError) as error:
+    # Drake ends the process with a SystemExit where a mesh or a shape breaks what it relies on.
+    except (RuntimeError, ValueError, OSError, SystemExit, ElementTree.ParseError) as error:
         cause = " ".join(str(error).split())[:300]
         raise ScenarioError(f"load_file = {path}: {remedy} ({cause})") from None
     freedom = plant.num_velocities()
@@ -148,6 +151,24 @@ def _require_numbers(owner: str, element: ElementTree.Element) -> None:
             is_each = all(number_text(word) and "inf" not in word.lower() for word in text.split())
             remedy = "give finite numbers in plain digits, such as 2.5"
             require(is_each, f"{owner}<{element.tag}>", f"'{text}'", remedy)
+
+
+def _require_faces(path: Path, mesh: ElementTree.Element) -> None:
+    """Raises ScenarioError for a face of an OBJ file without its points, which ends the process."""
+    file = path.parent / (mesh.get("filename") or mesh.findtext("uri") or "").strip()
+    if file.suffix.lower() != ".obj" or not file.is_file():  # of others Drake tells by itself
+        return
+    lines = read_text(file, f"load_file {path}: mesh", "give an OBJ file").splitlines()
+    kinds = [line.split(maxsplit=1)[0] for line in lines if line.strip()]
+    counts = [kinds.count(kind) for kind in ("v", "vt", "vn")]
+    for number, line in enumerate(lines, 1):
+        corners = line.partition("#")[0].split()
+        for corner in corners[1:] if corners[:1] == ["f"] else ():
+            for index, count in zip(corner.split("/"), counts, strict=False):
+                if not index or (index.lstrip("-").isdigit() and 1 <= abs(int(index)) <= count):
+                    continue
+                remedy = f"give points that line {number} of {file} may have, 1 to {count}"
+                require(False, f"load_file {path}: face", line, remedy)
 
 
 def _require_inertia(owner: str, link: ElementTree.Element) -> None:

@@ -5,6 +5,8 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import nullcontext
 from typing import Any
 
+import numpy as np
+
 from drake_nonstop.run.compiled_run import fly_together
 from drake_nonstop.run.flight import Flight, require_engine
 from drake_nonstop.run.interruption import Interruption, current_interruption
@@ -116,6 +118,7 @@ class _Lane:
         with self.flight.kept():
             return self.flight.finish()
 
+    @np.errstate(under="ignore")
     def go_on(self, stage: Callable[[], Run | None]) -> None:
         """Passes through a stage, and has an outcome where it ends it.
 

@@ -23,6 +23,7 @@ _MOST_SENTENCES = 3  # of a list, in what is printed
 _NAME_WIDTH = 24  # characters, of a line's name in the table of a run
 
 
+@np.errstate(under="ignore")
 def compute_metrics(run: Run) -> dict[str, Any]:
     """The metrics of a run as nested dictionaries, as written to metrics.json.
 

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import numpy as np
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Diagram
 
@@ -15,6 +16,7 @@ from drake_nonstop.scenario.schema import Scenario
 from drake_nonstop.systems.native import asking
 
 
+@np.errstate(under="ignore")
 def simulate(
     scenario: Scenario,
     *,

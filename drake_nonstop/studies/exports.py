@@ -1,5 +1,6 @@
 """A run in the files of other tools: tables, bags of ROS 2, recordings of Rerun."""
 
+import hashlib
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -182,8 +183,8 @@ def write_rerun(run: Run, path: Path) -> None:
     require_installed("export", rerun="drake-nonstop[export]")
     import rerun
 
-    # The same run makes the same recording.
-    name = f"drake_nonstop {run.scenario.name}"
+    # The same run makes the same recording, and viewers keep others apart.
+    name = f"{run.scenario.name} {_digest(run)}"
     recording = rerun.RecordingStream("drake_nonstop", recording_id=name, send_properties=False)
     with replacing_files(path.parent, [path.name]) as new:
         recording.save(str(new / path.name))
@@ -191,6 +192,15 @@ def write_rerun(run: Run, path: Path) -> None:
         _send_plots(run, recording)
         recording.flush()
         recording.disconnect()
+
+
+def _digest(run: Run) -> str:
+    """A text of hexadecimal digits, another one for each flight."""
+    found = hashlib.sha256(run.time.tobytes())
+    for name, values in run.signals.items():
+        found.update(name.encode())
+        found.update(values.tobytes())
+    return found.hexdigest()[:32]
 
 
 def _send_motion(run: Run, recording: Any) -> None:

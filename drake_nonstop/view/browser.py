@@ -1,14 +1,30 @@
 """A browser without a window, which takes pictures of replays and other pages."""
 
+import asyncio
 import contextlib
 import os
 import shutil
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, TypeVar
 
 from drake_nonstop.validation import ScenarioError, require_installed
 
 _NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+_Result = TypeVar("_Result")
+
+
+def outside_event_loop(use_browser: Callable[[], _Result]) -> _Result:
+    """The result of a function that opens a browser, also in a notebook.
+
+    A thread with a running event loop, as a notebook's, cannot wait for a browser: another does.
+    """
+    try:
+        asyncio.get_running_loop()
+    except RuntimeError:
+        return use_browser()
+    with ThreadPoolExecutor(1) as pool:
+        return pool.submit(use_browser).result()
 
 
 @contextlib.contextmanager

@@ -4,7 +4,6 @@ On a terminal it is a line that is written over, and gone at the end. Elsewhere,
 file, it is a line every two seconds.
 """
 
-import math
 import sys
 import time
 from typing import Any
@@ -22,7 +21,7 @@ class TaskProgress:
     """
 
     def __init__(self) -> None:
-        self._share = math.inf
+        self._what, self._count, self._share = "", 1, 0.0
         self._start = self._shown = time.monotonic()
         self._is_terminal = sys.stderr.isatty()
 
@@ -35,20 +34,23 @@ class TaskProgress:
     def __call__(self, what: str, share: float) -> None:
         """Shows what is being done and the share of it that is done, 0 to 1.
 
-        A share below the one before begins the next task.
+        Another description, or a lower share, begins the next task; one of the same name is
+        numbered.
         """
-        self._tell(what, share)
+        self._tell(what, "", share)
 
-    def _tell(self, what: str, share: float) -> None:
+    def _tell(self, what: str, state: str, share: float) -> None:
         now = time.monotonic()
-        if share < self._share:
+        if what != self._what or share < self._share:
             self._start = now
-        self._share = share
+            self._count = self._count + 1 if what == self._what else 1
+        self._what, self._share = what, share
         if now - self._shown < _PERIODS[self._is_terminal]:
             return
         self._shown, spent = now, now - self._start
         left = f", {spent * (1 - share) / share:.0f} s left" if share > 0 and spent > 0 else ""
-        self._write(f"{what}: {share:.0%} [{spent:.0f} s{left}]")
+        number = f" ({self._count})" if self._count > 1 else ""
+        self._write(f"{what}{number}: {state}{share:.0%} [{spent:.0f} s{left}]")
 
     def _write(self, text: str) -> None:
         line = f"\r{text:<{_WIDTH}.{_WIDTH}}\r" if self._is_terminal else f"{text}\n"
@@ -79,5 +81,5 @@ class RunProgress(TaskProgress):
 
     def __call__(self, simulated: float) -> None:  # type: ignore[override]
         """Shows the simulated time in s; an earlier one than before begins another run."""
-        what = f"{self._name}: {simulated:.2f} of {self._duration:g} s"
-        self._tell(what, simulated / self._duration)
+        state = f"{simulated:.2f} of {self._duration:g} s: "
+        self._tell(self._name, state, simulated / self._duration)

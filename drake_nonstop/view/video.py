@@ -10,7 +10,7 @@ import numpy as np
 
 from drake_nonstop.run.run import Run
 from drake_nonstop.validation import require, require_positive, require_whole
-from drake_nonstop.view.browser import open_browser
+from drake_nonstop.view.browser import open_browser, outside_event_loop
 from drake_nonstop.view.replay import record_replay
 
 FRAME_RATE, SIZE = 20.0, (640, 480)  # 1/s of the video; pixels
@@ -88,13 +88,17 @@ def record_video(
     remedy = f"give at least {speed * count / _MOST_PICTURES:.3g}, for {_MOST_PICTURES} pictures"
     require(count <= _MOST_PICTURES, "speed", speed, remedy)
     times = np.arange(start, stop + 1e-6, speed / frame_rate)
-    pictures: list[bytes] = []
-    with open_browser(*size) as page:
-        for picture in replay_pictures(page, run, times, has_strip=True):
-            pictures.append(picture)
-            if progress is not None:
-                progress("video", len(pictures) / len(times))
-    return encode_gif(pictures, frame_rate)
+
+    def take() -> list[bytes]:
+        pictures: list[bytes] = []
+        with open_browser(*size) as page:
+            for picture in replay_pictures(page, run, times, has_strip=True):
+                pictures.append(picture)
+                if progress is not None:
+                    progress("video", len(pictures) / len(times))
+        return pictures
+
+    return encode_gif(outside_event_loop(take), frame_rate)
 
 
 def encode_gif(pictures: Sequence[bytes], frame_rate: float) -> bytes:

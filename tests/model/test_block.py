@@ -11,6 +11,7 @@ from drake_nonstop.systems.block import number
 from drake_nonstop.validation import ScenarioError
 
 POSITION = slice(4, 7)
+ENGINES = "compiled", "diagram"
 SETTINGS = ["optimization_layer=ConstantParameters", "simulation_duration=0.2"]
 
 
@@ -68,10 +69,7 @@ def test_what_is_declared_is_what_there_is(n, kind, factor):
 @pytest.mark.slow
 def test_it_flies_in_both_engines_with_parameters_of_the_context():
     scenario = load_scenario("quintic", SETTINGS)
-    runs = [
-        simulate(scenario, engine=engine, load_disturbance=Dragged)
-        for engine in ("compiled", "diagram")
-    ]
+    runs = [simulate(scenario, engine=engine, load_disturbance=Dragged) for engine in ENGINES]
     states = [run.signals["load_plant.load_state"] for run in runs]
     np.testing.assert_allclose(*states, rtol=0, atol=1e-11)
     diagram = make_nonstop(scenario, load_disturbance=Dragged)
@@ -166,21 +164,41 @@ class Reset(Counter):
         state.set_value(0, [0.0])
 
 
-def counted(kind, engine):
-    scenario = load_scenario("quintic", SETTINGS)
+class Slow(Counter):
+    """It steps at every second or third sample, by a period that was rounded to decimals."""
+
+    def step_period(self, model, config):
+        return self.config.rate
+
+
+def counted(kind, engine, *settings):
+    scenario = load_scenario("quintic", [*SETTINGS, *settings])
     run = simulate(scenario, engine=engine, extra={"counter": kind})
     return run.signals["counter.count"][:, 0]
 
 
 def test_a_held_state_without_a_start_is_the_same_in_both_engines(recwarn):
-    counts = [counted(Counter, engine) for engine in ("compiled", "diagram")]
+    counts = [counted(Counter, engine) for engine in ENGINES]
     np.testing.assert_allclose(*counts, rtol=0, atol=1e-12)
     assert counts[0][0] == 1.0
     assert not [w for w in recwarn if "compiled" in str(w.message)]
 
 
+@pytest.mark.parametrize(
+    ("period", "sample"), [(0.02, 0.01), (0.0300000001, 0.01), (0.00666667, 1 / 300)]
+)
+def test_a_period_is_one_of_samples_but_for_the_rounding_of_decimals(period, sample, recwarn):
+    def given(model):
+        return Slow(model, CounterConfig(rate=period))
+
+    counts = [counted(given, engine, f"control_period={sample!r}") for engine in ENGINES]
+    np.testing.assert_allclose(*counts, rtol=0, atol=1e-12)
+    assert counts[0][-1] > period
+    assert not [w for w in recwarn if "compiled" in str(w.message)]
+
+
 def test_an_event_of_a_class_below_is_not_left_out_in_silence(recwarn):
-    counts = [counted(Reset, engine) for engine in ("compiled", "diagram")]
+    counts = [counted(Reset, engine) for engine in ENGINES]
     np.testing.assert_allclose(*counts, rtol=0, atol=1e-12)
     assert [w for w in recwarn if "counter" in str(w.message)]
 

@@ -137,3 +137,15 @@ def test_a_file_is_refused_of_which_drake_would_make_another_load(tmp_path, old,
     assert f"{tmp_path / name}: " in str(caught.value)
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("role", ["visual", "collision"])
+@pytest.mark.parametrize("face", ["1 2 7", "1 2 -4", "1/1/1 2/1/1 3/1/900000000", "1 2 0", "a b c"])
+def test_a_mesh_with_a_face_out_of_range_is_refused_and_ends_no_process(tmp_path, face, role):
+    mesh = f"v 0 0 0\nv 1 0 0\nv 0 1 0\nvn 0 0 1\nvt 0 0\nf 1 2 3\nf {face}\n"
+    (tmp_path / "crate.obj").write_text(mesh)
+    shape = "<geometry><mesh><uri>crate.obj</uri></mesh></geometry>"
+    text = sdf().replace("</link>", f'<{role} name="mesh">{shape}</{role}></link>', 1)
+    (tmp_path / "load.sdf").write_text(text)
+    with pytest.raises(ScenarioError, match=r"face = f .*: give .*line 7 .*crate\.obj .*1 to "):
+        read_load(tmp_path / "load.sdf", FRAMES)

@@ -20,6 +20,7 @@ from drake_nonstop import (
     make_nonstop,
     set_equilibrium,
     simulate,
+    simulate_many,
     verify_step,
 )
 from drake_nonstop.mechanics.signals import LoadReference, LoadState
@@ -42,6 +43,23 @@ def short(*overrides, name="quintic", duration=0.2):
 
 def drawn(count, values):
     return nightly_beyond(count, "studies", values.tolist())
+
+
+@pytest.mark.parametrize(
+    "setting",
+    [
+        "wind=!GustyWind {gust: 1e-310}",
+        "load_disturbance=!DisturbanceForce {gust_force: 1e-310}",
+        "load_trajectory=!RestToRest {displacement: [1e-170, 0, 0]}",
+    ],
+)
+def test_a_number_below_the_smallest_ends_no_flight(setting):
+    scenario = short(setting)
+    with np.errstate(all="raise"):
+        for engine in ("compiled", "diagram"):
+            compute_metrics(simulate(scenario, engine=engine))
+        for run in simulate_many([scenario, scenario]):
+            compute_metrics(run)
 
 
 # Starts

@@ -1,12 +1,14 @@
 """Runs in the files of other tools, read back by readers that are not ours."""
 
+import re
+
 import numpy as np
 import pandas
 import pytest
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RotationMatrix
 
-from drake_nonstop import ScenarioError, load_scenario, simulate
+from drake_nonstop import ConstantParameters, ScenarioError, load_scenario, simulate
 from drake_nonstop.cli.main import main
 from drake_nonstop.mechanics.signals import CarrierStates, LoadState, Wrench
 from drake_nonstop.studies.exports import write_csv, write_mcap, write_parquet, write_rerun
@@ -106,6 +108,19 @@ def test_a_recording_has_the_motion_and_the_plots(run, tmp_path):
     write_rerun(run, path)
     assert path.stat().st_size > 50_000
     assert path.read_bytes()[:3] == b"RRF"
+
+
+def test_recordings_have_one_name_if_they_are_of_one_flight(run, tmp_path):
+    """A viewer merges recordings of one name."""
+    pytest.importorskip("rerun")
+    names = []
+    for flown in (run, run, simulate(run.scenario, optimization_layer=ConstantParameters)):
+        write_rerun(flown, tmp_path / "run.rrd")
+        names += re.findall(rb"three_carriers [0-9a-f]{32}", (tmp_path / "run.rrd").read_bytes())[
+            :1
+        ]
+    assert len(names) == 3
+    assert names[0] == names[1] != names[2]
 
 
 @pytest.mark.parametrize("kind", ["csv", "parquet"])

@@ -10,18 +10,25 @@ import pytest
 from drake_nonstop import RunProgress, TaskProgress
 
 RUN = [(1.5,), (3.0,), (0.5,), (7.5,)]  # two runs, s
-TASK = [("simulating", 0.25), ("simulating", 0.5), ("drawing", 0.1)]
+TASK = [("simulating", 0.25), ("simulating", 0.5), ("drawing", 0.1), ("drawing", 0.05)]
 
 
 @pytest.mark.parametrize("is_terminal", [False, True])
 @pytest.mark.parametrize(
     ("make", "told", "states"),
     [
-        (TaskProgress, TASK, ["simulating: 25%", "simulating: 50%", "drawing: 10%"]),
+        (
+            TaskProgress,
+            TASK,
+            ["simulating: 25%", "simulating: 50%", "drawing: 10%", "drawing (2): 5%"],
+        ),
         (
             lambda: RunProgress("quintic", 15.0),
             RUN,
-            [f"quintic: {time:.2f} of 15 s: {time / 15:.0%}" for (time,) in RUN],
+            [
+                f"quintic{number}: {time:.2f} of 15 s: {time / 15:.0%}"
+                for (time,), number in zip(RUN, ("", "", " (2)", " (2)"), strict=True)
+            ],
         ),
     ],
 )

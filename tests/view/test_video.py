@@ -1,5 +1,6 @@
 """Moving pictures of a run; those that a browser takes are made at night."""
 
+import asyncio
 import io
 import itertools
 import shutil
@@ -66,6 +67,15 @@ def test_without_a_browser_one_sentence_says_what_to_install(monkeypatch):
     monkeypatch.setenv("PLAYWRIGHT_BROWSERS_PATH", "/nowhere")
     with pytest.raises(ScenarioError, match=r"^browser = none: install one .*`playwright install"):
         record_video(circling_run(duration=0.5))
+
+
+@pytest.mark.nightly("browsers")
+@pytest.mark.usefixtures("needs_browser")
+def test_a_notebook_with_its_running_event_loop_takes_a_gif():
+    async def cell():
+        return record_video(circling_run(duration=0.1), size=(64, 64))
+
+    assert asyncio.run(cell()).startswith(b"GIF")
 
 
 @pytest.mark.nightly("browsers")
