@@ -1,6 +1,5 @@
-"""A run is freed once nothing refers to it any more."""
+"""A loop is freed once nothing refers to it any more, and its blocks convert."""
 
-import dataclasses
 import gc
 import math
 import weakref
@@ -10,15 +9,14 @@ from pydrake.autodiffutils import AutoDiffXd
 from pydrake.symbolic import Expression, Variable
 from pydrake.systems.framework import BasicVector, Diagram, DiagramBuilder, LeafSystem, LeafSystem_
 
-from drake_nonstop.diagrams.nonstop import make_nonstop
-from drake_nonstop.run.simulate import simulate
-from drake_nonstop.scenario.loading import load_scenario
-from drake_nonstop.systems.block import (
+from drake_nonstop import (
+    ConstantParametersConfig,
     LeafBlock,
-    number,
-    of_scalar,
-    release,
+    load_scenario,
+    make_nonstop,
+    simulate,
 )
+from drake_nonstop.systems.block import number, of_scalar, release
 
 CONSTANT = "optimization_layer=ConstantParameters"
 SWAPS = [  # the first two have most blocks between them
@@ -44,38 +42,44 @@ class PlainWind(LeafSystem):
         output.SetFromVector([0.0] * 6)
 
 
-def held(run):
-    """Weak references to what the run, its diagram and its blocks are."""
-    things = [run, run.diagram, *run.diagram.GetSystems()]
-    return [weakref.ref(thing) for thing in things]
+def references(diagram, *others):
+    """Weak references to a diagram, its blocks and other things."""
+    return [weakref.ref(thing) for thing in (diagram, *diagram.GetSystems(), *others)]
+
+
+def left(found):
+    """The types of what is still there."""
+    gc.collect()
+    gc.collect()  # what Drake's systems in C++ held
+    return [type(each()) for each in found if each() is not None]
 
 
 @pytest.mark.parametrize("overrides", SWAPS)
 @pytest.mark.slow
 def test_a_run_leaves_nothing_in_memory(overrides):
     run = simulate(load_scenario("line", ["simulation_duration=0.02", *overrides]))
-    references = held(run)
+    found = references(run.diagram, run)
     del run
-    gc.collect()
-    assert [r() for r in references if r() is not None] == []
+    assert left(found) == []
 
 
 @pytest.mark.parametrize("convert", [Diagram.ToAutoDiffXd, Diagram.ToSymbolic, Diagram.Clone])
 def test_a_converted_loop_leaves_nothing_in_memory(convert):
     overrides = ["load_plant=MultibodyLoadPlant", "phase=PaperPhase", CONSTANT]
     converted = convert(make_nonstop(load_scenario("line", overrides), at_equilibrium=False))
-    references = [weakref.ref(thing) for thing in (converted, *converted.GetSystems())]
-    context = converted.CreateDefaultContext()
-    converted.GetOutputPort("phase").Eval(context)
-    del context, converted
-    gc.collect()
-    gc.collect()  # what Drake's systems in C++ held
-    assert [r() for r in references if r() is not None] == []
+    found = references(converted)
+    converted.GetOutputPort("phase").Eval(converted.CreateDefaultContext())
+    del converted
+    assert left(found) == []
 
 
-@dataclasses.dataclass
-class ScaledConfig:
-    factor: float
+def test_release_frees_the_rest_beside_a_block_of_the_users():
+    scenario = load_scenario("line", ["simulation_duration=0.02", CONSTANT])
+    run = simulate(scenario, load_disturbance=PlainWind)
+    found = references(run.diagram, run)
+    release(run.diagram)
+    del run
+    assert left(found) in ([PlainWind], [])
 
 
 class Scaled(LeafBlock):
@@ -83,7 +87,7 @@ class Scaled(LeafBlock):
 
     def __init__(self, config, *, offset):
         super().__init__()
-        self.sum = self.sum_of(config.factor, offset)
+        self.sum = self.sum_of(config.frequency, offset)
         self.DeclareVectorOutputPort("sum", 1, self.calc)
 
     @staticmethod
@@ -103,10 +107,10 @@ class ScaledMore(Scaled):
 
 
 def test_a_block_converts_with_its_name_and_its_first_arguments():
-    config = ScaledConfig(3.0)
+    config = ConstantParametersConfig(frequency=3.0)
     block = ScaledMore(config, offset=4.0)
     block.set_name("more")
-    config.factor = 100.0
+    config.frequency = 100.0
     for other, scalar in (
         (block.ToAutoDiffXd(), AutoDiffXd),
         (block.ToSymbolic(), Expression),
@@ -119,17 +123,6 @@ def test_a_block_converts_with_its_name_and_its_first_arguments():
         assert number(value) == 14.0
     assert type(block.ToSymbolic().Clone().ToAutoDiffXd()) is of_scalar(ScaledMore, AutoDiffXd)
     assert of_scalar(of_scalar(ScaledMore, Expression), float) is ScaledMore
-
-
-def test_release_frees_the_rest_beside_a_block_of_the_users():
-    scenario = load_scenario("line", ["simulation_duration=0.02", CONSTANT])
-    run = simulate(scenario, load_disturbance=PlainWind)
-    reference, blocks = weakref.ref(run.diagram), held(run)
-    release(run.diagram)
-    del run
-    gc.collect()
-    assert reference() is None
-    assert [type(r()) for r in blocks if r() is not None] in ([PlainWind], [])
 
 
 class Root(LeafBlock):
@@ -151,8 +144,8 @@ def test_a_function_that_takes_floats_only_feeds_everything_through():
     assert block.HasDirectFeedthrough(1, 0)
     builder = DiagramBuilder()
     builder.AddSystem(block)
-    builder.ExportInput(block.get_input_port(0))
-    builder.ExportInput(block.get_input_port(1))
+    for k in (0, 1):
+        builder.ExportInput(block.get_input_port(k))
     builder.ExportOutput(block.get_output_port())
     builder.Build()
     symbolic = block.ToSymbolic()
