@@ -75,11 +75,14 @@ def test_lags_and_roll_rate():
     np.testing.assert_allclose(path[:, 7], expected, atol=1e-3)
 
 
-def test_a_gust_acts_at_once_and_is_taken_out():
+@pytest.mark.parametrize("bank", [0.0, 0.6])
+def test_a_gust_acts_at_once_and_is_taken_out(bank):
     """δα = (w − w_s)·l/V, and the lift of a step of wind decays with 0.4 s."""
     states, command = at_trim(RASCAL, 15.0)
+    states[7] = bank
     upwash, speed = np.array([0.0, 0.0, 1.0]), np.sqrt(226.0)
-    expected = states[6] + 5.0 * (15.0 / speed) / speed  # l leans with the path through the air
+    # l leans with the path through the air, and with the bank.
+    expected = states[6] + 5.0 * np.cos(bank) * (15.0 / speed) / speed
     shown = AircraftState.view(shown_state(RASCAL, states, upwash))
     np.testing.assert_allclose(shown.lift, expected, rtol=1e-9)
     np.testing.assert_allclose(shown.airspeed, speed, rtol=1e-12)
