@@ -9,6 +9,7 @@ import pytest
 
 from drake_nonstop import (
     Run,
+    RunsInterrupted,
     RunStopped,
     ScenarioError,
     ScenarioWarning,
@@ -16,7 +17,6 @@ from drake_nonstop import (
     simulate,
     simulate_many,
 )
-from drake_nonstop.run.run import RunsInterrupted
 
 CONSTANT = "optimization_layer=ConstantParameters"
 SHORT = [CONSTANT, "simulation_duration=0.3"]
@@ -32,16 +32,25 @@ def assert_equal(run, expected):
             np.testing.assert_array_equal(signals[name], others[name], name)
 
 
-def with_warnings(call):
-    with warnings.catch_warnings(record=True) as told:
-        warnings.simplefilter("always")
-        return call(), [str(each.message) for each in told]
+def flown(scenarios):
+    """The runs of many together, and of each alone, after it is held that these tell the same."""
+    runs, told = [], []
+    for call in (
+        lambda: simulate_many(scenarios, **COMPILED),
+        lambda: [simulate(each, **COMPILED) for each in scenarios],
+    ):
+        with warnings.catch_warnings(record=True) as found:
+            warnings.simplefilter("always", ScenarioWarning)
+            runs.append(call())
+        told.append(sorted(str(each.message) for each in found))
+    assert told[0] == told[1]
+    return runs
 
 
 GUST = "load_disturbance=!DisturbanceForce {{gust_force: {}, seed: 3, start_time: 0.01}}"
-OTHER_NUMBERS = {
+CASES = {
     "constant": (
-        SHORT,
+        [*SHORT, GUST.format(0.0)],
         [
             ["simulated.load_mass=0.9", GUST.format(0.1), "limits.slack_time=1"],
             ["simulated.load_mass=1.1", GUST.format(0.2), "simulation_duration=0.104"],
@@ -51,62 +60,47 @@ OTHER_NUMBERS = {
         ],
     ),
     "planned": (
-        ["simulation_duration=0.12"],
+        ["simulation_duration=0.12", GUST.format(0.0)],
         [
             ["optimization_layer.speed_bound=0.5", "system.load_mass=1.1"],
             ["optimization_layer.speed_bound=0.4", GUST.format(0.2)],
         ],
     ),
-}
+    "other loops": (
+        [CONSTANT, "simulation_duration=0.06"],
+        [
+            ["simulated.attachments=[[0.8, 0.8, 0], [-0.8, 0.8, 0], [-0.8, -0.8, 0], [0.8, -0.8, "
+             "0]]"],
+            ["load_trajectory.move_time=8"],
+            ["control_period=0"],  # is not compiled
+        ],
+    ),
+}  # fmt: skip
 
 
-@pytest.mark.parametrize("name", OTHER_NUMBERS)
-def test_runs_that_differ_in_numbers_are_those_of_simulate(name):
-    common, numbers = OTHER_NUMBERS[name]
-    common = [*common, GUST.format(0.0)]
-    scenarios = [load_scenario("quintic", [*common, *each]) for each in numbers]
-    found, told = with_warnings(lambda: simulate_many(scenarios, engine="compiled"))
-    expected, told_alone = with_warnings(
-        lambda: [simulate(scenario, engine="compiled") for scenario in scenarios]
-    )
-    for run, alone in zip(found, expected, strict=True):
+@pytest.mark.parametrize(("common", "numbers"), CASES.values(), ids=CASES)
+def test_runs_are_those_of_simulate(common, numbers):
+    for run, alone in zip(
+        *flown([load_scenario("quintic", [*common, *own]) for own in numbers]), strict=True
+    ):
         assert_equal(run, alone)
-    assert sorted(told) == sorted(told_alone)
-
-
-OTHER_LOOPS = [
-    ["simulated.attachments=[[0.8, 0.8, 0], [-0.8, 0.8, 0], [-0.8, -0.8, 0], [0.8, -0.8, 0]]"],
-    ["load_trajectory.move_time=8"],
-    ["control_period=0"],  # is not compiled
-]
-
-
-def test_other_loops_are_built_and_fly_beside():
-    short = [CONSTANT, "simulation_duration=0.06"]
-    scenarios = [load_scenario("quintic", [*short, *each]) for each in OTHER_LOOPS]
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ScenarioWarning)
-        found = simulate_many(scenarios, **COMPILED)
-        for run, scenario in zip(found, scenarios, strict=True):
-            assert_equal(run, simulate(scenario, **COMPILED))
 
 
 def test_what_is_wrong_or_diverges_has_a_row_of_its_own_and_harms_no_other():
-    wrong = load_scenario("quintic", SHORT)
+    wrong, right = load_scenario("quintic", SHORT), load_scenario("quintic", SHORT)
     wrong.system.load_mass = -1.0
     diverging = load_scenario(
         "quintic", [CONSTANT, "simulation_duration=1", "wrench_controller.velocity_gain=400"]
     )
-    right = load_scenario("quintic", SHORT)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ScenarioWarning)
         found = simulate_many([wrong, right, diverging, right], **COMPILED)
+        with pytest.raises(RunStopped) as stopped:
+            simulate(diverging, **COMPILED)
     assert isinstance(found[0], ScenarioError)
     assert "load_mass" in str(found[0])
     assert isinstance(found[2], RunStopped)
     assert 0 < found[2].run.time[-1] < 1
-    with pytest.warns(ScenarioWarning), pytest.raises(RunStopped) as stopped:
-        simulate(diverging, **COMPILED)
     assert str(found[2]) == str(stopped.value)
     assert_equal(found[2].run, stopped.value.run)
     expected = simulate(right, **COMPILED)

@@ -6,58 +6,52 @@ import numpy as np
 import pytest
 from aircraft_runs import FREQUENCY, aircraft_run
 
-from drake_nonstop import Run, compute_metrics, load_scenario
-from drake_nonstop.blocks.optimization_layer import ConstantParametersConfig
+from drake_nonstop import ConstantParametersConfig, Run, changed, compute_metrics, load_scenario
 from drake_nonstop.mechanics.rounded_box import nearest_to
 from drake_nonstop.mechanics.signals import AircraftState
-from drake_nonstop.run.metrics import METRICS, flattened, metrics_table, value_at
-from drake_nonstop.run.spacing import closest_approach
-from drake_nonstop.scenario.obstacles import BoxConfig, GroundConfig, SphereConfig
+from drake_nonstop.run.metrics import METRICS, metrics_table
+from drake_nonstop.run.run_quantities import RunQuantities
 
 TURN = 2 * np.pi / FREQUENCY
-TIMES = np.linspace(0, 3, 7)
+DIAGNOSTICS = [1, 7, 4, 1, 1, 1, 0.2]
 
 
-def circling_run(*, radius=0.5, rate=2.0, tensions=None):
-    """Four carriers on level circles above the corners of a resting, level load."""
-    scenario = load_scenario("quintic")
-    time = np.linspace(0, 4, 4001)
-    corners = np.array(scenario.system.attachments)
-    angle = rate * time[:, None]
-    ring = radius * np.stack([np.cos(angle), np.sin(angle), 0 * angle + 1.6], axis=2)
-    swing = radius * rate * np.stack([-np.sin(angle), np.cos(angle), 0 * angle], axis=2)
-    positions = corners + ring
-    velocities = np.broadcast_to(swing, positions.shape)
-    carriers = np.concatenate(
-        [positions.reshape(len(time), -1), velocities.reshape(len(time), -1)], axis=1
-    )
-    load = np.zeros((len(time), 13))
-    load[:, 0] = 1
-    load[:, 4] = 0.003
-    reference = np.zeros((len(time), 22))
-    reference[:, 0] = 1
-    diagnostics = np.zeros((len(time), 7))
-    diagnostics[-1] = [1, 7, 4, 1, 1, 1, 0.2]
+def made_up(time, positions, velocities, load=(0.003, 0.0, 0.0)):
+    """A run of four carriers (k, 4, 3) above a level load, whose reference rests at the origin."""
+    count = len(time)
+    carriers = np.hstack([part.reshape(count, -1) for part in (positions, velocities)])
+    state, diagnostics = np.tile(np.eye(13)[0], (count, 1)), np.zeros((count, 7))
+    state[:, 4:7], diagnostics[-1] = load, DIAGNOSTICS
     return Run(
-        scenario=scenario,
+        scenario=load_scenario("quintic"),
         diagram=None,
         time=time,
         signals={
-            "load_plant.load_state": load,
-            "load_trajectory.reference": reference,
+            "load_plant.load_state": state,
+            "load_trajectory.reference": np.tile(np.eye(22)[0], (count, 1)),
             "carrier_dynamics.carrier_state": carriers,
-            "optimization_layer.parameters": np.tile([2.0, 1.3], (len(time), 1)),
+            "optimization_layer.parameters": np.tile([2.0, 1.3], (count, 1)),
         },
         steps={
             "time": time,
-            "load_state": load,
+            "load_state": state,
             "carrier_state": carriers,
-            "tensions": np.full((len(time), 4), 2.5) if tensions is None else tensions(time),
+            "tensions": np.full((count, 4), 2.5),
             "diagnostics": diagnostics,
         },
         solve_times=np.array([1e-3, 2e-3, 3e-3]),
         wall_time=0.5,
     )
+
+
+def circling_run(*, radius=0.5, rate=2.0):
+    """Level circles above the corners of a resting load."""
+    time = np.linspace(0, 4, 4001)
+    angle = rate * time[:, None]
+    ring = radius * np.stack([np.cos(angle), np.sin(angle), 0 * angle + 1.6], axis=2)
+    swing = radius * rate * np.stack([-np.sin(angle), np.cos(angle), 0 * angle], axis=2)
+    positions = np.array(load_scenario("quintic").system.attachments) + ring
+    return made_up(time, positions, np.broadcast_to(swing, positions.shape))
 
 
 def everything():
@@ -66,10 +60,10 @@ def everything():
     carriers = run.signal("carrier_state")[:, :12].reshape(-1, 4, 3)
     nodes = carriers - [0, 0, 75.0]
     run.signals["cables.cable_state"] = np.tile(nodes.reshape(len(nodes), -1), (1, 2))
-    run.scenario.obstacles = [GroundConfig(height=-5.0)]
+    run.scenario = changed(run.scenario, ["obstacles=[!Ground {height: -5}]"])
     run.scenario.reference_governor = {}
     diagnostics = np.zeros((len(run.time), 7))
-    diagnostics[-1] = [1, 7, 4, 1, 1, 1, 0.2]
+    diagnostics[-1] = DIAGNOSTICS
     run.steps["diagnostics"], run.solve_times = diagnostics, np.array([1e-3, 2e-3, 3e-3])
     return run
 
@@ -81,7 +75,7 @@ def of_everything():
 
 @pytest.mark.parametrize("metric", METRICS, ids=lambda metric: metric.path)
 def test_each_metric_is_stored_and_shown_where_its_row_says(metric, of_everything):
-    value = value_at(of_everything, metric.path)
+    value = metric.value(of_everything)
     assert value is not None
     assert isinstance(value, (str, list)) or np.isfinite(value)
     assert [each.path for each in METRICS].count(metric.path) == 1
@@ -99,7 +93,6 @@ def test_what_a_run_does_not_have_is_left_out():
     metrics = compute_metrics(circling_run())
     assert not {"aircraft", "bowed_cables", "obstacles"} & {*metrics}
     assert metrics["load"]["reference_delay_max_s"] is None
-    assert {*flattened(metrics)} > {metric.path for metric in METRICS if "." not in metric.path}
     json.dumps(metrics, allow_nan=False)
     run = circling_run()
     run.steps["diagnostics"][-1, 1:] = 0
@@ -134,36 +127,25 @@ def test_times_below_the_bound_and_slack_are_those_of_any_carrier_or_cable():
 
 
 @pytest.mark.parametrize("angle", [1e-9, 1e-4, 0.3, 3.0])
-@pytest.mark.parametrize("sign", [1, -1])
-def test_the_orientation_error_is_the_angle_also_of_a_quaternion_of_other_sign(angle, sign):
-    run = circling_run()
-    half = angle / 2
-    run.signal("load_state")[:, :4] = sign * np.array([np.cos(half), 0, np.sin(half), 0])
-    load = compute_metrics(run)["load"]
-    assert load["orientation_error_max_rad"] == pytest.approx(angle, rel=1e-9)
+def test_the_orientation_error_is_the_angle_also_of_a_quaternion_of_other_sign(angle):
+    for sign in (1, -1):
+        run = circling_run()
+        half = angle / 2
+        run.signal("load_state")[:, :4] = sign * np.array([np.cos(half), 0, np.sin(half), 0])
+        load = compute_metrics(run)["load"]
+        assert load["orientation_error_max_rad"] == pytest.approx(angle, rel=1e-9)
 
 
 @pytest.mark.parametrize("step", [0.004, 0.01, 0.03])
-def test_extremes_between_two_steps_are_found(step):
+def test_extremes_between_two_steps_are_found(step, rng):
     """Carriers that stop, and meet, at instants that no step ends at; known in closed form."""
-    rng = np.random.default_rng(3)
-    run = circling_run()
     time = np.sort(np.concatenate([np.arange(0, 1, step), rng.uniform(0, 1, 20), [0.5]]))
-    t = time - 0.5004  # no step's end
+    t = time[:, None] - 0.5004  # no step's end
     start, acceleration = np.array([0.02, 0.0, 0.01]), np.array([0.0, 3.0, 1.0])
-    velocities = start + t[:, None] * acceleration
-    positions = [0.3 * i + t[:, None] * [1.0, 2.0, 0.0] * (-1) ** i for i in range(3)]
-    positions = [position + 5.0 * (i == 2) for i, position in enumerate(positions)]
-    positions[1] = positions[1] - 0.3 + np.array([0, 0, 0.004])  # passes the first 4 mm above it
-    carriers = np.concatenate([*positions, positions[2] + 1, *[velocities] * 4], axis=1)
-    run.steps |= {
-        "time": time,
-        "carrier_state": carriers,
-        "load_state": np.eye(13)[[0] * len(time)],
-    }
-    run.steps["tensions"] = np.full((len(time), 4), 2.5)
-    run.steps["diagnostics"] = np.zeros((len(time), 7))
-    carriers = compute_metrics(run)["carriers"]
+    path = t * [1.0, 2.0, 0.0]
+    apart = path, np.array([0, 0, 0.004]) - path, path + 5.6, path + 6.6  # 4 mm, where two meet
+    velocities = np.repeat((start + t * acceleration)[:, None], 4, axis=1)
+    carriers = compute_metrics(made_up(time, np.stack(apart, axis=1), velocities))["carriers"]
     place = -start @ acceleration / (acceleration @ acceleration)
     slowest = np.linalg.norm(start + place * acceleration)
     assert carriers["speed_min_m_s"] == pytest.approx(slowest, rel=1e-6)
@@ -222,37 +204,54 @@ def test_the_saturated_share_is_the_time_with_any_flag():
     assert share == pytest.approx(2 / TURN, abs=2e-3)
 
 
+def flown_past(obstacle, load, carriers):
+    """A run of 7 steps in 3 s."""
+    run = made_up(np.linspace(0, 3, 7), carriers, 0 * carriers, load)
+    run.scenario = changed(run.scenario, [f"obstacles=[{obstacle}]"])
+    return run
+
+
 @pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("kind", [SphereConfig, BoxConfig, GroundConfig])
+@pytest.mark.parametrize("kind", ["Sphere", "Box", "Ground"])
 def test_no_body_is_nearer_to_an_obstacle_at_any_of_many_instants(kind, seed):
     rng = np.random.default_rng(seed)
     far = 6 * (seed % 2)  # for one of them, no contact
-    place = far + rng.uniform(-1, 1, 3)
-    where = {"height": -2.0 - far} if kind is GroundConfig else {"position": place}
-    box = kind(**where).shape()
-    segments = rng.normal(size=(7, 2, 2, 2, 3)) * 2
-    found = closest_approach("cable", segments, TIMES, "it", box)
-    fine = np.linspace(0, 3, 3001)
-    between = np.stack([np.interp(fine, TIMES, c) for c in segments.reshape(7, -1).T], axis=1)
-    distances = nearest_to(box, between.reshape(-1, 2, 2, 2, 3))[0].min(axis=2)
-    least = distances.min()
-    assert (found.distance > 0) == (least > 0) == (far > 0)
-    assert least - 0.01 < found.distance < least + 1e-3
-    if least > 0:
-        assert distances.min(axis=1)[np.argmin(np.abs(fine - found.time))] < least + 0.02
+    place = (far + rng.uniform(-1, 1, 3)).tolist()
+    where = f"height: {-2 - far}" if kind == "Ground" else f"position: {place}"
+    load, carriers = rng.normal(size=(7, 3)), 2 * rng.normal(size=(7, 4, 3))
+    run = flown_past(f"!{kind} {{{where}}}", load, carriers)
+    times = np.linspace(0, 3, 3001)
+    load, carriers = (
+        np.stack([np.interp(times, run.steps["time"], c) for c in part.reshape(7, -1).T], axis=1)
+        for part in (load, carriers)
+    )
+    corners, carriers = np.array(run.scenario.system.attachments), carriers.reshape(-1, 4, 3)
+    frame = load[:, None] + np.vstack([corners, np.zeros(3)])
+    bodies = {
+        "load": frame[:, np.transpose(np.triu_indices(5, 1))],
+        "cable": np.stack([frame[:, :4], carriers], axis=2),
+        "carrier": np.stack([carriers, carriers], axis=2),
+    }
+    approaches = {each.kind: each for each in RunQuantities(run).approaches}
+    assert approaches.keys() == bodies.keys()
+    for name, segments in bodies.items():
+        found = approaches[name]
+        distances = nearest_to(run.scenario.obstacles[0].shape(), segments)[0].min(axis=1)
+        least = distances.min()
+        assert least - 0.01 < found.distance < max(least, 0.0) + 1e-3
+        if least > 0.01:
+            assert distances[np.argmin(np.abs(times - found.time))] < least + 0.02
 
 
 def test_the_first_contact_and_the_body_are_told_also_between_two_steps():
-    wall = BoxConfig(size=[0.01, 9.0, 9.0]).shape()
-    paths = np.zeros((7, 2, 3))
-    paths[:, 0] = [9.0, 9.0, 0.0]
-    paths[:, 1, 0] = [-5, -3, -1, 1.02, 3, 5, 7]
-    bodies = np.stack([paths, paths], axis=2)[:, :, None]
-    found = closest_approach("carrier", bodies, TIMES, "wall", wall)
-    assert found.distance < 0
-    assert found.time == pytest.approx(1.0 + 0.5 / 2.02, abs=5e-3)
-    assert found.body in found.sentence
-    assert found.body == "carrier 2"
-    apart = closest_approach("carrier", bodies[:, :1], TIMES, "wall", wall)
-    assert apart.distance == pytest.approx(np.hypot(9 - 0.005, 4.5))
-    assert found.order < apart.order
+    carriers = np.full((7, 4, 3), 9.0)
+    carriers[:, 1] = 0.0
+    carriers[:, 1, 0] = [-5, -3, -1, 1.02, 3, 5, 7]
+    wall = "!Box {name: wall, size: [0.01, 9, 9]}"
+    run = flown_past(wall, [99.0, 0, 0], carriers)
+    found = RunQuantities(run).approaches
+    (hit,) = (each for each in found if each.kind == "carrier")
+    assert hit.distance < 0
+    assert hit.time == pytest.approx(1.0 + 0.5 / 2.02, abs=5e-3)
+    assert hit.body in hit.sentence
+    assert (hit.body, hit.obstacle, found[-1].kind) == ("carrier 2", "wall", "load")
