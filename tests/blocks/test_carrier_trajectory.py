@@ -10,6 +10,7 @@ from pydrake.polynomial import Polynomial
 from pydrake.systems.framework import LeafSystem
 from pydrake.trajectories import PiecewisePolynomial
 
+from drake_nonstop import simulate
 from drake_nonstop.blocks.along_trajectory import LoadTrajectory
 from drake_nonstop.blocks.carrier_controller import (
     TunedFeedforwardCarrierPid,
@@ -222,6 +223,16 @@ def turning_path():
         [1.0, 0.1, 0.02, -0.03, 0.01],
     ]
     return PiecewisePolynomial([np.array([[Polynomial(row)] for row in rows])], [0.0, 3.0])
+
+
+def test_between_samples_accelerations_are_the_rates_of_velocities():
+    changes = ["optimization_layer=ConstantParameters", "control_period=0.05"]
+    run = simulate(load_scenario("quintic", [*changes, "simulation_duration=0.2"]))
+    velocity = np.split(run.signal("carrier_reference"), 2, axis=1)[1]
+    for k in (2, 3, 7, 8, 12, 13):  # exact, at a constant jerk
+        mean = (velocity[k + 1] - velocity[k - 1]) / 0.02
+        acceleration = run.signal("carrier_reference_acceleration")[k]
+        np.testing.assert_allclose(acceleration, mean, atol=1e-9)
 
 
 @pytest.mark.slow

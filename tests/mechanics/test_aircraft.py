@@ -11,6 +11,7 @@ from drake_nonstop.mechanics.aircraft import (
     air_force,
     flight_needs,
     flight_rate,
+    is_stalled,
     shown_state,
     trimmed_states,
 )
@@ -32,6 +33,19 @@ def test_needs_are_the_inverse(rng):
     found = flight_needs(RASCAL, air_force(RASCAL, air, lift, bank, thrust), air)
     for name, given in (("lift", lift), ("bank", bank), ("thrust", thrust)):
         np.testing.assert_allclose(getattr(found, name)[keep], given[keep], atol=2e-9)
+
+
+def test_needs_are_finite_in_vertical_flight_and_at_rest():
+    for climb in (0.0, 5.0, -5.0):
+        needs = flight_needs(RASCAL, np.array([1.0, 2.0, 3.0]), np.array([0.0, 0.0, climb]))
+        assert np.all(np.isfinite(needs))
+
+
+def test_an_aircraft_is_stalled_at_its_largest_lift_or_below_its_stall_speed():
+    lift, speed_share = np.array([1.0, 1.3999, 1.4, 1.0]), np.array([1.001, 1.001, 1.1, 0.999])
+    speed = speed_share * np.sqrt(2 * 6.0 * 9.81 / (1.225 * 0.98 * 1.4))
+    state = np.concatenate(AircraftState(lift, 0 * lift, 0 * lift, speed))
+    np.testing.assert_array_equal(is_stalled(RASCAL, state), [False, False, True, True])
 
 
 def flown(aircraft, states, command, times, wind=NOTHING):

@@ -9,6 +9,7 @@ from drake_nonstop.mechanics import bowed_line
 from drake_nonstop.mechanics.bowed_line import (
     TimeWindow,
     bowed_lines,
+    lines_between,
 )
 from drake_nonstop.mechanics.carrier import carrier_motion
 from drake_nonstop.mechanics.lumped_cable import CableMaterial, lumped_cables
@@ -118,3 +119,17 @@ def test_lines_that_turn_with_their_load_are_in_equilibrium_as_nodes_of_the_plan
     assert made == pytest.approx(accelerations, abs=1e-4)
     assert plant.load_forces == pytest.approx(WINDOW.at_present(forces)[0], abs=1e-6)
     assert plant.carrier_forces == pytest.approx(WINDOW.at_present(lines.forces)[0], abs=1e-6)
+
+
+def test_lines_between_given_ends_are_those_that_end_there_and_pull_so():
+    forces = turned(np.column_stack([5 * SQUARE[:, :2], np.full(4, 24.5)]), 0.5)
+    attachments, wind = turned(SQUARE, 0.5), np.array([1.0, 0.0, 0.5])
+    of_all = {"cable": CABLE, "nodes": 3, "gusts": np.outer([0.0, 0.5, -0.5, 2.0], [0, 1.0, 1.0])}
+    lines = bowed_lines(forces, attachments, wind, WINDOW, **of_all)
+    ends = np.stack(WINDOW.at_present(lines.ends)[:2])
+    off = np.array([0.3, -0.2, 0.5]) + WINDOW.times[:, None, None] * np.array([0.1, 0.2, -0.1])
+    found = lines_between(forces + off, attachments, ends, wind, WINDOW, **of_all)
+    expected = zip(*(WINDOW.at_present(node)[:2] for node in lines.nodes), strict=True)
+    for nodes, known in zip(found, expected, strict=True):
+        np.testing.assert_allclose(nodes, known, atol=1e-7)
+    assert lines_between(forces, attachments, np.inf * ends, wind, WINDOW, **of_all) is None

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from helpers import INERTIA, SHAPES, Motion, rotation
@@ -5,11 +7,14 @@ from pydrake.multibody.math import SpatialForce
 from pydrake.multibody.plant import ExternallyAppliedSpatialForce, MultibodyPlant
 from pydrake.multibody.tree import RotationalInertia, SpatialInertia
 
+from drake_nonstop.mechanics.load_motion import LoadMotion, torque_and_force
 from drake_nonstop.mechanics.rigid_load import (
     RigidLoad,
     load_acceleration,
     load_state_rate,
 )
+from drake_nonstop.mechanics.signals import LoadState
+from drake_nonstop.mechanics.taylor import Taylor
 
 MASS, DRAG, GRAVITY = 1.3, 0.7, 9.7
 LOAD = RigidLoad(mass=MASS, inertia=INERTIA, drag=DRAG, gravity=GRAVITY)
@@ -52,6 +57,17 @@ def test_load_moves_as_a_free_body_of_multibody_plant(plant, rng, shape, time):
     expected = plant.EvalTimeDerivatives(context).CopyToVector()
     rate = load_state_rate(LOAD, state, forces.ravel(), disturbance, attachments=attachments)
     np.testing.assert_allclose(rate, expected, rtol=0, atol=1e-9)
+
+
+def test_the_wrench_of_a_motion_moves_the_load_so(rng):
+    load, wind, wrench = replace(LOAD, angular_drag=0.2), rng.normal(size=3), rng.normal(size=6)
+    quaternion, position, spin, velocity = LoadState.view(Motion(3).state(0.4))
+    state = np.concatenate([quaternion, position, 3 * spin, velocity])
+    angular, translational = load_acceleration(load, state, wrench, wind)
+    in_time = Taylor.of_rates(position, velocity, translational), Taylor([3 * spin, angular])
+    torque, force = torque_and_force(load, LoadMotion.of(quaternion, *in_time), wind)
+    made = [rotation(quaternion) @ torque.rates[0], force.rates[0]]
+    np.testing.assert_allclose(np.concatenate(made), wrench, atol=1e-12)
 
 
 def test_torque_free_load_keeps_its_angular_momentum_and_energy():

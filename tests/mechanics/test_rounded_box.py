@@ -1,5 +1,7 @@
 """Distances of segments from spheres, boxes and the ground, held against Drake's geometry."""
 
+import itertools
+
 import numpy as np
 import pytest
 from pydrake.geometry import (
@@ -11,9 +13,9 @@ from pydrake.geometry import (
     SceneGraph,
     Sphere,
 )
-from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 
-from drake_nonstop.mechanics.rounded_box import nearest_to
+from drake_nonstop.mechanics.rounded_box import RoundedBox, nearest_to, outline_in
 from drake_nonstop.scenario.obstacles import BoxConfig, GroundConfig, SphereConfig
 
 
@@ -70,3 +72,14 @@ def test_no_point_of_a_segment_is_nearer_by_drakes_distances_of_points(kind):
             assert nearest.distance <= min(other.distance for other in others) + 1e-9
             if nearest.distance > 1e-9:
                 np.testing.assert_allclose(nearest.grad_W, gradients[k], atol=1e-6)
+
+
+def test_an_outline_has_the_farthest_point_of_each_direction():
+    view = RotationMatrix(RollPitchYaw([0.3, 0.2, 0.1])).matrix()[:2]
+    turn = RotationMatrix(RollPitchYaw([1.0, -0.5, 2.0])).matrix()
+    box = RoundedBox(np.array([1.0, 2.0, 3.0]), np.array([0.5, 1.0, 2.0]), turn, 0.3)
+    corners = np.array([*itertools.product(*np.stack([-box.half, box.half], axis=1))])
+    angles = 2 * np.pi * np.arange(12) / 12
+    ways = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    farthest = (ways @ view @ (corners @ turn.T + box.position).T).max(axis=1) + box.radius
+    np.testing.assert_allclose((outline_in(box, view, 12) * ways).sum(axis=1), farthest)

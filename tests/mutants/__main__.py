@@ -20,12 +20,12 @@ from pathlib import Path, PurePosixPath
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from mutants.faults import CHOSEN, ROOT, Fault, chosen_faults, drawn_faults
+from mutants.faults import CHOSEN, ROOT, Fault, chosen_faults, drawn_faults, explanations
 
 LEAST_CHOSEN, LEAST_DRAWN = 0.95, 0.85  # shares that have to be caught
 _LONGEST = 4 * 3600.0  # s, of all tests
 _LONGEST_TEST = 300  # s
-_FIRST = ("golden", "evals")  # rooms that judge whole loops
+_FIRST = ("golden", "evals", "loop", "run")  # rooms that judge whole loops
 # Those of a fault itself, and of processes that are slow and tell little of the rooms below.
 _NOT_RUN = ("mutants", "adversary", "benchmarks")
 _FAILED = re.compile(r"^(?:FAILED|ERROR) (\S+)", re.M)
@@ -43,7 +43,7 @@ def files_of(file: str, root: Path = ROOT, *, is_brief: bool = False) -> list[st
         own = test.parent.name
         if own == room:
             return (0 if test.stem.startswith(f"test_{name}") else 1), str(test)
-        return (2 if own in _FIRST else 3), str(test)
+        return 2 + (_FIRST.index(own) if own in _FIRST else len(_FIRST)), str(test)
 
     found = sorted((root / "tests").glob("*/test_*.py"), key=order)
     found = [path for path in found if path.parent.name not in _NOT_RUN]
@@ -142,10 +142,12 @@ def examine(faults: list[Fault], jobs: int, *, is_brief: bool) -> int:
 
 
 def summary(caught: dict[Fault, bool]) -> int:
-    """Prints what survived, and the shares of what is caught; 1 where one is too small."""
+    """Prints what survived, and why; the shares of what is caught; 1 where one is too small."""
+    explained = explanations()
     for fault, is_caught in caught.items():
         if not is_caught:
             print(f"SURVIVED {fault.file}:{fault.number}\n    {fault.line}\n -> {fault.becomes}")
+            print(f"    {explained.get(fault.key, 'not explained')}")
     is_enough = True
     for name, is_drawn, least in (("chosen", False, LEAST_CHOSEN), ("drawn", True, LEAST_DRAWN)):
         some = [is_caught for fault, is_caught in caught.items() if fault.is_drawn == is_drawn]

@@ -13,6 +13,7 @@ from cosmic_ray.plugins import get_operator
 
 ROOT = Path(__file__).parents[2]
 CHOSEN = Path(__file__).parent / "faults.yaml"
+EXPLAINED = Path(__file__).parent / "explained.yaml"
 DRAWN_OF = ("mechanics", "planning", "blocks", "loop", "systems", "run")
 _BINARY = "Add_Sub Sub_Add Mul_Div Div_Mul Pow_Mul FloorDiv_Div BitOr_BitAnd BitAnd_BitOr"
 _COMPARISON = "Lt_LtE Lt_Gt LtE_Lt LtE_Gt Gt_GtE Gt_Lt GtE_Gt GtE_Lt Eq_NotEq NotEq_Eq Is_IsNot"
@@ -36,6 +37,11 @@ class Fault(NamedTuple):
     becomes: str
     is_drawn: bool = False
 
+    @property
+    def key(self) -> tuple[str, str, str]:
+        """The fault, wherever in its file it is."""
+        return self.file, self.line, self.becomes
+
     def made_in(self, text: str) -> str:
         """The file's text with the fault."""
         lines, k = text.split("\n"), self.number - 1
@@ -57,28 +63,42 @@ def chosen_faults() -> tuple[list[Fault], list[str]]:
     return found, gone
 
 
+def explanations() -> dict[tuple[str, str, str], str]:
+    """Why faults survive, by their `key`: what they change cannot be seen, or is not promised."""
+    return {
+        (file, line, becomes): why
+        for file, lines in yaml.safe_load(EXPLAINED.read_text(encoding="utf-8")).items()
+        for line, faults in lines.items()
+        for becomes, why in faults.items()
+    }
+
+
 def drawn_faults(seed: int, count: int) -> list[Fault]:
-    """So many faults, each at another line; a place in the code is as likely as any other."""
-    draw = random.Random(seed)
-    paths = sorted(
-        path for room in DRAWN_OF for path in (ROOT / "drake_nonstop" / room).glob("*.py")
-    )
-    places = [
-        (path, place) for path in paths for place in _places(path.read_text(encoding="utf-8"))
-    ]
-    draw.shuffle(places)
+    """So many faults, each at another line; a place in the code is as likely as any other.
+
+    Whether a place is drawn depends on its file's name and its line: others may change.
+    """
+    places = []
+    for room in DRAWN_OF:
+        for path in sorted((ROOT / "drake_nonstop" / room).glob("*.py")):
+            text = path.read_text(encoding="utf-8")
+            lines, file = text.split("\n"), path.relative_to(ROOT).as_posix()
+            for (number, column), operators in _places(text):
+                line = lines[number - 1]
+                draw = random.Random(f"{seed} {file} {line.strip()} {column - len(line)}")
+                places.append((draw.random(), file, draw.choice(operators)))
     found: dict[tuple[str, int], Fault] = {}
-    for path, place in places:
+    for _, file, change in sorted(places):
         if len(found) == count:
             break
-        fault = _made(path, *draw.choice(place))
+        fault = _made(ROOT / file, *change)
         if fault is not None:
             found.setdefault((fault.file, fault.number), fault)
     return [*found.values()]
 
 
-def _places(text: str) -> Iterator[list[tuple[str, int]]]:
-    """For each place that may be changed the operators, and its number among those of each."""
+def _places(text: str) -> Iterator[tuple[tuple[int, int], list[tuple[str, int]]]]:
+    """Each place that may be changed: the operators, and its number among those of each."""
     nodes, places = [*ast_nodes(get_ast(text))], defaultdict(list)
     for name in _OPERATORS:
         operator = get_operator(f"core/{name}")()
@@ -86,7 +106,7 @@ def _places(text: str) -> Iterator[list[tuple[str, int]]]:
         for number, (node, (begin, _)) in enumerate(found):
             if _is_code(node):
                 places[begin].append((name, number))
-    yield from (places[begin] for begin in sorted(places))
+    yield from places.items()
 
 
 def _is_code(node: Any) -> bool:

@@ -126,13 +126,27 @@ def test_co_rotating_circles_are_those_of_the_closed_form():
     given = task(**STRAIGHT)
     values = [1.2, 0, 0, 0, 0.4, 60.0, 0.0]
     program = FormationProgram(given, CO_ROTATING, phases=5)
-    found, _ = needs_at(given, CO_ROTATING, values, 5)
+    found, quantities = needs_at(given, CO_ROTATING, values, 5)
+    np.testing.assert_allclose(quantities["share"], 1.0)
     lift, bank, thrust, speed, apart = closed_form(given.aircraft, 1.2, 0.4, 60.0)
     np.testing.assert_allclose(found.lift, lift, rtol=1e-6)
     np.testing.assert_allclose(np.abs(found.bank), abs(bank), rtol=1e-6)
     np.testing.assert_allclose(found.thrust, thrust, rtol=1e-6)
     np.testing.assert_allclose(found.airspeed, speed, rtol=1e-9)
     assert program.separation(np.array(values)) == pytest.approx(apart, rel=1e-9)
+
+
+@pytest.mark.parametrize("turns", range(N))
+def test_the_separation_is_the_least_of_all_pairs(turns):
+    given, values = task(), np.array([0.05, 0.6, 0.6, 0.1, 0.6, 60.0, 0.0])
+    places = 2 * np.pi * np.arange(N) / N
+    apart = []
+    for turn in 2 * np.pi * np.arange(24) / 24:
+        angles = np.stack([places, turn + turns * places])
+        at = given.orbit(LEANING, FormationVariables(*values), angles).positions
+        apart += [np.linalg.norm(at[i] - at[j]) for i in range(N) for j in range(i)]
+    program = FormationProgram(given, LEANING, turns)
+    assert program.separation(values) == pytest.approx(min(apart), rel=1e-6)
 
 
 def test_leaning_circles_are_those_of_the_closed_form():

@@ -193,8 +193,19 @@ def test_episodes_draw_their_numbers_by_the_seed():
     assert np.max(np.abs(first - second)) > 1e-6
     assert np.max(np.abs(end(None) - first)) > 1e-6
     both = make_gym_vec_env(varied, 2)
-    both.reset(seed=0)
-    np.testing.assert_allclose(both.step(both.action_space.low)[0][1], first, atol=1e-9)
+    for seed in (None, 0):  # the scenario's is 0
+        both.reset(seed=seed)
+        np.testing.assert_allclose(both.step(both.action_space.low)[0][1], first, atol=1e-9)
+
+
+def test_a_wrench_is_within_the_weight_and_its_moment():
+    scenario = load_scenario("three_carriers")
+    reach = np.max(np.linalg.norm(scenario.system.attachments, axis=1))
+    weight = scenario.system.load_mass * 9.81
+    most = weight * np.array([reach, reach, reach, 1, 1, 2])
+    space = make_gym_env(scenario, action="wrench").action_space
+    np.testing.assert_allclose(space.high, most)
+    np.testing.assert_allclose(space.low, [*-most[:5], 0])
 
 
 # Of a call: what it is given, and the field, value and remedy of its message.

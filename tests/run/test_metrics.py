@@ -118,6 +118,9 @@ def test_times_below_the_bound_and_slack_are_those_of_any_carrier_or_cable():
     run = circling_run(radius=0.25, rate=2.0)  # 0.5 m/s, under the bound of 0.55
     assert compute_metrics(run)["carriers"]["time_below_bound_s"] == pytest.approx(4.0)
     time = run.steps["time"]
+    run.steps["tensions"][0, 2] = 0
+    slack_time = compute_metrics(run)["cables"]["slack_time_s"]
+    assert slack_time == pytest.approx(time[1] / 2)  # of a step half of both intervals
     run.steps["carrier_state"][time > 1.0, 12:] *= 2
     run.steps["tensions"][(time > 1) & (time < 1.5), 2] = 0
     metrics = compute_metrics(run)

@@ -17,7 +17,7 @@ from drake_nonstop.studies.results_folder import write_data
 
 @pytest.fixture(scope="module")
 def run():
-    return simulate(load_scenario("three_carriers", ["simulation_duration=0.3"]))
+    return simulate(load_scenario("three_carriers", ["simulation_duration=1.1"]))
 
 
 def test_csv_has_all_numbers_under_names_with_units(run, tmp_path):
