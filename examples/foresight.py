@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import matplotlib.style
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -37,21 +38,23 @@ def main(duration: float = 20.0, folder: str | Path = "out/foresight") -> None:
             f" below it for {metrics['carriers']['time_below_bound_s']:.3f} s,"
             f" load error {1e3 * metrics['load']['position_error_mean_m']:.4f} mm"
         )
-    figure = Figure(figsize=(9.0, 4.2), layout="constrained")
+    Path(folder).mkdir(parents=True, exist_ok=True)
+    with matplotlib.style.context("drake_nonstop.view.paper"):
+        make_figure(curves).savefig(Path(folder) / "foresight.png")
+    print(f"results: {Path(folder) / 'foresight.png'}")
+
+
+def make_figure(curves: dict[str, tuple[np.ndarray, np.ndarray]]) -> Figure:
+    """The speeds, in units of the bound, over times (s), by the names of the layers."""
+    figure = Figure(figsize=(7.16, 2.8))  # of two columns of a paper
     axes = figure.subplots()
     for (name, curve), colour in zip(curves.items(), ("black", "C0"), strict=True):
         axes.plot(*curve, label=name, color=colour)
-    axes.axhline(1, color="green", linestyle="--", label="bound ε")
-    axes.set(
-        title=f"A drawn task of {quantities.speeds.shape[1]} carriers",
-        xlabel="time (s)",
-        ylabel="speed of the slowest carrier, of the bound",
-    )
-    axes.legend()
+    axes.axhline(1, color="black", linestyle="--", label="bound ε")
+    axes.set(xlabel="time (s)", ylabel="speed of the slowest carrier / ε", ylim=(0, None))
     _enlarge_the_slowest(figure, curves)
-    Path(folder).mkdir(parents=True, exist_ok=True)
-    figure.savefig(Path(folder) / "foresight.png", dpi=150)
-    print(f"results: {Path(folder) / 'foresight.png'}")
+    figure.legend(loc="outside upper center", ncols=3)
+    return figure
 
 
 def _enlarge_the_slowest(figure, curves) -> None:
@@ -59,11 +62,11 @@ def _enlarge_the_slowest(figure, curves) -> None:
     times, speeds = curves["one sample"]
     (axes,) = figure.axes
     at = times[np.argmin(speeds)]
-    inset = axes.inset_axes((0.42, 0.06, 0.3, 0.22), xlim=(at - 0.4, at + 0.4), ylim=(0.75, 1.25))
+    inset = axes.inset_axes((0.42, 0.12, 0.3, 0.2), xlim=(at - 0.4, at + 0.4), ylim=(0.75, 1.25))
     for line in axes.lines:
         style = {"color": line.get_color(), "linestyle": line.get_linestyle()}
         inset.plot(line.get_xdata(), line.get_ydata(), linewidth=1.2, **style)
-    inset.tick_params(labelsize="x-small")
+    inset.tick_params(labelsize=6)
     axes.indicate_inset_zoom(inset)
 
 

@@ -4,6 +4,7 @@ import dataclasses
 from collections import Counter
 from pathlib import Path
 
+import matplotlib.style
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -46,16 +47,19 @@ def main(
     ended = table["outcome"] != "stopped"
     errors = 1e3 * table["load.position_error_mean_m"][ended].astype(float)
     print(f"mean load error   {np.nanmedian(errors):.1f} mm, at most {np.nanmax(errors):.1f} mm")
-    figure = make_success_figure(table, succeeded)
-    figure.savefig(Path(folder) / "success.png", dpi=150)
+    with matplotlib.style.context("drake_nonstop.view.paper"):
+        make_success_figure(table, succeeded).savefig(Path(folder) / "success.png")
     print(f"results: {folder}")
 
 
 def make_success_figure(table: dict[str, np.ndarray], succeeded: np.ndarray) -> Figure:
-    """The share of runs that succeeded over gusts and masses, a panel for each bound."""
+    """The share of runs that succeeded over gusts and masses, a panel for each bound.
+
+    Gusts are standard deviations of the force; the controllers believe in a load of 1 kg.
+    """
     bounds, gusts, masses = np.unique(table[BOUND]), table[GUST], table[MASS]
-    figure = Figure(figsize=(2.6 * len(bounds) + 1.4, 3.6), layout="constrained")
     edges = [np.linspace(values.min(), values.max(), 6) for values in (gusts, masses)]
+    figure = Figure(figsize=(7.16, 2.3))  # of two columns of a paper
     all_axes = figure.subplots(1, len(bounds), sharey=True, squeeze=False)[0]
     for axes, bound in zip(all_axes, bounds, strict=True):
         chosen = table[BOUND] == bound
@@ -65,17 +69,16 @@ def make_success_figure(table: dict[str, np.ndarray], succeeded: np.ndarray) -> 
         )
         shares = np.ma.masked_array(hits / np.maximum(counts, 1), counts == 0)
         shown = axes.pcolormesh(*edges, shares, cmap="viridis", vmin=0, vmax=1)
+        axes.grid(visible=False)
         columns, rows = ((edge[:-1] + edge[1:]) / 2 for edge in edges)
-        style = {"ha": "center", "va": "center", "fontsize": "xx-small"}
         for i, j in np.argwhere(counts > 0):
             text = f"{shares[i, j]:.0%}\nof {counts[i, j]:.0f}"
             colour = "black" if shares[i, j] > 0.6 else "white"
-            axes.text(columns[j], rows[i], text, color=colour, **style)
-        axes.set_title(f"bound (m/s): {bound:g}", fontsize="medium")
-        axes.set_xlabel("gusts (N, standard deviation)", fontsize="small")
-    all_axes[0].set_ylabel("load's mass, 1 is believed (kg)", fontsize="small")
-    figure.colorbar(shown, ax=list(all_axes), label="share that succeeded")
-    figure.suptitle("Outcome of the quintic task: ok")
+            style = {"color": colour, "ha": "center", "va": "center", "fontsize": 5}
+            axes.text(columns[j], rows[i], text, **style)
+        axes.set(xlabel="gusts (N)", title=f"ε = {bound:g} m/s")
+    all_axes[0].set_ylabel("mass of the load (kg)")
+    figure.colorbar(shown, ax=list(all_axes), label="share of runs that are ok")
     return figure
 
 

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 Made = TypeVar("Made", bound=Callable[..., Any])
 
 LIMIT: dict[str, Any] = {"color": "black", "linestyle": "--", "linewidth": 1.0}  # how it is drawn
+THRUST_RANGE = "least and largest thrust (below 0 the propeller brakes)"  # of a legend
 LINE_STYLES = ("solid", (0, (5, 4)), (0, (1, 2)))  # of coinciding curves, so that all are seen
 MOST_POINTS = 20_000  # of a curve
 MOST_NAMED = 12  # curves of carriers in a legend: that many colours, C0 to C11, are different
@@ -31,6 +32,7 @@ PAGE = 7.16  # inch, of two columns of a paper (IEEE); the style has the width o
 _STACKED = 0.55  # of a single panel's height, that of each of several
 _LOWEST, _TALLEST = 0.6, 1.5  # of a single panel's height, that of one with a slope
 _LABELS = 0.3  # inch, the height of labels below a panel
+_USUAL_SHARE, _PLAUSIBLE = 0.8, 10  # of a run's values; of their deviation from the median
 _PREFIXES = ((0, ""), (3, "m"), (6, "µ"), (9, "n"))  # of SI units, by the digits that they move
 _PREFIXED = re.compile(r"(m|rad|N|s|W|V|Pa|J)(?!\w)")  # units that they stand before
 
@@ -108,6 +110,42 @@ def legend_above(figure: Figure, title: str | None = None) -> Figure:
             break
         legend.remove()
     return figure
+
+
+def plausible_range(values: NDArray, least: ArrayLike = 0.0) -> tuple[NDArray, NDArray]:
+    """The least and the largest plausible value of a run that diverged, of each column.
+
+    They are ten times what four fifths of the values differ from their median, or `least`, apart
+    from it.
+    """
+    middle = np.median(values, axis=0)
+    usual = np.quantile(np.abs(values - middle), _USUAL_SHARE, axis=0)
+    reach = np.maximum(_PLAUSIBLE * usual, least)
+    return middle - reach, middle + reach
+
+
+def keep_plausible(axes: Axes, least: float = 0.0) -> None:
+    """Cuts off values that would hide all others, with a mark that has the farthest of them."""
+    lines = [line for line in axes.lines if len(line.get_xdata()) > 2]  # not those of limits
+    points = np.concatenate([np.zeros((0, 2)), *(line.get_xydata() for line in lines)])
+    points = points[np.isfinite(points).all(axis=1)]
+    if len(points) == 0:
+        return
+    values = points[:, 1]
+    low, high = plausible_range(values, max(least, abs(np.median(values))))
+    shown = values[(low <= values) & (values <= high)]
+    if len(shown) == len(values):
+        return
+    room = 0.05 * np.ptp(shown)
+    axes.set_ylim(max(low, shown.min() - room), min(high, shown.max() + room))
+    for farthest, is_above in ((np.argmin(values), False), (np.argmax(values), True)):
+        if not low <= values[farthest] <= high:
+            place = points[farthest, 0], axes.get_ylim()[is_above]
+            axes.plot(*place, "^" if is_above else "v", color="black", clip_on=False, zorder=5)
+            text: dict[str, Any] = {"ha": "right", "va": "top" if is_above else "bottom"}
+            text["bbox"] = {"facecolor": "white", "edgecolor": "none", "pad": 1}
+            text |= {"textcoords": "offset points", "xytext": (-6, -3 if is_above else 3)}
+            axes.annotate(f"to {values[farthest]:.2g}", place, **text)
 
 
 def plot(axes: Axes, x: ArrayLike, values: ArrayLike, **options: Any) -> None:

@@ -18,6 +18,7 @@ from drake_nonstop.view.figure_style import (
     extreme_samples,
     fitting_unit,
     legend_above,
+    plausible_range,
     single,
 )
 
@@ -77,6 +78,11 @@ def _draw_paths(run: Run, instants: NDArray, view: NDArray) -> Figure:
     drawn = np.concatenate([each.reshape(-1, 2) for each in (load, carriers, points)])
     finite = np.isfinite(drawn).all(axis=1)  # not so where a run stopped
     drawn = drawn[finite] if finite.any() else np.eye(2)
+    if run.stopped:
+        low, high = plausible_range(drawn, 2 * np.ptp(corners[0], axis=0).max())
+        drawn = drawn[((low <= drawn) & (drawn <= high)).all(axis=1)]
+        for each in (load, carriers, points, corners):
+            each[((each < low) | (each > high)).any(axis=-1)] = np.nan
     shapes = [each.shape() for each in run.scenario.obstacles]
     # All but the ground, which would be all of the page.
     outlines = [factor * outline_in(each, view) for each in shapes if np.isfinite(each.half).all()]

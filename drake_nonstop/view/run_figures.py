@@ -16,8 +16,10 @@ from drake_nonstop.validation import require
 from drake_nonstop.view.figure_style import (
     LIMIT,
     LINE_STYLES,
+    THRUST_RANGE,
     fitting_unit,
     in_paper_style,
+    keep_plausible,
     legend_above,
     plot,
     plot_each,
@@ -32,6 +34,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _MOST_PANELS = 20  # of a figure of signals
+_PLAUSIBLE_ERROR = 0.2  # m or rad: no smaller error of a run that diverged is cut off
 
 
 def figure_names(run: Run) -> list[str]:
@@ -64,6 +67,8 @@ def _draw_load_errors(run: Run) -> Figure:
             plot(axes, run.time, factor * column, label=label)
         plot(axes, run.time, factor * norm, color="black", label="norm")
         axes.set_ylabel(f"{name}\nerror ({fitting})")
+        if run.stopped:
+            keep_plausible(axes, factor * _PLAUSIBLE_ERROR)
     return legend_above(figure)
 
 
@@ -74,14 +79,14 @@ def _draw_carrier_speeds(run: Run) -> Figure:
     plot_each(axes, time, quantities.speeds, "carrier")
     plot(axes, time, bounds, **LIMIT, label="bound ε")
     axes.set_ylim(bottom=0)
-    return legend_above(figure)
+    return _finished(run, figure)
 
 
 def _draw_tensions(run: Run) -> Figure:
     factor, unit = fitting_unit("N", run.steps["tensions"])
     figure, axes = single("time (s)", f"tension ({unit})")
     plot_each(axes, run.steps["time"], factor * run.steps["tensions"], "cable")
-    return legend_above(figure)
+    return _finished(run, figure)
 
 
 def _draw_aircraft(run: Run) -> Figure:
@@ -98,14 +103,15 @@ def _draw_aircraft(run: Run) -> Figure:
         axes.set_ylabel(label)
     for limits in thrust_limits(aircraft, state.airspeed):
         plot_each(thrust, time, limits, linewidth=0.7, linestyle=":")
+    thrust.plot([], [], color="0.4", linewidth=0.7, linestyle=":", label=THRUST_RANGE)
     for axes in (lift, airspeed):
-        axes.axhline(1, **LIMIT)
+        axes.axhline(1, **LIMIT, label="stall")
     lift.set_ylim(bottom=0)
-    return legend_above(figure)
+    return _finished(run, figure)
 
 
 def _draw_limits(run: Run) -> Figure:
-    return make_limits_figure(RunQuantities(run).limits)
+    return _finished(run, make_limits_figure(RunQuantities(run).limits))
 
 
 def _draw_internal_force_parameters(run: Run) -> Figure:
@@ -114,7 +120,14 @@ def _draw_internal_force_parameters(run: Run) -> Figure:
     for axes, values, label in zip(panels, run.signal("parameters").T, labels, strict=True):
         plot(axes, run.time, values)
         axes.set_ylabel(label)
-    return figure
+    return _finished(run, figure)
+
+
+def _finished(run: Run, figure: Figure) -> Figure:
+    """The figure with its legend; of a run that ended early without what hides its other values."""
+    for axes in figure.axes if run.stopped else ():
+        keep_plausible(axes)
+    return legend_above(figure)
 
 
 FIGURES: dict[str, Callable[[Run], Figure]] = {
@@ -156,6 +169,8 @@ def make_signal_figure(runs: Mapping[str, SignalTable], signals: Sequence[str]) 
     figure, rows = stacked(len(panels))
     for axes, (quantity, names) in zip(rows, panels.items(), strict=True):
         _draw_quantity(axes, quantity, names, columns)
+        if any(getattr(run, "stopped", "") for run in runs.values()):
+            keep_plausible(axes)
     return legend_above(figure)
 
 

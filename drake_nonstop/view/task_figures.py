@@ -16,6 +16,7 @@ from drake_nonstop.planning.margins import LimitAlong
 from drake_nonstop.view.figure_style import (
     LIMIT,
     PAGE,
+    THRUST_RANGE,
     in_paper_style,
     legend_above,
     new_figure,
@@ -96,7 +97,7 @@ def make_aircraft_margins_figure(found: AircraftMargins) -> Figure:
     figure = new_figure((PAGE, 5.4))
     (lift, airspeed), (bank, climb), (thrust, distances) = figure.subplots(3, 2, sharex=True)
     for axes, values, label, limit in (
-        (lift, needs.lift / found.max_lift, "C_L / C_Lmax", limits.lift_share),
+        (lift, needs.lift / found.max_lift, r"$C_L$ / $C_{L,\mathrm{max}}$", limits.lift_share),
         (airspeed, needs.airspeed, "airspeed (m/s)", limits.speed_share * found.stall_speed),
         (bank, np.degrees(needs.bank), "bank (°)", np.degrees(limits.bank)),
         (climb, np.degrees(needs.climb), "climb (°)", np.degrees(limits.climb)),
@@ -108,7 +109,8 @@ def make_aircraft_margins_figure(found: AircraftMargins) -> Figure:
                 axes.axhline(sign * limit, **LIMIT, label="limit")
         axes.set_ylabel(label)
     for edge in found.thrust_limits:
-        plot_each(thrust, phases, edge, linestyle="--", linewidth=0.7)
+        plot_each(thrust, phases, edge, linestyle=":", linewidth=0.7)
+    thrust.plot([], [], color="0.4", linewidth=0.7, linestyle=":", label=THRUST_RANGE)
     for margin in (each for each in found.margins if each.unit == "m"):
         is_carriers = margin.name.startswith("carriers")
         values = found.carrier_distance if is_carriers else found.cable_distance

@@ -23,6 +23,13 @@ from drake_nonstop.run.simulate import simulate
 from drake_nonstop.scenario.loading import load_scenario
 from drake_nonstop.view.bodies import carrier_colour
 from drake_nonstop.view.browser import open_browser
+from drake_nonstop.view.figure_style import (
+    LIMIT,
+    PAGE,
+    in_paper_style,
+    legend_above,
+    new_figure,
+)
 from drake_nonstop.view.task_figures import make_aircraft_margins_figure
 from drake_nonstop.view.video import encode_gif, replay_pictures
 
@@ -57,10 +64,10 @@ def make_pictures(folder: Path) -> list[Path]:
         _figure(runs, list(pair), time) for time, *pair in zip(times, *views, strict=True)
     ]
     pictures = {
-        "line.png": _png(still, dpi=150),
-        "line.gif": encode_gif([_png(figure, dpi=76) for figure in moving], _FRAME_RATE),
-        "real_scale.png": _png(_encounters_figure(_patterns()), dpi=110),
-        "aircraft.png": _png(_aircraft_figure(flight, flying, hardest), dpi=110),
+        "line.png": _png(still, dpi=200),
+        "line.gif": encode_gif([_png(figure, dpi=106) for figure in moving], _FRAME_RATE),
+        "real_scale.png": _png(_encounters_figure(_patterns()), dpi=200),
+        "aircraft.png": _png(_aircraft_figure(flight, flying, hardest), dpi=200),
         "aircraft_check.png": _png(
             make_aircraft_margins_figure(aircraft_margins(load_scenario(_TASK))), dpi=140
         ),
@@ -99,8 +106,9 @@ def _views(page: Any, run: Run, times: list[float]) -> list[NDArray]:
     return [matplotlib.image.imread(io.BytesIO(picture)) for picture in pictures]
 
 
+@in_paper_style
 def _figure(runs: list[Run], views: list[NDArray], time: float) -> Figure:
-    figure = Figure(figsize=(10.0, 4.9), layout="constrained")
+    figure = new_figure((PAGE, 3.5))
     FigureCanvasAgg(figure)
     axes = figure.subplots(2, len(runs), height_ratios=[3.4, 1], sharey="row")
     for (top, bottom), run, view, title in zip(
@@ -113,9 +121,9 @@ def _figure(runs: list[Run], views: list[NDArray], time: float) -> Figure:
         times = run.steps["time"][shown]
         for i, speeds in enumerate(carrier_speeds(run.steps["carrier_state"][shown]).T):
             colour = carrier_colour(i)
-            bottom.plot(times, speeds, color=colour, linewidth=1.2)
+            bottom.plot(times, speeds, color=colour, linewidth=1.0)
         bounds = RunQuantities(run).speed_bounds
-        bottom.plot(times, bounds[shown], "--", color="black", linewidth=1.0)
+        bottom.plot(times, bounds[shown], **LIMIT)
         bottom.axvline(time, color="0.5", linewidth=1.0)
         bottom.set_xlim(_SPAN)
         bottom.set_ylim(0, 1.1 * max(carrier_speeds(r.steps["carrier_state"]).max() for r in runs))
@@ -131,13 +139,14 @@ def _hardest_instant(run: Run) -> float:
     return float(time[np.argmax(np.where(time >= _FLIGHT[0], lift, 0.0))])
 
 
+@in_paper_style
 def _encounters_figure(runs: dict[str, Run]) -> Figure:
     """Orbits above a resting load, and least distances of carriers and of cables, over time.
 
     There is a column for each of `runs`, which are given by their titles. Cables are drawn at the
     instant at which two of them, or two carriers, are closest.
     """
-    figure = Figure(figsize=(3.6 * len(runs), 5.6), layout="constrained")
+    figure = new_figure((PAGE, 3.8))
     grid = figure.add_gridspec(2, len(runs), height_ratios=[1.3, 1])
     for k, (title, run) in enumerate(runs.items()):
         carriers = CarrierStates.view(run.signal("carrier_state")).positions
@@ -155,29 +164,28 @@ def _encounters_figure(runs: dict[str, Run]) -> Figure:
             axes.plot(*carriers[instant, i], "o", color=f"C{i}", markersize=5)
         axes.set_aspect("equal")
         axes.set_box_aspect(None, zoom=1.25)
-        axes.set_title(title, fontsize="medium")
-        axes.set_zlabel("z (m)", fontsize="x-small", labelpad=-4)
+        axes.set_title(title)
+        axes.set_zlabel("z (m)", labelpad=-4)
         axes.view_init(elev=22, azim=-60)
-        axes.tick_params(labelsize="x-small")
+        axes.tick_params(labelsize=6)
         axes.locator_params(nbins=4)
         lower = figure.add_subplot(grid[1, k])
         for distances, name, colour in zip(
             closest, ("carriers", "cables"), ("C0", "C1"), strict=True
         ):
             shown = np.maximum(distances, 1e-3)  # m: a logarithmic axis has no zero
-            lower.semilogy(run.time, shown, label=name, color=colour, linewidth=1.2)
+            lower.semilogy(run.time, shown, label=name, color=colour)
         lower.set_ylim(1e-3, 200)
         lower.set_xlabel("time (s)")
-        lower.grid(alpha=0.3)
         if k == 0:
             lower.set_ylabel("closest two (m)")
-            lower.legend(fontsize="small")
-    return figure
+    return legend_above(figure)
 
 
+@in_paper_style
 def _aircraft_figure(run: Run, view: NDArray, time: float) -> Figure:
     """The aircraft at an instant, and their lift, bank and thrust about it."""
-    figure = Figure(figsize=(10.0, 4.9), layout="constrained")
+    figure = new_figure((PAGE, 3.5))
     FigureCanvasAgg(figure)
     left, right = figure.subfigures(1, 2, width_ratios=[1, 1])
     scene = left.subplots()
@@ -187,22 +195,23 @@ def _aircraft_figure(run: Run, view: NDArray, time: float) -> Figure:
     state = quantities.aircraft_state
     shown = run.steps["time"] >= _FLIGHT[0]
     panels = right.subplots(3, 1, sharex=True)
-    for axes, values, label in (
-        (panels[0], state.lift / quantities.aircraft.max_lift, "$C_L$ / $C_{L,max}$"),
+    for axes, values, title in (
+        (panels[0], state.lift / quantities.aircraft.max_lift, r"$C_L$ / $C_{L,\mathrm{max}}$"),
         (panels[1], np.degrees(state.bank), "bank (°)"),
         (panels[2], state.thrust, "thrust (N)"),
     ):
         for i, column in enumerate(values.T):
             colour = carrier_colour(i)
-            axes.plot(run.steps["time"][shown], column[shown], color=colour, linewidth=1.2)
+            label = f"carrier {i + 1}"
+            axes.plot(run.steps["time"][shown], column[shown], color=colour, label=label)
         axes.axvline(time, color="0.5", linewidth=1.0)
-        axes.set_ylabel(label)
-        axes.grid(alpha=0.3)
-    panels[0].axhline(1, color="red", linestyle="--", linewidth=1.0)
+        axes.set_ylabel(title)
+    panels[0].axhline(1, **LIMIT, label="stall")
+    panels[2].axhline(0, color="black", linewidth=0.6, label="below it the propeller brakes")
     panels[0].set_ylim(bottom=0)
     panels[-1].set_xlabel("time (s)")
     panels[-1].set_xlim(_FLIGHT)
-    return figure
+    return legend_above(figure)
 
 
 def _png(figure: Figure, dpi: int) -> bytes:
