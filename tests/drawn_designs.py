@@ -9,10 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from drake_nonstop import compute_metrics, simulate
-from drake_nonstop.planning.formation_program import KINDS
-from drake_nonstop.studies.design_request import DesignRequest, read_request
-from drake_nonstop.studies.formation_search import DesignedFormation, design_one
+from drake_nonstop import (
+    DesignRequest,
+    SerialExecutor,
+    compute_metrics,
+    design,
+    read_request,
+    simulate,
+)
 
 # Of the aircraft, what suits their size: attachments' radius, drag, cables and separation.
 SIZES = {
@@ -82,11 +86,11 @@ def draw_odd(seed: int) -> list[str]:
     rng = np.random.default_rng([3434, seed])
     names = rng.choice(list(_ODD), size=int(rng.integers(1, 4)), replace=False)
     odd = [f"{name}={rng.choice(_ODD[name])}" for name in names]
-    kind = rng.choice(KINDS)
+    kind = rng.choice(DesignRequest().kinds)
     return [f"carriers=[{rng.integers(3, 7)}]", f"kinds=[{kind}]", "starts=1", *odd]
 
 
-def beyond(formation: DesignedFormation, metrics: dict[str, Any]) -> dict[str, float]:
+def beyond(formation: Any, metrics: dict[str, Any]) -> dict[str, float]:
     """How far each extreme of a flight is beyond the printed one; negative where it is within.
 
     Of C_L as a share of the printed one, and of thrust of the largest.
@@ -107,18 +111,17 @@ def main() -> None:
     parser.add_argument("count", type=int)
     given = parser.parse_args()
     for seed in range(given.first, given.first + given.count):
-        request = draw(seed)
-        for kind in KINDS:
-            for item in design_one(request, *request.carriers, kind):
-                text = f"seed {seed}, {item.name}, {item.reserve:.2f} of the margins: "
-                if isinstance(item, DesignedFormation):
-                    metrics = compute_metrics(simulate(item.scenario))
-                    off = beyond(item, metrics).items()
-                    words = [f"{name} {value:+.1%}" for name, value in off]
-                    text += f"{metrics['outcome']}, {', '.join(words)}"
-                else:
-                    text += item.why
-                print(text, flush=True)
+        found = design(draw(seed), executor=SerialExecutor())
+        for item in [*found.formations, *found.refusals]:
+            text = f"seed {seed}, {item.name}, {item.reserve:.2f} of the margins: "
+            if item in found.formations:
+                metrics = compute_metrics(simulate(item.scenario))
+                off = beyond(item, metrics).items()
+                words = [f"{name} {value:+.1%}" for name, value in off]
+                text += f"{metrics['outcome']}, {', '.join(words)}"
+            else:
+                text += item.why
+            print(text, flush=True)
 
 
 if __name__ == "__main__":

@@ -68,7 +68,8 @@ class Recording:
 
     def __init__(self, page: str):
         kinds = {"gzip": gzip.decompress, "octet-binary": bytes}
-        texts = re.findall(r"application/(gzip|octet-binary);base64,([\w+/=]+)", page)
+        form = r'application/(gzip|octet-binary);base64,([\w+/=]+)"\)\s*\.then\(res\b'
+        texts = re.findall(form, page)
         contents = [kinds[kind](base64.b64decode(text)) for kind, text in texts]
         self.commands = [msgpack.unpackb(each) for each in contents]
         animations = [each["animations"] for each in self.of_type("set_animation")]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from typing import Any
 
@@ -101,19 +102,21 @@ class Design:
         return "\n".join(lines)
 
 
-def design(request: DesignRequest, progress: Progress = no_progress) -> Design:
-    """The formations for a request, found in a process per core.
+def design(
+    request: DesignRequest, progress: Progress = no_progress, executor: Executor | None = None
+) -> Design:
+    """The formations for a request, found in a process per core, or by an executor as of `study`.
 
     Of each number of carriers and kind they are those of the least power at rising margins. Each
     has been flown.
 
     Raises:
-        ScenarioError: the request cannot be used, or a process died.
+        ScenarioError: the request or the executor cannot be used, or a process died.
     """
     request.check()
     batches = [[(request, n, kind)] for n in request.carriers for kind in request.kinds]
     found = {}
-    for ((_, *key),), answers in results_of(_designed, batches):
+    for ((_, *key),), answers in results_of(_designed, batches, executor):
         if isinstance(answers, str):
             raise ScenarioError(f"design, {key[0]} carriers {key[1]}: {answers}")
         found[tuple(key)] = answers[0]

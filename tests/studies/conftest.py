@@ -35,10 +35,14 @@ class FaultyWind(LeafSystem):
         late = context.get_time() > 0.05
         if late and self.config.fault == "raises":
             raise ValueError("the wind broke")
+        if late and self.config.fault == "tells threads":
+            raise ValueError(f"threads: {os.environ['OPENBLAS_NUM_THREADS']}")
         if late and self.config.fault == "dies":
             os._exit(9)
         if late and self.config.fault == "exits":
             sys.exit(0)
+        if late and self.config.fault == "interrupts":
+            raise KeyboardInterrupt
         while late and self.config.fault == "hangs":
             pass
         value = np.nan if late and self.config.fault == "diverges" else self.config.force

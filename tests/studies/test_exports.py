@@ -8,11 +8,9 @@ import pytest
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RotationMatrix
 
-from drake_nonstop import ConstantParameters, ScenarioError, load_scenario, simulate
+from drake_nonstop import ConstantParameters, load_scenario, simulate, write_results
 from drake_nonstop.cli.main import main
 from drake_nonstop.mechanics.signals import CarrierStates, LoadState, Wrench
-from drake_nonstop.studies.exports import write_csv, write_mcap, write_parquet, write_rerun
-from drake_nonstop.studies.results_folder import write_data
 
 
 @pytest.fixture(scope="module")
@@ -20,8 +18,22 @@ def run():
     return simulate(load_scenario("three_carriers", ["simulation_duration=1.1"]))
 
 
-def test_csv_has_all_numbers_under_names_with_units(run, tmp_path):
-    write_csv(run, tmp_path / "run.csv")
+@pytest.fixture
+def export(run, tmp_path, undrawn):
+    """Exports the run, or another, from a folder of results; returns the exit code."""
+
+    def call(kind, *signals, of=run):
+        if of is not None:
+            write_results(of, tmp_path / "run", figures=False, replay=False)
+        file = tmp_path / f"run.{'rrd' if kind == 'rerun' else kind}"
+        options = [word for name in signals for word in ("--signal", name)]
+        return main(["export", str(tmp_path / "run"), "--to", kind, "--out", str(file), *options])
+
+    return call
+
+
+def test_csv_has_all_numbers_under_names_with_units(run, export, tmp_path):
+    assert export("csv") == 0
     frame = pandas.read_csv(tmp_path / "run.csv", dtype=str).astype(float)
     columns = run.columns()
     assert list(frame.columns) == list(columns)
@@ -29,9 +41,9 @@ def test_csv_has_all_numbers_under_names_with_units(run, tmp_path):
         np.testing.assert_array_equal(frame[name], values)
 
 
-def test_parquet_has_units_and_frames(run, tmp_path):
+def test_parquet_has_units_and_frames(run, export, tmp_path):
     pytest.importorskip("pyarrow.parquet")
-    write_parquet(run, tmp_path / "run.parquet", ["load_state", "tensions"])
+    assert export("parquet", "load_state", "tensions") == 0
     table = pandas.read_parquet(tmp_path / "run.parquet")
     assert len(table.columns) == 13 + 3
     name = "load_state.position.x [m]"
@@ -40,12 +52,12 @@ def test_parquet_has_units_and_frames(run, tmp_path):
     np.testing.assert_array_equal(table[name], position[:, 0])
 
 
-def test_a_bag_reads_back_without_ros_and_with_equal_values(run, tmp_path):
+def test_a_bag_reads_back_without_ros_and_with_equal_values(run, export, tmp_path):
     """By rosbags, which has a reader, a decoder and definitions of messages of its own."""
     pytest.importorskip("mcap_ros2")
     rosbag2 = pytest.importorskip("rosbags.rosbag2")
     typesys = pytest.importorskip("rosbags.typesys")
-    write_mcap(run, tmp_path / "run.mcap")
+    assert export("mcap") == 0
     types = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
     found, log_times = {}, {}
     with rosbag2.Reader(tmp_path / "run.mcap") as bag:
@@ -102,41 +114,39 @@ def test_a_bag_reads_back_without_ros_and_with_equal_values(run, tmp_path):
             assert vector(force) == forces[i, k].tolist()
 
 
-def test_a_recording_has_the_motion_and_the_plots(run, tmp_path):
+def test_a_recording_has_the_motion_and_the_plots(export, tmp_path):
     pytest.importorskip("rerun")
-    path = tmp_path / "run.rrd"
-    write_rerun(run, path)
-    assert path.stat().st_size > 50_000
-    assert path.read_bytes()[:3] == b"RRF"
+    assert export("rerun") == 0
+    content = (tmp_path / "run.rrd").read_bytes()
+    assert len(content) > 50_000
+    assert content[:3] == b"RRF"
 
 
-def test_recordings_have_one_name_if_they_are_of_one_flight(run, tmp_path):
+def test_recordings_have_one_name_if_they_are_of_one_flight(run, export, tmp_path):
     """A viewer merges recordings of one name."""
     pytest.importorskip("rerun")
     names = []
     for flown in (run, run, simulate(run.scenario, optimization_layer=ConstantParameters)):
-        write_rerun(flown, tmp_path / "run.rrd")
-        names += re.findall(rb"three_carriers [0-9a-f]{32}", (tmp_path / "run.rrd").read_bytes())[
-            :1
-        ]
-    assert len(names) == 3
+        assert export("rerun", of=flown) == 0
+        found = re.findall(rb"three_carriers [0-9a-f]{32}", (tmp_path / "run.rrd").read_bytes())
+        names.append(found[0])
     assert names[0] == names[1] != names[2]
 
 
 @pytest.mark.parametrize("kind", ["csv", "parquet"])
-def test_the_command_writes_tables_without_the_scenario_and_its_blocks(run, tmp_path, kind):
+def test_the_command_writes_tables_without_the_scenario_and_its_blocks(run, export, tmp_path, kind):
     pytest.importorskip("pyarrow")
-    write_data(run, tmp_path)
-    (tmp_path / "scenario.yaml").write_text("own: {phase: !no_such_module.Phase {}}")
-    assert main(["export", str(tmp_path), "--to", kind, "--signal", "tensions"]) == 0
-    file = tmp_path / f"signals.{kind}"
+    assert export(kind) == 0
+    (tmp_path / "run" / "scenario.yaml").write_text("own: {phase: !no_such_module.Phase {}}")
+    assert export(kind, "tensions", of=None) == 0
+    file = tmp_path / f"run.{kind}"
     frame = pandas.read_csv(file, index_col=0) if kind == "csv" else pandas.read_parquet(file)
     np.testing.assert_allclose(frame.to_numpy(), run.signal("tensions"), rtol=1e-15)
 
 
-@pytest.mark.parametrize("write", [write_parquet, write_mcap, write_rerun])
-def test_without_the_extra_it_is_named(run, tmp_path, monkeypatch, write):
+@pytest.mark.parametrize("kind", ["parquet", "mcap", "rerun"])
+def test_without_the_extra_it_is_named(export, tmp_path, monkeypatch, capsys, kind):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(ScenarioError, match=r"pip install 'drake-nonstop\[export\]'"):
-        write(run, tmp_path / "run.out")
-    assert not list(tmp_path.iterdir())
+    assert export(kind) == 2
+    assert "pip install 'drake-nonstop[export]'" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["run"]

@@ -1,32 +1,36 @@
-"""Files of results: whole or not at all, and each run's row kept from its end on."""
+"""Folders of results: whole or not at all, and each run's row kept from its end on."""
 
-import contextlib
+import errno
+import functools
+import io
 import json
 import os
 import re
+import shutil
 import sys
 import tempfile
 import time
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 
-from drake_nonstop import ScenarioError, load_scenario, simulate, write_results
-from drake_nonstop.cli.main import main
-from drake_nonstop.run.run import Run
-from drake_nonstop.studies import results_folder
-from drake_nonstop.studies.files import (
-    as_path,
-    free_folder,
-    replacing_file,
-    replacing_files,
-    require_writable,
-    require_writable_file,
-    write_json,
+from drake_nonstop import (
+    Run,
+    ScenarioError,
+    SerialExecutor,
+    StudyInterrupted,
+    simulate,
+    study,
+    write_results,
 )
-from drake_nonstop.studies.journal import JOURNAL, StudyInterrupted, open_journal, settings_of
-from drake_nonstop.studies.results_folder import write_pictures
-from drake_nonstop.view.figure_style import FORMATS
+from drake_nonstop.cli.main import main
+from drake_nonstop.scenario.loading import load_scenario
+
+JOURNAL, MASS = "journal.jsonl", "system.load_mass"
+DATA = {"scenario.yaml", "metrics.json", "signals.npz"}
+SHORT = ["simulation_duration=0.1", "optimization_layer=ConstantParameters"]
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +38,23 @@ def run():
     return simulate(load_scenario("quintic", ["simulation_duration=0.1"]))
 
 
-@pytest.mark.parametrize("kind", [*FORMATS, False])
+@pytest.fixture
+def written(run, tmp_path, undrawn):
+    """Writes the data of the run, or of another, to the folder "a", which it returns."""
+
+    def write(other=None, folder="a"):
+        write_results(other or run, tmp_path / folder, figures=False, replay=False)
+        return tmp_path / folder
+
+    return write
+
+
+def contents(folder):
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.mark.usefixtures("undrawn")
+@pytest.mark.parametrize("kind", ["png", "pdf", "svg", False])
 def test_a_folder_reads_back_as_the_run_that_made_it(run, tmp_path, kind):
     (tmp_path / "figures").mkdir()
     (tmp_path / "figures" / "tensions.png").write_text("of an earlier run")
@@ -52,191 +72,193 @@ def test_a_folder_reads_back_as_the_run_that_made_it(run, tmp_path, kind):
     assert (tmp_path / "notes.txt").exists()
 
 
-def test_files_replace_earlier_ones_together_and_none_on_an_error(tmp_path):
-    (tmp_path / "old").mkdir()
-    for name in ("a", "b", "old/c"):
-        (tmp_path / name).write_text("before")
-    items = ["a", "b", "old/c", "new/d"]
-    with contextlib.suppress(ZeroDivisionError), replacing_files(tmp_path, items) as new:
-        (new / "a").write_text("after")
-        raise ZeroDivisionError
-    assert (tmp_path / "a").read_text() == "before"
-    with replacing_files(tmp_path, items) as new:
-        (new / "new").mkdir()
-        for name in ("a", "new/d"):
-            (new / name).write_text("after")
-    left = {str(p.relative_to(tmp_path)) for p in tmp_path.rglob("*")}
-    assert left == {"a", "new", "new/d"}
+def test_files_replace_earlier_ones_together_and_none_on_an_error(written, monkeypatch):
+    folder = written()
+    (folder / "replay.html").write_text("of the earlier run")
+    before = contents(folder)
+    other = simulate(load_scenario("line", SHORT))
+
+    def full(*_, **__):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(np.lib.format, "write_array", full)
+        with pytest.raises(ScenarioError, match=r"--out = .*: give a folder with room to write to"):
+            written(other)
+    assert contents(folder) == before
+    written(other)
+    after = contents(folder)
+    assert {path.name for path in after} == DATA | {"diagram.svg"}
+    assert all(after[folder / name] != before[folder / name] for name in DATA)
 
 
-def replace_in_a_folder_that_is_gone(folder):
-    with replacing_file(folder / "no" / "a"):
-        pass
-
-
-# What is in the way, what is done there, and what the sentence has.
+# What is in the way, the folder, and what the sentence has.
 REFUSED = [
-    ("folder", lambda p: require_writable(p, ["it"]), ("--out", "it is no file", "move it")),
-    ("file", lambda p: require_writable(p, ["it/a"]), ("--out", "file it", "move it")),
-    ("folder", lambda p: require_writable_file(p / "it"), ("--out", "it", "give another file")),
-    ("pipe", lambda p: require_writable_file(p / "it"), ("--out", "it", "give another file")),
-    ("", lambda p: require_writable(p / "a\0b"), ("--out", "give a folder that can be written")),
-    ("", lambda p: require_writable(p / ("x" * 300)), ("--out", "that can be written")),
-    ("", lambda p: require_writable(p, room=1e18), ("--out", "with room for 1000000000000 MB")),
-    ("", replace_in_a_folder_that_is_gone, ("--out", "no", "give a folder")),
-    ("", lambda p: as_path(3), ("folder", "3", "give a path")),
+    ("a/metrics.json/", "a", ("--out", "metrics.json is no file", "move it")),
+    ("a/figures", "a", ("--out", "file figures is in the way", "move it")),
+    ("a", "a", ("--out", "give a folder that can be written")),
+    ("", "a\0b", ("--out", "give a folder that can be written")),
+    ("", "x" * 300, ("--out", "that can be written")),
 ]
 
 
-@pytest.mark.parametrize(("there", "act", "words"), REFUSED)
-def test_what_cannot_be_written_is_one_sentence(tmp_path, there, act, words):
-    make = {"folder": os.mkdir, "file": lambda p: p.write_text(""), "pipe": os.mkfifo}
+@pytest.mark.parametrize(("there", "folder", "words"), REFUSED)
+def test_what_cannot_be_written_is_one_sentence(written, tmp_path, there, folder, words):
     if there:
-        make[there](tmp_path / "it")
+        (tmp_path / there).parent.mkdir(exist_ok=True)
+        (tmp_path / there).mkdir() if there.endswith("/") else (tmp_path / there).write_text("")
     with pytest.raises(ScenarioError) as raised:
-        act(tmp_path)
+        written(folder=folder)
     assert all(word in str(raised.value) for word in words)
 
 
-def test_results_of_other_settings_have_folders_of_their_own(tmp_path):
-    place = tmp_path / "quintic"
-    assert free_folder(place, "scenario.yaml", "a") == place
-    place.mkdir()
-    (place / "scenario.yaml").write_text("a")
-    assert free_folder(place, "scenario.yaml", "a") == place
-    assert free_folder(place, "scenario.yaml", "b") == tmp_path / "quintic_2"
+def test_a_folder_that_is_none_and_a_disk_without_room_are_refused(run, monkeypatch, capsys):
+    with pytest.raises(ScenarioError, match=r"^folder = 3: give a path"):
+        write_results(run, 3)
+    full = shutil.disk_usage(".")._replace(free=1e6)
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: full)
+    assert main(["run", "line", "--set", "simulation_duration=10000"]) == 2
+    assert re.search(r"give a folder with room for \d+ MB, 1 MB are free", capsys.readouterr().err)
 
 
-def test_numbers_of_numpy_and_none_that_is_finite_are_json(tmp_path):
-    write_json(tmp_path / "a.json", {"a": np.float64(0.5), "b": np.nan, "c": [np.int64(3)]})
-    assert json.loads((tmp_path / "a.json").read_text()) == {"a": 0.5, "b": None, "c": [3]}
+def test_numbers_that_are_not_finite_are_null_in_json(written):
+    broken = simulate(load_scenario("line", SHORT))
+    for name, values in broken.signals.items():
+        broken.signals[name] = np.full_like(values, np.nan)
+    metrics = (written(broken) / "metrics.json").read_text()
+    found = json.loads(metrics, parse_constant=lambda name: pytest.fail(name))
+    assert found["load"]["position_error_mean_m"] is None
 
 
-def write(folder, settings="s", keys="ab", error=None, **options):
-    with open_journal(folder, settings, **options) as journal:
-        for key in keys:
-            journal.record(key, {"value": key * 3})
-        if error:
-            raise error
-        return journal.rows
+serial = functools.partial(study, executor=SerialExecutor())
 
 
-def test_rows_stay_until_a_restart(tmp_path):
-    write(tmp_path)
-    assert write(tmp_path, keys="") == {"a": {"value": "aaa"}, "b": {"value": "bbb"}}
-    assert write(tmp_path, keys="", restart=True) == {}
-    assert not (tmp_path / JOURNAL).exists()
+@pytest.fixture
+def flown(tmp_path, monkeypatch):
+    """Goes on with a study of so many masses, and returns for how many it flew."""
+    monkeypatch.setattr(Figure, "savefig", lambda *_, **__: None)
+
+    def go_on(masses=2, **options):
+        told = []
+        given = {"progress": lambda *_: told.append(1)} | options
+        factors = {MASS: [1.0 + k / 10 for k in range(masses)]}
+        serial(load_scenario("line", SHORT), factors, folder=tmp_path / "s", **given)
+        return len(told)
+
+    return go_on
 
 
-def test_a_last_line_that_was_cut_short_is_dropped(tmp_path):
-    write(tmp_path)
-    path = tmp_path / JOURNAL
+def test_rows_stay_until_a_restart_and_a_last_line_that_was_cut_short_is_flown_again(
+    flown, tmp_path
+):
+    assert (flown(), flown(), flown(restart=True)) == (2, 0, 2)
+    path = tmp_path / "s" / JOURNAL
     content = path.read_bytes()
-    for length in range(len(content)):
+    ends = [k + 1 for k, byte in enumerate(content) if byte == ord("\n")]
+    assert len(ends) == 3
+    for length in (0, 10, ends[0], ends[0] + 5, ends[1], ends[1] + 5, ends[2] - 1):
         path.write_bytes(content[:length])
-        lines = content[:length].count(b"\n")
-        assert [*write(tmp_path, keys="")] == ["a", "b"][: max(0, lines - 1)]
-    path.write_bytes(content[:-3])
-    assert [*write(tmp_path, keys="c")] == ["a", "c"]
-    assert [*write(tmp_path, keys="")] == ["a", "c"]
+        assert flown() == 2 - max(0, content[:length].count(b"\n") - 1)
+        assert path.read_bytes().count(b"\n") == 3
 
 
-DAMAGED = [b"x\n", b"[]\n", b'{"settings": "s"}\n3\n', b'{"settings": "s"}\n{}\n', b"\xff\n"]
-OTHER = b'{"settings": "t"}\n'
-
-
-@pytest.mark.parametrize("content", [*DAMAGED, OTHER])
-def test_a_damaged_journal_and_one_of_other_settings_stay_and_are_refused(tmp_path, content):
-    (tmp_path / JOURNAL).write_bytes(content)
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"x\n",
+        b"[]\n",
+        *(b'{"settings": "s"}\n' + line for line in (b"", b"3\n", b"{}\n")),
+        b"\xff\n",
+    ],
+)
+def test_a_damaged_journal_and_one_of_other_settings_stay_and_are_refused(flown, tmp_path, content):
+    (tmp_path / "s").mkdir()
+    (tmp_path / "s" / JOURNAL).write_bytes(content)
     with pytest.raises(ScenarioError, match=r"--out = .*; give another folder, or --restart"):
-        write(tmp_path)
-    assert (tmp_path / JOURNAL).read_bytes() == content
+        flown()
+    assert (tmp_path / "s" / JOURNAL).read_bytes() == content
 
 
-def test_two_studies_do_not_run_in_one_folder(tmp_path):
-    with open_journal(tmp_path, "s"), pytest.raises(ScenarioError, match="is running in it"):
-        write(tmp_path)
+def test_what_is_there_stays_whatever_ends_the_study(flown, tmp_path, faulty_blocks):
+    def end(error):
+        def progress(what, share):
+            raise error
 
+        return progress
 
-def test_what_is_there_stays_whatever_ends_the_study(tmp_path):
-    new = tmp_path / "new"
-    with pytest.raises(StudyInterrupted, match=r"^$"):
-        write(new, keys="", error=KeyboardInterrupt())
-    assert not new.exists()
+    with pytest.raises(ScenarioError, match="another study is running in it"):
+        flown(1, progress=lambda *_: flown(1))
     with pytest.raises(StudyInterrupted, match=r"^2 runs are in .*; the same call continues"):
-        write(new, error=KeyboardInterrupt())
+        flown(3, progress=end(KeyboardInterrupt()))
     with pytest.raises(ScenarioError, match="room to write to"):
-        write(new, keys="c", error=OSError(28, "No space left on device"))
-    assert [*write(new, keys="")] == ["a", "b", "c"]
-
-
-def test_other_code_is_other_settings(tmp_path, monkeypatch):
-    monkeypatch.syspath_prepend(str(tmp_path))
-    module = tmp_path / "my_block_of_settings.py"
-    found = set()
-    for k in range(2):
-        module.write_text(f"a = {k}\n")
-        found.add(settings_of("x", "phase: !my_block_of_settings.Mine {}"))
-    assert len(found) == 2
+        flown(4, progress=end(OSError(errno.ENOSPC, "No space left on device")))
+    assert flown(4) == 1
+    new = tmp_path / "new"
+    wind = "load_disturbance=!faulty_blocks.FaultyWind {fault: interrupts}"
+    with pytest.raises(StudyInterrupted, match=r"^$"):
+        serial(load_scenario("line", [*SHORT, wind], trust=True), {MASS: [1.0]}, folder=new)
+    assert not new.exists()
 
 
 @pytest.fixture
 def drawn(monkeypatch, tmp_path):
-    """Writes pictures of functions of the item, with a fork; returns the texts that are there."""
-    monkeypatch.setattr(results_folder, "figure_names", lambda run: ["tensions", "limits"])
+    """Runs the command where figures are drawn by a function of the process."""
     monkeypatch.setattr(os, "sched_getaffinity", lambda process: {0, 1})
+    whole = FigureCanvasAgg.print_png
 
-    def written(content, error=()):
-        def picture(run, item, file):
-            file.write(str(content(item)).encode())
+    def call(content):
+        def print_png(self, file, **options):
+            whole(self, io.BytesIO(), **options)
+            file.write(str(content(os.getpid())).encode())
 
-        monkeypatch.setattr(results_folder, "_write_picture", picture)
-        with contextlib.suppress(error):
-            write_pictures(None, tmp_path, may_fork=True)
-        return {file.name: file.read_text() for file in tmp_path.rglob("*") if file.is_file()}
+        monkeypatch.setattr(FigureCanvasAgg, "print_png", print_png)
+        code = main(["run", "line", "--out", str(tmp_path), "--set", *SHORT])
+        return code, {path.name: path.read_text() for path in (tmp_path / "figures").glob("*.png")}
 
-    return written
+    return call
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="no other system forks")
 def test_a_fork_draws_figures_and_this_process_those_that_it_does_not(drawn):
-    own = str(os.getpid())
-    pids = drawn(lambda item: os.getpid())
-    assert {name for name, pid in pids.items() if pid == own} == {"diagram.svg", "replay.html"}
+    own = os.getpid()
+    code, pids = drawn(lambda pid: pid)
+    assert code == 0
+    assert len({*pids.values()}) == 2
+    assert 0 < [*pids.values()].count(str(own)) < len(pids) / 2
 
-    def content(item):
-        if str(os.getpid()) != own:
+    def content(pid):
+        if pid != own:
             raise MemoryError
         return own
 
-    assert {*drawn(content).values()} == {own}
+    assert {*drawn(content)[1].values()} == {str(own)}
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="no other system forks")
-def test_an_interrupt_ends_the_fork_and_leaves_nothing_half_written(drawn):
+def test_an_interrupt_ends_the_fork_and_leaves_nothing_half_written(drawn, tmp_path, capsys):
     own, start = os.getpid(), time.monotonic()
 
-    def content(item):
-        if os.getpid() != own:
+    def content(pid):
+        if pid != own:
             time.sleep(60)
         time.sleep(0.3)
         raise KeyboardInterrupt
 
-    assert drawn(content, KeyboardInterrupt) == {}
+    assert drawn(content) == (1, {})
+    assert "without all pictures" in capsys.readouterr().err
+    assert not [*tmp_path.glob(".new-*")]
     assert time.monotonic() - start < 30
 
 
 def test_a_full_disk_at_the_end_keeps_the_results_elsewhere(tmp_path, monkeypatch, capsys):
-    from drake_nonstop.cli import run as command
+    replace = os.replace
 
-    whole = command.write_data
+    def full(source, target):
+        if str(target).startswith(str(tmp_path / "out")):
+            raise OSError(errno.ENOSPC, "No space left on device")
+        replace(source, target)
 
-    def full(run, folder):
-        if folder == tmp_path / "out":
-            raise ScenarioError(f"--out = {folder}: give a folder with room to write to")
-        return whole(run, folder)
-
-    monkeypatch.setattr(command, "write_data", full)
+    monkeypatch.setattr(os, "replace", full)
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     short = ["--set", "simulation_duration=0.05"]
     assert main(["run", "line", "--out", str(tmp_path / "out"), "--quiet", *short]) == 2

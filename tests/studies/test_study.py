@@ -1,8 +1,11 @@
 """One study and its presets: factors, seeds, endings, statistics, and what is written."""
 
+import contextlib
 import functools
 import itertools
 import re
+from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
+from pathlib import Path
 
 import numpy as np
 import pandas
@@ -10,30 +13,25 @@ import pytest
 import scipy.stats
 from pydrake.systems.framework import LeafSystem
 
-from drake_nonstop import DisturbanceForceConfig, load_scenario, study
-from drake_nonstop.blocks.phase import AccumulatedPhase, PaperPhase, PaperPhaseConfig
-from drake_nonstop.cli.main import main
-from drake_nonstop.diagrams.nonstop import make_nonstop
-from drake_nonstop.scenario.overrides import changed
-from drake_nonstop.scenario.schema import check
-from drake_nonstop.studies.attempts import COMPLETED, DIVERGED, FAILED, UNBUILDABLE
-from drake_nonstop.studies.changes import identity, varied
-from drake_nonstop.studies.presets import (
+from drake_nonstop import (
+    DisturbanceForceConfig,
+    ScenarioError,
+    SerialExecutor,
     ablate,
-    grid_names,
-    name_overrides,
+    make_nonstop,
     read_grid,
     robustness,
+    study,
     sweep,
 )
-from drake_nonstop.studies.study import Setting, Study, settings_of_factors
-from drake_nonstop.studies.summary import number
-from drake_nonstop.studies.workers import SerialExecutor
-from drake_nonstop.validation import ScenarioError
+from drake_nonstop.blocks.phase import PaperPhase, PaperPhaseConfig
+from drake_nonstop.cli.main import main
+from drake_nonstop.scenario.loading import load_scenario
 
 SHORT = ["simulation_duration=0.1", "optimization_layer=ConstantParameters"]
-ERROR = "load.position_error_mean_m"
+ERROR, SPEED = "load.position_error_mean_m", "carriers.speed_min_m_s"
 MASS = "system.load_mass"
+GRIDS = sorted((Path(__file__).parents[2] / "diagrams" / "grids").glob("*.yaml"))
 serial = functools.partial(study, executor=SerialExecutor())
 
 
@@ -61,21 +59,54 @@ def noisy():
     return load_scenario("line", [*SHORT, "load_feedback=!NoisyFeedback {position_noise: 0.01}"])
 
 
+def own(*changes):
+    """A scenario with the wind of conftest.py, which has faults."""
+    block = "load_disturbance=!faulty_blocks.FaultyWind {}"
+    return load_scenario("line", [*SHORT, block, *changes], trust=True)
+
+
 def known(table):
     """A table without what a clock measured."""
     clocks = ("wall_s", "real_time_factor", "engine")
     return table.drop(columns=[c for c in table if c in clocks or "solve" in c or "overrun" in c])
 
 
+class MadeUp(Executor):
+    """Answers a study's calls with these values of a metric, in place of flights; NaN: it fails."""
+
+    def __init__(self, values, path=ERROR):
+        self._values, self._path = iter(np.ravel(values).tolist()), path
+
+    def submit(self, fn, calls):
+        future = Future()
+        future.set_result([self._row(next(self._values)) for _ in calls])
+        return future
+
+    def _row(self, value):
+        made = {"ending": "completed", "message": "", "drawn": {}}
+        if np.isnan(value):
+            return made | {"ending": "failed", "message": "the wind broke", "metrics": {}}
+        return made | {"metrics": {"outcome": "ok", self._path: value}}
+
+
+def made(values, factors, path=ERROR):
+    """A study of "line" with made-up values (settings, seeds)."""
+    executor = MadeUp(np.asarray(values, dtype=float), path)
+    return study(load_scenario("line"), factors, len(values[0]), executor=executor)
+
+
+def named(names):
+    return {"variant": {name: [] for name in names}}
+
+
 def test_a_column_per_factor_a_row_per_run_and_files_that_have_them(noisy, tmp_path):
     factors = {"phase": ["AccumulatedPhase", "PaperPhase"], MASS: [0.9, 1.0]}
-    done = serial(noisy, factors, seeds=2, folder=tmp_path)
-    table = done.table
+    table = serial(noisy, factors, seeds=2, folder=tmp_path).table
     assert [*table.columns[:3]] == ["phase", MASS, "seed"]
     assert table["phase"].tolist() == 4 * ["AccumulatedPhase"] + 4 * ["PaperPhase"]
     assert table[MASS].tolist() == 2 * [0.9, 0.9, 1.0, 1.0]
     assert table["seed"].tolist() == 4 * [0, 1]
-    assert (table["ending"] == COMPLETED).all()
+    assert (table["ending"] == "completed").all()
     assert table[ERROR].nunique() == 8  # noise differs with the seed, to which all react
     read = pandas.read_csv(tmp_path / "runs.csv", index_col="run")
     pandas.testing.assert_series_equal(read[ERROR], table[ERROR], rtol=1e-15)
@@ -96,30 +127,34 @@ def test_seeds_are_of_distributions_and_of_blocks(scenario):
     assert "seed" not in serial(scenario, {MASS: [1.0]}).table
 
 
-def test_levels_may_be_named_and_make_blocks(scenario):
-    config = DisturbanceForceConfig(force=[0.1, 0.0, 0.0])
-    levels = {"light": [f"{MASS}=0.5"], "far": [{"load_disturbance": strong}]}
+def test_levels_are_values_blocks_or_lists_of_changes_in_their_order(scenario):
+    levels = {
+        "light": [f"{MASS}=0.5"],
+        "far": [{"load_disturbance": strong}],
+        "less": [{"load_disturbance": functools.partial(Push, force=1.0)}],
+        "paper": ["phase=AccumulatedPhase", {"phase": PaperPhase}],
+        "default": [{"phase": PaperPhaseConfig()}, "phase=AccumulatedPhase"],
+    }
     table = serial(scenario, {"what": levels}).table
-    assert table["what"].tolist() == ["light", "far"]
+    assert table["what"].tolist() == [*levels]
+    assert table[ERROR].nunique() == 5
+    config = DisturbanceForceConfig(force=[0.1, 0.0, 0.0])
     table = serial(scenario, {"load_disturbance": [config, Push, strong]}).table
     assert table["load_disturbance"].tolist()[1:] == [f"{__name__}.Push", f"{__name__}.strong"]
-    assert (table["ending"] == COMPLETED).all()
+    assert (table["ending"] == "completed").all()
     assert table[ERROR].nunique() == 3
 
 
 def test_runs_have_endings_of_their_own(faulty_blocks):
-    own = load_scenario(
-        "line", [*SHORT, "load_disturbance=!faulty_blocks.FaultyWind {}"], trust=True
-    )
     endings = {
-        "none": COMPLETED,
-        "raises": FAILED,
-        "diverges": DIVERGED,
-        "exits": FAILED,
-        "constructor": UNBUILDABLE,
-        "constructor exits": UNBUILDABLE,
+        "none": "completed",
+        "raises": "failed",
+        "diverges": "diverged",
+        "exits": "failed",
+        "constructor": "unbuildable",
+        "constructor exits": "unbuildable",
     }
-    done = serial(own, {"load_disturbance.fault": [*endings]})
+    done = serial(own(), {"load_disturbance.fault": [*endings]})
     assert done.table["ending"].tolist() == [*endings.values()]
     assert (done.table["message"] == "").tolist() == [True, *5 * [False]]
     assert "the wind broke" in str(done)
@@ -132,7 +167,7 @@ def test_processes_make_the_table_of_one_which_goes_on_from_what_is_there(scenar
         study, scenario, folder=tmp_path, progress=lambda _, share: shares.append(share)
     )
     first = told({MASS: [0.9, 1.0]})
-    more = told({MASS: [0.9, 1.0, 1.1]}, executor=SerialExecutor())
+    more = told({MASS: [0.9, 1.0, 1.1]}, executor=ThreadPoolExecutor(2))
     assert len(shares) == 2 + 1
     whole = serial(scenario, {MASS: [0.9, 1.0, 1.1]}).table
     pandas.testing.assert_frame_equal(known(first.table), known(whole.iloc[:2]))
@@ -143,7 +178,21 @@ def test_processes_make_the_table_of_one_which_goes_on_from_what_is_there(scenar
         serial(load_scenario("line"), {MASS: [1.0]}, folder=tmp_path)
 
 
-def test_first_runs_leave_their_results_which_are_made_again(scenario, tmp_path, undrawn):
+def test_other_code_of_the_users_own_is_another_study(tmp_path, faulty_blocks):
+    file = faulty_blocks / "faulty_blocks.py"
+    text = file.read_text()
+    try:
+        for code in (text, f"{text}\n", f"{text}\n# changed\n"):
+            file.write_text(code)
+            refused = pytest.raises(ScenarioError, match="other code")
+            with refused if code != text else contextlib.nullcontext():
+                serial(own(), {MASS: [1.0]}, folder=tmp_path)
+    finally:
+        file.write_text(text)
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_first_runs_leave_their_results_which_are_made_again(scenario, tmp_path):
     shares = []
     given = {"replay": True, "progress": lambda _, share: shares.append(share)}
     for _ in range(2):
@@ -156,7 +205,19 @@ def test_first_runs_leave_their_results_which_are_made_again(scenario, tmp_path,
     assert shares.count(1.0) == 2
 
 
-FACTORS = [
+class Broken(Executor):
+    """Its workers end before a call does."""
+
+    def submit(self, fn, /, *args, **kwargs):
+        future = Future()
+        future.set_exception(BrokenExecutor("a worker has ended"))
+        return future
+
+
+CLOSED = ThreadPoolExecutor(1)
+CLOSED.shutdown()
+TAKEN = {"a": [{"load_disturbance": Push}, "load_disturbance=!DisturbanceForce {}"]}
+REFUSED = [
     ([MASS], {}, ("factors", "give a mapping")),
     ({MASS: 1.0}, {}, ("factors", MASS, "give a list of values")),
     ({MASS: []}, {}, ("factors", MASS, "give a list of values")),
@@ -165,6 +226,7 @@ FACTORS = [
     ({3: [1]}, {}, ("factors", "3", "give paths as texts")),
     ({"a": {"b": ["x"]}}, {}, ("a, b", "x", "give path=value")),
     ({"a": {}}, {}, ("factors.a", "give one level or more")),
+    ({"a": TAKEN}, {}, ("load_disturbance", "is made by", "leave it out")),
     ({"phase": [lambda model: None]}, {}, ("phase", "processes cannot import it")),
     ({"system.load_mas": [1.0, 2.0]}, {}, ("system.load_mas", "did you mean load_mass")),
     ({MASS: [1.0]}, {"seeds": 0}, ("seeds", "0", "give")),
@@ -173,10 +235,14 @@ FACTORS = [
     ({MASS: [1.0]}, {"seeds": 10**6}, ("study", "1000000 runs", "give 1 to")),
     ({MASS: [1.0]}, {"folder": 3}, ("folder", "3", "give a path")),
     ({MASS: [1.0]}, {"progress": 3}, ("progress", "3", "give a function")),
+    *(
+        ({MASS: [1.0, 1.1]}, {"executor": executor}, ("executor", "give "))
+        for executor in ("x", ThreadPoolExecutor, CLOSED, Broken())
+    ),
 ]
 
 
-@pytest.mark.parametrize(("factors", "options", "words"), FACTORS)
+@pytest.mark.parametrize(("factors", "options", "words"), REFUSED)
 def test_what_cannot_be_used_is_one_sentence(scenario, factors, options, words):
     with pytest.raises(ScenarioError) as raised:
         serial(scenario, factors, **options)
@@ -184,38 +250,9 @@ def test_what_cannot_be_used_is_one_sentence(scenario, factors, options, words):
     assert all(word in str(raised.value) for word in words)
 
 
-def test_changes_apply_in_their_order_and_differ_by_name_where_results_may(scenario):
-    changes = [f"{MASS}=2", {"phase": PaperPhase}, "phase=AccumulatedPhase"]
-    made, others = varied(scenario, changes, trust=False)
-    assert made.system.load_mass == 2
-    assert type(made.phase).__name__ == "AccumulatedPhaseConfig"
-    assert others == {}
-    changes = [{"load_disturbance": Push}, "load_disturbance=!DisturbanceForce {}"]
-    with pytest.raises(ScenarioError, match="load_disturbance is made by"):
-        varied(scenario, changes, trust=False)
-    every = [
-        *([], ["a=1"], [{"phase": PaperPhase}], [{"phase": AccumulatedPhase}]),
-        [{"phase": PaperPhaseConfig()}],
-        *([{"load_disturbance": functools.partial(Push, force=force)}] for force in (1.0, 2.0)),
-    ]
-    assert len({identity(changes) for changes in every}) == len(every)
-
-
-def made(values, factors, **columns):
-    """A study of made-up errors (settings, seeds) in m."""
-    about = {"ending": COMPLETED, "message": "", "outcome": "ok"} | columns
-    rows = [
-        each | {"seed": k} | about | {ERROR: value}
-        for each, row in zip(factors, np.asarray(values, dtype=float), strict=True)
-        for k, value in enumerate(row)
-    ]
-    settings = [Setting(factors=each) for each in factors]
-    return Study(title="made up", table=pandas.DataFrame(rows), settings=settings)
-
-
 def test_statistics_over_seeds_and_paired_differences_are_those_of_scipy():
     values = np.array([[1.0, 2.0, 3.0], [1.5, 2.6, 3.4]])
-    row = made(values, [{"a": 1}, {"a": 2}]).summary().loc[2]
+    row = made(values, {MASS: [1.0, 2.0]}).summary().loc[2]
     assert row["completed", ""] == row["ok", ""] == 3
     assert row[ERROR, "std"] == pytest.approx(np.std(values[1], ddof=1))
     for name, of in (("mean", values[1]), ("change", values[1] - values[0])):
@@ -226,21 +263,20 @@ def test_statistics_over_seeds_and_paired_differences_are_those_of_scipy():
 
 
 def test_what_did_not_complete_is_left_out_and_told():
-    done = made([[1.0, 1.0, 1.0]], [{"a": 1}])
-    done.table.loc[2, ["ending", "message", ERROR]] = [FAILED, "the wind broke", 9.0]
+    done = made([[1.0, 1.0, np.nan]], {MASS: [1.0]})
     assert done.summary()[ERROR, "mean"].tolist() == [1.0]
     assert "2 ok, 1 failed" in str(done)
-    assert "a=1: the wind broke" in str(done)
+    assert "load_mass=1.0: the wind broke" in str(done)
 
 
 def test_changes_are_marked_where_their_interval_leaves_no_doubt():
-    page = made([[1, 2], [2, 3.1], [2, 1]], [{"a": k} for k in "xyz"])._repr_html_()
+    page = made([[1, 2], [2, 3.1], [2, 1]], named("xyz"))._repr_html_()
     assert (page.count("class=worse"), page.count("class=better")) == (1, 0)
 
 
 def test_no_name_is_cut_in_tables():
     names = [f"variant & number {k} with quite a long name{'x' * k}" for k in range(40)]
-    done = made(np.random.default_rng(0).random((40, 3)), [{"variant": name} for name in names])
+    done = made(np.random.default_rng(0).random((40, 3)), named(names))
     assert all(name in str(done) for name in names)
     assert all(name.replace("&", "&amp;") in done._repr_html_() for name in names)
     assert all(name.replace("&", r"\&") in done.latex() for name in names)
@@ -248,33 +284,34 @@ def test_no_name_is_cut_in_tables():
 
 
 @pytest.mark.parametrize(
-    ("given", "text"),
+    ("mean", "half", "text"),
     [
-        ((2.0,), "2.00"),
-        ((0.123456, 0.0123), "0.123 ± 0.012"),
-        ((1.0, 1e-12), "1.00"),
-        ((1e-6,), "≈ 0"),
-        ((float("nan"),), "–"),
-        ((0.5, 0.1, "+"), "+0.50 ± 0.10"),
+        *((2.0, 0.0, "2.00"), (0.123456, 0.0123, "0.123 ± 0.012"), (1.0, 1e-12, "1.00")),
+        *((1e-6, 0.0, "≈ 0"), (np.nan, 0.0, "–")),
     ],
 )
-def test_numbers_have_the_digits_that_their_uncertainty_leaves(given, text):
-    assert number(*given) == text
+def test_numbers_have_the_digits_that_their_uncertainty_leaves(mean, half, text):
+    spread = half * np.sqrt(3) / scipy.stats.t.ppf(0.975, 2)  # over three seeds
+    values = [[1.0, 2.0, 3.0], mean + np.array([-spread, 0, spread])]
+    row = str(made(values, named(["a", "b"]), SPEED)).splitlines()
+    (cells,) = (line for line in row if line.startswith("b "))
+    assert re.search(rf"  {re.escape(text)}(  |$)", cells)
 
 
 def test_lines_with_bands_over_a_factor_of_numbers():
-    factors = [{"layer": a, "gain": b} for a in ("p", "q", "r") for b in (3.0, 1.0, 2.0)]
+    factors = {"layer": {name: [] for name in "pqr"}, MASS: [3.0, 1.0, 2.0]}
     values = np.arange(27).reshape(9, 3) + np.random.default_rng(0).random((9, 3))
     (axes,) = made(values, factors).figure().axes
-    assert axes.get_xlabel() == "gain"
+    assert axes.get_xlabel() == MASS
     assert [line.get_label() for line in axes.lines] == ["p", "q", "r"]
     assert axes.lines[0].get_xdata().tolist() == [1.0, 2.0, 3.0]
+    np.testing.assert_allclose(axes.lines[0].get_ydata()[1:], 1e3 * values[[2, 0]].mean(axis=1))
     assert len(axes.collections) == 3
 
 
 def test_a_row_for_each_of_many_names_in_a_figure():
-    factors = [{"variant": f"variant number {k} with a long name"} for k in range(46)]
-    figure = made(np.random.default_rng(0).random((46, 2)), factors).figure()
+    names = [f"variant number {k} with a long name" for k in range(46)]
+    figure = made(np.random.default_rng(0).random((46, 2)), named(names)).figure()
     (axes,) = figure.axes
     figure.draw_without_rendering()
     labels = [label.get_window_extent() for label in axes.get_yticklabels()]
@@ -282,7 +319,7 @@ def test_a_row_for_each_of_many_names_in_a_figure():
     assert min(label.x0 for label in labels) >= 0
     assert all(a.y0 >= b.y1 - 1 for a, b in itertools.pairwise(labels))
     with pytest.raises(ScenarioError, match="path = no: give the path of a metric"):
-        made([[1.0]], [{"a": 1}]).figure("no")
+        made([[1.0]], named("a")).figure("no")
 
 
 SPEC = """
@@ -315,17 +352,15 @@ def test_a_file_states_variants_or_values(written):
     """
     grid = read_grid(written(text))
     assert grid.seeds == [3, 4]  # not a factor: what a figure's bands are over
-    settings = settings_of_factors(grid.factors)
-    gains = [setting.factors["carrier_controller.velocity_gain"] for setting in settings]
-    phases = [setting.factors["phase"] for setting in settings]
-    assert phases == 2 * ["PaperPhase"] + 2 * ["AccumulatedPhase"]
-    assert gains == 2 * [1.5, 10.0]
-    made = changed(load_scenario("line"), settings[0].changes)
+    done = study(load_scenario("line"), grid.factors, executor=MadeUp([1.0] * 4))
+    assert done.table["phase"].tolist() == 2 * ["PaperPhase"] + 2 * ["AccumulatedPhase"]
+    assert done.table["carrier_controller.velocity_gain"].tolist() == 2 * [1.5, 10.0]
+    made = load_scenario("line", done.settings[0].changes)
     assert made.pattern.phases == [0.0, 0.5, 0.0, 0.5]
     assert type(made.phase).__name__ == "PaperPhaseConfig"
 
 
-GRIDS = [
+BAD_GRIDS = [
     ("", ("mine.yaml", "give variants or grid")),
     ("description: nothing more", ("mine.yaml", "give variants or grid")),
     ("variants: {a: [b=1]}\ngrid: {b: [1]}", ("mine.yaml", "variants and grid")),
@@ -339,40 +374,27 @@ GRIDS = [
     ("grid: {a: []}", ("mine.yaml.grid.a", "give a list")),
     ("grid: {a: [1", ("mine.yaml", "valid YAML")),
     ("overrides: a=1\nseeds: 2", ("mine.yaml.overrides", "a=1", "give a list")),
+    ("papers", ("papers", ", ".join(path.stem for path in GRIDS))),
+    (Path("no.yaml"), ("no.yaml", "can be read")),
 ]
 
 
-@pytest.mark.parametrize(("text", "words"), GRIDS)
-def test_a_file_that_cannot_be_used_is_one_sentence(written, text, words):
+@pytest.mark.parametrize(("given", "words"), BAD_GRIDS)
+def test_a_file_that_cannot_be_used_is_one_sentence(written, given, words):
+    is_text = isinstance(given, str) and given != "papers"
     with pytest.raises(ScenarioError) as raised:
-        read_grid(written(text))
+        read_grid(written(given) if is_text else given)
     assert "\n" not in str(raised.value)
     assert all(word in str(raised.value) for word in words)
 
 
-def test_there_is_no_such_grid_or_file(tmp_path):
-    for name, words in (("papers", ", ".join(grid_names())), (tmp_path / "no.yaml", "can be read")):
-        with pytest.raises(ScenarioError, match=words):
-            read_grid(name)
-
-
-@pytest.mark.parametrize("name", grid_names())
+@pytest.mark.parametrize("name", [path.stem for path in GRIDS])
 def test_grids_of_the_package_apply_to_their_scenarios(name):
     grid = read_grid(name)
     assert grid.description
     base = "aircraft_transfer" if name in ("airspeed", "cables") else "line"
     for overrides in grid.variants.values():
-        variant = changed(load_scenario(base), overrides)
-        check(variant)
-        make_nonstop(variant, at_equilibrium=False)
-
-
-def test_variants_by_their_overrides():
-    names = name_overrides(["phase=my.Own", "carrier_controller=!CarrierPid {}"])
-    assert names == "my.Own, CarrierPid"
-    several = ["system.load_mass=1", "simulated.load_mass=2", "simulation_duration=3"]
-    told = "system.load_mass=1, simulated.load_mass=2, simulation_duration=3"
-    assert name_overrides(several) == told
+        make_nonstop(load_scenario(base, overrides), at_equilibrium=False)
 
 
 def test_an_ablation_begins_with_the_scenario_as_it_is(scenario, tmp_path):
@@ -380,7 +402,7 @@ def test_an_ablation_begins_with_the_scenario_as_it_is(scenario, tmp_path):
     given = {"seeds": 2, "replay": False, "executor": SerialExecutor()}
     table = ablate(scenario, variants, tmp_path, **given).table
     assert table["variant"].tolist() == 2 * ["as it is"] + 2 * ["a"] + 2 * ["b"]
-    assert table["ending"].tolist() == 4 * [COMPLETED] + 2 * [UNBUILDABLE]
+    assert table["ending"].tolist() == 4 * ["completed"] + 2 * ["unbuildable"]
     assert "system.load_mass = -1.0: give" in table["message"][4]
     wrong = ({"a": "phase=PaperPhase"}, {"a": [3]}, {1: ["a=1"]}, ["phase=PaperPhase"], 3)
     for each in wrong:
@@ -396,29 +418,33 @@ def test_a_sweep_of_a_file(scenario, written):
     assert len({*masses}) == 3
 
 
-@pytest.mark.parametrize("name", ["quintic", "aircraft_rest", "estimated_wind"])
-def test_each_error_of_robustness_makes_a_scenario(name, monkeypatch):
-    found = {}
-    monkeypatch.setattr("drake_nonstop.studies.presets.study", lambda *a, **_: found.update(a[1]))
-    feedback = "load_feedback=!FilteredFeedback {position_noise: 0.001}"
-    own = name == "estimated_wind"
-    base = load_scenario("quintic", [feedback]) if own else load_scenario(name)
-    robustness(base)
-    assert len(found["error"]) == 33
-    for changes in found["error"].values():
-        check(changed(base, changes))
+FILTERED = ["load_feedback=!FilteredFeedback {position_noise: 0.001}"]
+
+
+@pytest.mark.parametrize(
+    ("name", "changes"), [("quintic", []), ("aircraft_rest", []), ("quintic", FILTERED)]
+)
+def test_each_error_of_robustness_makes_a_scenario_that_is_another(name, changes):
+    base = load_scenario(name, changes)
+    settings = robustness(base, executor=MadeUp(np.ones(33))).settings
+    made = [load_scenario(name, [*changes, *setting.changes]) for setting in settings]
+    assert made[0] == base
+    assert all(a != b for a, b in itertools.combinations(made, 2))
+    feedback = {type(each.load_feedback).__name__ for each in made}
+    assert ("FilteredFeedbackConfig" in feedback) == bool(changes)
 
 
 @pytest.mark.nightly("studies")
 def test_robustness(scenario, tmp_path):
     table = robustness(scenario, tmp_path).table
-    assert (table["ending"] == COMPLETED).all()
+    assert (table["ending"] == "completed").all()
     errors = table[ERROR]
     assert errors[table["error"] == "load mass +20 %"].iloc[0] > errors[0]
 
 
 @pytest.mark.slow
-def test_the_commands(written, tmp_path, capsys, undrawn):
+@pytest.mark.usefixtures("undrawn")
+def test_the_commands(written, tmp_path, capsys):
     call = ["line", "--set", *SHORT, "--out", str(tmp_path / "out")]
     vary = ["--vary", MASS, "0.9", "-1.0", "--vary", "phase", "PaperPhase"]
     assert main(["study", *call, *vary]) == 1
@@ -426,10 +452,12 @@ def test_the_commands(written, tmp_path, capsys, undrawn):
     assert f"results: {tmp_path / 'out' / 'index.html'}" in out
     assert "system.load_mass = -1.0: give" in out
     swap = ["--swap", "phase=PaperPhase", f"{MASS}=1.1", "--no-replay", "--restart"]
-    assert main(["ablate", *call, "--grid", "paper", *swap]) == 0
+    several = ["--swap", f"{MASS}=1", "simulated.load_mass=1.0"]
+    assert main(["ablate", *call, "--grid", "paper", *swap, *several]) == 0
     out = capsys.readouterr().out
     assert "without optimization" in out
     assert "PaperPhase, load_mass=1.1" in out
+    assert f"{MASS}=1, simulated.load_mass=1.0" in out
     spec = ["sweep", "line", str(written(SPEC)), *call[1:]]
     assert main([*spec, "--restart"]) == 0
     lines = (tmp_path / "out" / "runs.csv").read_text().splitlines()
@@ -444,3 +472,28 @@ def test_the_commands(written, tmp_path, capsys, undrawn):
     for bad in (["study", *call], ["ablate", *call], swap, [*one, "6"]):
         assert main(bad) == 2
         assert re.match(r"drake-nonstop: --.* = .*: give ", capsys.readouterr().err)
+
+
+@pytest.mark.nightly("browsers")
+def test_the_bar_of_the_page_drives_all_replays(watched, tmp_path):
+    shown = "Math.max(...viewer.animator.actions.map((action) => action.time))"
+    scenario = load_scenario("line", ["simulation_duration=1.0"])
+    ablate(scenario, {"printed": ["phase=PaperPhase"]}, tmp_path)
+    page = watched.page
+    page.set_viewport_size({"width": 900, "height": 900})
+    page.goto((tmp_path / "index.html").as_uri())
+    page.locator("#cards").scroll_into_view_if_needed()
+    replays = [frame for frame in page.frames if frame.url.endswith("#embedded")]
+    assert len(replays) == 2
+    for frame in replays:
+        frame.wait_for_function("viewer.animator.actions.length > 0 && !viewer.animator.playing")
+    page.locator("#time").fill("0.6")
+    for frame in replays:
+        frame.wait_for_function(f"Math.abs({shown} - 0.6) < 1e-6")
+        assert not frame.locator("#play").is_visible()  # the page has the one for all
+    page.locator("#restart").click()
+    for frame in replays:
+        frame.wait_for_function(f"{shown} > 0.9")  # to the end, where all wait
+    assert page.locator("#clock").inner_text().startswith("1.00")
+    assert watched.errors == []
+    assert all(request.startswith(("file:", "data:", "blob:")) for request in watched.requests)

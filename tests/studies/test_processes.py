@@ -12,22 +12,23 @@ import subprocess
 import sys
 import threading
 import time
+import types
+from multiprocessing import forkserver
 from pathlib import Path
 
 import pytest
 from helpers import handle_signals_as_a_shell_does
 
-from drake_nonstop import load_scenario, study
-from drake_nonstop.studies import workers
-from drake_nonstop.studies.attempts import COMPLETED, FAILED
-from drake_nonstop.studies.journal import JOURNAL, StudyInterrupted
-from drake_nonstop.studies.workers import SerialExecutor
+from drake_nonstop import ScenarioError, SerialExecutor, StudyInterrupted, study
+from drake_nonstop.scenario.loading import load_scenario
 
 pytestmark = pytest.mark.usefixtures("faulty_blocks")
 
 COUNT = int(os.environ.get("NONSTOP_SIGNALS", "4"))
 SEED = int(os.environ.get("NONSTOP_SEED", "0"))
 ENDS_WITHIN = 2.0  # s, from the last signal, on a machine that has nothing else to do
+FAULTY = "load_disturbance=!faulty_blocks.FaultyWind {}"
+FAULT, MASS = "load_disturbance.fault", "system.load_mass"
 SHORT = ["simulation_duration=0.1", "optimization_layer=ConstantParameters"]
 SPEC = "overrides: ['system.load_mass=!Uniform {min: 0.9, max: 1.1}']\nseeds: 300\n"
 COMMANDS = {
@@ -45,6 +46,22 @@ if __name__ == "__main__":
     print("begins", flush=True)
     sys.exit(main())
 """
+SCRIPT = f"""
+from drake_nonstop import load_scenario, study
+
+scenario = load_scenario("line", {[*SHORT, FAULTY]}, trust=True)
+print(study(scenario, {{"{FAULT}": ["tells threads", "none"]}}, folder="out").table["message"][0])
+"""
+
+
+@pytest.fixture(scope="module")
+def scenario():
+    return load_scenario("line", SHORT)
+
+
+@pytest.fixture
+def faulty():
+    return load_scenario("line", [*SHORT, FAULTY], trust=True)
 
 
 def load_factor():
@@ -52,40 +69,31 @@ def load_factor():
     return max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))
 
 
+def processes():
+    """The numbers of all processes that have not ended, of their parents and of their sessions."""
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError, ValueError):  # it has ended
+            state, parent, _, session = stat.read_text().rsplit(")", 1)[1].split()[:4]
+            if state != "Z":
+                yield int(stat.parent.name), int(parent), int(session)
+
+
 def session(leader):
-    """The processes that a program has started and left, as their command lines."""
-    found = []
-    for folder in Path("/proc").glob("[0-9]*"):
-        try:
-            state, _, _, number = (folder / "stat").read_text().rsplit(")", 1)[1].split()[:4]
-            if int(number) == leader and state != "Z":
-                found.append((folder / "cmdline").read_text().replace("\0", " "))
-        except (OSError, ValueError):  # it has ended
-            continue
-    return found
+    """The processes that a program has started and left."""
+    return [process for process, _, number in processes() if number == leader]
 
 
-def workers_of(process):
+def workers():
     """The processes that were forked for this one and have begun."""
-    found = []
-    for folder in Path("/proc").glob("[0-9]*"):
-        with contextlib.suppress(OSError, ValueError):
-            parent = int((folder / "stat").read_text().rsplit(")", 1)[1].split()[1])
-            if parent == process:
-                found.append(int(folder.name))
-    return found
+    server = forkserver._forkserver._forkserver_pid
+    return [process for process, parent, _ in processes() if parent == server]
 
 
-def forkserver():
-    return workers.forkserver._forkserver._forkserver_pid
-
-
-def is_alive(pid):
-    try:
-        state = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0]
-    except FileNotFoundError:
-        return False
-    return state != "Z"
+def wait_until(condition, seconds=5.0):
+    end = time.monotonic() + seconds
+    while not condition() and time.monotonic() < end:
+        time.sleep(0.05)
+    assert condition()
 
 
 def begun(folder, arguments):
@@ -108,7 +116,7 @@ def begun(folder, arguments):
 
 def journalled(folder):
     """The whole lines of a journal, each of which can be read."""
-    path = folder / JOURNAL
+    path = folder / "journal.jsonl"
     lines = path.read_bytes().splitlines(keepends=True) if path.exists() else []
     return [json.loads(line) for line in lines if line.endswith(b"\n")]
 
@@ -120,9 +128,7 @@ def test_any_study_ends_by_ctrl_c_at_any_time(tmp_path, number):
     name = [*COMMANDS][number % len(COMMANDS)]
     first, second = draw.uniform(0, draw.choice([0.3, 2.0, 6.0])), draw.choice([0, 0.02, 0.2, 0.8])
     times, is_group = draw.choice([1, 2, 2, 3]), draw.random() < 0.5
-    drawn = (
-        f"{name}, {times} signals, the first at {first:.3f} s, then every {second} s, {is_group}"
-    )
+    drawn = f"{name}, {times} signals, the first at {first:.3f} s, every {second} s, {is_group}"
     arguments = [*COMMANDS[name], "--out", "out", "--set", *SHORT, "simulation_duration=0.5"]
     process = begun(tmp_path, arguments)
     send = os.killpg if is_group else os.kill  # a terminal sends it to the whole group
@@ -135,10 +141,7 @@ def test_any_study_ends_by_ctrl_c_at_any_time(tmp_path, number):
     assert time.monotonic() - start < ENDS_WITHIN * load_factor(), drawn
     assert process.returncode == 130, drawn
     assert "Traceback" not in error, drawn
-    end = time.monotonic() + 5
-    while session(process.pid) and time.monotonic() < end:
-        time.sleep(0.05)
-    assert session(process.pid) == [], drawn
+    wait_until(lambda: not session(process.pid))
     done = len(journalled(tmp_path / "out")) - 1
     assert (f"interrupted: {done} runs are in out" in error) == (done > 0), drawn
 
@@ -151,11 +154,9 @@ def test_a_block_that_never_returns_keeps_no_process(
     tmp_path, faulty_blocks, monkeypatch, sign, code
 ):
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([*sys.path, str(faulty_blocks)]))
-    block = "load_disturbance=!faulty_blocks.FaultyWind {}"
-    swap = ["--swap", "load_disturbance.fault=hangs", "--trust", "--out", "out"]
-    process = begun(tmp_path, ["ablate", "line", *swap, "--set", *SHORT, block])
-    while len(journalled(tmp_path / "out")) < 2:  # the unchanged scenario
-        time.sleep(0.05)
+    swap = ["--swap", f"{FAULT}=hangs", "--trust", "--out", "out"]
+    process = begun(tmp_path, ["ablate", "line", *swap, "--set", *SHORT, FAULTY])
+    wait_until(lambda: len(journalled(tmp_path / "out")) == 2, 60)  # the unchanged scenario
     process.send_signal(sign)
     start = time.monotonic()
     _, error = process.communicate(timeout=60)
@@ -165,31 +166,22 @@ def test_a_block_that_never_returns_keeps_no_process(
         assert "1 runs are in out; the same call continues from there" in error
     assert len(journalled(tmp_path / "out")) == 2
     assert (tmp_path / "out" / "as_it_is" / "metrics.json").exists()
-    end = time.monotonic() + 5
-    while session(process.pid) and time.monotonic() < end:
-        time.sleep(0.05)
-    assert session(process.pid) == []
+    wait_until(lambda: not session(process.pid))
 
 
 @pytest.mark.nightly("processes")
-def test_an_interrupt_leaves_no_process_behind_where_python_goes_on(tmp_path, scenario):
-    own = load_scenario(
-        "line", [*SHORT, "load_disturbance=!faulty_blocks.FaultyWind {}"], trust=True
-    )
+def test_an_interrupt_leaves_no_process_behind_where_python_goes_on(tmp_path, faulty):
     left = []
 
     def interrupt(what, share):
-        left.extend(workers_of(forkserver()))
+        left.extend(workers())
         raise KeyboardInterrupt
 
-    faults = {"load_disturbance.fault": ["none", "hangs", "dies"]}
+    faults = {FAULT: ["none", "hangs", "dies"]}
     with pytest.raises(StudyInterrupted, match="1 runs are in"):
-        study(own, faults, folder=tmp_path / "out", progress=interrupt)
+        study(faulty, faults, folder=tmp_path / "out", progress=interrupt)
     assert left
-    end = time.monotonic() + 5
-    while any(map(is_alive, left)) and time.monotonic() < end:
-        time.sleep(0.05)
-    assert not any(map(is_alive, left))
+    wait_until(lambda: not {*left} & {process for process, *_ in processes()})
 
 
 class Killer:
@@ -197,10 +189,9 @@ class Killer:
 
     def __init__(self, seed, count=4):
         self.kills, self._draw, self._count = 0, random.Random(seed), count
+        self._thread, self._is_over = threading.Thread(target=self._kill), threading.Event()
 
     def __enter__(self):
-        self._thread = threading.Thread(target=self._kill)
-        self._is_over = threading.Event()
         self._thread.start()
         return self
 
@@ -210,62 +201,94 @@ class Killer:
 
     def _kill(self):
         while self.kills < self._count and not self._is_over.wait(self._draw.uniform(0, 0.4)):
-            victims = workers_of(forkserver()) if forkserver() else []
+            server = forkserver._forkserver._forkserver_pid
+            victims = workers() if server else []
             if len(victims) < 2:  # a call that is repeated
                 continue
-            if self._draw.random() < 0.2:
-                victims = [forkserver()]
-            victim = self._draw.choice(victims)
-            if victim is not None:
-                with contextlib.suppress(ProcessLookupError):
-                    os.kill(victim, signal.SIGKILL)
-                    self.kills += 1
-
-
-@pytest.fixture(scope="module")
-def scenario():
-    return load_scenario("line", SHORT)
+            victim = server if self._draw.random() < 0.2 else self._draw.choice(victims)
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(victim, signal.SIGKILL)
+                self.kills += 1
 
 
 @pytest.mark.nightly("processes")
 def test_killed_workers_cost_no_run(tmp_path, scenario):
-    factors = {"system.load_mass": [1 + k / 100 for k in range(48)]}
+    factors = {MASS: [1 + k / 100 for k in range(48)]}
     whole = study(scenario, factors, executor=SerialExecutor()).table
     with Killer(SEED) as killer:
         table = study(scenario, factors, folder=tmp_path / "killed").table
     assert killer.kills > 0
-    assert (table["ending"] == COMPLETED).all()
+    assert (table["ending"] == "completed").all()
     errors = "load.position_error_mean_m"
     assert table[errors].tolist() == whole[errors].tolist()
 
 
-@pytest.mark.nightly("processes")
-@pytest.mark.parametrize(("fault", "words"), [("dies", "process died"), ("exits", "SystemExit")])
-def test_a_block_that_ends_its_process_spoils_nothing(tmp_path, fault, words):
-    own = load_scenario(
-        "line", [*SHORT, "load_disturbance=!faulty_blocks.FaultyWind {}"], trust=True
-    )
-    factors = {"load_disturbance.fault": [fault, "none"], "system.load_mass": [1.0, 1.1, 1.2]}
-    table = study(own, factors, folder=tmp_path).table
-    assert table["ending"].tolist() == 3 * [FAILED] + 3 * [COMPLETED]
-    assert words in table["message"][0]
+@pytest.mark.slow
+def test_a_block_that_ends_its_process_spoils_nothing(faulty):
+    factors = {FAULT: ["dies", "exits", "none"], MASS: [1.0, 1.1, 1.2]}
+    table = study(faulty, factors).table
+    assert table["ending"].tolist() == 6 * ["failed"] + 3 * ["completed"]
+    for row, words in ((0, "process died"), (3, "SystemExit")):
+        assert all(words in message for message in table["message"][row : row + 3])
 
 
 @pytest.mark.nightly("processes")
 def test_nothing_is_lost_by_a_kill_of_the_command(tmp_path):
     call = [*COMMANDS["sweep"], "--out", "out", "--set", *SHORT]
     process = begun(tmp_path, call)
-    while len(journalled(tmp_path / "out")) < 20:
-        time.sleep(0.05)
+    wait_until(lambda: len(journalled(tmp_path / "out")) >= 20, 60)
     process.kill()
     process.communicate(timeout=60)
     kept = journalled(tmp_path / "out")
-    end = time.monotonic() + 5
-    while session(process.pid) and time.monotonic() < end:
-        time.sleep(0.05)
-    assert session(process.pid) == []
+    wait_until(lambda: not session(process.pid))
     again = begun(tmp_path, call)
     again.communicate(timeout=120)
     assert again.returncode == 0
     assert journalled(tmp_path / "out")[: len(kept)] == kept
     assert len(journalled(tmp_path / "out")) == 301
+
+
+@pytest.mark.parametrize("is_file", [True, False])
+@pytest.mark.nightly("processes")
+def test_a_script_that_processes_cannot_import_is_told_so(tmp_path, faulty_blocks, is_file):
+    """They would run it again, and end as they start; nothing is kept of that."""
+    script = tmp_path / "study.py"
+    script.write_text(SCRIPT)
+    done = subprocess.run(
+        [sys.executable, script if is_file else "-"],
+        input=None if is_file else SCRIPT,
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join([*sys.path, str(faulty_blocks)])},
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert done.returncode == 1
+    assert done.stderr.count("Traceback") == 1
+    last = done.stderr.strip().splitlines()[-1]
+    assert f"__main__ = {script if is_file else '<stdin>'}" in last
+    assert '`if __name__ == "__main__":`' in last
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_main_module_without_its_file_is_refused(scenario, monkeypatch):
+    main = types.ModuleType("__main__")
+    main.__file__ = "<stdin>"
+    monkeypatch.setitem(sys.modules, "__main__", main)
+    with pytest.raises(ScenarioError, match=r"^__main__ = <stdin>: processes import it"):
+        study(scenario, {MASS: [1.0]})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("asked", [None, "2"])
+def test_workers_have_one_thread_for_linear_algebra_unless_asked(tmp_path, faulty_blocks, asked):
+    script = tmp_path / "script.py"
+    body = "".join(f"    {line}\n" for line in SCRIPT.splitlines())
+    script.write_text(f"if __name__ == '__main__':\n{body}")
+    names = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")
+    given = {k: v for k, v in os.environ.items() if k not in names}
+    given |= {"OPENBLAS_NUM_THREADS": asked} if asked else {}
+    given["PYTHONPATH"] = os.pathsep.join([*sys.path, str(faulty_blocks)])
+    about = {"capture_output": True, "text": True, "timeout": 120, "cwd": tmp_path}
+    done = subprocess.run([sys.executable, str(script)], env=given, **about)
+    assert f"threads: {asked or 1}\n" in done.stdout, done.stderr
