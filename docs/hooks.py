@@ -21,8 +21,10 @@ from drake_nonstop.blocks.reference_governor import ReferenceGovernorConfig
 from drake_nonstop.diagrams.nonstop import BOXES, SIGNALS, make_blocks, make_nonstop
 from drake_nonstop.model.aircraft import AircraftParameters
 from drake_nonstop.model.system import SystemParameters
+from drake_nonstop.run.metrics import HIGHER, LOWER, METRICS, compute_metrics
 from drake_nonstop.scenario.choices import CHOICES
 from drake_nonstop.scenario.describe import Parameter, choices_of, parameters, size_of
+from drake_nonstop.scenario.obstacles import Obstacle
 from drake_nonstop.scenario.run_limits import RunLimits
 from drake_nonstop.scenario.scene_config import SceneConfig
 from drake_nonstop.scenario.schema import Scenario
@@ -47,6 +49,7 @@ def on_files(files: Any, config: Any) -> Any:
         "figure.md": figure_page(),
         "scenario.md": scenario_page(),
         "signals.md": signals_page(),
+        "metrics.md": metrics_page(),
         **box_pages(),
     }
     for name, text in pages.items():
@@ -199,6 +202,11 @@ def scenario_page() -> str:
     for choice in choices_of("pattern"):
         lines += ["", f"### {choice.name} {{: #pattern-{choice.name} }}", ""]
         lines += [_escaped(choice.summary), *_table(choice.parameters)]
+    lines += ["", "## `obstacles` {: #obstacles }", "", "A list of these:"]
+    for shape in typing.get_args(Obstacle):
+        tag = shape.__name__.removesuffix("Config")
+        lines += ["", f"### `!{tag}` {{: #{tag} }}", "", inspect.cleandoc(shape.__doc__ or "")]
+        lines += _table(parameters(shape))
     for name, config in _OTHER_PARTS.items():
         summary = _escaped(inspect.cleandoc(config.__doc__ or "").partition("\n\n")[0])
         lines += ["", f"## `{name}` {{: #{name} }}", "", summary, *_table(parameters(config))]
@@ -258,6 +266,61 @@ def signals_page() -> str:
             f"| {part.name} | {part.size} | {part.unit} | {part.frame} | {_cell(part.meaning)} |"
             for part in layout.parts
         ]
+    return "\n".join([*lines, ""])
+
+
+# What the metrics of each group are measured from, by the first part of their paths.
+_GROUPS = {
+    "": "How the run ended, see [outcomes](start.md#outcomes), and how long it took.",
+    "simulator": "The longest step of the integrator.",
+    "load": """Errors of the load's true pose against its reference. The delay of the reference is
+        that of a reference governor.""",
+    "carriers": "Of all carriers; a list has a value for each. The bound is ε at the end.",
+    "cables": """Tensions at the load. A cable is slack where it does not pull. The distance of two
+        cables is that of their closest points.""",
+    "bowed_cables": "Of cables with nodes: a node's distance from the line between the ends.",
+    "obstacles": "Of scenarios with obstacles. `approaches` has a sentence for each obstacle.",
+    "aircraft": """Of the simulated aircraft, over all of them. An airspeed is compared with the
+        stall speed in level flight, and with that of a wing that carries cable and bank. A command
+        is saturated where it is at a limit of the aircraft. The energy is that of all batteries
+        while the reference moves, per mass of the load and length of its way.""",
+    "optimizer": """How many updates of the optimization layer ended in each way: `kept` left ξ and
+        A as they were, `solved` found better ones within all limits, `relaxed` found none within
+        all limits and took those that miss them least, and `held` found nothing better than the
+        last ones. Wall times are those of updates made in Python.""",
+}
+
+
+def metrics_page() -> str:
+    """Every metric of a run, by groups."""
+    about = inspect.cleandoc(compute_metrics.__doc__ or "").split("\n\n")[1]
+    lines = [
+        "# Metrics",
+        "",
+        "`metrics.json` of a run, `compute_metrics(run)` and the tables of studies have these",
+        "numbers. A metric is named by its path, whose end is the unit of the stored value; tables",
+        "show it in the unit below. Beside the metrics stand `scenario`, `versions`, `is_steered`,",
+        "which tells whether a user changed the run while it flew, and `half_step`, which is what",
+        "`--verify-step` found.",
+        "",
+        " ".join(about.split()),
+    ]
+    for group, about in _GROUPS.items():
+        head = f"## `{group}`" if group else "## The run"
+        lines += [
+            "",
+            head,
+            "",
+            " ".join(about.split()),
+            "",
+            "| metric | meaning | shown in | better |",
+        ]
+        lines.append("| --- | --- | --- | --- |")
+        for metric in METRICS:
+            first, dot, _ = metric.path.partition(".")
+            if group == (first if dot else ""):
+                better = {LOWER: "lower", HIGHER: "higher"}.get(metric.better, "")
+                lines.append(f"| `{metric.path}` | {metric.label} | {metric.unit} | {better} |")
     return "\n".join([*lines, ""])
 
 

@@ -8,6 +8,7 @@ import shutil
 import subprocess
 from pathlib import Path
 from types import SimpleNamespace
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -16,7 +17,12 @@ from site_pages import LARGEST_PAGE, MOST_WORDS, faults
 
 import drake_nonstop
 from drake_nonstop import AircraftParameters, RunLimits, Scenario, SceneConfig, SystemParameters
+from drake_nonstop.blocks.reference_governor import ReferenceGovernorConfig
 from drake_nonstop.diagrams.nonstop import BOXES, SIGNALS
+from drake_nonstop.run.metrics import METRICS
+from drake_nonstop.scenario.choices import CHOICES
+from drake_nonstop.scenario.describe import parameters
+from drake_nonstop.scenario.obstacles import Obstacle
 from drake_nonstop.view.replay import Replay
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -89,13 +95,28 @@ def test_the_block_to_start_from_flies_as_the_default(name, box_pages, tmp_path,
     assert np.array_equal(own.signal("load_state"), run.signal("load_state"))
 
 
-def test_every_field_of_a_scenario_has_a_meaning_or_a_place(hooks, box_pages):
-    page = hooks["scenario_page"]()
+def test_every_field_of_a_scenario_has_a_meaning_on_a_page(hooks, box_pages):
+    """Of the scenario, of its parts, and of all that boxes, the pattern and obstacles can be."""
+    pages = "\n".join([hooks["scenario_page"](), *box_pages.values()])
+    rows = dict(re.findall(r"(?m)^(\| `\w+` \|.*\|) (.*) \|$", pages))
+    places = {name: f"boxes/{name}.md" in box_pages or f"## `{name}" in pages for name in CHOICES}
+    assert all(places.values()), places
+    choices = [config for configs in CHOICES.values() for config in configs]
+    parts = SystemParameters, AircraftParameters, RunLimits, SceneConfig, ReferenceGovernorConfig
+    for config in (*choices, *parts, *get_args(Obstacle)):
+        for parameter in parameters(config):
+            found = [row for row in rows if row.startswith(f"| `{parameter.name}` |")]
+            assert found, f"{config.__name__}.{parameter.name}"
+            assert all(rows[row] for row in found), f"{config.__name__}.{parameter.name}"
     for field in dataclasses.fields(Scenario):
-        assert f"`{field.name}`" in page or f"boxes/{field.name}.md" in box_pages, field.name
-    for config in (SystemParameters, AircraftParameters, RunLimits, SceneConfig):
-        for field in dataclasses.fields(config):
-            assert f"| `{field.name}` |" in page, f"{config.__name__}.{field.name}"
+        assert places.get(field.name) or f"`{field.name}`" in pages, field.name
+
+
+def test_every_metric_is_explained_in_its_group(hooks):
+    page = hooks["metrics_page"]()
+    paths = re.findall(r"(?m)^\| `([\w.]+)` \| [^|]+ \|", page)
+    assert sorted(paths) == sorted(metric.path for metric in METRICS)
+    assert len({*paths}) == len(paths)
 
 
 def test_faults_of_built_pages_are_found(tmp_path):
@@ -208,7 +229,7 @@ def test_formulas_can_be_typeset():
 def test_every_page_is_in_the_navigation():
     text = (DOCS.parent / "mkdocs.yml").read_text(encoding="utf-8")
     named = set(re.findall(r": ([\w/]+\.(?:md|ipynb))$", text, re.MULTILINE))
-    made = {"figure.md", "scenario.md", "signals.md", "reference.md"}
+    made = {"figure.md", "scenario.md", "signals.md", "metrics.md", "reference.md"}
     pages = {path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md")}
     notebooks = {path.relative_to(DOCS).as_posix() for path in DOCS.glob("notebooks/*.ipynb")}
     assert named == pages | notebooks | made

@@ -71,7 +71,7 @@ class ProgramConfig(StrictFields):
     internal_force_weight: float = non_negative(1.0)  # w_pos of eq. 26
     internal_force_rate_weight: float = non_negative(1.0)  # w_vel of eq. 26
     period: float = checked(0.01, require_period)  # s, between updates
-    solver: str = checked("snopt", check_solver)  # or "ipopt"
+    solver: str = checked("snopt", check_solver)  # "snopt" or "ipopt"
 
 
 @dataclass(kw_only=True)

@@ -87,9 +87,9 @@ class SystemParameters(StrictFields):
     cable_breaking_load: float | list[float] | None = checked(None, _positive)
     carrier_mass: float = positive(0.1)  # kg
     gravity: float = positive(9.81)  # m/s²
-    # An SDF or URDF file with load_mass, load_inertia and attachments, read as a scenario is
-    # loaded, and its frames at the attachments, in the order of the carriers.
+    # An SDF or URDF file with load_mass, load_inertia and attachments, read as a scenario is loaded
     load_file: str = ""
+    # of load_file, at the attachments, in the order of the carriers
     attachment_frames: list[str] = field(default_factory=list)
     # Carriers that are fixed-wing aircraft; none: points of carrier_mass.
     aircraft: AircraftParameters | None = None

@@ -56,7 +56,7 @@ class BoxConfig(StrictFields):
 
     name: str = _named("box")  # in what is said of it
     position: list[float] = vector([0.0, 0.0, 0.0], "in m")  # m, of its centre
-    roll_pitch_yaw: list[float] = vector([0.0, 0.0, 0.0], "angles in rad")  # rad
+    roll_pitch_yaw: list[float] = vector([0.0, 0.0, 0.0], "angles in rad")  # rad, of its axes in W
     size: list[float] = vector([1.0, 1.0, 1.0], "in m", _check_sizes)  # m, along its axes
 
     def shape(self) -> RoundedBox:

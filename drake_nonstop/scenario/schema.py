@@ -58,8 +58,8 @@ def check_name(name: str) -> None:
 class _Common(StrictFields):
     """The fields of a scenario that belong to no box."""
 
-    name: str = checked("unnamed", lambda _, name: check_name(name))
-    description: str = ""
+    name: str = checked("unnamed", lambda _, name: check_name(name))  # of the results' folder, too
+    description: str = ""  # one line, which `drake-nonstop list` prints
     # of the numbers that are drawn where fields hold distributions
     random_seed: int = checked(0, lambda f, seed: require_whole(f, seed, 0, _LARGEST_SEED))
     # The name of a set, light or rough, or a mapping of fields of simulated, load_feedback and wind
