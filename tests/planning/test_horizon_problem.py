@@ -24,14 +24,9 @@ from plan_checks import (
     reference_of,
 )
 
-from drake_nonstop.planning.diagnostics import BOUND
-from drake_nonstop.planning.horizon_problem import (
-    SLACK_WEIGHT,
-    TERMINAL_KNOTS,
-    TERMINAL_PHASES,
-)
 from drake_nonstop.planning.limits import LIMITS as ROWS
 
+BOUND = "airspeed"  # the name of the rows of the speed bound
 ON_THE_WAY = ["cycle-5", "spread-7", "aircraft", "bowed"]
 # Beside differences; bowed lines are known to four nodes over a window of time.
 TOLERANCE = dict.fromkeys(PATTERNS, 1e-6) | {"aircraft": 2e-4, "bowed": 2e-3}
@@ -94,10 +89,10 @@ def test_margins_at_instants_are_those_of_carriers_on_the_plan(name):
 def test_margins_of_the_last_part_are_those_of_whole_orbits(name):
     """Of the plan's ξ and A at two instants of each of its last four intervals, kept."""
     problem, data, reference = example(name), data_of(name), reference_of(name)
-    x, phases = coefficients_of(name), TERMINAL_PHASES
-    plan = problem.plan(data, x)
-    count = len(problem.instants)
-    orbits = problem.linearization(data, x).margins[:, count:].reshape(-1, 8, phases)
+    x = coefficients_of(name)
+    plan, margins = problem.plan(data, x), problem.linearization(data, x).margins
+    orbits = margins[:, len(problem.instants) :].reshape(len(margins), 8, -1)
+    phases = orbits.shape[2]
     for orbit, phase in ((0, 3), (3, 17), (7, 0), (7, phases - 1)):
         time = plan.end_time - (7 - orbit) * problem.config.knot_spacing / 2
         _, xi, A = plan.planned(time)[:3]
@@ -121,24 +116,24 @@ def test_what_is_missed_has_the_name_of_its_row(limit):
 
 def test_slacks_are_those_of_the_bound_of_aircraft_and_of_others_in_each_interval():
     problem = example("aircraft")
-    count, config = len(problem.instants), problem.config
-    flight = {"lift", "bank", "climb", "thrust"}
+    count, intervals = len(problem.instants), problem.intervals
+    ends = problem.config.knot_spacing * np.arange(1, intervals + 1) + 1e-9
+    weights = {}
     for row, name in enumerate(problem.names):
-        kind = 0 if name == BOUND else 2 if name in flight else 1
+        kind = 0 if name == BOUND else 2 if name in ("lift", "bank", "climb", "thrust") else 1
         for column in (0, 25, count - 1, count, problem.points - 1):
             margins = np.full(problem.slacks.shape, 0.3)
             margins[row, column] = -0.7
-            slacks = problem.least_slacks(margins)
-            ends = config.knot_spacing * np.arange(1, problem.intervals + 1) + 1e-9
-            place = problem.intervals  # of all orbits
+            place = intervals  # of all orbits
             if column < count:
                 place = np.searchsorted(ends, problem.instants[column])
-            weight = SLACK_WEIGHT * config.knot_spacing * (0.3 if kind else 1.0)
-            weight *= TERMINAL_KNOTS if column >= count else 1
-            expected = np.zeros(3 * (problem.intervals + 1))
-            expected[kind * (problem.intervals + 1) + place] = 0.7
+            slacks = problem.least_slacks(margins)
+            expected = 0.7 * np.eye(3 * (intervals + 1))[kind * (intervals + 1) + place]
             np.testing.assert_array_equal(slacks, expected)
-            assert slacks @ problem.slack_weights == pytest.approx(0.7 * weight)
+            weight = slacks @ problem.slack_weights
+            assert weights.setdefault((kind > 0, column >= count), weight) == weight
+    assert weights[False, False] > weights[True, False]
+    assert weights[False, True] > weights[False, False]
     assert problem.missed(np.full(problem.slacks.shape, np.nan), 1.0) == {*problem.names}
 
 

