@@ -29,6 +29,7 @@ from drake_nonstop.validation import (
 # Blocks of one's own, and those that they build on.
 from drake_nonstop.model.block import Block as Block
 from drake_nonstop.systems.block import LeafBlock as LeafBlock
+from drake_nonstop.model.pattern import InternalForcePattern as InternalForcePattern
 from drake_nonstop.systems.point_forces import PointForces as PointForces
 from drake_nonstop.mechanics.signal_layouts import Layout as Layout, Part as Part
 from drake_nonstop.mechanics.reference_preview import ReferencePreview as ReferencePreview

@@ -93,9 +93,12 @@ LUMPED = "cables=LumpedCables"
 TURNING = "optimization_layer=!TurnRateOptimizer {speed_bound: 1.8 V_s}"
 PLANNED, SHAPED = "load_trajectory=!PlannedTurn {}", "phase=!ShapedPhase {bandwidth: 4.0}"
 CONSTANT = "optimization_layer=!ConstantParameters {amplitude: 0}"
+ORBITAL = "optimization_layer=!PaperLayer {amplitude: 1.2, period: 0.04}"
 
 # Scenarios, overrides, and the field, the value and the remedy that are told of them.
 REFUSED = [
+    (AIRCRAFT, ["simulated.carrier_mass=0.1"], "simulated.carrier_mass = 0.1", "leave it out"),
+    ("quintic", ["simulated.attachments=[[0, 0, 0]]"], "simulated.attachments", "as many"),
     (AIRCRAFT, [LUMPED, "simulated.cable_diameter=0"], "simulated.cable_diameter = 0.0", "above"),
     (AIRCRAFT, [LUMPED, "simulated.cable_diameter=1e-4"], "cable_diameter = 0.0001", "a thicker"),
     (AIRCRAFT, [LUMPED, "simulated.cable_breaking_load=25"], "breaks at 25 N", "a thicker one"),
@@ -137,6 +140,10 @@ REFUSED = [
     (CO_ROTATING, [TURNING, PLANNED, "phase=PaperPhase"], "phase = PaperPhase", "!ShapedPhase"),
     (CO_ROTATING, [TURNING, SHAPED], "load_trajectory = SteadyTurn", "!PlannedTurn, and phase"),
     ("quintic", ["carrier_trajectory.correction_rates=[0, 0, -1]"], "rates[2] = -1", NOT_NEGATIVE),
+    (CO_ROTATING, [CONSTANT, "load_trajectory=RestToRest"], "pattern = ConstantSpread", "SteadyT"),
+    (CO_ROTATING, ["optimization_layer.amplitude=1.2"], "amplitude = 1.2", "give 0"),
+    (CO_ROTATING, [ORBITAL], "PaperLayer", "no orbits"),
+    (CO_ROTATING, [CONSTANT, "pattern=SpreadCarousel"], "amplitude = 0.0", "greater than zero"),
 ]
 
 

@@ -1,36 +1,30 @@
 """What follows from a system's fields, its aircraft among them, and what no system can be."""
 
 import dataclasses
+import inspect
 import math
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
 from helpers import INERTIA, irregular, regular, spatial
 
+from drake_nonstop import AircraftParameters, Model, Scenario, ScenarioError, SystemParameters
 from drake_nonstop.mechanics.aircraft import stall_speed
 from drake_nonstop.mechanics.grasp import grasp_matrix
-from drake_nonstop.model.aircraft import (
-    TABLE,
-    AircraftParameters,
-    aircraft_names,
-    make_aircraft,
-    values_of,
-)
 from drake_nonstop.model.pattern import HamiltonianCycleConfig
-from drake_nonstop.model.system import Model, SystemOverrides, SystemParameters, overridden
-from drake_nonstop.validation import ScenarioError
 
 RASCAL = "rascal_110"
+FIGURES = sorted(Path(inspect.getfile(AircraftParameters)).parent.glob("aircraft_table/*.yaml"))
 
 
-def make(control_period=0.0, field="system", overrides=None, **fields):
-    system, own = SystemParameters(**fields), overrides or {}
+def make(control_period=0.0, **fields):
+    system = SystemParameters(**fields)
     if "aircraft" in fields:
         system.aircraft = AircraftParameters(**({"model": RASCAL} | fields["aircraft"]))
-    system = overridden(system, SystemOverrides(**own))
-    return Model(system, HamiltonianCycleConfig(), control_period, field=field, overridden=own)
+    return Model(system, HamiltonianCycleConfig(), control_period)
 
 
 def test_default_system_is_the_papers():
@@ -63,21 +57,16 @@ def test_values_at_the_ends_of_their_ranges():
     assert np.diag(plate.load.inertia).tolist() == [0.1, 0.2, 0.3]
 
 
-def test_overrides_replace_single_fields():
-    system = SystemParameters(load_mass=2.0, load_drag=0.3)
-    result = overridden(system, SystemOverrides(load_drag=0.0, gravity=1.62))
-    assert result == dataclasses.replace(system, load_drag=0.0, gravity=1.62)
-    assert overridden(system, SystemOverrides()) == system
-    names = [{f.name for f in dataclasses.fields(k)} for k in (SystemOverrides, SystemParameters)]
-    assert names[0] == names[1]
+def test_each_field_of_the_system_may_differ_in_what_is_simulated():
+    scenario = Scenario()
+    own, simulated = (dataclasses.fields(part) for part in (scenario.system, scenario.simulated))
+    assert {field.name for field in own} == {field.name for field in simulated}
 
 
-def test_carriers_have_the_figures_of_their_aircraft_and_the_plants_own_ones():
-    model = make(aircraft={})
+def test_carriers_have_the_figures_of_their_aircraft():
+    model = make(aircraft={"max_lift": 1.2})
     assert model.carrier_mass == model.system.carrier_mass == model.number("carrier_mass") == 6.0
-    plant = make(aircraft={"mass": 6.1}, overrides={"aircraft": AircraftParameters(max_lift=1.2)})
-    aircraft = plant.aircraft
-    assert (aircraft.mass, aircraft.max_lift, aircraft.wing_area) == (6.1, 1.2, 0.98)
+    assert (model.aircraft.max_lift, model.aircraft.wing_area) == (1.2, 0.98)
 
 
 POSITIVE = ["load_mass", "cable_length", "carrier_mass", "gravity", "cable_stiffness"]
@@ -99,7 +88,7 @@ REFUSED = [
         for name in (*POSITIVE[:-1], *NON_NEGATIVE)
     ),
     *(({"control_period": p}, f"control_period = {p}", "give") for p in (-0.01, math.nan)),
-    ({"field": "simulated", "attachments": [[0.0, 0, 0]]}, "simulated.attachments", "3 or more"),
+    ({"attachments": [[0.0, 0, 0]]}, "system.attachments", "3 or more"),
     *(
         ({"attachments": value}, "system.attachments", "give n x 3 finite numbers")
         for value in ([], [[1.0, 0], [0, 1.0]], [[1.0, 0, 0], [0, 0]], [[0, 0, math.nan]], "square")
@@ -138,12 +127,6 @@ REFUSED = [
         "above zero",
     ),
     ({"aircraft": {}, "carrier_mass": 5.0}, "system.carrier_mass = 5.0", "leave it out"),
-    (
-        {"field": "simulated", "aircraft": {}, "overrides": {"carrier_mass": 0.1}},
-        "simulated.carrier_mass = 0.1",
-        "leave it out",
-    ),
-    ({"overrides": {"aircraft": 1e30}}, "simulated.aircraft = 1e+30", "AircraftParameters"),
 ]
 
 
@@ -156,18 +139,14 @@ def test_what_is_no_system_is_told(fields, value, remedy):
 
 def test_the_table_of_aircraft_flies():
     """The stall speeds are those of the sources; the class of 2 kg has a higher one."""
-    made = {
-        name: make_aircraft(AircraftParameters(model=name), cable_length=150.0, gravity=9.81)
-        for name in aircraft_names()
-    }
-    speeds = {name: float(stall_speed(aircraft)) for name, aircraft in made.items()}
+    made = {path.stem: make(aircraft={"model": path.stem}, cable_length=150.0) for path in FIGURES}
+    speeds = {name: float(stall_speed(model.aircraft)) for name, model in made.items()}
     assert speeds == pytest.approx({RASCAL: 8.4, "ultrastick_25e": 9.6}, abs=0.05)
 
 
-@pytest.mark.parametrize("name", aircraft_names())
-def test_each_figure_of_the_table_has_a_unit_and_a_source(name):
-    text = (TABLE / f"{name}.yaml").read_text()
-    lines = [line for line in text.splitlines() if line[0] not in "# "]
+@pytest.mark.parametrize("path", FIGURES, ids=lambda path: path.stem)
+def test_each_figure_of_the_table_has_a_unit_and_a_source(path):
+    lines = [line for line in path.read_text().splitlines() if line[0] not in "# "]
     keys = [f.name for f in dataclasses.fields(AircraftParameters)][1:]
     assert [line.partition(":")[0] for line in lines] == keys[: len(lines)]
     for line in lines:
@@ -177,8 +156,9 @@ def test_each_figure_of_the_table_has_a_unit_and_a_source(name):
 
 
 def test_an_aircraft_of_ones_own_has_all_fields():
-    own = yaml.safe_load((TABLE / f"{RASCAL}.yaml").read_text())
-    assert values_of(AircraftParameters(**own)) == values_of(AircraftParameters(model=RASCAL))
+    own = yaml.safe_load(next(p for p in FIGURES if p.stem == RASCAL).read_text())
+    made = make(aircraft=own | {"model": AircraftParameters().model})
+    assert str(made.aircraft) == str(make(aircraft={}).aircraft)
     del own["wing_area"]
     with pytest.raises(ScenarioError, match=r"system.aircraft.wing_area = not given: give it"):
-        values_of(AircraftParameters(**own))
+        make(aircraft=own | {"model": AircraftParameters().model})
