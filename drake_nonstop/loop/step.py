@@ -18,7 +18,13 @@ from drake_nonstop.loop.start import (
 from drake_nonstop.mechanics.signals import SIGNAL_PERIOD, CarrierStates, LoadState
 from drake_nonstop.systems.block import set_state_values, state_values
 from drake_nonstop.systems.equation_loop import EquationLoop, without_equations
-from drake_nonstop.systems.wiring import context_in, loop_in, require_context, require_signals
+from drake_nonstop.systems.wiring import (
+    context_in,
+    loop_in,
+    ports_of,
+    require_context,
+    require_signals,
+)
 from drake_nonstop.validation import ScenarioError, require, warn_user
 
 SHORTEST_STEP = 5e-5  # s; with a shorter one a run of 15 s would take minutes
@@ -135,7 +141,7 @@ def rates_jacobian(diagram: Diagram, context: Context) -> NDArray:
 
 def _move_with_load(loop: Diagram, context: Context) -> None:
     """Sets the carriers' velocities to those of a rigid body with the load; not of aircraft."""
-    if loop.HasOutputPort("aircraft_state"):
+    if ports_of(loop, "aircraft_state"):
         return
     plant = PlantStates(loop)
     load_state, carriers = plant.signals(context, "load_state", "carrier_state").values()

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pydrake.systems.framework import System
 
 from drake_nonstop.systems.documentation import declared_by
-from drake_nonstop.systems.wiring import input_names, optional_inputs
+from drake_nonstop.systems.wiring import input_names, optional_inputs, passes_on
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +35,8 @@ class LoopBlocks:
 
     def maker_of(self, signal: str) -> System | None:
         """The block that makes a signal, the first one; None: none does."""
-        return next((b for b in self.blocks.values() if b.HasOutputPort(signal)), None)
+        made = (b for b in self.blocks.values() if b.HasOutputPort(signal))
+        return next((b for b in made if not passes_on(b, signal)), None)
 
     def origin_of(self, signal: str) -> tuple[System | None, str]:
         """The block that makes a signal, and its name; of one that is handed on, its origin's."""

@@ -1,5 +1,6 @@
 """Builds a Diagram from named blocks: wires follow from the names of the ports."""
 
+from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from typing import NamedTuple
 
@@ -13,12 +14,14 @@ from pydrake.systems.framework import (
     PortDataType,
     System,
 )
+from pydrake.systems.primitives import PassThrough
 
 from drake_nonstop.mechanics.signals import HELD
 from drake_nonstop.systems.block import box_of
 from drake_nonstop.systems.documentation import declared_by
 from drake_nonstop.validation import listed, require
 
+INPUT = "input"  # ends the names of what passes an input of the diagram on, as an output of it
 INPUTS = "inputs"  # the maker, in a wire, of signals that come from outside of the diagram
 
 Sizes = Mapping[str, int | None]  # of ports or signals, by name; None: abstract-valued
@@ -71,6 +74,12 @@ def input_sizes(block: System) -> Sizes:
     return _sizes(map(block.get_input_port, range(block.num_input_ports())))
 
 
+def passes_on(block: System, signal: str) -> bool:
+    """Whether a diagram shows a signal that it is given, as an output of the input's name."""
+    has_both = block.HasInputPort(signal) and block.HasOutputPort(signal)
+    return isinstance(block, Diagram) and has_both
+
+
 def _sizes(ports: Iterable[InputPort | OutputPort]) -> Sizes:
     vector = PortDataType.kVectorValued
     return {p.get_name(): p.size() if p.get_data_type() == vector else None for p in ports}
@@ -105,10 +114,13 @@ def wires(
     makers = {signal: [INPUTS] for signal in sizes}
     called = {name: type(b).__name__ if "@" in name else name for name, b in blocks.items()}
     called[INPUTS] = INPUTS
+    passed: dict[str, list[str]] = {}
     for name, block in blocks.items():
         for signal, size in output_sizes(block).items():
-            makers.setdefault(signal, []).append(name)
+            to = passed if passes_on(block, signal) else makers
+            to.setdefault(signal, []).append(name)
             sizes.setdefault(signal, size)
+    makers = passed | makers
 
     def require_one_maker(signal: str) -> None:
         first, *_ = names = [called[name] for name in makers[signal]]
@@ -122,7 +134,12 @@ def wires(
     result = []
     for name, read in _signals_read(blocks, makers).items():
         for port, signal in read.items():
-            found = [Wire(maker, signal, name, port) for maker in makers.get(signal, ())]
+            is_passed = passes_on(blocks[name], signal)
+            found = [
+                Wire(maker, signal, name, port)
+                for maker in makers.get(signal, ())
+                if not (is_passed and maker == name)
+            ]
             if takes is not None and not any(map(takes, found)):
                 continue
             size = input_sizes(blocks[name])[port]
@@ -152,7 +169,8 @@ def _signals_read(blocks: Mapping[str, System], made: Collection[str]) -> dict[s
     upstream = {*held, *held.values()}
     result = {}
     for name, block in blocks.items():
-        replaced = {} if upstream & {*output_names(block)} else held
+        made_by_it = {name for name in output_names(block) if not passes_on(block, name)}
+        replaced = {} if upstream & made_by_it else held
         optional = optional_inputs(block)
         result[name] = {
             port: replaced.get(port, port)
@@ -167,9 +185,12 @@ def connect_remaining(builder: DiagramBuilder, *, of: System | None = None) -> N
 
     For a builder whose blocks are there, named or not, and some of them connected by hand. An
     input stays open where no block of the builder makes its signal: it can be exported, or
-    connected, before or after.
+    connected, before or after. Unless the builder has exports, each signal that one block alone
+    makes is exported by its name, as `simulate` and logs need it; outputs of Drake's own leaf
+    systems are no signals.
 
-    With `of`, one of its systems, only what leads to it or comes from it is connected.
+    With `of`, one of its systems, only what leads to it or comes from it is connected, and nothing
+    is exported.
 
     Raises:
         ScenarioError: the builder is built, two blocks make the signal of an open input, or its
@@ -184,6 +205,8 @@ def connect_remaining(builder: DiagramBuilder, *, of: System | None = None) -> N
         return is_asked and not builder.IsConnectedOrExported(port)
 
     _connect(builder, blocks, wires(blocks, takes=takes))
+    if of is None and builder.num_output_ports() == 0:
+        _export(builder, [b for b in blocks.values() if not _is_drakes(b)])
 
 
 def _connect(builder: DiagramBuilder, blocks: Mapping[str, System], planned: list[Wire]) -> None:
@@ -221,7 +244,8 @@ def connect_by_name(
     """Adds blocks to a builder, wires them by the names of their ports, exports every signal.
 
     Each output port is a signal with a name of its own; an input port named after a signal is
-    connected to it, and the diagram has an output port of that name. Where a block makes `held_x`
+    connected to it, and the diagram has an output port of that name, also of those that come from
+    outside. Where a block makes `held_x`
     of an input x, as `SampleAndHold` does, readers of x get `held_x` in its place; blocks that make
     x, or anything that is held, do not: what is upstream of a hold must not read from it.
     `make_nonstop` puts its figure together in this way.
@@ -249,11 +273,29 @@ def connect_by_name(
         block.set_name(block_name)
         builder.AddSystem(block)
     _connect(builder, blocks, planned)
+    for signal, size in sizes_of_inputs(blocks, inputs).items():
+        readers = [block for block in blocks.values() if block.HasInputPort(signal)]
+        if size is not None and any(signal not in optional_inputs(block) for block in readers):
+            passing = builder.AddNamedSystem(f"{signal}_{INPUT}", PassThrough(size))
+            builder.ConnectInput(signal, passing.get_input_port())
+            builder.ExportOutput(passing.get_output_port(), signal)
+    _export(builder, blocks.values())
+
+
+def _export(builder: DiagramBuilder, blocks: Collection[System]) -> None:
+    """Exports each signal that one of the blocks alone makes."""
+    made = Counter(s for block in blocks for s in output_names(block) if not passes_on(block, s))
     # Drake's FirstOrderTaylorApproximation takes the first output, and crashes where that depends
     # on no state, as the signals of a block without inputs.
-    for block in sorted(blocks.values(), key=lambda block: block.num_input_ports() == 0):
+    for block in sorted(blocks, key=lambda block: block.num_input_ports() == 0):
         for signal in output_names(block):
-            builder.ExportOutput(block.GetOutputPort(signal), signal)
+            if made[signal] == 1 and not passes_on(block, signal):
+                builder.ExportOutput(block.GetOutputPort(signal), signal)
+
+
+def _is_drakes(system: System) -> bool:
+    """Whether a system is a leaf of Drake's own, whose ports are not named after signals."""
+    return type(system).__module__.startswith("pydrake") and not isinstance(system, Diagram)
 
 
 def require_open(builder: DiagramBuilder, function: str) -> None:
@@ -291,17 +333,30 @@ def source_of(exported: OutputPort) -> OutputPort:
 def ports_of(diagram: Diagram, signal: str) -> list[OutputPort]:
     """The ports that show a signal: that which the diagram exports by this name, or else all.
 
-    Those of its subsystems, and in diagrams without such a port those of theirs.
+    Those of its subsystems, and in diagrams without such a port those of theirs. Where there are
+    none, and of a part that takes the signal as an input, the port that is connected to the input.
     """
+    made, found = {}, []
+    for (reader, index), (maker, k) in diagram.connection_map().items():
+        if reader.get_input_port(index).get_name() == signal:
+            made[reader.get_name()] = maker.get_output_port(k)
     if diagram.HasOutputPort(signal):
-        return [source_of(diagram.GetOutputPort(signal))]
-    found = []
-    for part in diagram.GetSystems():
-        if part.HasOutputPort(signal):
-            found.append(part.GetOutputPort(signal))
-        elif isinstance(part, Diagram):
-            found += ports_of(part, signal)
-    return found
+        found = [source_of(diagram.GetOutputPort(signal))]
+    else:
+        for part in diagram.GetSystems():
+            if part.HasOutputPort(signal):
+                found.append(part.GetOutputPort(signal))
+            elif isinstance(part, Diagram):
+                found += ports_of(part, signal)
+    if not found:
+        return [*{(p.get_system().get_name(), p.get_index()): p for p in made.values()}.values()]
+    return [_given(port, made) for port in found]
+
+
+def _given(port: OutputPort, made: Mapping[str, OutputPort]) -> OutputPort:
+    """The port that an input of a name is connected to, of a diagram that shows it by that name."""
+    system = port.get_system()
+    return made.get(system.get_name(), port) if passes_on(system, port.get_name()) else port
 
 
 def loop_in(diagram: Diagram, signals: Collection[str]) -> Diagram:
@@ -324,10 +379,12 @@ def require_signals(
 ) -> None:
     """Checks that a diagram makes signals, each in one place, and exports them if it has to.
 
+    If it does not have to, none of them may be an input of it.
+
     `sizes` are those of the ports, None for any, and `field` is what the error calls the diagram.
 
     Raises:
-        ScenarioError: it lacks some, they have other sizes, or two blocks make the same.
+        ScenarioError: it lacks some, they have other sizes, two blocks make one, or it is an input.
     """
     found = {signal: ports_of(diagram, signal) for signal in sizes}
     wrong = [
@@ -341,7 +398,11 @@ def require_signals(
     needed = ", ".join(name if size is None else f"{name} ({size})" for name, size in pairs)
     lacking = f"{type(diagram).__name__} without output ports {', '.join(wrong)}"
     remedy = f"give it blocks that make {needed}, and export these by their names, as "
-    require(not wrong, field, lacking, f"{remedy}connect_by_name does")
+    require(not wrong, field, lacking, f"{remedy}connect_by_name and connect_remaining do")
+    remedy = "give the diagram around it in which a system makes this signal, with its context"
+    for name in sizes:
+        is_input = not is_exporting and diagram.HasInputPort(name)
+        require(not is_input, field, f"{type(diagram).__name__} with the input {name}", remedy)
     for name, ports in found.items():
         makers = " and ".join(box_of(port.get_system()) for port in ports)
         remedy = "rename the port of the other, or give the diagram with one of them"

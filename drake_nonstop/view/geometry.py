@@ -17,6 +17,7 @@ from pydrake.geometry import (
     PerceptionProperties,
     ProximityProperties,
     Rgba,
+    Role,
     SceneGraph,
     SourceId,
     Sphere,
@@ -128,6 +129,7 @@ def AddGeometry(  # noqa: N802
     scenario: Scenario,
     *,
     load_file: str | Path = "",
+    collides: bool = True,
 ) -> NonstopGeometry:
     """Adds the bodies of a loop to a SceneGraph, where cameras, queries and viewers see them.
 
@@ -154,6 +156,8 @@ def AddGeometry(  # noqa: N802
         scenario: has the system, with what is simulated otherwise.
         load_file: an SDF or URDF file with the load's shapes, such as the one that
             `system.load_file` named; without one the load is drawn as bars.
+        collides: whether the bodies have the role proximity. A MultibodyPlant in the SceneGraph
+            refuses contact with bodies that are not its own.
 
     Returns:
         The system that makes the poses, with the frames of the bodies.
@@ -178,6 +182,8 @@ def AddGeometry(  # noqa: N802
         require(sizes.get(port) == size, f"loop.{port}", has, remedy)
     name = loop.get_name()
     geometry = _registered(scene_graph, scenario, name, load_file)
+    for frame in () if collides else scene_graph.model_inspector().FramesForSource(geometry.source):
+        scene_graph.RemoveRole(geometry.source, frame, Role.kProximity)
     builder.AddNamedSystem(f"{name}_geometry", geometry)
     for port in ports:
         builder.Connect(loop.GetOutputPort(port), geometry.GetInputPort(port))

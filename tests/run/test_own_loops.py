@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from helpers import nightly_beyond
 from pydrake.common import RandomGenerator
+from pydrake.geometry import Role, SceneGraph
 from pydrake.systems.analysis import (
     ApplySimulatorConfig,
     MonteCarloSimulation,
@@ -14,13 +15,17 @@ from pydrake.systems.analysis import (
     Simulator,
 )
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
+from pydrake.systems.primitives import ConstantVectorSource
 
 from drake_nonstop import (
+    AddGeometry,
     LogSignals,
     Run,
     ScenarioError,
     compute_metrics,
     connect_by_name,
+    connect_remaining,
+    largest_step,
     load_scenario,
     make_blocks,
     make_nonstop,
@@ -83,6 +88,17 @@ def wrapped(scenario, **replacements):
     return builder.Build()
 
 
+def by_hand(scenario, **replacements):
+    """The blocks one by one, and a system of Drake's beside them."""
+    builder = DiagramBuilder()
+    blocks = make_blocks(scenario, **replacements)
+    for name, block in blocks.items():
+        builder.AddNamedSystem(f"my_{name}", block)
+    builder.AddSystem(ConstantVectorSource([1.0]))
+    connect_remaining(builder)
+    return builder.Build()
+
+
 def assert_same(run, shipped):
     """Signals, steps and metrics to the bit, but for the names of blocks and for wall times."""
     np.testing.assert_array_equal(run.time, shipped.time)
@@ -98,12 +114,41 @@ def assert_same(run, shipped):
     assert ours == theirs
 
 
-@pytest.mark.parametrize("make_loop", [renamed, wrapped])
+@pytest.mark.parametrize("make_loop", [renamed, wrapped, by_hand])
 def test_simulate_flies_a_loop_of_ones_own_like_the_figure(make_loop, scenario, shipped):
     run = simulate(scenario, make_loop=make_loop)
     assert_same(run, shipped)
     assert "my_load_plant.load_state" in run.signals
     assert verify_step(run).half_step == {"step_s": run.step / 2, "moved": {}}
+
+
+@pytest.mark.parametrize("box", ["load_plant", "carrier_dynamics", "load_trajectory"])
+def test_a_block_around_the_loop_flies_as_one_of_it(box, scenario, shipped):
+    """The loop takes what it makes as an input, and logs, geometry and equilibrium take that."""
+    builder, blocks = DiagramBuilder(), make_blocks(scenario)
+    loop = builder.AddSystem(make_nonstop(scenario, **{box: None}))
+    block, scene_graph = builder.AddSystem(blocks[box]), builder.AddSystem(SceneGraph())
+    connect_remaining(builder)
+    logs = LogSignals.AddToBuilder(builder, loop)
+    geometry = AddGeometry(builder, loop, scene_graph, scenario, collides=False)
+    diagram = builder.Build()
+    simulator = Simulator(diagram)
+    context = simulator.get_mutable_context()
+    if box != "load_trajectory":  # whose state is none
+        for own in (set_equilibrium, largest_step):
+            with pytest.raises(ScenarioError, match=f"with the input {output_names(block)[0]}: "):
+                own(loop, loop.GetMyMutableContextFromRoot(context))
+    set_equilibrium(diagram, context)
+    assert largest_step(diagram, context) > 0.005
+    ApplySimulatorConfig(scenario.simulator_config, simulator)
+    simulator.AdvanceTo(DURATION)
+    run = Run.from_logs(logs, context, scenario)
+    for name in ("load_state", "carrier_state", "reference", "tensions"):
+        np.testing.assert_allclose(run.signal(name), shipped.signal(name), rtol=0, atol=1e-9)
+    poses = geometry.GetOutputPort("geometry_pose").Eval(geometry.GetMyContextFromRoot(context))
+    seen = poses.value(geometry.load_frame).translation()
+    np.testing.assert_allclose(seen, run.signal("load_state")[-1, 4:7], atol=1e-12)
+    assert not scene_graph.model_inspector().GetAllGeometryIds(Role.kProximity)
 
 
 def flown(scenario, nonstop):
@@ -118,7 +163,7 @@ def flown(scenario, nonstop):
     return logs, simulator
 
 
-@pytest.mark.parametrize("make_loop", [make_nonstop, renamed])
+@pytest.mark.parametrize("make_loop", [make_nonstop, by_hand])
 def test_logs_of_ones_own_simulation_are_a_run(make_loop, scenario, shipped):
     logs, simulator = flown(scenario, make_loop(scenario))
     run = Run.from_logs(logs, simulator.get_context(), scenario)
@@ -160,7 +205,7 @@ def test_a_loop_that_cannot_be_flown_is_refused(scenario):
     connect_by_name(builder, cables, inputs=["load_state", "carrier_state"])
     alone = builder.Build()
     for builder, loop, said in (
-        (DiagramBuilder(), alone, "LogSignals = Diagram without output ports load_state, .*: give"),
+        (DiagramBuilder(), alone, "LogSignals = Diagram without output ports reference, .*: give"),
         (DiagramBuilder(), make_nonstop(scenario), "LogSignals = nonstop: add it to the builder"),
         (DiagramBuilder(), 3, "LogSignals = 3: give a"),
         (None, alone, "builder = None: give a"),
