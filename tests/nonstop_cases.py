@@ -82,10 +82,10 @@ def cables(x, inputs, time=0.0, *, load_motion="desired", second_rate=0.0):
     return positions, tensions
 
 
-def carrier_speeds(x, inputs, time=0.0, **arguments):
-    """The speeds (4,) that the carriers will have, by differences of their positions."""
+def carrier_speeds(x, inputs, time=0.0, *, wind=0.0, **arguments):
+    """The speeds (4,) through the air that carriers will have, by differences of positions."""
     velocities = difference(lambda t: cables(x, inputs, t, **arguments)[0], time)
-    return np.linalg.norm(velocities, axis=1)
+    return np.linalg.norm(velocities - wind, axis=1)
 
 
 def speed_bound_above(inputs, share, **arguments):

@@ -25,7 +25,7 @@ from drake_nonstop.systems.equation_block import EquationBlock
 from drake_nonstop.systems.equations import STATE
 from drake_nonstop.systems.wiring import input_sizes, output_sizes
 
-TIME = 5.5  # s, at which references move
+TIME = 5.5037  # s, at which references move, and nothing is sampled
 every = pytest.mark.parametrize("case", CASES, ids=lambda case: f"{case.box}-{case.name}")
 
 
@@ -90,6 +90,8 @@ def of_type(block, context, scalar, vary):
         value = block.GetInputPort(name).Eval(context)
         is_vector = block.GetInputPort(name).get_data_type() == PortDataType.kVectorValued
         other.GetInputPort(name).FixValue(own, vary(name, value) if is_vector else value)
+    if scalar is AutoDiffXd:
+        own.SetTime(vary("time", [context.get_time()])[0])
     if scalar is AutoDiffXd and context.num_continuous_states():
         own.SetContinuousState(vary(STATE, context.get_continuous_state_vector().CopyToVector()))
     return results_of(other, own)
@@ -120,6 +122,7 @@ def test_all_four_scalar_types_show_the_same_and_one_derivative(block_and_contex
 
     def moved(step):
         other = context.Clone()
+        other.SetTime(TIME + step * along("time", 1)[0])
         for name in vectors(input_sizes(block)):
             value = block.GetInputPort(name).Eval(context)
             fix(block, other, **{name: value + step * along(name, len(value))})

@@ -58,6 +58,7 @@ FIELDS = {
     ("PaperLayer", "amplitude_bounds"): ([[1.0]], "2 finite numbers"),
     ("NlpLayer", "solver"): (["gurobi"], SOLVERS),
     ("RecedingHorizonOptimizer", "frequency_bounds"): ([[2.5, 3.0]], HOLD),
+    ("RecedingHorizonOptimizer", "max_speed"): ([0.208], "greater than 0.208163"),
     ("RecedingHorizonOptimizer", "intervals"): ([5], "from 9 to 200"),
     ("RecedingHorizonOptimizer", "knot_spacing"): ([0.405], "such as 0.4"),
     ("RecedingHorizonOptimizer", "max_iterations"): ([0], "1 to 100"),

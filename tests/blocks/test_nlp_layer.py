@@ -1,6 +1,7 @@
 """Layers of a cost and constraints, the paper's and one's own, against first principles."""
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import pytest
@@ -34,6 +35,7 @@ from drake_nonstop.blocks.paper_layer import PaperLayer, PaperLayerConfig
 from drake_nonstop.mechanics.rigid_load import load_acceleration
 
 PAPER = {"orbit_points": 1, "look_ahead_time": 0.0, "tightening": 0.01}
+WIND = np.array([0.3, -0.2, 0.1])
 PRINTED = {"load_motion": "measured"}  # as eq. 24 has it
 
 
@@ -69,6 +71,7 @@ def test_what_carriers_do_is_that_of_first_principles_of_all_scalar_types(seed):
     variables = np.array([Variable("xi"), Variable("amplitude")])
     for quantity, judge in (
         (carrier_speeds, speeds_by_differences),
+        (partial(carrier_speeds, wind=WIND), partial(speeds_by_differences, wind=WIND)),
         (cable_tensions, lambda x, inputs: cables(x, inputs)[1][:, 0]),
         (carrier_distances, apart),
     ):
