@@ -3,20 +3,13 @@
 `python tests/drawn_designs.py FIRST COUNT` designs for the seeds, and flies what is found.
 """
 
-import argparse
 import math
+import sys
 from typing import Any
 
 import numpy as np
 
-from drake_nonstop import (
-    DesignRequest,
-    SerialExecutor,
-    compute_metrics,
-    design,
-    read_request,
-    simulate,
-)
+from drake_nonstop import DesignRequest, compute_metrics, design, read_request, simulate
 
 # Of the aircraft, what suits their size: attachments' radius, drag, cables and separation.
 SIZES = {
@@ -38,24 +31,15 @@ def draw(seed: int) -> DesignRequest:
     name = str(rng.choice(sorted(SIZES)))
     mass, wind = round(rng.uniform(2.0, 20.0), 2), rng.uniform(0.0, 6.0)
     lengths = sorted(np.exp(rng.uniform(math.log(20.0), math.log(300.0), 2)).round(1).tolist())
-    azimuth, heading = rng.uniform(0, 2 * math.pi, 2)
-    speed = round(rng.uniform(0.5, 1.5), 2)
-
-    def along(size: float, angle: float) -> str:
-        return str(np.round([size * math.cos(angle), size * math.sin(angle), 0.0], 3).tolist())
-
+    angles = rng.uniform(0, 2 * math.pi, 2)
+    ways = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(2)])
+    blows, moves = (np.array([[wind], [50.0]]) * ways).round(3).tolist()
     changes = [
-        f"aircraft.model={name}",
-        f"name=drawn_{seed}",
-        f"carriers=[{rng.integers(3, 9)}]",
-        f"load_mass={mass}",
-        f"cable_length={lengths}",
-        f"wind={along(wind, azimuth)}",
-        f"displacement={along(50.0, heading)}",
-        f"speed={speed}",
-        *SIZES[name],
+        *(f"aircraft.model={name}", f"name=drawn_{seed}", f"load_mass={mass}"),
+        *(f"carriers=[{rng.integers(3, 9)}]", f"cable_length={lengths}", f"wind={blows}"),
+        *(f"displacement={moves}", f"speed={round(rng.uniform(0.5, 1.5), 2)}"),
     ]
-    return read_request(None, changes)
+    return read_request(None, [*changes, *SIZES[name]])
 
 
 _ODD = {
@@ -95,34 +79,24 @@ def beyond(formation: Any, metrics: dict[str, Any]) -> dict[str, float]:
 
     Of C_L as a share of the printed one, and of thrust of the largest.
     """
-    flown, printed = metrics["aircraft"], formation.extremes
-    least, most = printed["thrust_N"]
+    flown, (least, most) = metrics["aircraft"], formation.extremes["thrust_N"]
     return {
-        "C_L": flown["lift_share_max"] / printed["lift"][1] - 1,
+        "C_L": flown["lift_share_max"] / formation.extremes["lift"][1] - 1,
         "thrust_min": (least - flown["thrust_min_N"]) / most,
         "thrust_max": (flown["thrust_max_N"] - most) / most,
     }
 
 
-def main() -> None:
-    """Prints a line for each formation, as flown, and for each refusal."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("first", type=int)
-    parser.add_argument("count", type=int)
-    given = parser.parse_args()
-    for seed in range(given.first, given.first + given.count):
-        found = design(draw(seed), executor=SerialExecutor())
-        for item in [*found.formations, *found.refusals]:
-            text = f"seed {seed}, {item.name}, {item.reserve:.2f} of the margins: "
-            if item in found.formations:
-                metrics = compute_metrics(simulate(item.scenario))
-                off = beyond(item, metrics).items()
-                words = [f"{name} {value:+.1%}" for name, value in off]
-                text += f"{metrics['outcome']}, {', '.join(words)}"
-            else:
-                text += item.why
-            print(text, flush=True)
+def main(first: int, count: int) -> None:
+    """Prints what is found for each seed, and how it flies."""
+    for seed in range(first, first + count):
+        found = design(draw(seed))
+        print(found)
+        for formation in found.formations:
+            metrics = compute_metrics(simulate(formation.scenario))
+            words = [f"{name} {value:+.1%}" for name, value in beyond(formation, metrics).items()]
+            print(f"{formation.scenario.name}: {metrics['outcome']}, {', '.join(words)}")
 
 
 if __name__ == "__main__":
-    main()
+    main(*map(int, sys.argv[1:]))

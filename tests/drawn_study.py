@@ -6,247 +6,128 @@ core.
 
 import argparse
 import multiprocessing
-import sys
 import warnings
-from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from drawn_tasks import aircraft_task, carriers_task
+from fleet import flown
 
-from drake_nonstop import (
-    Run,
-    RunOutcome,
-    RunStopped,
-    Scenario,
-    ScenarioError,
-    ScenarioWarning,
-    read_grid,
-    simulate,
-)
-from drake_nonstop.mechanics.signals import SIGNAL_PERIOD, Parameters, PlannedParameters
-from drake_nonstop.run.outcome import LIMITS
+from drake_nonstop import Scenario, ScenarioWarning, changed, compute_metrics, read_grid
 from drake_nonstop.run.run_quantities import RunQuantities
-from drake_nonstop.scenario.overrides import changed
 
 TASKS: dict[str, Callable[[int], Scenario]] = {
     "carriers": carriers_task,
     "aircraft": aircraft_task,
 }
-
 GRID = read_grid("foresight").variants
 # What each changes of a task, the one first that the others are compared with.
 VARIANTS: dict[str, list[str]] = {"one sample": GRID["one sample"], "horizon": [], **GRID}
-
-
-def _noise(scenario: Scenario) -> str:
-    period = scenario.control_period or SIGNAL_PERIOD
-    sizes = "position_noise: 0.01, orientation_noise: 0.02"
-    return f"load_feedback=!FilteredFeedback {{{sizes}, period: {period}}}"
-
-
-def _delay(scenario: Scenario) -> str:
-    period = scenario.control_period or SIGNAL_PERIOD
-    return f"load_feedback=!NoisyFeedback {{delay: {period}, period: {period}}}"
-
-
-def _mass(scenario: Scenario) -> str:
-    return f"simulated.load_mass={1.02 * scenario.system.load_mass}"
-
-
-def _wind(scenario: Scenario) -> str:
-    return "wind=!GustyWind {velocity: [1.0, 0.5, 0.0], gust: 0.0, load_gust: 0.3}"
-
-
-# What the simulated plant differs in from what the controllers believe.
-CONDITIONS: dict[str, Sequence[Callable[[Scenario], str]]] = {
-    "none": (),
-    "mass": (_mass,),
-    "noise": (_noise,),
-    "delay": (_delay,),
-    "wind": (_wind,),
+# What flights are not judged by: in the paper's pattern, that of the carriers, cables cross.
+FREE = {
+    "carriers": ["limits.carrier_distance=0", "limits.cable_distance=0"],
+    "aircraft": ["limits.saturated_share=1"],
 }
 
-_KEPT = (RunOutcome.LOAD_LOST, RunOutcome.CABLES_SLACK, RunOutcome.BOUND_MISSED)
-# What flights are judged by. In the paper's pattern, that of the carriers' tasks, cables cross.
-_JUDGED_BY = {"carriers": _KEPT, "aircraft": (*_KEPT, RunOutcome.COLLISION)}
 
-Figures = dict[str, Any]  # of a flight
-
-
-def scenario_of(tasks: str, seed: int, condition: str, overrides: Sequence[str]) -> Scenario:
+def scenario_of(tasks: str, seed: int, overrides: Sequence[str]) -> Scenario:
     """The scenario of a flight."""
     task = TASKS[tasks](seed)
-    others = [make(task) for make in CONDITIONS[condition]]
-    given = [*overrides]
+    given = [*overrides, *FREE[tasks]]
     if tasks == "aircraft":  # which have controllers of their own, and their sampling period
         given = [o for o in given if not o.startswith(("carrier_controller", "wrench_controller"))]
         if "optimization_layer=NlpLayer" in given:
             given.append(f"optimization_layer.period={task.control_period}")
-    return changed(task, [*given, *others])
+    return changed(task, given)
 
 
-def fly(tasks: str, seed: int, condition: str, overrides: Sequence[str]) -> dict[str, Any]:
-    """How a flight ended, and its figures; never an error of the run."""
+def fly(tasks: str, seed: int, overrides: Sequence[str]) -> dict[str, Any]:
+    """The outcome of a flight with its reasons, and its figures.
+
+    `least` is the least speed of a carrier in units of the bound, `below` (s) how long any was
+    below it, `peak` (m/s) the largest speed, `squares` (m²/s) the sum of the ∫v² of all, `error`
+    (mm) the mean distance of the load from its reference, `xi_step` (rad/s) and `A_step` (N) the
+    largest changes of ξ and A in a sample of the controllers, `tension` the least one in N.
+    """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ScenarioWarning)
-        scenario = scenario_of(tasks, seed, condition, overrides)
-        try:
-            run = simulate(scenario)
-        except ScenarioError as error:
-            return {"ending": "refused", "outcome": "", "message": str(error)}
-        except RunStopped as stopped:
-            run = stopped.run
-    wrong = _wrong(RunQuantities(run), _JUDGED_BY[tasks])
-    return {
-        "ending": "stopped" if run.stopped else "completed",
-        "outcome": next((outcome.value for outcome in RunOutcome if outcome in wrong), "ok"),
-        "message": "; ".join(wrong.values()),
-        **figures_of(run),
-    }
-
-
-def _wrong(run: RunQuantities, outcomes: Collection[RunOutcome]) -> dict[RunOutcome, str]:
-    """What is wrong with a run, of these outcomes, with the reason."""
-    found = {
-        limit.outcome: sentence
-        for limit in LIMITS
-        if limit.outcome in outcomes and (sentence := limit.complaint(run)) is not None
-    }
-    if run.run.stopped:
-        found[RunOutcome.STOPPED] = run.run.stopped
-    if run.first_stall is not None:
-        found[RunOutcome.STALLED] = f"a carrier stalled at t = {run.first_stall.time:.3f} s"
-    return found
-
-
-def figures_of(run: Run) -> Figures:
-    """The figures of a run by their names; all but wall times repeat to the bit.
-
-    `least` is the least speed of a carrier in units of the bound, also between the integrator's
-    steps, `below` (s) how long any was below it, `peak` (m/s) the largest speed, `speed_squared`
-    (m²/s) the sum of the ∫v² of all, `position_error` (mm) the mean distance of the load from its
-    reference, `amplitude_step` (N) and `frequency_step` (rad/s) the largest changes of A and ξ in
-    a sample of the controllers, `least_tension` in N.
-    """
+        scenario = scenario_of(tasks, seed, overrides)
+        run = flown(scenario)
+        metrics = compute_metrics(run)
     quantities = RunQuantities(run)
-    scenario = run.scenario
     squares = (quantities.speeds**2).sum(axis=1)
-    parameters = np.hstack(
-        PlannedParameters.view(run.signal("planned"))[1:3]
-        if any(name.endswith(".planned") for name in run.signals)
-        else Parameters.view(run.signal("parameters"))
-    )
-    samples = max(1, round((scenario.control_period or SIGNAL_PERIOD) / SIGNAL_PERIOD))
-    steps = np.abs(parameters[samples:] - parameters[:-samples]).max(axis=0, initial=0.0)
-    counts = quantities.update_counts
-    figures = {
-        "n": quantities.speeds.shape[1],
+    is_planned = any(name.endswith(".planned") for name in run.signals)
+    parameters = run.signal("planned")[:, 1:3] if is_planned else run.signal("parameters")
+    samples = max(1, round(scenario.control_period / (run.time[1] - run.time[0])))
+    steps = np.abs(parameters[samples:] - parameters[:-samples]).max(axis=0)
+    return {
+        "outcome": metrics["outcome"],
+        "reasons": "; ".join(metrics["reasons"]),
         "least": quantities.slowest_speed / scenario.speed_bound,
         "below": quantities.time_below_bound,
-        "peak": float(quantities.speeds.max()),
-        "speed_squared": float(np.diff(quantities.time) @ (squares[1:] + squares[:-1]) / 2),
-        "position_error": 1e3 * float(np.mean(quantities.position_error)),
-        "frequency_step": float(steps[0]),
-        "amplitude_step": float(steps[1]),
-        "least_tension": float(quantities.tensions.min()),
-        "relaxed": counts["relaxed"],
-        "held": counts["held"],
-        "flown_s": float(quantities.time[-1]),
-        "wall_s": run.wall_time,
+        "peak": quantities.speeds.max(),
+        "squares": np.diff(quantities.time) @ (squares[1:] + squares[:-1]) / 2,
+        "error": 1e3 * np.mean(quantities.position_error),
+        "A_step": steps[1],
+        "xi_step": steps[0],
+        "tension": quantities.tensions.min(),
+        "is_whole": not run.stopped,
     }
-    return {name: None if value != value else value for name, value in figures.items()}
 
 
-def flown(
-    function: Callable[..., dict[str, Any]],
-    calls: Mapping[Hashable, tuple[Any, ...]],
-    *,
-    is_serial: bool = False,
-) -> dict[Any, dict[str, Any]]:
-    """The results of a function by the keys of its calls, in a process per core."""
-    if is_serial:
-        return {key: function(*arguments) for key, arguments in calls.items()}
+def in_processes(function: Callable[..., Any], calls: Iterable[tuple[Any, ...]]) -> list[Any]:
+    """What a function makes of each call, in a process per core."""
     # A process flies a few: diagrams of Python's systems stay in its memory.
     with multiprocessing.get_context("forkserver").Pool(maxtasksperchild=10) as pool:
-        return dict(zip(calls, pool.starmap(function, calls.values(), chunksize=1), strict=True))
+        return pool.starmap(function, calls, chunksize=1)
 
 
-def study(
-    tasks: str,
-    seeds: Sequence[int],
-    variants: Mapping[str, Sequence[str]],
-    *,
-    condition: str = "none",
-    is_serial: bool = False,
-) -> pd.DataFrame:
-    """A row for each variant and seed: how the flight ended, and its figures."""
-    calls = {
-        (name, seed): (tasks, seed, condition, overrides)
-        for seed in seeds
-        for name, overrides in variants.items()
-    }
-    found = flown(fly, calls, is_serial=is_serial)
-    index = pd.MultiIndex.from_tuples([*calls], names=["variant", "seed"])
-    return pd.DataFrame([found[key] for key in calls], index=index)
-
-
-def table(rows: pd.DataFrame) -> str:
-    """A line per variant in Markdown, compared with the first on the tasks that both completed."""
-    lines = [
-        "| variant | below ε | stopped | otherwise not ok | least v/ε | peak, median (max) | Σ∫v² "
-        "| mean ‖e_p‖, median (max), mm | largest ΔA, N | Δξ, rad/s | least tension, N |",
-        "| --- " * 11 + "|",
-    ]
-    names = [*dict.fromkeys(rows.index.get_level_values("variant"))]
-    base = rows.loc[names[0]]
-    for name in names:
-        own = rows.loc[name]
-        whole = own.ending == "completed"
-        both = whole & (base.ending == "completed")
+def compared(rows: pd.DataFrame) -> pd.DataFrame:
+    """A row per variant; peaks and squares beside the first one's, on tasks that both complete."""
+    found = {}
+    variants = dict(tuple(rows.groupby("variant", sort=False)))
+    base = next(iter(variants.values())).set_index("seed")
+    for name, own in variants.items():
+        own = own.set_index("seed")
+        both = own.is_whole & base.is_whole
         peaks = own.peak[both] / base.peak[both]
-        squares = own.speed_squared[both].sum() / base.speed_squared[both].sum()
-        errors = own.position_error[whole]
-        cells = (
-            f"{name}",
-            f"{((own.below > 0) & whole).sum()} of {len(own)}",
-            f"{(~whole).sum()}",
-            f"{(~own.outcome.isin(['ok', 'bound_missed']) & whole).sum()}",
-            f"{own.least.min():.3f}",
-            f"{peaks.median():.3f} ({peaks.max():.2f})",
-            f"{squares:.3f}",
-            f"{errors.median():.3g} ({own.position_error.max():.3g})",
-            f"{own.amplitude_step.max():.3g}",
-            f"{own.frequency_step.max():.3g}",
-            f"{own.least_tension.min():.3g}",
-        )
-        lines.append(f"| {' | '.join(cells)} |")
-    return "\n".join(lines)
+        found[name] = {
+            "below": (own.is_whole & (own.below > 0)).sum(),
+            "stopped": (~own.is_whole).sum(),
+            "otherwise not ok": (own.is_whole & ~own.outcome.isin(["ok", "bound_missed"])).sum(),
+            "least v/ε": own.least.min(),
+            "peak": peaks.median(),
+            "its largest": peaks.max(),
+            "∫v²": own.squares[both].sum() / base.squares[both].sum(),
+            "error (mm)": own.error[own.is_whole].median(),
+            "the largest": own.error.max(),
+            "ΔA (N)": own.A_step.max(),
+            "Δξ (rad/s)": own.xi_step.max(),
+            "tension (N)": own.tension.min(),
+        }
+    return pd.DataFrame.from_dict(found, orient="index")
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
+def main() -> None:
     """Parses, flies and prints."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--tasks", choices=TASKS, default="carriers", help="(carriers)")
     parser.add_argument("--first", type=int, default=5000, metavar="SEED", help="(5000)")
     parser.add_argument("--count", type=int, default=20, metavar="N", help="tasks (20)")
     parser.add_argument("--variants", nargs="+", choices=VARIANTS, default=[*VARIANTS][:2])
-    parser.add_argument("--condition", choices=CONDITIONS, default="none", help="(none)")
     parser.add_argument("--set", nargs="+", default=[], metavar="PATH=VALUE", help="for all")
-    parser.add_argument("--serial", action="store_true", help="in this process")
-    options = parser.parse_args(arguments)
-    rows = study(
-        options.tasks,
-        range(options.first, options.first + options.count),
-        {name: [*VARIANTS.get(name, []), *options.set] for name in options.variants},
-        condition=options.condition,
-        is_serial=options.serial,
-    )
-    print(table(rows))
-    for (name, seed), row in rows[rows.outcome != "ok"].iterrows():
-        print(f"{name}, seed {seed}: {row.outcome or row.ending}: {row.message}")
+    options = parser.parse_args()
+    seeds = range(options.first, options.first + options.count)
+    keys = [{"variant": name, "seed": seed} for name in options.variants for seed in seeds]
+    calls = [(options.tasks, k["seed"], [*VARIANTS[k["variant"]], *options.set]) for k in keys]
+    flights = in_processes(fly, calls)
+    rows = pd.DataFrame([key | flight for key, flight in zip(keys, flights, strict=True)])
+    print(compared(rows).to_string(float_format="{:.4g}".format))
+    for row in rows[rows.outcome != "ok"].itertuples():
+        print(f"{row.variant}, seed {row.seed}: {row.outcome}: {row.reasons}")
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -1,39 +1,53 @@
 """Drawn tasks: formations, loads and motions of all kinds that the speed bound has to hold on.
 
 `drawn_study.py` flies them. Those of the published figures, which nothing is tuned on, are 500 of
-the carriers' tasks, seeds from 5000 on, and 200 of the aircraft's, from 4200 on. With disturbances
-those of the carriers' from 4000 on are flown. All others are there to try.
+the carriers' tasks, seeds from 5000 on, and 200 of the aircraft's, from 4200 on. All others are
+there to try.
 """
 
-import dataclasses
 from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_nonstop.analysis.aircraft_margins import margins_at_rest
-from drake_nonstop.blocks.load_trajectory import RestToRest, RestToRestConfig
+from drake_nonstop import (
+    Model,
+    RestToRest,
+    Scenario,
+    aircraft_margins,
+    changed,
+    load_scenario,
+)
+from drake_nonstop.blocks.load_trajectory import RestToRestConfig
 from drake_nonstop.mechanics.aircraft import stall_speed
 from drake_nonstop.mechanics.grasp import grasp_matrix
+from drake_nonstop.mechanics.load_motion import LoadMotion
+from drake_nonstop.mechanics.planned_orbit import FlightTerms, orbit_motion
 from drake_nonstop.mechanics.rigid_load import STILL_AIR
-from drake_nonstop.model.pattern import HamiltonianCycleConfig
-from drake_nonstop.model.system import Model, SystemParameters
-from drake_nonstop.planning.horizon_config import HorizonConfig, timed
-from drake_nonstop.planning.horizon_problem import HorizonProblem
-from drake_nonstop.planning.problem_config import LimitsConfig
-from drake_nonstop.scenario.loading import load_scenario
-from drake_nonstop.scenario.overrides import changed
-from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.mechanics.signals import PlannedParameters, constant_plan
 
 GRAVITY = 9.81
 STEP = 0.02  # s, at which planned motions are looked at
 REST = 3.0  # s, that the load rests after its move
 LEAST_SHARE = 0.05  # of an equal share of the weight, on every cable
-
 DISC_RADIUS = 1.5  # m, of the aircraft's load
 PEAK = 1.875  # the largest speed of a quintic move, of its mean
 
 loaded = cache(load_scenario)
+
+
+class Draw:
+    """Random numbers of a key, to four digits."""
+
+    def __init__(self, *key: int):
+        self.rng = np.random.default_rng(key)
+
+    def __call__(self, low: float, high: float) -> float:
+        return round(float(self.rng.uniform(low, high)), 4)
+
+    def is_so(self) -> bool:
+        """Half of the times."""
+        return self.rng.random() < 0.5
 
 
 def carriers_task(seed: int) -> Scenario:
@@ -46,6 +60,7 @@ def aircraft_task(seed: int) -> Scenario:
     return changed(loaded("aircraft_transfer"), draw_aircraft(seed))
 
 
+@cache
 def draw(seed: int) -> list[str]:
     """The overrides that make the scenario "quintic" the task of a seed.
 
@@ -58,39 +73,43 @@ def draw(seed: int) -> list[str]:
     the first ξ and A keep all the way, or miss by less than a tenth, as four in five do, ask little
     of a layer and are drawn again.
     """
-    rng = np.random.default_rng([19, seed])
-
-    def uniform(low: float, high: float) -> float:
-        return round(float(rng.uniform(low, high)), 4)
-
-    n = int(rng.integers(3, 9))
-    attachments = attachments_of(n, rng)
+    uniform = Draw(19, seed)
+    n = int(uniform.rng.integers(3, 9))
+    attachments = attachments_of(n, uniform.rng)
     mass, length = uniform(0.5, 3.0), uniform(0.6, 3.0)
     amplitude = round(mass * GRAVITY / n * uniform(0.3, 0.6), 4)
     frequency = uniform(1.2, 2.5)
-    system = {"attachments": attachments.tolist(), "load_mass": mass, "cable_length": length}
-    orbit = _Orbit(SystemParameters(**system), amplitude, frequency)
+    layer = {"frequency": frequency, "amplitude": amplitude}
+    layer |= {"max_frequency_rate": 2.0, "max_amplitude_rate": 2.0}
+    settings = {
+        "system.attachments": attachments.tolist(),
+        "system.load_mass": mass,
+        "system.cable_length": length,
+        "pattern": "!HamiltonianCycle {}",
+    }
+    formation = changed(loaded("quintic"), written(settings))
+    model = Model(formation.system, formation.pattern)
+    turn_of_rest = RestToRestConfig(move_time=2 * np.pi / frequency)
+    resting = least_speed(model, turn_of_rest, frequency, amplitude)
     while True:
-        displacement = rng.uniform(-2.0, 2.0, 3) * length
-        turn = _direction(rng) * uniform(0.0, 0.25)
+        displacement = uniform.rng.uniform(-2.0, 2.0, 3) * length
+        axis = uniform.rng.normal(size=3)
+        turn = axis / np.linalg.norm(axis) * uniform(0.0, 0.25)
         trajectory = {
             "displacement": np.round(displacement, 4).tolist(),
             "roll_pitch_yaw": np.round(turn, 4).tolist(),
             "start_time": 1.0,
             "move_time": uniform(8.0, 16.0),
         }
-        bound = uniform(0.4, 0.8) * orbit.least_resting_speed
-        if orbit.least_speed(RestToRestConfig(**trajectory)) < 0.9 * bound:
+        bound = uniform(0.4, 0.8) * resting
+        motion = RestToRestConfig(**trajectory)
+        if least_speed(model, motion, frequency, amplitude) < 0.9 * bound:
             break
-    layer = {"speed_bound": round(bound, 4), "frequency": frequency, "amplitude": amplitude}
-    layer |= {"max_frequency_rate": 2.0, "max_amplitude_rate": 2.0}
-    settings = {f"system.{name}": value for name, value in system.items()} | {
-        "simulation_duration": round(1.0 + trajectory["move_time"] + REST, 2),
-        "pattern": "!HamiltonianCycle {}",
-        "load_trajectory": _tagged("RestToRest", trajectory),
-        "optimization_layer": _tagged("RecedingHorizonOptimizer", layer),
-    }
-    return [f"{path}={value}" for path, value in settings.items()]
+    settings["simulation_duration"] = round(1.0 + motion.move_time + REST, 2)
+    settings["load_trajectory"] = tagged("RestToRest", trajectory)
+    layer = {"speed_bound": round(bound, 4), **layer}
+    settings["optimization_layer"] = tagged("RecedingHorizonOptimizer", layer)
+    return written(settings)
 
 
 @cache
@@ -104,32 +123,35 @@ def draw_aircraft(seed: int) -> list[str]:
     motion alone keeps the aircraft above 1.2 of the stall speed. The layers know the limits of lift
     and bank.
     """
-    rng = np.random.default_rng([1919, seed])
-
-    def uniform(low: float, high: float) -> float:
-        return round(float(rng.uniform(low, high)), 4)
-
+    uniform = Draw(1919, seed)
     base = loaded("aircraft_transfer")
     while True:
         mass, frequency, amplitude = uniform(9.0, 11.5), uniform(0.58, 0.66), uniform(0.9, 1.1)
         inertia = round(mass * DISC_RADIUS**2 / 4, 4) * np.diag([1.0, 1.0, 2.0])
-        load = {"load_mass": mass, "load_inertia": inertia.tolist()}
-        ranges = {
+        load = {"system.load_mass": mass, "system.load_inertia": inertia.tolist()}
+        layer = {
+            "frequency": frequency,
+            "amplitude": amplitude,
             "frequency_bounds": [round(0.9 * frequency, 4), round(1.15 * frequency, 4)],
             "amplitude_bounds": [round(0.9 * amplitude, 4), round(1.1 * amplitude, 4)],
+            "max_lift_share": 0.9,  # with the bank, where their controller saturates
+            "max_bank": 0.8727,
         }
-        model = Model(dataclasses.replace(base.system, **load), base.pattern)
-        flown = [(frequency, amplitude)] + [
-            (xi, A) for xi in ranges["frequency_bounds"] for A in ranges["amplitude_bounds"]
-        ]
         share, peak, move_time = uniform(0.6, 0.9), uniform(0.5, 3.5), uniform(30.0, 60.0)
         azimuth, rise = uniform(0.0, 2 * np.pi), uniform(-0.2, 0.2)
-        margins = margins_at_rest(model, _AT_ORIGIN, np.array(flown[0]))
-        slowest = float(np.min(margins.needs.airspeed))  # in still air
-        least = 1.2 * stall_speed(model.aircraft)
-        if max(share * slowest, slowest - peak) < least or not margins.is_flyable:
+
+        def margins(xi, A, load=load):
+            constant = tagged("ConstantParameters", {"frequency": xi, "amplitude": A})
+            own = load | {"optimization_layer": constant}
+            return aircraft_margins(changed(base, written(own)))
+
+        found = margins(frequency, amplitude)
+        slowest = float(np.min(found.needs.airspeed))  # in still air
+        least = 1.2 * stall_speed(Model(base.system, base.pattern).aircraft)
+        if max(share * slowest, slowest - peak) < least or not found.is_flyable:
             continue
-        if all(margins_at_rest(model, _AT_ORIGIN, np.array(x)).is_flyable for x in flown[1:]):
+        bounds = layer["frequency_bounds"], layer["amplitude_bounds"]
+        if all(margins(xi, A).is_flyable for xi in bounds[0] for A in bounds[1]):
             break
     distance = peak * move_time / PEAK
     displacement = distance * np.array([np.cos(azimuth), np.sin(azimuth), rise])
@@ -138,24 +160,15 @@ def draw_aircraft(seed: int) -> list[str]:
         "start_time": 5.0,
         "move_time": move_time,
     }
-    layer = {
-        "speed_bound": round(share * slowest, 4),
-        "frequency": frequency,
-        "amplitude": amplitude,
-        **ranges,
-        # Where their controller saturates.
-        "max_lift_share": 0.9,
-        "max_bank": 0.8727,
-    }
-    settings = {f"system.{name}": value for name, value in load.items()} | {
-        "simulation_duration": round(15.0 + move_time, 2),
-        "load_trajectory": _tagged("RestToRest", trajectory),
-        "optimization_layer": _tagged("RecedingHorizonOptimizer", layer),
-    }
-    return [f"{path}={value}" for path, value in settings.items()]
-
-
-_AT_ORIGIN = np.eye(22)[0]  # a load's reference, at rest
+    layer = {"speed_bound": round(share * slowest, 4), **layer}
+    return written(
+        load
+        | {
+            "simulation_duration": round(15.0 + move_time, 2),
+            "load_trajectory": tagged("RestToRest", trajectory),
+            "optimization_layer": tagged("RecedingHorizonOptimizer", layer),
+        }
+    )
 
 
 def attachments_of(n: int, rng: np.random.Generator) -> NDArray:
@@ -171,36 +184,35 @@ def attachments_of(n: int, rng: np.random.Generator) -> NDArray:
             return places
 
 
-def _direction(rng: np.random.Generator) -> NDArray:
-    vector = rng.normal(size=3)
-    return vector / np.linalg.norm(vector)
+def least_speed(model: Model, motion: RestToRestConfig, xi: float, amplitude: float) -> float:
+    """The least speed of any carrier, m/s, of constant ξ and A while the load moves as planned."""
+    trajectory = RestToRest(model, motion)
+    context = trajectory.CreateDefaultContext()
+    preview = trajectory.GetOutputPort("reference_preview").Eval(context)
+    times = motion.start_time + np.arange(0.0, motion.move_time, STEP)
+    terms = FlightTerms.along(
+        model.load,
+        LoadMotion.along(preview.references(times)),
+        STILL_AIR,
+        pseudo_inverse=model.pseudo_inverse,
+        offset=model.pattern.offset,
+    )
+    plan = PlannedParameters.view(constant_plan(xi * times, xi, amplitude))
+    orbit = orbit_motion(
+        terms,
+        model.pattern.forces(*plan.series),
+        attachments=model.attachments,
+        rest_length=model.cable_length,
+        compliance=model.cable_compliance,
+    )
+    return float(np.linalg.norm(orbit.velocities, axis=-1).min())
 
 
-class _Orbit:
-    """The carriers' orbits above a load, with constant ξ and A."""
-
-    def __init__(self, system: SystemParameters, amplitude: float, frequency: float):
-        self._model = Model(system, HamiltonianCycleConfig())
-        limits = LimitsConfig(amplitude=amplitude, frequency=frequency)
-        horizon = timed(HorizonConfig(), frequency, 0.0)
-        self._problem = HorizonProblem(self._model, limits, horizon)
-        self._amplitude, self._frequency = amplitude, frequency
-        at_rest = RestToRestConfig(move_time=2 * np.pi / frequency)
-        self.least_resting_speed = self.least_speed(at_rest)  # m/s, of any carrier
-
-    def least_speed(self, motion: RestToRestConfig) -> float:
-        """That in m/s of any carrier while the load moves as planned."""
-        trajectory = RestToRest(self._model, motion)
-        context = trajectory.CreateDefaultContext()
-        preview = trajectory.GetOutputPort("reference_preview").Eval(context)
-        times = motion.start_time + np.arange(0.0, motion.move_time, STEP)
-        squares = []
-        for time, reference in zip(times, preview.references(times), strict=True):
-            orbit = self._frequency * time, self._frequency, self._amplitude
-            planned = np.append(orbit, np.zeros(5))[:, None]
-            squares.append(self._problem.squared_speeds(planned, reference, STILL_AIR))
-        return float(np.sqrt(np.min(squares)))
-
-
-def _tagged(name: str, values: dict) -> str:
+def tagged(name: str, values: dict) -> str:
+    """A block with its fields in YAML."""
     return f"!{name} {{{', '.join(f'{key}: {value}' for key, value in values.items())}}}"
+
+
+def written(settings: dict[str, object]) -> list[str]:
+    """Overrides of fields by their paths."""
+    return [f"{path}={value}" for path, value in settings.items()]

@@ -3,7 +3,7 @@
 import signal
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,15 +14,10 @@ from pydrake.common.value import Value
 from pydrake.math import RollPitchYaw_, RotationMatrix
 from pydrake.systems.framework import Context, Diagram, LeafSystem, PortDataType, System
 
-from drake_nonstop.analysis.resting_carriers import resting_carriers
-from drake_nonstop.blocks.optimization_layer import NlpLayerConfig
+from drake_nonstop import Block, Model, NlpLayerConfig, Run, Scenario, SystemParameters
 from drake_nonstop.mechanics.rotation import norm
-from drake_nonstop.mechanics.signals import LoadState, constant_plan
-from drake_nonstop.model.block import Block
+from drake_nonstop.mechanics.signals import LoadState
 from drake_nonstop.model.pattern import HamiltonianCycleConfig
-from drake_nonstop.model.system import Model, SystemParameters
-from drake_nonstop.run.run import Run
-from drake_nonstop.scenario.schema import Scenario
 
 INERTIA = np.array([[0.014, 0.001, -0.0005], [0.001, 0.011, 0.002], [-0.0005, 0.002, 0.017]])
 
@@ -149,53 +144,16 @@ class Motion:
         now = AutoDiffXd(time, [1.0])
         angles = RollPitchYaw_[AutoDiffXd](self._coordinates(now)[:3])
         omega = angles.CalcAngularVelocityInParentFromRpyDt(self._coordinates(now, 1)[:3])
-        return np.concatenate(
-            [
-                ExtractValue(_quaternion(angles))[:, 0],
-                self._coordinates(time)[3:],
-                ExtractValue(omega)[:, 0],
-                self._coordinates(time, 1)[3:],
-                ExtractGradient(omega)[:, 0],
-                self._coordinates(time, 2)[3:],
-                self._coordinates(time, 3)[3:],
-            ]
-        )
+        quaternion = angles.ToQuaternion()
+        wxyz = np.array([quaternion.w(), quaternion.x(), quaternion.y(), quaternion.z()])
+        place, velocity, acceleration, jerk = (self._coordinates(time, k)[3:] for k in range(4))
+        rates = ExtractGradient(omega)[:, 0], acceleration, jerk
+        turning = ExtractValue(omega)[:, 0], velocity
+        return np.concatenate([ExtractValue(wxyz)[:, 0], place, *turning, *rates])
 
     def state(self, time: float) -> NDArray:
         """[quaternion, position, ω, v] (13,), in W."""
         return self.reference(time)[:13]
-
-
-def _quaternion(angles: RollPitchYaw_[AutoDiffXd]) -> NDArray:
-    quaternion = angles.ToQuaternion()
-    return np.array([quaternion.w(), quaternion.x(), quaternion.y(), quaternion.z()])
-
-
-class WorldOrbits(NamedTuple):
-    """The motion of n carriers, and their cables, at k instants, (k, n, 3) each, in W."""
-
-    positions: NDArray
-    velocities: NDArray
-    accelerations: NDArray
-    cable_forces: NDArray
-    cable_ends: NDArray
-
-
-def resting_orbits(
-    model: Any,
-    pose: NDArray,
-    times: NDArray,
-    parameters: NDArray,
-    *,
-    yaw_rate: float = 0.0,
-    load_wind: NDArray,
-) -> WorldOrbits:
-    """The motion of `resting_carriers` at times (k,), s, with the phase θ = ξ t, in W."""
-    carriers = resting_carriers(model, model, pose, times, yaw_rate=yaw_rate, load_wind=load_wind)
-    frequency, amplitude = parameters
-    motion = carriers.motion(constant_plan(frequency * times, frequency, amplitude))
-    ends = pose[4:7] + carriers.terms.motion.attached(model.attachments).rates[0]
-    return WorldOrbits(pose[4:7] + motion.positions, *motion[2:], motion.forces, ends)
 
 
 def rotation(quaternion: NDArray) -> NDArray:
@@ -218,11 +176,6 @@ def fix(block: LeafSystem, context: Context, **inputs: NDArray) -> None:
 def output(block: LeafSystem, context: Context, name: str) -> NDArray:
     """A copy of the output of that name."""
     return block.GetOutputPort(name).Eval(context).copy()
-
-
-def ends_run(block: System, context: Context) -> bool:
-    """Whether a block ends a run by what its port shows."""
-    return block.ends_run(context, output(block, context, block.ending_signal))
 
 
 def sizes_of_ports(block: System, kind: str = "output") -> dict[str, int | None]:
@@ -264,15 +217,11 @@ def circling_run(n=4, duration=0.5, cable_length=0.8):
 
     All that a scene shows changes all the time, marks and tensions among it.
     """
-    angles = 2 * np.pi * np.arange(n) / n
-    attachments = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(n)])
-    system = SystemParameters(attachments=attachments.tolist(), cable_length=cable_length)
     time = np.arange(0, duration + 1e-9, 0.01)
     load = np.zeros((len(time), 13))
     load[:, 0], load[:, 3] = np.cos(time / 4), np.sin(time / 4)
     load[:, 4] = 0.7 * time
-    reference = np.hstack([load, np.zeros((len(time), 9))])
-    turns = time[:, None] + angles
+    turns = time[:, None] + 2 * np.pi * np.arange(n) / n
     positions = np.stack([np.cos(turns), np.sin(turns), np.full(turns.shape, cable_length)], 2)
     positions += load[:, None, 4:7]
     velocities = np.stack([-np.sin(turns), np.cos(turns), np.zeros(turns.shape)], 2)
@@ -280,7 +229,7 @@ def circling_run(n=4, duration=0.5, cable_length=0.8):
     carriers = [values.reshape(len(time), -1) for values in (positions, velocities)]
     return Run(
         scenario=Scenario(
-            system=system,
+            system=SystemParameters(attachments=regular(n, 1).tolist(), cable_length=cable_length),
             simulation_duration=duration,
             optimization_layer=NlpLayerConfig(speed_bound=0.7),
         ),
@@ -288,7 +237,7 @@ def circling_run(n=4, duration=0.5, cable_length=0.8):
         time=time,
         signals={
             "load_plant.load_state": load,
-            "load_trajectory.reference": reference,
+            "load_trajectory.reference": np.hstack([load, np.zeros((len(time), 9))]),
             "carrier_dynamics.carrier_state": np.hstack(carriers),
             "cables.tensions": np.abs(4 * np.sin(3 * turns)),
         },

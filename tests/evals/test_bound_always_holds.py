@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 from helpers import nightly_beyond
 
-from drake_nonstop import Scenario, compute_metrics, load_scenario
-from drake_nonstop.blocks.optimization_layer import PaperLayerConfig
-from drake_nonstop.run.simulate import simulate
+from drake_nonstop import Scenario, changed, compute_metrics, load_scenario, simulate
 
 
 def assert_no_carrier_is_ever_below_its_bound(scenario: Scenario) -> None:
@@ -26,8 +24,7 @@ def variation(seed: int) -> Scenario:
     """
     rng = np.random.default_rng([3, seed])
     name = ("quintic", "line", "three_carriers")[seed % 3]
-    scenario = load_scenario(name)
-    scenario.simulation_duration = 10.0
+    scenario = load_scenario(name, ["simulation_duration=10"])
     system, move = scenario.system, scenario.load_trajectory
     system.load_mass *= rng.uniform(0.8, 1.2)
     system.carrier_mass *= rng.uniform(0.8, 1.2)
@@ -58,28 +55,24 @@ def test_bound_holds_on_variations(seed):
 def test_without_foresight_of_the_orbit_some_variations_break_the_bound():
     scenario = variation(7)
     bound = scenario.optimization_layer.speed_bound
-    scenario.optimization_layer = PaperLayerConfig(speed_bound=bound, tightening=0.02)
-    carriers = compute_metrics(simulate(scenario))["carriers"]
+    paper = f"optimization_layer=!PaperLayer {{speed_bound: {bound}, tightening: 0.02}}"
+    carriers = compute_metrics(simulate(changed(scenario, [paper])))["carriers"]
     assert carriers["time_below_bound_s"] > 0.1
 
 
-@pytest.mark.parametrize(
-    ("name", "change", "control_period"),
-    nightly_beyond(
-        1,
-        "flights",
-        [
-            ("quintic", "optimization_layer.knot_spacing=0.4", 0.01),
-            ("line", "optimization_layer.knot_spacing=0.2", 0.01),
-            ("three_carriers", "optimization_layer.knot_spacing=0.4", 0.004),
-            ("quintic", "optimization_layer=!NlpLayer {period: 0.02}", 0.01),
-            ("quintic", "optimization_layer=!NlpLayer {period: 0.004}", 0.004),
-        ],
-    ),
-)
-def test_a_higher_bound_holds_at_any_rate(name, change, control_period):
+CASES = [
+    ("quintic", "optimization_layer.knot_spacing=0.4", 0.01),
+    ("line", "optimization_layer.knot_spacing=0.2", 0.01),
+    ("three_carriers", "optimization_layer.knot_spacing=0.4", 0.004),
+    ("quintic", "optimization_layer=!NlpLayer {period: 0.02}", 0.01),
+    ("quintic", "optimization_layer=!NlpLayer {period: 0.004}", 0.004),
+]
+
+
+@pytest.mark.parametrize(("name", "change", "period"), nightly_beyond(1, "flights", CASES))
+def test_a_higher_bound_holds_at_any_rate(name, change, period):
     """The layers change ξ and A from 2.5 s on."""
     bound = 1.2 * load_scenario(name).optimization_layer.speed_bound
-    changes = [f"control_period={control_period}", "simulation_duration=7", change]
+    changes = [f"control_period={period}", "simulation_duration=7", change]
     layer = f"optimization_layer.speed_bound={bound}"
     assert_no_carrier_is_ever_below_its_bound(load_scenario(name, [*changes, layer]))

@@ -1,17 +1,14 @@
 """The constraints that are off by default, kept by whole runs."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import pytest
 from helpers import nightly_beyond
-from numpy.typing import NDArray
 
 from drake_nonstop import (
     NlpLayer,
     NlpLayerConfig,
-    Scenario,
     carrier_distances,
     compute_metrics,
     load_scenario,
@@ -27,15 +24,15 @@ class ApartConfig(NlpLayerConfig):
 class Apart(NlpLayer):
     """Keeps carriers apart along the orbit, too."""
 
-    def constraints(self, x: NDArray, now: Any) -> NDArray:
+    def constraints(self, x, now):
         distances = carrier_distances(*self.prediction(x, now))
         apart = distances - 1.02 * self.config.least_distance
         return np.concatenate([super().constraints(x, now).ravel(), apart.ravel()])
 
 
-def metrics_of(scenario: Scenario, **blocks: Any) -> dict:
+def metrics_of(name, changes, **blocks):
     """The metrics of a run in which every update of the optimization succeeded."""
-    metrics = compute_metrics(simulate(scenario, **blocks))
+    metrics = compute_metrics(simulate(load_scenario(name, changes), **blocks))
     assert metrics["carriers"]["time_below_bound_s"] == 0
     assert metrics["optimizer"]["relaxed"] == metrics["optimizer"]["held"] == 0
     return metrics
@@ -43,30 +40,27 @@ def metrics_of(scenario: Scenario, **blocks: Any) -> dict:
 
 @pytest.mark.nightly("flights")
 def test_a_constraint_on_distances_keeps_the_carriers_apart():
-    scenario = load_scenario("quintic_nlp", ["simulation_duration=8"])
-    assert metrics_of(scenario)["carriers"]["separation_min_m"] < 0.79
-    apart = metrics_of(scenario, optimization_layer=Apart)
+    task = "quintic_nlp", ["simulation_duration=8"]
+    assert metrics_of(*task)["carriers"]["separation_min_m"] < 0.79
+    apart = metrics_of(*task, optimization_layer=Apart)
     assert apart["carriers"]["separation_min_m"] >= 0.8
 
 
+# A limit, its metric, the time until which the load moves, and the bound on the speeds.
+LIMITS = [
+    ("max_speed", 0.95, "carriers", "speed_max_m_s", 5, 0.25),
+    ("min_tension", 2.6, "cables", "tension_min_N", 8, 0.55),
+    ("max_tension", 2.85, "cables", "tension_max_N", 15, 0.55),
+]
+
+
 @pytest.mark.parametrize(
-    ("limit", "value", "part", "metric", "others"),
-    nightly_beyond(
-        2,
-        "flights",
-        [  # with the time until which the load moves
-            ("max_speed", 0.95, "carriers", "speed_max_m_s", (5, "speed_bound=0.25")),
-            ("min_tension", 2.6, "cables", "tension_min_N", (8, "speed_bound=0.55")),
-            ("max_tension", 2.85, "cables", "tension_max_N", (15, "speed_bound=0.55")),
-        ],
-    ),
+    ("limit", "value", "part", "metric", "duration", "bound"), nightly_beyond(2, "flights", LIMITS)
 )
-def test_a_limit_is_kept_that_is_missed_without_it(limit, value, part, metric, others):
-    duration, bound = others
-    changes = [f"simulation_duration={duration}", f"optimization_layer.{bound}"]
-    free = metrics_of(load_scenario("quintic", changes))[part][metric]
-    limited = load_scenario("quintic", [*changes, f"optimization_layer.{limit}={value}"])
-    kept = metrics_of(limited)[part][metric]
+def test_a_limit_is_kept_that_is_missed_without_it(limit, value, part, metric, duration, bound):
+    changes = [f"simulation_duration={duration}", f"optimization_layer.speed_bound={bound}"]
+    limited = [*changes, f"optimization_layer.{limit}={value}"]
+    free, kept = (metrics_of("quintic", each)[part][metric] for each in (changes, limited))
     sign = 1 if "max" in limit else -1
     assert sign * free > sign * value + 0.03
     assert sign * kept <= sign * value

@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
-from helpers import regular, resting_orbits
+from helpers import regular
 
+from drake_nonstop.analysis.resting_carriers import resting_carriers
 from drake_nonstop.mechanics.formation_orbit import CarriedLoad, FormationShape, carrier_orbit
+from drake_nonstop.mechanics.signals import constant_plan
 from drake_nonstop.model.pattern import ConstantSpreadConfig, EllipticCarouselConfig
 from drake_nonstop.model.system import Model, SystemParameters
 
@@ -33,10 +35,8 @@ def test_they_are_those_of_the_general_equations(pattern, n, yaw_rate, turns):
         pattern,
     )
     times, frequency = np.linspace(0, 9, 7), 0.6
-    parameters = np.array([frequency, 1.0])
-    general = resting_orbits(
-        made, np.eye(22)[0], times, parameters, yaw_rate=yaw_rate, load_wind=WIND
-    )
+    carriers = resting_carriers(made, made, np.eye(22)[0], times, yaw_rate=yaw_rate, load_wind=WIND)
+    general = carriers.motion(constant_plan(frequency * times, frequency, 1.0))
     sizes = [getattr(pattern, name, 0.0) for name in SIZES]
     shape = FormationShape(*sizes, frequency, yaw_rate, 150.0)
     load = CarriedLoad(10.0, 0.6, 9.81, n, 1.5, 1 / 120.0)
@@ -51,7 +51,7 @@ def test_they_are_those_of_the_general_equations(pattern, n, yaw_rate, turns):
             acceleration=np.zeros(3),
         )
         for values, expected in (
-            (found.forces, general.cable_forces),
+            (found.forces, general.forces),
             (found.positions, general.positions),
             (found.velocities + WIND, general.velocities),
             (found.accelerations, general.accelerations),
