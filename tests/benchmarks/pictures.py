@@ -76,7 +76,7 @@ def _aircraft() -> dict[str, list[Image.Image]]:
 
 def _frames(run: Run, start: float, stop: float) -> list[Image.Image]:
     """A run's replay between two times in s."""
-    content = record_video(run, start=start, stop=stop, frame_rate=FRAME_RATE, size=(480, 480))
+    content = record_video(run, start=start, stop=stop, frame_rate=FRAME_RATE, size=(440, 440))
     video: Any = Image.open(io.BytesIO(content))
     frames = []
     for k in range(video.n_frames):
