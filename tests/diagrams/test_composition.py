@@ -4,15 +4,19 @@ import functools
 
 import numpy as np
 import pytest
-from helpers import model, nightly_beyond, vector_outputs, with_ports
+from helpers import connections, model, nightly_beyond, sizes_of_ports, vector_outputs, with_ports
+from pydrake.common.value import Value
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
-from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import ConstantVectorSource, Multiplexer
+from registries import BOXES
 
 from drake_nonstop import (
     CompiledLoop,
     ConstantParametersConfig,
+    LeafBlock,
     LogSignals,
+    ReferencePreview,
     Run,
     ScenarioError,
     connect_by_name,
@@ -24,8 +28,6 @@ from drake_nonstop import (
     set_parameter,
 )
 from drake_nonstop.blocks.phase import PaperPhase
-from drake_nonstop.diagrams.nonstop import BOXES
-from drake_nonstop.systems.wiring import connections, input_names, output_names
 
 DURATION = 0.05  # s
 HELD_MAKERS = {"load_trajectory", "load_feedback"}
@@ -67,12 +69,8 @@ def assert_flies_like_the_figure(diagram, blocks, period):
     (_, _, own), expected = reference(period)
     context = diagram.CreateDefaultContext()
     for name, block in blocks.items():
-        state = block.GetMyMutableContextFromRoot(context)
-        assert state.num_abstract_states() == 0
-        if state.num_continuous_states():
-            state.SetContinuousState(own[name].get_continuous_state_vector().CopyToVector())
-        for i in range(state.num_discrete_state_groups()):
-            state.SetDiscreteState(i, own[name].get_discrete_state(i).CopyToVector())
+        state = block.GetMyMutableContextFromRoot(context).get_mutable_state()
+        state.SetFrom(own[name].get_state())
     values = flown(diagram, context, period)
     assert values.keys() == expected.keys()
     assert [key for key in expected if values[key] != expected[key]] == []
@@ -81,8 +79,8 @@ def assert_flies_like_the_figure(diagram, blocks, period):
 def one_block(parts):
     """The blocks as one: their inputs from elsewhere, and all their signals."""
     builder = DiagramBuilder()
-    made = {name for block in parts.values() for name in output_names(block)}
-    read = {name for block in parts.values() for name in input_names(block)}
+    made = {name for block in parts.values() for name in sizes_of_ports(block)}
+    read = {name for block in parts.values() for name in sizes_of_ports(block, "input")}
     connect_by_name(builder, parts, inputs=sorted(read - made))
     return builder.Build()
 
@@ -111,15 +109,11 @@ def test_blocks_renamed_reordered_and_merged_make_the_same_signals(seed, period)
     assert_flies_like_the_figure(builder.Build(), blocks, period)
 
 
-def some_boxes(seed):
-    random = np.random.default_rng(seed)
-    return [str(name) for name in random.choice([*BOXES], random.integers(1, 5), replace=False)]
-
-
 @pytest.mark.parametrize("period", [0.0, 0.01])
 @pytest.mark.parametrize("seed", nightly_beyond(1, "studies", range(3)))
 def test_boxes_left_out_and_given_as_extra_blocks_make_the_same_signals(seed, period):
-    left_out = some_boxes(seed)
+    random = np.random.default_rng(seed)
+    left_out = [str(n) for n in random.choice([*BOXES], random.integers(1, 5), replace=False)]
     made = make_blocks(scenario(period))
 
     def maker(name):
@@ -131,27 +125,69 @@ def test_boxes_left_out_and_given_as_extra_blocks_make_the_same_signals(seed, pe
         **dict.fromkeys(left_out),
     )
     blocks = {system.get_name().removeprefix("my_"): system for system in nonstop.GetSystems()}
-    assert set(blocks) >= set(BOXES)
+    assert blocks.keys() >= BOXES.keys()
     assert nonstop.num_input_ports() == 0
     assert_flies_like_the_figure(nonstop, blocks, period)
 
 
 def test_extra_blocks_read_and_make_signals_of_any_name():
-    nonstop = make_nonstop(
-        scenario(0.01),
-        extra={
-            "anemometer": with_ports({"load_state": 13, "sky": 2}, {"wind_speed": 3}),
-            "display": with_ports({"wind_speed": 3, "reference": 22, "sky": 2}, {}),
-        },
-        inputs=["sky"],
-    )
-    assert set(connections(nonstop)) >= {
+    anemometer = with_ports({"load_state": 13, "sky": 2}, {"wind_speed": 3})
+    display = with_ports({"wind_speed": 3, "reference": 22, "sky": 2}, {})
+    extra = {"anemometer": anemometer, "display": display}
+    nonstop = make_nonstop(scenario(0.01), extra=extra, inputs=["sky"])
+    assert {*connections(nonstop)} >= {
         "load_plant.load_state -> anemometer.load_state",
         "anemometer.wind_speed -> display.wind_speed",
         "sample_and_hold.held_reference -> display.reference",
     }
     assert nonstop.GetOutputPort("wind_speed").size() == 3
-    assert input_names(nonstop) == ["sky"]
+    assert sizes_of_ports(nonstop, "input") == {"sky": 2}
+
+
+class Ahead(LeafBlock):
+    """Makes the reference that comes in 2 s, where there is a preview."""
+
+    optional_inputs = ("reference_preview",)
+
+    def __init__(self, model):
+        super().__init__()
+        self._preview = self.DeclareAbstractInputPort("reference_preview", Value[object]())
+        self.DeclareVectorOutputPort("ahead", 22, self._calc)
+
+    def _calc(self, context, output):
+        output.SetFromVector(self._preview.Eval(context)(context.get_time() + 2.0))
+
+
+@pytest.mark.parametrize("period", [0.0, 0.01])
+def test_a_block_reads_a_preview_from_the_trajectory_and_not_held(period):
+    loop = make_nonstop(scenario(period), extra={"foresight": Ahead})
+    wires = connections(loop)
+    assert "load_trajectory.reference_preview -> foresight.reference_preview" in wires
+    assert not any("held_reference_preview" in wire for wire in wires)
+    simulator, later = Simulator(loop), loop.CreateDefaultContext()
+    simulator.AdvanceTo(0.5)
+    later.SetTime(2.5)
+    ahead = loop.GetOutputPort("ahead").Eval(simulator.get_context())
+    np.testing.assert_array_equal(ahead, loop.GetOutputPort("reference").Eval(later))
+
+
+class AtRest(LeafSystem):
+    """A load at rest, without a preview."""
+
+    def __init__(self, model):
+        super().__init__()
+        rest = np.eye(22)[0]
+        self.DeclareVectorOutputPort("reference", 22, lambda c, output: output.SetFromVector(rest))
+
+
+def test_a_preview_can_come_from_outside():
+    others = {"extra": {"foresight": Ahead}, "inputs": ["reference_preview"]}
+    loop = make_nonstop(scenario(0.01), load_trajectory=AtRest, at_equilibrium=False, **others)
+    assert sizes_of_ports(loop, "input") == {"reference_preview": None}
+    context = loop.CreateDefaultContext()
+    preview = ReferencePreview(lambda time: time + np.arange(22))
+    loop.GetInputPort("reference_preview").FixValue(context, preview)
+    np.testing.assert_array_equal(loop.GetOutputPort("ahead").Eval(context), preview(2.0))
 
 
 LOST = with_ports({"wind_speed": 3}, {})
@@ -236,8 +272,8 @@ def test_the_equilibrium_is_the_same_under_other_names_and_inside_of_another_dia
     inner, outer = DiagramBuilder(), DiagramBuilder()
     connect_by_name(inner, blocks)
     loop = outer.AddSystem(inner.Build())
-    for name in output_names(loop):
-        outer.ExportOutput(loop.GetOutputPort(name), f"{name}")
+    for name in sizes_of_ports(loop):
+        outer.ExportOutput(loop.GetOutputPort(name), name)
     outer.AddSystem(ConstantVectorSource([1.0]))
     diagram = outer.Build()
     context = diagram.CreateDefaultContext()

@@ -5,10 +5,15 @@ import pytest
 from helpers import nightly_beyond, output, vector_outputs
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 
-from drake_nonstop import load_scenario, make_nonstop, scenario_names, simulate
-from drake_nonstop.loop.start import set_equilibrium
+from drake_nonstop import (
+    ScenarioError,
+    load_scenario,
+    make_nonstop,
+    scenario_names,
+    set_equilibrium,
+    simulate,
+)
 from drake_nonstop.mechanics.signals import LoadState
-from drake_nonstop.validation import ScenarioError
 
 SIGNALS = ("load_state", "carrier_state", "tensions", "parameters", "phase")
 CONSTANT = "optimization_layer=ConstantParameters"
@@ -70,11 +75,5 @@ def test_a_loop_without_an_equilibrium_is_refused_unless_none_is_asked_for():
     with pytest.raises(ScenarioError, match="the cables do not hold the load"):
         make_nonstop(scenario)
     diagram = make_nonstop(scenario, at_equilibrium=False)
-    start = output(diagram, diagram.CreateDefaultContext(), "load_state")
-    np.testing.assert_array_equal(start, np.eye(13)[0])
-
-
-def test_a_loop_with_a_box_left_out_starts_at_the_origin():
-    diagram = make_nonstop(load_scenario("quintic", [CONSTANT]), load_disturbance=None)
     start = output(diagram, diagram.CreateDefaultContext(), "load_state")
     np.testing.assert_array_equal(start, np.eye(13)[0])

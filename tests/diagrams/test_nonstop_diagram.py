@@ -1,37 +1,36 @@
+"""The figure as listed, as built, and with other blocks in its boxes."""
+
 import dataclasses
 from functools import partial
 
 import numpy as np
 import pytest
-from helpers import nightly_beyond, output, regular, sizes_of, with_ports
+from helpers import connections, nightly_beyond, output, regular, sizes_of, sizes_of_ports
+from helpers import with_ports as ports
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import LeafSystem
+from registries import BOXES, CONFIGS, VARIANTS
 
-from drake_nonstop.blocks.carrier_controller import CarrierPidConfig
-from drake_nonstop.blocks.carrier_trajectory import MeasuredCarrierTrajectory
-from drake_nonstop.blocks.load_feedback import (
-    DesiredStateFeedback,
-)
-from drake_nonstop.blocks.load_trajectory import RestToRestConfig
-from drake_nonstop.blocks.optimization_layer import (
+from drake_nonstop import (
     ConstantParameters,
     ConstantParametersConfig,
     NlpLayerConfig,
+    Scenario,
+    ScenarioError,
+    SystemParameters,
+    changed,
+    dump_scenario,
+    load_scenario,
+    make_nonstop,
 )
+from drake_nonstop.blocks.carrier_controller import CarrierPidConfig
+from drake_nonstop.blocks.load_feedback import DesiredStateFeedback
+from drake_nonstop.blocks.load_trajectory import RestToRestConfig
 from drake_nonstop.blocks.phase import PaperPhase
-from drake_nonstop.blocks.sample_and_hold import SampleAndHold
-from drake_nonstop.blocks.turn_rate_optimizer import TurnRateOptimizer
-from drake_nonstop.diagrams.nonstop import BOXES, figure_wires, make_nonstop
-from drake_nonstop.loop.box import config_class
-from drake_nonstop.model.system import SystemOverrides, SystemParameters
-from drake_nonstop.scenario.loading import dump_scenario
-from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.systems import wiring
-from drake_nonstop.validation import ScenarioError
+from drake_nonstop.diagrams.nonstop import figure_wires
 
-
-def continuous(**fields):
-    return Scenario(control_period=0.0, **fields)
+build = partial(make_nonstop, at_equilibrium=False)  # of which wires do not depend
+MAY_BE_OPEN = {"optimization_layer.speed_bound_command", "phase.plan"}
 
 
 def plain(period=0.0, **fields):
@@ -40,96 +39,76 @@ def plain(period=0.0, **fields):
     return Scenario(control_period=period, **fields)
 
 
-@pytest.fixture(scope="module")
-def figure():
-    """The default diagram with continuous controllers."""
-    return make_nonstop(continuous())
+def types_of(diagram):
+    return {block.get_name(): type(block) for block in diagram.GetSystems()}
 
 
-@pytest.fixture(scope="module")
-def sampled_figure():
-    """The default diagram with sampled controllers."""
-    return make_nonstop(Scenario(control_period=0.01))
-
-
-def block_names(diagram):
-    return [block.get_name() for block in diagram.GetSystems()]
-
-
-def test_figure_as_listed_is_the_figure_as_built(figure):
-    assert set(wiring.connections(figure)) == figure_wires()
-    assert len(figure_wires()) == 30
-
-
-def test_every_box_is_there_under_its_name_with_its_default_block(figure):
-    assert block_names(figure) == list(BOXES)
-    for name, box in BOXES.items():
-        assert type(figure.GetSubsystemByName(name)) is box.variants[0]
-
-
-@pytest.mark.parametrize("name", ["figure", "sampled_figure"])
-def test_no_input_is_left_open_and_every_output_is_exported(name, request):
-    diagram = request.getfixturevalue(name)
-    assert diagram.num_input_ports() == 0
-    wired = {wire.split(" -> ")[1] for wire in wiring.connections(diagram)}
-    # Which may be left unconnected.
-    wired |= {"optimization_layer.speed_bound_command", "phase.plan"}
-    signals = []
-    for block in diagram.GetSystems():
-        assert {f"{block.get_name()}.{p}" for p in wiring.input_names(block)} <= wired
-        signals += wiring.output_names(block)
-    assert sorted(signals) == sorted(wiring.output_names(diagram))
-    assert len(set(signals)) == len(signals)
-
-
-CONTROLLERS = {
-    "wrench_controller",
-    "optimization_layer",
-    "force_distribution",
-    "carrier_trajectory",
-}
-
-
-def test_sampled_controllers_read_the_held_signals(sampled_figure):
-    diagram = sampled_figure
-    assert block_names(diagram) == [*BOXES, "sample_and_hold"]
-    assert type(diagram.GetSubsystemByName("sample_and_hold")) is SampleAndHold
-    pairs = [wire.split(" -> ") for wire in wiring.connections(diagram)]
-    expected = {
-        ("carrier_dynamics.carrier_state", "sample_and_hold.carrier_state"),
-        ("sample_and_hold.held_carrier_state", "optimization_layer.held_carrier_state"),
-        ("load_feedback.measured_load_state", "sample_and_hold.measured_load_state"),
-        ("load_trajectory.reference", "sample_and_hold.reference"),
-        ("load_trajectory.reference_higher_rates", "sample_and_hold.reference_higher_rates"),
-        ("sample_and_hold.sample_time", "wrench_controller.sample_time"),
-        ("sample_and_hold.sample_time", "carrier_trajectory.sample_time"),
-        ("sample_and_hold.sample_time", "optimization_layer.sample_time"),
+def held_wires():
+    """The figure's wires where controllers read what is held."""
+    held = {
+        f"{maker}.{signal}": f"sample_and_hold.held_{signal}"
+        for maker, signal in (
+            ("load_feedback", "measured_load_state"),
+            ("load_trajectory", "reference"),
+            ("load_trajectory", "reference_higher_rates"),
+        )
     }
+    timed = {"wrench_controller", "optimization_layer", "carrier_trajectory"}
+    readers = timed | {"force_distribution"}
+    found = {f"{source} -> sample_and_hold.{source.split('.')[1]}" for source in held}
     for wire in figure_wires():
         source, target = wire.split(" -> ")
-        if target.split(".")[0] in CONTROLLERS and source in (
-            "load_feedback.measured_load_state",
-            "load_trajectory.reference",
-            "load_trajectory.reference_higher_rates",
-        ):
-            source = f"sample_and_hold.held_{source.split('.')[1]}"
-        expected.add((source, target))
-    assert {tuple(pair) for pair in pairs} == expected
+        is_held = target.split(".")[0] in readers
+        found.add(f"{held.get(source, source) if is_held else source} -> {target}")
+    found |= {f"sample_and_hold.sample_time -> {reader}.sample_time" for reader in timed}
+    state = "carrier_state"
+    found.add(f"carrier_dynamics.{state} -> sample_and_hold.{state}")
+    found.add(f"sample_and_hold.held_{state} -> optimization_layer.held_{state}")
+    return found
 
 
-def test_sampled_commands_stand_still_between_samples_but_for_the_carriers_motion():
-    diagram = make_nonstop(plain(0.01, load_trajectory=RestToRestConfig(displacement=[1.0, 0, 0])))
-    simulator = Simulator(diagram)
-    names = ("wrench", "internal_force", "desired_cable_forces", "phase")
+@pytest.mark.parametrize(("period", "n"), [(0.0, 4), (0.0, 3), (0.01, 4)])
+def test_the_figure_as_listed_is_the_figure_as_built(period, n):
+    system = SystemParameters(attachments=regular(n).tolist())
+    diagram = build(Scenario(control_period=period, system=system))
+    hold = ["sample_and_hold"] if period else []
+    assert [*types_of(diagram)] == [*BOXES, *hold]
+    for name, box in BOXES.items():
+        assert types_of(diagram)[name] is box.variants[0]
+    wires = connections(diagram)
+    assert {*wires} == (held_wires() if period else figure_wires())
+    # No input is left open, and every output is exported.
+    assert diagram.num_input_ports() == 0
+    read, signals = {wire.split(" -> ")[1] for wire in wires} | MAY_BE_OPEN, []
+    for block in diagram.GetSystems():
+        assert {f"{block.get_name()}.{port}" for port in sizes_of_ports(block, "input")} <= read
+        signals += sizes_of_ports(block)
+    assert sorted(signals) == sorted(sizes_of_ports(diagram))
+    assert diagram.GetOutputPort("tensions").size() == n
+
+
+def test_sampled_signals_and_commands_stand_still_between_samples():
+    move = RestToRestConfig(displacement=[1.0, 0, 0])
+    diagram = make_nonstop(plain(0.01, load_trajectory=move))
+    simulator, then = Simulator(diagram), diagram.CreateDefaultContext()
+    held = ("reference", "reference_higher_rates")
+    commands = ("wrench", "internal_force", "desired_cable_forces", "phase")
 
     def signals(time):
+        """Commands; what is held is that of the sample's time."""
         simulator.AdvanceTo(time)
-        return {name: output(diagram, simulator.get_context(), name) for name in names}
+        context = simulator.get_context()
+        sampled = float(output(diagram, context, "sample_time")[0])
+        assert sampled == pytest.approx(0.01 * int(time / 0.01), abs=1e-12)
+        then.SetTime(sampled)
+        for name in held:
+            expected = output(diagram, then, name)
+            np.testing.assert_array_equal(output(diagram, context, f"held_{name}"), expected)
+        return [output(diagram, context, name) for name in commands]
 
-    first, same, next_sample = signals(0.0411), signals(0.0489), signals(0.0511)
-    for name in names:
-        np.testing.assert_array_equal(first[name], same[name], err_msg=name)
-        assert not np.array_equal(first[name], next_sample[name]), name
+    for first, same, following in zip(*map(signals, (0.0411, 0.0489, 0.0511)), strict=True):
+        np.testing.assert_array_equal(first, same)
+        assert not np.array_equal(first, following)
 
 
 class CommandingDisturbance(LeafSystem):
@@ -137,9 +116,7 @@ class CommandingDisturbance(LeafSystem):
 
     def __init__(self, model):
         super().__init__()
-        self.DeclareVectorOutputPort(
-            "disturbance_wrench", 6, lambda context, output: output.SetFromVector(np.zeros(6))
-        )
+        self.DeclareVectorOutputPort("disturbance_wrench", 6, lambda c, output: None)
         self.DeclareVectorOutputPort(
             "speed_bound_command",
             1,
@@ -150,32 +127,33 @@ class CommandingDisturbance(LeafSystem):
 @pytest.mark.parametrize("layer", [NlpLayerConfig(), ConstantParametersConfig()])
 def test_speed_bound_command_of_a_block_is_the_bound(layer):
     scenario = Scenario(optimization_layer=layer)
-    diagram = make_nonstop(scenario, at_equilibrium=False, load_disturbance=CommandingDisturbance)
+    diagram = build(scenario, load_disturbance=CommandingDisturbance)
     wire = "load_disturbance.speed_bound_command -> optimization_layer.speed_bound_command"
-    assert wire in wiring.connections(diagram)
+    assert wire in connections(diagram)
     context = diagram.CreateDefaultContext()
     context.SetTime(2.0)
     np.testing.assert_array_equal(output(diagram, context, "speed_bound"), [0.32])
 
 
+def optional_inputs(block):
+    return {f"{block.get_name()}.{name}" for name in getattr(block, "optional_inputs", ())}
+
+
 @pytest.mark.parametrize("box", list(BOXES))
 def test_signals_that_others_need_have_to_be_made_in_their_sizes(box, scenario_and_diagram):
-    blocks = {block.get_name(): block for block in scenario_and_diagram[1].GetSystems()}
-    needed = {
-        wire.signal
-        for wire in wiring.wires(blocks)
-        if wire.maker == box and wire.port not in wiring.optional_inputs(blocks[wire.reader])
-    }
-    sizes = sizes_of(BOXES[box], 4, 4)
-    build = partial(make_nonstop, plain(), at_equilibrium=False)  # which these blocks do not hold
-    vectors = {name: size for name, size in sizes.items() if size is not None}
-    build(**{box: with_ports({}, vectors)})
+    _, diagram = scenario_and_diagram
+    optional = set().union(*map(optional_inputs, diagram.GetSystems()))
+    pairs = [wire.split(" -> ") for wire in connections(diagram)]
+    made = {source for source, target in pairs if target not in optional}
+    needed = {source.split(".")[1] for source in made if source.startswith(f"{box}.")}
+    sizes = {name: n for name, n in sizes_of(BOXES[box], 4, 4).items() if n is not None}
+    build(plain(), **{box: ports({}, sizes)})
     for signal in needed - {"wrench_rate"}:
-        others = {name: size for name, size in vectors.items() if name != signal}
+        others = {name: size for name, size in sizes.items() if name != signal}
         with pytest.raises(ScenarioError, match=f"{box} makes {signal} "):
-            build(**{box: with_ports({}, others | {signal: sizes[signal] + 1})})
+            build(plain(), **{box: ports({}, others | {signal: sizes[signal] + 1})})
         with pytest.raises(ScenarioError, match=f"{signal}, (which {box} = Ports does n|of wh)"):
-            build(**{box: with_ports({}, others)})
+            build(plain(), **{box: ports({}, others)})
 
 
 def test_box_can_be_replaced_by_a_config_and_by_a_class():
@@ -185,66 +163,49 @@ def test_box_can_be_replaced_by_a_config_and_by_a_class():
         phase=PaperPhase,
         load_feedback=lambda model: DesiredStateFeedback(model),
     )
-    assert type(diagram.GetSubsystemByName("optimization_layer")) is ConstantParameters
-    assert type(diagram.GetSubsystemByName("phase")) is PaperPhase
-    assert type(diagram.GetSubsystemByName("load_feedback")) is DesiredStateFeedback
+    own = {"optimization_layer": ConstantParameters, "phase": PaperPhase}
+    assert types_of(diagram).items() >= (own | {"load_feedback": DesiredStateFeedback}).items()
     context = diagram.CreateDefaultContext()
     np.testing.assert_array_equal(output(diagram, context, "parameters"), [3.0, 1.2])
-
-
-def others_than(name, diagram):
-    blocks = {block.get_name(): type(block) for block in diagram.GetSystems()}
-    del blocks[name]
-    return blocks
 
 
 @pytest.fixture(scope="module", params=nightly_beyond(1, "engines", [0.01, 0.0]))
 def scenario_and_diagram(request):
     """A scenario without the optimizer, and its diagram; nothing changes either."""
     scenario = plain(request.param)
-    return scenario, make_nonstop(scenario, at_equilibrium=False)
+    return scenario, build(scenario)
 
 
-@pytest.mark.parametrize(
-    ("name", "block"),
-    [
-        (name, block)
-        for name, box in BOXES.items()
-        for block in box.variants
-        if not block.__name__.startswith("FixedWing")  # they come in pairs
-        and block is not TurnRateOptimizer  # of aircraft
-    ],
-    ids=lambda value: value if isinstance(value, str) else value.__name__,
-)
-def test_each_block_alone_can_be_swapped_in(name, block, scenario_and_diagram):
+OF_AIRCRAFT = ("FixedWing", "TurnRate")  # which come with each other
+ALONE = [row for row in VARIANTS if not row.split("-")[1].startswith(OF_AIRCRAFT)]
+
+
+@pytest.mark.parametrize("row", ALONE)
+def test_each_block_alone_can_be_swapped_in(row, scenario_and_diagram):
     """It is in its box, reads the signals it names and is read, and nothing else changes."""
-    build = partial(make_nonstop, at_equilibrium=False)  # of which wires do not depend
-    scenario, before = scenario_and_diagram
-    text = dump_scenario(scenario)
-    if block is MeasuredCarrierTrajectory:  # which makes no accelerations, that this reads
+    name, block = VARIANTS[row]
+    (scenario, before), config = scenario_and_diagram, CONFIGS[block]()
+    if block.__name__ == "MeasuredCarrierTrajectory":  # without accelerations, that this reads
         with pytest.raises(ScenarioError, match=r"or carrier_controller=CarrierPid$"):
-            build(scenario, **{name: config_class(block)()})
+            build(scenario, **{name: config})
         scenario = dataclasses.replace(scenario, carrier_controller=CarrierPidConfig())
-        before, text = build(scenario), dump_scenario(scenario)
-    diagram = build(scenario, **{name: config_class(block)()})
-    swapped = diagram.GetSubsystemByName(name)
-    assert type(swapped) is block
-    assert others_than(name, diagram) == others_than(name, before)
+        before = build(scenario)
+    text, diagram = dump_scenario(scenario), build(scenario, **{name: config})
+    assert types_of(diagram) == types_of(before) | {name: block}
     assert dump_scenario(scenario) == text
     assert diagram.num_input_ports() == 0
 
-    wires = [wire.split(" -> ") for wire in wiring.connections(diagram)]
-    read = {source for source, target in wires if target.split(".")[0] != name}
-    written = {wire.split(" -> ")[0] for wire in wiring.connections(before)}
-    needed = {source for source in written if source.startswith(f"{name}.")}
+    pairs = [wire.split(" -> ") for wire in connections(diagram)]
+    needed = {wire.split(" -> ")[0] for wire in connections(before)}
+    needed = {source for source in needed if source.startswith(f"{name}.")}
     assert needed
-    assert needed <= read
-    sources = dict(reversed(wire) for wire in wires)
-    for port in wiring.input_names(swapped):
-        if port in wiring.optional_inputs(swapped) and f"{name}.{port}" not in sources:
-            continue
-        source = sources[f"{name}.{port}"].split(".")[1]
-        assert source.removeprefix("held_") == port.removeprefix("held_")
+    assert needed <= {source for source, target in pairs if not target.startswith(f"{name}.")}
+    sources = dict(reversed(pair) for pair in pairs)
+    swapped = diagram.GetSubsystemByName(name)
+    for port in (f"{name}.{port}" for port in sizes_of_ports(swapped, "input")):
+        if port in sources or port not in optional_inputs(swapped):
+            read, source = (each.split(".")[1] for each in (port, sources[port]))
+            assert source.removeprefix("held_") == read.removeprefix("held_")
 
 
 def test_only_the_plant_takes_the_simulated_system():
@@ -257,14 +218,9 @@ def test_only_the_plant_takes_the_simulated_system():
 
         return make
 
-    scenario = plain(simulated=SystemOverrides(load_mass=1.3, carrier_mass=0.2))
-    make_nonstop(scenario, **{name: recorder(name) for name in BOXES})
-    masses = {name: (model.load_mass, model.carrier_mass) for name, model in models.items()}
-    assert masses == {name: (1.3, 0.2) if name in plant else (1.0, 0.1) for name in BOXES}
-
-
-def test_figure_is_the_same_for_another_number_of_carriers():
-    scenario = continuous(system=SystemParameters(attachments=regular(3).tolist()))
-    diagram = make_nonstop(scenario, at_equilibrium=False)
-    assert set(wiring.connections(diagram)) == figure_wires()
-    assert diagram.GetOutputPort("tensions").size() == 3
+    own = ["simulated.load_mass=1.3", "simulated.carrier_mass=0.2", "simulated.load_drag=0"]
+    scenario = changed(load_scenario("quintic"), [*own, "optimization_layer=ConstantParameters"])
+    build(scenario, **{name: recorder(name) for name in BOXES})
+    found = {name: (m.load_mass, m.carrier_mass, m.load.drag) for name, m in models.items()}
+    believed, simulated = (1.0, 0.1, 0.7), (1.3, 0.2, 0.0)
+    assert found == {name: simulated if name in plant else believed for name in BOXES}
