@@ -69,8 +69,12 @@ def assert_flies_like_the_figure(diagram, blocks, period):
     (_, _, own), expected = reference(period)
     context = diagram.CreateDefaultContext()
     for name, block in blocks.items():
-        state = block.GetMyMutableContextFromRoot(context).get_mutable_state()
-        state.SetFrom(own[name].get_state())
+        state = block.GetMyMutableContextFromRoot(context)
+        state.get_mutable_continuous_state_vector().SetFromVector(
+            own[name].get_continuous_state_vector().CopyToVector()
+        )
+        for i in range(state.num_discrete_state_groups()):
+            state.SetDiscreteState(i, own[name].get_discrete_state(i).CopyToVector())
     values = flown(diagram, context, period)
     assert values.keys() == expected.keys()
     assert [key for key in expected if values[key] != expected[key]] == []
