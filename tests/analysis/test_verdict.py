@@ -1,24 +1,21 @@
 """The verdict on a scenario by its flights."""
 
+import dataclasses
 import math
 
+import numpy as np
 import pytest
 from helpers import nightly_beyond
 
-from drake_nonstop.analysis.flights import CheckedFlight, SpreadMargin, fly, spread_margins
-from drake_nonstop.analysis.stated_errors import (
-    is_random,
-    with_seed,
-    without_errors,
-    without_noise,
+from drake_nonstop import (
+    RunOutcome,
+    ScenarioError,
+    changed,
+    check_scenario,
+    compute_metrics,
+    load_scenario,
+    simulate,
 )
-from drake_nonstop.analysis.verdict import ScenarioCheck, check_scenario, flights_of
-from drake_nonstop.planning.margins import Margin
-from drake_nonstop.run.outcome import RunOutcome
-from drake_nonstop.scenario.loading import load_scenario
-from drake_nonstop.scenario.overrides import changed
-from drake_nonstop.scenario.schema import Scenario
-from drake_nonstop.validation import ScenarioError
 
 SHORT = "simulation_duration=3"
 WIND = "wind=!SteadyWind {velocity: [0.5, 0, 0]}"
@@ -33,9 +30,15 @@ def quintic(*overrides):
     return load_scenario("quintic", [SHORT, *overrides])
 
 
-def test_a_scenario_without_errors_is_flown_once_and_is_ok():
+@pytest.fixture(scope="module")
+def calm():
+    """What is found of a scenario without errors, and how it was told."""
     told = []
-    found = check_scenario(quintic(), progress=lambda what, share: told.append(share))
+    return check_scenario(quintic(), progress=lambda what, share: told.append(share)), told
+
+
+def test_a_scenario_without_errors_is_flown_once_and_is_ok(calm):
+    found, told = calm
     assert found.is_ok
     assert [flight.name for flight in found.flights] == ["as stated"]
     assert found.nominal is None
@@ -48,9 +51,28 @@ def test_a_scenario_without_errors_is_flown_once_and_is_ok():
     assert found.dictionary["is_ok"]
     assert "speed / bound" in found.table
     assert told[-1] == 1.0
+    # What constant ξ and A reach is a share of the bound.
+    higher = check_scenario(quintic("optimization_layer.speed_bound=0.75"), tries_remedies=False)
+    ratios = np.array(found.feasible.ratios) * 0.55 / 0.75
+    np.testing.assert_allclose(higher.feasible.ratios, ratios, rtol=0.02)
 
 
-def test_noise_is_flown_in_seeds_and_a_filter_that_was_flown_is_told():
+def test_margins_are_those_of_the_flight_with_their_places_and_times(calm):
+    margins = {margin.name: margin for margin in calm[0].flights[0].margins}
+    run = simulate(quintic())
+    tensions = run.steps["tensions"]
+    step, cable = np.unravel_index(np.argmin(tensions), tensions.shape)
+    tension = margins["tension"]
+    assert tension.value == pytest.approx(tensions.min(), rel=1e-9)
+    assert (tension.where, tension.when) == (f"cable {cable + 1}", run.steps["time"][step])
+    errors = np.linalg.norm(
+        run.signal("load_state")[:, 4:7] - run.signal("reference")[:, 4:7], 2, 1
+    )
+    assert margins["position error"].value == pytest.approx(errors.max(), rel=1e-6)
+    assert margins["position error"].when == pytest.approx(run.time[np.argmax(errors)])
+
+
+def test_noise_is_flown_in_seeds_and_margins_are_the_worst_of_all_flights():
     found = check_scenario(quintic(FEEDBACK.format(0.005, 0.02)), seeds=2)
     assert found.outcome is RunOutcome.BOUND_MISSED
     assert [flight.name for flight in found.flights] == ["as stated", "seed +1"]
@@ -60,7 +82,11 @@ def test_noise_is_flown_in_seeds_and_a_filter_that_was_flown_is_told():
     assert found.verdicts[1] == "without the errors that the scenario states the flight is ok"
     (speed,) = (each for each in found.margins if each.worst.name == "speed / bound")
     assert speed.worst.value < speed.most < 1
-    assert speed.deviation > 0
+    for worst, most, deviation in found.margins:
+        values = [m.value for f in found.flights for m in f.margins if m.name == worst.name]
+        assert {worst.value, most} == {*values}
+        assert (worst.value <= most) == worst.is_least or worst.value == most
+        assert deviation == pytest.approx(np.std(values, ddof=1))
 
 
 @pytest.mark.parametrize(
@@ -81,7 +107,8 @@ def test_with_what_is_told_to_help_the_flights_are_ok(name, overrides):
     assert not found.is_ok
     assert found.remedies
     for remedy in found.remedies:
-        assert fly([("", changed(scenario, remedy.overrides))])[0].is_ok
+        helped = simulate(changed(scenario, remedy.overrides))
+        assert compute_metrics(helped)["outcome"] == "ok"
         assert remedy.text in found.verdicts[-1]
 
 
@@ -103,60 +130,50 @@ def test_an_infeasible_bound_is_explained_by_the_xi_and_a_that_would_do():
     assert any(said.startswith("no constant xi and A keep the bound") for said in found.verdicts)
 
 
-def test_narrow_margins_are_those_within_three_deviations():
-    margin = Margin("speed / bound", 1.02, 1.0, is_least=True)
-    assert SpreadMargin(margin, 1.05, 0.01).is_narrow
-    assert not SpreadMargin(margin, 1.05, 0.005).is_narrow
-    assert not SpreadMargin(margin, 1.02, math.nan).is_narrow
-    assert SpreadMargin(margin._replace(value=1.005), 1.0, math.nan).is_narrow
-
-
-def test_limits_that_some_seeds_miss_are_told_as_narrow():
-    outcomes = RunOutcome.OK, RunOutcome.BOUND_MISSED
-    values = (1.01, 0.99), (1.01, 1.02), (0.5, 0.5)
-    narrow = []
-    for of_speed in values:
-        flights = [
-            CheckedFlight(
-                "",
-                Scenario(),
-                outcomes[value < 1],
-                ("slow",),
-                (Margin("speed / bound", value, 1.0, is_least=True),),
-            )
-            for value in of_speed
-        ]
-        found = ScenarioCheck(
-            scenario=Scenario(), flights=flights, nominal=None, margins=spread_margins(flights)
+def test_narrow_margins_are_those_within_three_deviations_and_what_some_seeds_miss(calm):
+    found, _ = calm
+    (speed,) = (each for each in found.margins if each.worst.name == "speed / bound")
+    for value, deviation, is_narrow in (
+        (1.02, 0.01, True),
+        (1.02, 0.005, False),
+        (1.02, math.nan, False),
+        (1.005, math.nan, True),
+    ):
+        own = speed._replace(worst=speed.worst._replace(value=value), deviation=deviation)
+        assert own.is_narrow == is_narrow
+    (flight,), outcomes = found.flights, (RunOutcome.OK, RunOutcome.BOUND_MISSED)
+    for values, is_told in (((1.01, 0.99), True), ((1.01, 1.02), True), ((0.5, 0.5), False)):
+        flown = dataclasses.replace(
+            found,
+            flights=tuple(flight._replace(outcome=outcomes[value < 1]) for value in values),
+            margins=(
+                speed._replace(
+                    worst=speed.worst._replace(value=min(values)),
+                    most=max(values),
+                    deviation=float(np.std(values, ddof=1)),
+                ),
+            ),
         )
-        narrow.append([each.worst.name for each in found.narrow])
-    assert narrow == [["speed / bound"], ["speed / bound"], []]
-
-
-def test_margins_over_flights_are_the_worst_of_each():
-    flights = fly([(str(mass), quintic(f"simulated.load_mass={mass}")) for mass in (1.0, 1.02)])
-    by_name = {each.worst.name: each for each in spread_margins(flights)}
-    least = [min(m.value for m in flight.margins if m.name == "tension") for flight in flights]
-    tension = by_name["tension"]
-    assert (tension.worst.value, tension.most) == (min(least), max(least))
-    assert tension.worst.where.startswith("cable ")
+        assert [each.worst.name for each in flown.narrow] == ["speed / bound"] * is_told
 
 
 def test_errors_are_taken_away_and_seeds_are_changed():
-    gusty = load_scenario("aircraft_transfer_gusty")
-    assert is_random(gusty)
-    assert not is_random(without_noise(gusty))
-    assert with_seed(gusty, 2).wind.seed == gusty.wind.seed + 2
-    assert not is_random(load_scenario("quintic"))
-    assert without_errors(load_scenario("quintic")) == load_scenario("quintic")
-    delayed = quintic("load_feedback=!NoisyFeedback {delay: 0.02}", "simulated.load_mass=1.1")
-    assert not is_random(delayed)
-    nominal = without_errors(delayed)
-    assert nominal.load_feedback.delay == 0
-    assert nominal.simulated.load_mass is None
-    assert len(flights_of(gusty, 3)) == 3
-    drawn = quintic("system.load_mass=!Uniform {min: 0.9, max: 1.1}")
-    assert [each.random_seed for _, each in flights_of(drawn, 2)] == [0, 1]
+    short = ["simulation_duration=0.2", "optimization_layer=ConstantParameters"]
+    delayed = ["load_feedback=!NoisyFeedback {delay: 0.02}", "simulated.load_mass=1.1"]
+    drawn = ["system.load_mass=!Uniform {min: 0.9, max: 1.1}"]
+    gusty = load_scenario("aircraft_transfer_gusty", short)
+    for scenario, seeds in (
+        (gusty, [(gusty.wind.seed + k, k) for k in range(3)]),
+        (load_scenario("quintic", [*short, *delayed]), [(0, 0)]),
+        (load_scenario("quintic", [*short, *drawn]), [(0, k) for k in range(3)]),
+    ):
+        found = check_scenario(scenario, seeds=3, tries_remedies=False)
+        flown = [each.scenario for each in found.flights]
+        own = [(getattr(each.wind, "seed", 0), each.random_seed) for each in flown]
+        assert own == seeds
+        nominal = found.nominal.scenario
+        assert getattr(nominal.wind, "gust", 0) == getattr(nominal.load_feedback, "delay", 0) == 0
+        assert nominal.simulated.load_mass is None
 
 
 @pytest.mark.parametrize("seeds", [0, -1, 1.5, 10**6])
