@@ -9,8 +9,7 @@ from pathlib import Path
 
 from pydrake.systems.framework import LeafSystem
 
-from drake_nonstop.systems import equation_loop, tracing
-from drake_nonstop.systems.block import LeafBlock
+from drake_nonstop import LeafBlock
 
 MOST = 500_000_000  # bytes: a process with less does not look for what it can free
 _STATISTICS = Path("/proc/self/statm")
@@ -20,7 +19,7 @@ _next = MOST  # the memory in bytes at which the process looks again
 
 
 def free_memory() -> None:
-    """Frees diagrams and traces that nothing uses any more, in a process that has grown.
+    """Frees diagrams that nothing uses any more, in a process that has grown.
 
     Systems that tests derive from Drake's in Python are never freed, nor what they refer to: their
     attributes are cleared.
@@ -28,8 +27,6 @@ def free_memory() -> None:
     global _next
     if not _STATISTICS.exists() or _resident() < _next:
         return
-    for kept in (equation_loop._kept, tracing._recent):
-        kept.clear()
     for thing in gc.get_objects():
         if isinstance(thing, LeafSystem):
             is_drakes = type(thing).__module__.startswith("pydrake")

@@ -17,6 +17,7 @@ from pydrake.systems.framework import Context, Diagram
 from drake_nonstop import Model, ScenarioError, load_scenario, make_nonstop
 from drake_nonstop.diagrams.nonstop import BOXES as BOXES
 from drake_nonstop.mechanics.signals import HELD
+from drake_nonstop.run.metrics import METRICS as METRICS
 from drake_nonstop.scenario.choices import CHOICES as CHOICES
 
 VARIANTS: dict[str, tuple[str, Any]] = {

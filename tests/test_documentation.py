@@ -8,22 +8,16 @@ import shutil
 import subprocess
 from pathlib import Path
 from types import SimpleNamespace
-from typing import get_args
+from typing import get_args, get_type_hints
 
 import numpy as np
 import pytest
 import yaml
+from registries import BOXES, CHOICES, METRICS
 from site_pages import LARGEST_PAGE, MOST_WORDS, faults
 
 import drake_nonstop
-from drake_nonstop import AircraftParameters, RunLimits, Scenario, SceneConfig, SystemParameters
-from drake_nonstop.blocks.reference_governor import ReferenceGovernorConfig
-from drake_nonstop.diagrams.nonstop import BOXES, SIGNALS
-from drake_nonstop.run.metrics import METRICS
-from drake_nonstop.scenario.choices import CHOICES
-from drake_nonstop.scenario.describe import parameters
-from drake_nonstop.scenario.obstacles import Obstacle
-from drake_nonstop.view.replay import Replay
+from drake_nonstop import Scenario, load_scenario, record_replay, simulate
 
 DOCS = Path(__file__).parents[1] / "docs"
 
@@ -62,7 +56,8 @@ def test_every_public_name_is_once_in_the_reference_and_in_its_index():
 
 def test_every_signal_has_its_layout(hooks):
     page = hooks["signals_page"]()
-    for name, layout in SIGNALS.items():
+    signals = {name: layout for box in BOXES.values() for name, layout in box.signals.items()}
+    for name, layout in signals.items():
         section = page.partition(f"## `{name}` ")[2].partition("\n## ")[0]
         assert section
         for part in layout.parts if layout is not None else ():
@@ -89,10 +84,17 @@ def test_the_block_to_start_from_flies_as_the_default(name, box_pages, tmp_path,
     (tmp_path / f"own_{name}.py").write_text(code)
     monkeypatch.syspath_prepend(tmp_path)
     own = importlib.import_module(f"own_{name}").run
-    scenario = drake_nonstop.load_scenario("quintic", ["simulation_duration=0.1"])
-    run = drake_nonstop.simulate(scenario, **{name: BOXES[name].configs[0]()})
+    scenario = load_scenario("quintic", ["simulation_duration=0.1"])
+    run = simulate(scenario, **{name: BOXES[name].configs[0]()})
     assert own.engine.startswith("compiled")
     assert np.array_equal(own.signal("load_state"), run.signal("load_state"))
+
+
+def dataclasses_in(kind):
+    """All dataclasses that a value of a type may have in it."""
+    if dataclasses.is_dataclass(kind):
+        return {kind}.union(*map(dataclasses_in, get_type_hints(kind).values()))
+    return set().union(*map(dataclasses_in, get_args(kind)))
 
 
 def test_every_field_of_a_scenario_has_a_meaning_on_a_page(hooks, box_pages):
@@ -101,13 +103,12 @@ def test_every_field_of_a_scenario_has_a_meaning_on_a_page(hooks, box_pages):
     rows = dict(re.findall(r"(?m)^(\| `\w+` \|.*\|) (.*) \|$", pages))
     places = {name: f"boxes/{name}.md" in box_pages or f"## `{name}" in pages for name in CHOICES}
     assert all(places.values()), places
-    choices = [config for configs in CHOICES.values() for config in configs]
-    parts = SystemParameters, AircraftParameters, RunLimits, SceneConfig, ReferenceGovernorConfig
-    for config in (*choices, *parts, *get_args(Obstacle)):
-        for parameter in parameters(config):
-            found = [row for row in rows if row.startswith(f"| `{parameter.name}` |")]
-            assert found, f"{config.__name__}.{parameter.name}"
-            assert all(rows[row] for row in found), f"{config.__name__}.{parameter.name}"
+    choices = {config for configs in CHOICES.values() for config in configs}
+    for config in choices | dataclasses_in(Scenario) - {Scenario}:
+        for field in dataclasses.fields(config):
+            found = [row for row in rows if row.startswith(f"| `{field.name}` |")]
+            assert found, f"{config.__name__}.{field.name}"
+            assert all(rows[row] for row in found), f"{config.__name__}.{field.name}"
     for field in dataclasses.fields(Scenario):
         assert places.get(field.name) or f"`{field.name}`" in pages, field.name
 
@@ -153,10 +154,11 @@ def test_the_replays_of_the_first_page_and_of_notebooks_share_one_viewer(tmp_pat
         script["without_viewer"]("<script>1</script>")
     (tmp_path / "replays").mkdir()
     notebook = SimpleNamespace(file=SimpleNamespace(src_uri="notebooks/a.ipynb"))
-    frame = Replay(f"<script>{viewer}</script>")._repr_html_()
+    short = ["simulation_duration=0.1", "optimization_layer=ConstantParameters"]
+    frame = record_replay(simulate(load_scenario("line", short)))._repr_html_()
     shown = script["on_post_page"](frame, notebook, {"site_dir": str(tmp_path)})
     (name,) = re.findall(r'src="\.\./(replays/a_\d+\.html)"', shown)
-    assert (tmp_path / name).read_text() == '<script src="viewer.js"></script>'
+    assert '<script src="viewer.js"></script>' in (tmp_path / name).read_text()
     assert "srcdoc" not in shown
 
 

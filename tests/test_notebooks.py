@@ -8,67 +8,59 @@ from pathlib import Path
 
 import pytest
 
-NOTEBOOKS = sorted((Path(__file__).parents[1] / "docs" / "notebooks").glob("*.ipynb"))
-
-
-def test_there_are_notebooks():
-    assert len(NOTEBOOKS) == 5
-
-
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_notebook_has_code_and_no_outputs(path):
-    notebook = json.loads(path.read_text(encoding="utf-8"))
-    cells = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
-    assert cells
-    for cell in cells:
-        assert not cell["outputs"], "commit it without outputs"
-        assert cell["execution_count"] is None
-        # Lines for IPython alone, such as %matplotlib, are no Python.
-        lines = "".join(cell["source"]).splitlines()
-        code = [line for line in lines if not line.startswith(("%", "!"))]
-        compile("\n".join(code), path.name, "exec")
-
-
+ROOT = Path(__file__).parents[1]
+NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
 # What packages are called where they are installed: of modules, and of what public names import.
 PACKAGES = {
     "IPython": "ipykernel",
     "griffe": "mkdocstrings",
-    "make_gym_env": "gymnasium",
-    "make_gym_vec_env": "gymnasium",
     "pydrake": "drake",
     "yaml": "pyyaml",
+    **dict.fromkeys(["make_gym_env", "make_gym_vec_env"], "gymnasium"),
 }
 
 
+def cells_of(path):
+    cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+    return [cell for cell in cells if cell["cell_type"] == "code"]
+
+
 def code_of(path):
+    """Its code without lines for IPython alone, such as %matplotlib."""
     if path.suffix == ".py":
         return path.read_text(encoding="utf-8")
-    cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
-    lines = "\n".join("".join(c["source"]) for c in cells if c["cell_type"] == "code").splitlines()
-    return "\n".join(line for line in lines if not line.startswith(("%", "!")))
+    return re.sub(r"(?m)^[%!].*", "", "\n".join("".join(c["source"]) for c in cells_of(path)))
+
+
+def test_notebooks_have_code_and_no_outputs():
+    assert len(NOTEBOOKS) == 5
+    for path in NOTEBOOKS:
+        compile(code_of(path), path.name, "exec")
+        cells = cells_of(path)
+        assert cells
+        assert not any(c["outputs"] or c["execution_count"] for c in cells), "commit it without"
 
 
 def needed_by(path):
     """The packages that a notebook or a script imports, but for Python's own and this one."""
     for node in ast.walk(ast.parse(code_of(path))):
-        if isinstance(node, ast.Import):
-            modules = [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom):
-            modules = [node.module, *(a.name for a in node.names if a.name in PACKAGES)]
-        else:
+        names = [alias.name for alias in getattr(node, "names", [])]
+        if isinstance(node, ast.ImportFrom):
+            names = [node.module, *(name for name in names if name in PACKAGES)]
+        elif not isinstance(node, ast.Import):
             continue
-        roots = {module.partition(".")[0] for module in modules}
+        roots = {name.partition(".")[0] for name in names}
         yield from (PACKAGES.get(r, r) for r in roots - sys.stdlib_module_names - {"drake_nonstop"})
 
 
 def test_the_extra_of_the_documentation_has_what_its_code_imports():
     """A clean environment has nothing else; that of the tests has all."""
-    text = (Path(__file__).parents[1] / "pyproject.toml").read_text(encoding="utf-8")
+    text = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
     lists = dict(re.findall(r"(?m)^(\w+) = \[(.*)\]", text))
     (others,) = re.findall(r"drake-nonstop\[([\w,]+)\]", lists["docs"])
-    required = [lists[name] for name in ("dependencies", "docs", *others.split(","))]
-    named = {re.match(r"[\w-]+", r)[0] for text in required for r in re.findall(r'"(.*?)"', text)}
-    scripts = sorted((Path(__file__).parents[1] / "docs").glob("*.py"))
+    required = "".join(lists[name] for name in ("dependencies", "docs", *others.split(",")))
+    named = {re.match(r"[\w-]+", each)[0] for each in re.findall(r'"(.*?)"', required)}
+    scripts = sorted((ROOT / "docs").glob("*.py"))
     assert scripts
     for path in (*NOTEBOOKS, *scripts):
         assert {*needed_by(path)} <= named, path.name
@@ -77,11 +69,8 @@ def test_the_extra_of_the_documentation_has_what_its_code_imports():
 @pytest.mark.nightly("examples")
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_notebook_runs(path, tmp_path):
-    nbclient = pytest.importorskip("nbclient")
-    nbformat = pytest.importorskip("nbformat")
-    pytest.importorskip("ipykernel")
+    nbclient, nbformat = map(pytest.importorskip, ("nbclient", "nbformat"))
     notebook = nbformat.read(path, as_version=4)
     place = {"metadata": {"path": str(tmp_path)}}
-    client = nbclient.NotebookClient(notebook, timeout=170, kernel_name="python3", resources=place)
-    client.execute()
+    nbclient.NotebookClient(notebook, timeout=170, resources=place).execute()
     assert any(cell.get("outputs") for cell in notebook.cells)

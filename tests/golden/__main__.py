@@ -55,17 +55,13 @@ def main() -> int:
     unknown = set(options.flights) - set(flights())
     if unknown:
         parser.error(f"{', '.join(sorted(unknown))}: give some of {', '.join(flights())}")
-    table = read_table()
-    chosen = options.flights or flights()
+    table, chosen = read_table(), options.flights or flights()
     count = 0
-    context = multiprocessing.get_context("fork")
-    with ProcessPoolExecutor(2, context) as pool:
+    with ProcessPoolExecutor(2, multiprocessing.get_context("fork")) as pool:
         found = pool.map(renewed, chosen, [table.get(name, {}) for name in chosen])
-        for name, (numbers, different) in zip(chosen, found, strict=True):
-            table[name] = numbers
+        for name, (table[name], different) in zip(chosen, found, strict=True):
             count += len(different)
-            for sentence in different.values():
-                print(f"{name}: {sentence}", flush=True)
+            print(*(f"{name}: {sentence}\n" for sentence in different.values()), sep="", end="")
     if not options.check:
         write_table(table)
     print(f"{count} numbers of {len(chosen)} flights {'differ' if options.check else 'written'}")

@@ -8,20 +8,19 @@ of a flight on another machine, and no more.
 import copy
 import csv
 import functools
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
 from fleet import FLEET, Fleet, flown, scenario_of
+from registries import METRICS
 
 from drake_nonstop import Run, Scenario, compute_metrics, load_scenario
-from drake_nonstop.run.metrics import METRICS, flattened
 
 HERE = Path(__file__).parent
 TABLE = HERE / "numbers.csv"
-DRAWN_LOOPS = HERE / "drawn_loops.yaml"  # name: [scenario, [override, ...]]
 LEAST_TOLERANCE = 1e-12
 FACTOR = 100.0
 MOVED = 2.0**-51  # of the load's mass
@@ -38,7 +37,7 @@ FEW_METRICS = (
     *("load.position_error_max_m", "carriers.speed_min_m_s", "carriers.separation_min_m"),
     "cables.tension_min_N",
 )
-_UNSTEADY = {metric.path for metric in METRICS if metric.is_wall_time}
+UNSTEADY = {metric.path for metric in METRICS if metric.is_wall_time}
 
 Numbers = dict[str, float | str]  # by their quantities; the outcome is a word
 
@@ -62,7 +61,7 @@ Table = dict[str, dict[str, Golden]]  # by flights and quantities
 @functools.cache
 def drawn_loops() -> dict[str, tuple[str, list[str]]]:
     """The drawn loops: names to a scenario and its overrides."""
-    return yaml.safe_load(DRAWN_LOOPS.read_text(encoding="utf-8"))
+    return yaml.safe_load((HERE / "drawn_loops.yaml").read_text(encoding="utf-8"))
 
 
 def flights() -> list[str]:
@@ -77,12 +76,7 @@ def golden_scenario(name: str) -> Scenario:
 
 def numbers_of_flight(name: str, fleet: Fleet) -> Numbers:
     """The numbers of a golden flight, flown by the fastest engine."""
-    return numbers_of(*fleet.evaluated(golden_scenario(name)), _few_of(name))
-
-
-def _few_of(name: str) -> tuple[str, ...] | None:
-    """Which metrics of a flight count; None: all."""
-    return None if name in FLEET else FEW_METRICS
+    return numbers_of(name, *fleet.evaluated(golden_scenario(name)))
 
 
 def moved_numbers(name: str, share: float) -> Numbers:
@@ -92,26 +86,34 @@ def moved_numbers(name: str, share: float) -> Numbers:
         if masses.load_mass is not None:
             masses.load_mass *= 1.0 + share
     run = flown(scenario)
-    return numbers_of(run, compute_metrics(run), _few_of(name))
+    return numbers_of(name, run, compute_metrics(run))
 
 
-def numbers_of(run: Run, metrics: dict, few: tuple[str, ...] | None = None) -> Numbers:
-    """The numbers of a run, with some of its metrics or all."""
+def numbers_of(name: str, run: Run, metrics: dict[str, Any]) -> Numbers:
+    """The numbers of a run of a golden flight."""
     engine = run.engine.partition(":")[0]
     numbers: Numbers = {"outcome": str(metrics["outcome"]), "engine": engine}
-    last = len(run.time) - 1
-    names = {name.partition(".")[2] for name in run.signals}
+    names = {signal.partition(".")[2] for signal in run.signals}
     for share, chosen in ((1 / 3, OF_THE_WAY), (2 / 3, OF_THE_WAY), (1, OF_THE_WAY + AT_THE_END)):
-        row = round(share * last)
+        row = round(share * (len(run.time) - 1))
         for signal in chosen:
             if signal in names:
                 values = run.signal(signal)[row]
                 numbers[f"{signal} at {run.time[row]:.2f} s"] = weighted_sum(values)
-    for path, value in flattened(metrics).items():
+    for path, value in leaves(metrics):
         is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
-        if is_number and path not in _UNSTEADY and (few is None or path in few):
+        if is_number and path not in UNSTEADY and (name in FLEET or path in FEW_METRICS):
             numbers[path] = float(value)
     return numbers
+
+
+def leaves(tree: dict[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
+    """The paths and values of nested dicts."""
+    for key, value in tree.items():
+        if isinstance(value, dict):
+            yield from leaves(value, f"{before}{key}.")
+        else:
+            yield f"{before}{key}", value
 
 
 def weighted_sum(values: np.ndarray) -> float:
@@ -123,22 +125,19 @@ def tolerances(numbers: Numbers, moved: list[Numbers]) -> dict[str, Golden]:
     """Golden numbers, from the flights whose load is a little heavier or lighter.
 
     Raises:
-        ValueError: the outcome hangs on the last digit, or other quantities are there.
+        ValueError: the outcome, or whether there is a number, hangs on the last digit.
     """
     found = {}
-    for other in moved:
-        if other.keys() != numbers.keys():
-            changed = sorted(other.keys() ^ numbers.keys())
-            raise ValueError(f"{changed[0]}: it comes or goes with the load's last digit")
-    for quantity, value in numbers.items():
-        if isinstance(value, str):
-            if any(other[quantity] != value for other in moved):
-                raise ValueError(f"{quantity} = {value}: it hangs on the load's last digit")
-            found[quantity] = Golden(value)
-            continue
-        changes = [abs(float(other[quantity]) - value) for other in moved]
-        least = LEAST_TOLERANCE * max(1.0, abs(value))
-        found[quantity] = Golden(value, float(f"{max(FACTOR * max(changes), least):.1e}"))
+    for quantity in {**numbers, **moved[0], **moved[1]}:
+        values = [each.get(quantity) for each in (numbers, *moved)]
+        value, is_word = values[0], isinstance(values[0], str)
+        if None in values or (is_word and {*values} != {value}):
+            raise ValueError(f"{quantity} = {value}: it hangs on the load's last digit")
+        found[quantity] = Golden(value)
+        if not is_word:
+            least = LEAST_TOLERANCE * max(1.0, abs(value))
+            change = max(abs(other - value) for other in values)
+            found[quantity] = Golden(value, float(f"{max(FACTOR * change, least):.1e}"))
     return found
 
 
@@ -160,14 +159,10 @@ def differences(golden: Mapping[str, Golden], numbers: Numbers) -> dict[str, str
 def read_table(path: Path = TABLE) -> Table:
     """The golden numbers as they are kept."""
     table: Table = {}
-    if not path.exists():
-        return table
     with path.open(encoding="utf-8", newline="") as file:
-        for row in csv.DictReader(file):
-            number = Golden(row["value"])
-            if row["tolerance"]:
-                number = Golden(float(row["value"]), float(row["tolerance"]))
-            table.setdefault(row["flight"], {})[row["quantity"]] = number
+        for flight, quantity, value, tolerance in [*csv.reader(file)][1:]:
+            number = Golden(float(value), float(tolerance)) if tolerance else Golden(value)
+            table.setdefault(flight, {})[quantity] = number
     return table
 
 
@@ -179,5 +174,5 @@ def write_table(table: Table, path: Path = TABLE) -> None:
         for flight in flights():
             for quantity, (value, tolerance) in table.get(flight, {}).items():
                 is_word = isinstance(value, str)
-                shown = value if is_word else repr(value)
-                writer.writerow([flight, quantity, shown, "" if is_word else f"{tolerance:.1e}"])
+                shown = (value, "") if is_word else (repr(value), f"{tolerance:.1e}")
+                writer.writerow([flight, quantity, *shown])
