@@ -130,8 +130,7 @@ def run_into(
                 raise KeyboardInterrupt
             with TaskProgress() as task:
                 show = no_progress if is_quiet else task
-                options: dict[str, Any] = {"progress": show, "may_fork": not is_live}
-                write_pictures(run, place, figures=figures, replay=replay, **options)
+                write_pictures(run, place, figures=figures, replay=replay, progress=show)
         except KeyboardInterrupt:
             missing = ", without all pictures"
         except Exception as error:  # what was flown is kept

@@ -52,7 +52,8 @@ def require_writable(
     folder = as_path(folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        remove_unfinished(folder)
+        for left in folder.glob(f"{_NEW}*"):
+            shutil.rmtree(left, ignore_errors=True)
         with tempfile.TemporaryFile(dir=folder):
             pass
         for item in map(Path, contents):
@@ -127,12 +128,6 @@ def replacing_files(folder: Path, contents: Iterable[str]) -> Iterator[Path]:
     except OSError as error:
         remedy = f"give a folder with room to write to ({error.strerror or error})"
         raise ScenarioError(f"--out = {folder}: {remedy}") from None
-
-
-def remove_unfinished(folder: Path) -> None:
-    """Removes what processes that were killed were writing to a folder."""
-    for left in folder.glob(f"{_NEW}*"):
-        shutil.rmtree(left, ignore_errors=True)
 
 
 def write_json(path: Path, data: Any) -> None:

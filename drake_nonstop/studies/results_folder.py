@@ -1,14 +1,6 @@
 """The folder with the results of one run."""
 
-import contextlib
 import json
-import os
-import signal
-import sys
-import threading
-from collections.abc import Callable, Sequence
-from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -17,14 +9,8 @@ from drake_nonstop.run.outcome import RunOutcome
 from drake_nonstop.run.run import Run
 from drake_nonstop.run.stored_run import SCENARIO, SIGNALS, write_signals
 from drake_nonstop.scenario.loading import dump_scenario
-from drake_nonstop.studies.files import (
-    as_path,
-    remove_unfinished,
-    replacing_files,
-    require_writable,
-    write_json,
-)
-from drake_nonstop.studies.workers import Progress, end_with_parent, no_progress
+from drake_nonstop.studies.files import as_path, replacing_files, require_writable, write_json
+from drake_nonstop.studies.workers import Progress, no_progress
 from drake_nonstop.validation import require, require_flags
 from drake_nonstop.view.drawing import draw_diagram
 from drake_nonstop.view.figure_style import FORMATS
@@ -95,50 +81,15 @@ def write_pictures(
     figures: bool | str = True,
     replay: bool = True,
     progress: Progress = no_progress,
-    may_fork: bool = False,
 ) -> None:
     """Writes diagram.svg, replay.html and figures/, each of which appears once it is complete.
 
-    `figures` is as of `write_results`. With `may_fork`, for a process without threads that may
-    hold a lock, a fork draws most of the figures meanwhile.
+    `figures` is as of `write_results`.
     """
     folder = as_path(folder)
-    others = [_DIAGRAM, _REPLAY] if replay else [_DIAGRAM]
     kind = figures if isinstance(figures, str) else FORMATS[0]
-    drawn = [f"figures/{name}.{kind}" for name in figure_names(run)] if figures else []
-    write = partial(_write_each, run, folder)
-    if not (drawn and may_fork and sys.platform == "linux" and len(os.sched_getaffinity(0)) > 1):
-        write([*others, *drawn], progress)
-        return
-    import matplotlib.figure  # noqa: F401 - once, for both processes
-
-    own, most = drawn[: len(drawn) // 4], drawn[len(drawn) // 4 :]
-    fork = get_context("fork").Process(target=_draw, args=(write, most), daemon=True)
-    fork.start()
-    try:
-        write([*others, *own], progress)
-        fork.join()
-    finally:
-        fork.kill()
-        fork.join()
-        remove_unfinished(folder)
-    if fork.exitcode:
-        write(most, progress)  # this process tells why
-
-
-def _draw(write: Callable[[Sequence[str]], None], items: Sequence[str]) -> None:
-    """Writes pictures in a fork, which Ctrl-C does not reach and which ends with its parent."""
-    signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM, signal.SIGHUP))
-    threading.Thread(target=end_with_parent, daemon=True).start()
-    with contextlib.suppress(BaseException):
-        write(items)
-        os._exit(0)
-    os._exit(1)
-
-
-def _write_each(
-    run: Run, folder: Path, items: Sequence[str], progress: Progress = no_progress
-) -> None:
+    items = [_DIAGRAM, _REPLAY] if replay else [_DIAGRAM]
+    items += [f"figures/{name}.{kind}" for name in figure_names(run)] if figures else []
     for k, item in enumerate(items):
         progress("writing", k / len(items))
         with replacing_files(folder, [item]) as new:

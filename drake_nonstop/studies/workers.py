@@ -195,11 +195,11 @@ def _begin() -> None:
     """Prepares a worker, which ends with its parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
     warnings.showwarning = show_warning
-    threading.Thread(target=end_with_parent, daemon=True).start()
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     gc.freeze()  # the collector need not look at what the imports made
 
 
-def end_with_parent() -> None:
+def _end_with_parent() -> None:
     """Waits for the end of this process's parent, and then ends this one."""
     parent = parent_process()
     if parent is not None:

@@ -10,7 +10,6 @@ import random
 import signal
 import subprocess
 import sys
-import threading
 import time
 import types
 from multiprocessing import forkserver
@@ -114,6 +113,15 @@ def begun(folder, arguments):
     return process
 
 
+def ended(process):
+    """The exit code and errors of a command that ends soon, and leaves no process."""
+    start = time.monotonic()
+    _, error = process.communicate(timeout=60)
+    assert time.monotonic() - start < ENDS_WITHIN * load_factor()
+    wait_until(lambda: not session(process.pid))
+    return process.returncode, error
+
+
 def journalled(folder):
     """The whole lines of a journal, each of which can be read."""
     path = folder / "journal.jsonl"
@@ -136,12 +144,9 @@ def test_any_study_ends_by_ctrl_c_at_any_time(tmp_path, number):
     for _ in range(times):
         send(process.pid, signal.SIGINT)
         time.sleep(second)
-    start = time.monotonic()
-    _, error = process.communicate(timeout=60)
-    assert time.monotonic() - start < ENDS_WITHIN * load_factor(), drawn
-    assert process.returncode == 130, drawn
+    code, error = ended(process)
+    assert code == 130, drawn
     assert "Traceback" not in error, drawn
-    wait_until(lambda: not session(process.pid))
     done = len(journalled(tmp_path / "out")) - 1
     assert (f"interrupted: {done} runs are in out" in error) == (done > 0), drawn
 
@@ -158,15 +163,12 @@ def test_a_block_that_never_returns_keeps_no_process(
     process = begun(tmp_path, ["ablate", "line", *swap, "--set", *SHORT, FAULTY])
     wait_until(lambda: len(journalled(tmp_path / "out")) == 2, 60)  # the unchanged scenario
     process.send_signal(sign)
-    start = time.monotonic()
-    _, error = process.communicate(timeout=60)
-    assert time.monotonic() - start < ENDS_WITHIN * load_factor()
-    assert process.returncode == code
+    found, error = ended(process)
+    assert found == code
     if sign != signal.SIGKILL:
         assert "1 runs are in out; the same call continues from there" in error
     assert len(journalled(tmp_path / "out")) == 2
     assert (tmp_path / "out" / "as_it_is" / "metrics.json").exists()
-    wait_until(lambda: not session(process.pid))
 
 
 @pytest.mark.nightly("processes")
@@ -184,40 +186,23 @@ def test_an_interrupt_leaves_no_process_behind_where_python_goes_on(tmp_path, fa
     wait_until(lambda: not {*left} & {process for process, *_ in processes()})
 
 
-class Killer:
-    """Kills workers, and now and then the process that they are forked from, at drawn times."""
-
-    def __init__(self, seed, count=4):
-        self.kills, self._draw, self._count = 0, random.Random(seed), count
-        self._thread, self._is_over = threading.Thread(target=self._kill), threading.Event()
-
-    def __enter__(self):
-        self._thread.start()
-        return self
-
-    def __exit__(self, *error):
-        self._is_over.set()
-        self._thread.join()
-
-    def _kill(self):
-        while self.kills < self._count and not self._is_over.wait(self._draw.uniform(0, 0.4)):
-            server = forkserver._forkserver._forkserver_pid
-            victims = workers() if server else []
-            if len(victims) < 2:  # a call that is repeated
-                continue
-            victim = server if self._draw.random() < 0.2 else self._draw.choice(victims)
-            with contextlib.suppress(ProcessLookupError):
-                os.kill(victim, signal.SIGKILL)
-                self.kills += 1
-
-
 @pytest.mark.nightly("processes")
 def test_killed_workers_cost_no_run(tmp_path, scenario):
+    """Also where the process is killed that they are forked from."""
+    draw, kills = random.Random(SEED), []
+
+    def kill(what, share):
+        victims = workers()
+        if len(victims) > 1 and len(kills) < 4:  # else a call is repeated
+            server = forkserver._forkserver._forkserver_pid
+            kills.append(server if len(kills) == 1 else draw.choice(victims))
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(kills[-1], signal.SIGKILL)
+
     factors = {MASS: [1 + k / 100 for k in range(48)]}
     whole = study(scenario, factors, executor=SerialExecutor()).table
-    with Killer(SEED) as killer:
-        table = study(scenario, factors, folder=tmp_path / "killed").table
-    assert killer.kills > 0
+    table = study(scenario, factors, folder=tmp_path / "killed", progress=kill).table
+    assert kills
     assert (table["ending"] == "completed").all()
     errors = "load.position_error_mean_m"
     assert table[errors].tolist() == whole[errors].tolist()
@@ -238,14 +223,21 @@ def test_nothing_is_lost_by_a_kill_of_the_command(tmp_path):
     process = begun(tmp_path, call)
     wait_until(lambda: len(journalled(tmp_path / "out")) >= 20, 60)
     process.kill()
-    process.communicate(timeout=60)
+    ended(process)
     kept = journalled(tmp_path / "out")
-    wait_until(lambda: not session(process.pid))
     again = begun(tmp_path, call)
     again.communicate(timeout=120)
     assert again.returncode == 0
     assert journalled(tmp_path / "out")[: len(kept)] == kept
     assert len(journalled(tmp_path / "out")) == 301
+
+
+def run_script(folder, faulty_blocks, *call, **given):
+    """What a script prints, in a process that can import the blocks."""
+    path = os.pathsep.join([*sys.path, str(faulty_blocks)])
+    environment = given.pop("env", os.environ) | {"PYTHONPATH": path}
+    about = {"capture_output": True, "text": True, "timeout": 120, "cwd": folder}
+    return subprocess.run([sys.executable, *call], env=environment, **about, **given)
 
 
 @pytest.mark.parametrize("is_file", [True, False])
@@ -254,15 +246,8 @@ def test_a_script_that_processes_cannot_import_is_told_so(tmp_path, faulty_block
     """They would run it again, and end as they start; nothing is kept of that."""
     script = tmp_path / "study.py"
     script.write_text(SCRIPT)
-    done = subprocess.run(
-        [sys.executable, script if is_file else "-"],
-        input=None if is_file else SCRIPT,
-        cwd=tmp_path,
-        env=os.environ | {"PYTHONPATH": os.pathsep.join([*sys.path, str(faulty_blocks)])},
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
+    call = [script] if is_file else ["-"]
+    done = run_script(tmp_path, faulty_blocks, *call, input=None if is_file else SCRIPT)
     assert done.returncode == 1
     assert done.stderr.count("Traceback") == 1
     last = done.stderr.strip().splitlines()[-1]
@@ -282,13 +267,9 @@ def test_a_main_module_without_its_file_is_refused(scenario, monkeypatch):
 @pytest.mark.slow
 @pytest.mark.parametrize("asked", [None, "2"])
 def test_workers_have_one_thread_for_linear_algebra_unless_asked(tmp_path, faulty_blocks, asked):
-    script = tmp_path / "script.py"
     body = "".join(f"    {line}\n" for line in SCRIPT.splitlines())
-    script.write_text(f"if __name__ == '__main__':\n{body}")
-    names = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")
-    given = {k: v for k, v in os.environ.items() if k not in names}
+    (tmp_path / "script.py").write_text(f"if __name__ == '__main__':\n{body}")
+    given = {name: value for name, value in os.environ.items() if "_NUM_THREADS" not in name}
     given |= {"OPENBLAS_NUM_THREADS": asked} if asked else {}
-    given["PYTHONPATH"] = os.pathsep.join([*sys.path, str(faulty_blocks)])
-    about = {"capture_output": True, "text": True, "timeout": 120, "cwd": tmp_path}
-    done = subprocess.run([sys.executable, str(script)], env=given, **about)
+    done = run_script(tmp_path, faulty_blocks, "script.py", env=given)
     assert f"threads: {asked or 1}\n" in done.stdout, done.stderr

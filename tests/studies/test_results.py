@@ -2,12 +2,11 @@
 
 import errno
 import functools
-import io
 import json
 import os
 import re
 import shutil
-import sys
+import signal
 import tempfile
 import time
 
@@ -200,54 +199,17 @@ def test_what_is_there_stays_whatever_ends_the_study(flown, tmp_path, faulty_blo
     assert not new.exists()
 
 
-@pytest.fixture
-def drawn(monkeypatch, tmp_path):
-    """Runs the command where figures are drawn by a function of the process."""
-    monkeypatch.setattr(os, "sched_getaffinity", lambda process: {0, 1})
-    whole = FigureCanvasAgg.print_png
+def test_an_interrupt_while_pictures_are_drawn_keeps_all_else(tmp_path, monkeypatch, capsys):
+    def interrupted(*_, **__):
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(1)
 
-    def call(content):
-        def print_png(self, file, **options):
-            whole(self, io.BytesIO(), **options)
-            file.write(str(content(os.getpid())).encode())
-
-        monkeypatch.setattr(FigureCanvasAgg, "print_png", print_png)
-        code = main(["run", "line", "--out", str(tmp_path), "--set", *SHORT])
-        return code, {path.name: path.read_text() for path in (tmp_path / "figures").glob("*.png")}
-
-    return call
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="no other system forks")
-def test_a_fork_draws_figures_and_this_process_those_that_it_does_not(drawn):
-    own = os.getpid()
-    code, pids = drawn(lambda pid: pid)
-    assert code == 0
-    assert len({*pids.values()}) == 2
-    assert 0 < [*pids.values()].count(str(own)) < len(pids) / 2
-
-    def content(pid):
-        if pid != own:
-            raise MemoryError
-        return own
-
-    assert {*drawn(content)[1].values()} == {str(own)}
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="no other system forks")
-def test_an_interrupt_ends_the_fork_and_leaves_nothing_half_written(drawn, tmp_path, capsys):
-    own, start = os.getpid(), time.monotonic()
-
-    def content(pid):
-        if pid != own:
-            time.sleep(60)
-        time.sleep(0.3)
-        raise KeyboardInterrupt
-
-    assert drawn(content) == (1, {})
-    assert "without all pictures" in capsys.readouterr().err
-    assert not [*tmp_path.glob(".new-*")]
-    assert time.monotonic() - start < 30
+    monkeypatch.setattr(FigureCanvasAgg, "print_png", interrupted)
+    assert main(["run", "line", "--out", str(tmp_path), "--set", *SHORT]) == 130
+    assert "interrupted: the results are in " in (told := capsys.readouterr().err)
+    assert "without all pictures" in told
+    written = {path.name for path in tmp_path.iterdir()}
+    assert written == DATA | {"diagram.svg", "replay.html"}  # and nothing half written
 
 
 def test_a_full_disk_at_the_end_keeps_the_results_elsewhere(tmp_path, monkeypatch, capsys):

@@ -434,14 +434,6 @@ def test_each_error_of_robustness_makes_a_scenario_that_is_another(name, changes
     assert ("FilteredFeedbackConfig" in feedback) == bool(changes)
 
 
-@pytest.mark.nightly("studies")
-def test_robustness(scenario, tmp_path):
-    table = robustness(scenario, tmp_path).table
-    assert (table["ending"] == "completed").all()
-    errors = table[ERROR]
-    assert errors[table["error"] == "load mass +20 %"].iloc[0] > errors[0]
-
-
 @pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
 def test_the_commands(written, tmp_path, capsys):

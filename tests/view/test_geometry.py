@@ -22,61 +22,65 @@ UPRIGHT = np.array([1.0, *np.zeros(12)])
 
 
 def described(attachments):
-    return Scenario(
-        system=SystemParameters(attachments=np.asarray(attachments).tolist(), cable_length=CABLE)
-    )
+    points = np.asarray(attachments).tolist()
+    return Scenario(system=SystemParameters(attachments=points, cable_length=CABLE))
 
 
-def states(attachments, seed=0, stretch=1.0):
-    """Random states of a load and of carriers at that many cable lengths from it."""
-    rng = np.random.default_rng(seed)
-    load = rng.normal(size=13)
-    p_WA = attachments @ rotation(load[:4]).T + load[4:7]
-    away = rng.normal(size=p_WA.shape)
-    away *= stretch * CABLE / np.linalg.norm(away, axis=1, keepdims=True)
-    return load, CarrierStates(p_WA + away, rng.normal(size=p_WA.shape)).flat()
+def ports(**values):
+    """A system with output ports of these names and values."""
+    builder = DiagramBuilder()
+    for name, value in values.items():
+        source = builder.AddSystem(ConstantVectorSource(value))
+        builder.ExportOutput(source.get_output_port(), name)
+    diagram = builder.Build()
+    diagram.set_name("loop")
+    return diagram
 
 
-class Loop:
-    """Something with the ports of a loop that holds any values, in a diagram with its geometry."""
+class Shown:
+    """The geometry of a scenario whose loop has these signals."""
 
-    def __init__(self, attachments, **options):
+    def __init__(self, scenario, signals, **options):
         builder = DiagramBuilder()
         self.scene_graph = builder.AddSystem(SceneGraph())
-        loop = builder.AddNamedSystem(
-            "loop", _ports(load_state=UPRIGHT, carrier_state=np.zeros(6 * len(attachments)))
-        )
-        scenario = described(attachments)
+        loop = builder.AddSystem(ports(**signals))
         self.geometry = AddGeometry(builder, loop, self.scene_graph, scenario, **options)
-        self._sources = loop.GetSystems()
-        self.context = builder.Build().CreateDefaultContext()
-
-    def set(self, load_state, carrier_state):
-        for source, value in zip(self._sources, (load_state, carrier_state), strict=True):
-            context = source.GetMyMutableContextFromRoot(self.context)
-            source.get_mutable_source_value(context).set_value(value)
-
-    def query(self):
-        port = self.scene_graph.get_query_output_port()
-        return port.Eval(self.scene_graph.GetMyContextFromRoot(self.context))
+        context = builder.Build().CreateDefaultContext()
+        own = self.scene_graph.GetMyContextFromRoot(context)
+        self.query = self.scene_graph.get_query_output_port().Eval(own)
 
     def pose(self, frame):
-        return self.query().GetPoseInWorld(frame)
+        return self.query.GetPoseInWorld(frame)
 
-    def solid(self, frame):
-        """The only shape of the frame that collides."""
+    def pairs(self):
+        """The names of the frames that collide, and how deep, in m."""
         inspector = self.scene_graph.model_inspector()
-        (found,) = inspector.GetGeometries(frame, Role.kProximity)
-        return found
+        return [
+            (
+                *(inspector.GetName(inspector.GetFrameId(k)) for k in (pair.id_A, pair.id_B)),
+                pair.depth,
+            )
+            for pair in self.query.ComputePointPairPenetration()
+        ]
+
+
+def states(attachments, seed=0):
+    """Random states of a load and of carriers at a cable's length from it."""
+    rng = np.random.default_rng(seed)
+    load = rng.normal(size=13)
+    away = rng.normal(size=attachments.shape)
+    away *= CABLE / np.linalg.norm(away, axis=1, keepdims=True)
+    positions = attachments @ rotation(load[:4]).T + load[4:7] + away
+    carriers = CarrierStates(positions, rng.normal(size=away.shape)).flat()
+    return {"load_state": load, "carrier_state": carriers}
 
 
 @pytest.mark.parametrize("attachments", [irregular(3), spatial(7)])
 def test_poses_are_those_of_the_states(attachments):
-    made = Loop(attachments)
     for seed in range(5):
-        load, carriers = states(attachments, seed)
-        made.set(load, carriers)
-        pose, parts = Pose.view(load), CarrierStates.view(carriers)
+        signals = states(attachments, seed)
+        made = Shown(described(attachments), signals)
+        pose, parts = Pose.view(signals["load_state"]), CarrierStates.view(signals["carrier_state"])
         X_WL = RigidTransform(RotationMatrix(rotation(pose.quaternion)), pose.position)
         assert made.pose(made.geometry.load_frame).IsNearlyEqualTo(X_WL, 1e-12)
         for i, frame in enumerate(made.geometry.carrier_frames):
@@ -86,9 +90,8 @@ def test_poses_are_those_of_the_states(attachments):
             speed = np.linalg.norm(parts.velocities[i])
             np.testing.assert_allclose(speed * nose, parts.velocities[i], atol=1e-12)
             assert top @ (end - start) > 0
-            for half, (near, far) in zip(
-                made.geometry.cable_frames[i], ((start, end), (end, start)), strict=True
-            ):
+            ends = (start, end), (end, start)
+            for half, (near, far) in zip(made.geometry.cable_frames[i], ends, strict=True):
                 along = made.pose(half).rotation().matrix()[:, 2] * np.linalg.norm(far - near)
                 np.testing.assert_allclose(made.pose(half).translation(), near, atol=1e-12)
                 np.testing.assert_allclose(along, far - near, atol=1e-12)
@@ -96,29 +99,21 @@ def test_poses_are_those_of_the_states(attachments):
 
 def test_only_bodies_that_meet_collide():
     attachments = 0.4 * irregular(4)
-    made = Loop(attachments)
     above = attachments + np.array([0, 0, CABLE])
-    made.set(UPRIGHT, [*above.ravel(), *np.ones(12)])
-    assert made.query().ComputePointPairPenetration() == []
+
+    def pairs():
+        state = np.concatenate([above.ravel(), np.ones(12)])
+        signals = {"load_state": UPRIGHT, "carrier_state": state}
+        return Shown(described(attachments), signals).pairs()
+
+    assert pairs() == []
     above[[0, 1]] = above[[1, 0]]  # cables 0 and 1 cross
-    made.set(UPRIGHT, [*above.ravel(), *np.ones(12)])
-    inspector = made.scene_graph.model_inspector()
-    names = [
-        {inspector.GetName(inspector.GetFrameId(each)) for each in (pair.id_A, pair.id_B)}
-        for pair in made.query().ComputePointPairPenetration()
-    ]
-    assert names
-    assert all(any("cables::0" in name for name in pair) for pair in names)
-    assert all(any("cables::1" in name for name in pair) for pair in names)
+    found = pairs()
+    assert found
+    assert all("cables::0" in a + b and "cables::1" in a + b for a, b, _ in found)
     above[1] = above[0] + [0.05, 0, 0]  # and carriers 0 and 1 meet
-    made.set(UPRIGHT, [*above.ravel(), *np.ones(12)])
-    ids = {made.solid(frame) for frame in made.geometry.carrier_frames[:2]}
+    (depth,) = (depth for a, b, depth in pairs() if "carriers" in a and "carriers" in b)
     radius = 0.1 * (CABLE + np.linalg.norm(attachments, axis=1).max())
-    (depth,) = [
-        pair.depth
-        for pair in made.query().ComputePointPairPenetration()
-        if {pair.id_A, pair.id_B} == ids
-    ]
     assert depth == pytest.approx(2 * radius - 0.05, abs=1e-12)
 
 
@@ -147,10 +142,9 @@ def test_poses_are_those_of_a_loop_and_of_floats_only(convert):
     np.testing.assert_allclose(found, carriers.positions)
 
 
-CORNERS = np.array([(0.7, 0.1, 0.2), (-0.6, 0.4, 0.2), (-0.2, -0.7, 0.1)])
 FRAMES = "".join(
-    f'<frame name="f{k}" attached_to="crate"><pose>{x} {y} {z} 0 0 0</pose></frame>'
-    for k, (x, y, z) in enumerate(CORNERS)
+    f'<frame name="f{k}" attached_to="crate"><pose>{point} 0 0 0</pose></frame>'
+    for k, point in enumerate(["0.7 0.1 0.2", "-0.6 0.4 0.2", "-0.2 -0.7 0.1"])
 )
 SDF = f"""<sdf version="1.7"><model name="load"><link name="crate"><inertial><mass>1.2</mass>
 <pose>0.1 0 0.05 0 0 0</pose>
@@ -165,11 +159,9 @@ SDF = f"""<sdf version="1.7"><model name="load"><link name="crate"><inertial><ma
 def shapes(query, scene_graph, frame, role):
     """The shapes of a frame, and their poses in W."""
     inspector = scene_graph.model_inspector()
-    found = [
-        (str(inspector.GetShape(each)), query.GetPoseInWorld(each).GetAsMatrix34())
-        for each in inspector.GetGeometries(frame, role)
-    ]
-    return zip(*found, strict=True)
+    found = inspector.GetGeometries(frame, role)
+    poses = [query.GetPoseInWorld(each).GetAsMatrix34() for each in found]
+    return [str(inspector.GetShape(each)) for each in found], poses
 
 
 def test_a_load_from_a_file_has_the_files_shapes_where_a_plant_has_them(tmp_path):
@@ -177,45 +169,34 @@ def test_a_load_from_a_file_has_the_files_shapes_where_a_plant_has_them(tmp_path
     path.write_text(SDF)
     file = [f"system.load_file={path}", "system.attachment_frames=[f0, f1, f2]"]
     attachments = np.array(load_scenario("three_carriers", file).system.attachments)
-    made = Loop(attachments, load_file=path)
-    load, carriers = states(attachments)
-    made.set(load, carriers)
+    signals = states(attachments)
+    made, load = Shown(described(attachments), signals, load_file=path), signals["load_state"]
     builder = DiagramBuilder()
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
     Parser(plant).AddModels(str(path))
     plant.Finalize()
     context = builder.Build().CreateDefaultContext()
     crate, R_WL = plant.GetBodyByName("crate"), RotationMatrix(rotation(load[:4]))
-    inside = plant.GetMyMutableContextFromRoot(context)
     pose = RigidTransform(R_WL, load[4:7] - R_WL @ crate.default_com())
-    plant.SetFreeBodyPose(inside, crate, pose)
+    plant.SetFreeBodyPose(plant.GetMyMutableContextFromRoot(context), crate, pose)
     query = scene_graph.get_query_output_port().Eval(scene_graph.GetMyContextFromRoot(context))
-    frame, own = plant.GetBodyFrameIdOrThrow(crate.index()), made.geometry.load_frame
+    frame = plant.GetBodyFrameIdOrThrow(crate.index())
     for role in (Role.kIllustration, Role.kPerception, Role.kProximity):
         kinds, poses = shapes(query, scene_graph, frame, role)
-        our_kinds, our_poses = shapes(made.query(), made.scene_graph, own, role)
-        assert our_kinds == kinds
-        np.testing.assert_allclose(our_poses, poses, atol=1e-12)
+        own = shapes(made.query, made.scene_graph, made.geometry.load_frame, role)
+        assert own[0] == kinds
+        np.testing.assert_allclose(own[1], poses, atol=1e-12)
+    other = attachments + 1e-4 * np.outer([0, 1, 0], [0, 0, 1])
     with pytest.raises(ScenarioError, match=r"^load_file = \S+: give the file .*attachment 2, "):
-        Loop(attachments + 1e-4 * np.outer([0, 1, 0], [0, 0, 1]), load_file=path)
-
-
-def _ports(**values):
-    builder = DiagramBuilder()
-    for name, value in values.items():
-        source = builder.AddSystem(ConstantVectorSource(value))
-        builder.ExportOutput(source.get_output_port(), name)
-    diagram = builder.Build()
-    diagram.set_name("ports")
-    return diagram
+        Shown(described(other), signals, load_file=path)
 
 
 def test_bad_input_is_told_in_a_sentence():
-    scenario, carriers = described(irregular(4)), np.zeros(24)
+    scenario, signals = described(irregular(4)), {"load_state": UPRIGHT}
+    signals["carrier_state"] = np.zeros(24)
     builder = DiagramBuilder()
     scene_graph = builder.AddSystem(SceneGraph())
-    loop = builder.AddSystem(_ports(load_state=UPRIGHT, carrier_state=carriers))
-    other = builder.AddSystem(PassThrough(3))
+    loop, other = builder.AddSystem(ports(**signals)), builder.AddSystem(PassThrough(3))
 
     def refused(field, value, remedy, **changed):
         given = {"loop": loop, "scene_graph": scene_graph, "scenario": scenario} | changed
@@ -226,8 +207,7 @@ def test_bad_input_is_told_in_a_sentence():
         assert remedy in sentence
         assert "\n" not in sentence
 
-    elsewhere = _ports(load_state=UPRIGHT, carrier_state=carriers)
-    refused("loop", "", "AddSystem", loop=elsewhere)
+    refused("loop", "", "AddSystem", loop=ports(**signals))
     refused("scene_graph", "", "AddSystem", scene_graph=SceneGraph())
     refused("scene_graph", "", "give a SceneGraph", scene_graph=loop)
     refused("loop.load_state", "no such output port", "13 values", loop=other)
@@ -236,37 +216,31 @@ def test_bad_input_is_told_in_a_sentence():
     refused("load_file", "[0. 0.]", "path of an SDF", load_file=np.zeros(2))
     refused("system.attachments", "", "position", scenario=described([[1.0, 2.0]] * 4))
     AddGeometry(builder, loop, scene_graph, scenario)
-    refused("loop", "ports", "name of its own")
+    refused("loop", "loop", "name of its own")
     builder.Build()
     refused("builder", "built", "before builder.Build()")
 
 
-def test_values_that_are_not_finite_are_not_shown():
+@pytest.mark.parametrize(
+    ("name", "value"), [("carrier_state", np.nan), ("carrier_state", np.inf), ("load_state", 0.0)]
+)
+def test_values_that_are_not_finite_are_not_shown(name, value):
     attachments = irregular(3)
-    made = Loop(attachments)
-    load, carriers = states(attachments)
-    for bad in (
-        (load, [np.nan, *carriers[1:]]),
-        (load, [np.inf, *carriers[1:]]),
-        (0 * load, carriers),
-    ):
-        made.set(*bad)
-        with pytest.raises(ArithmeticError, match="loop_geometry was given"):
-            made.query().GetPoseInWorld(made.geometry.load_frame)
+    signals = states(attachments)
+    signals[name] = np.full_like(signals[name], value)
+    made = Shown(described(attachments), signals)
+    with pytest.raises(ArithmeticError, match="loop_geometry was given"):
+        made.pose(made.geometry.load_frame)
 
 
 def test_aircraft_have_the_attitude_that_their_scene_has():
     run = aircraft_run(0.1, wind=(3.0, -1.0, 0.5))
     values = instant(run, 3)
-    screen = shown(run.scenario, values)
-    builder = DiagramBuilder()
     names = "load_state", "carrier_state", "aircraft_state", "wind"
-    loop = builder.AddSystem(_ports(**{name: values[name] for name in names}))
-    scene_graph = builder.AddSystem(SceneGraph())
-    geometry = AddGeometry(builder, loop, scene_graph, run.scenario)
-    context = builder.Build().CreateDefaultContext()
-    port = geometry.GetOutputPort("geometry_pose")
-    poses = port.Eval(geometry.GetMyContextFromRoot(context))
-    for i, frame in enumerate(geometry.carrier_frames):
+    made, screen = (
+        Shown(run.scenario, {name: values[name] for name in names}),
+        shown(run.scenario, values),
+    )
+    for i, frame in enumerate(made.geometry.carrier_frames):
         expected = screen.matrices[f"/nonstop/carriers/{i}"]
-        np.testing.assert_allclose(poses.value(frame).GetAsMatrix4(), expected, atol=1e-12)
+        np.testing.assert_allclose(made.pose(frame).GetAsMatrix4(), expected, atol=1e-12)
