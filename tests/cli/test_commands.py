@@ -10,6 +10,7 @@ import sys
 import numpy as np
 import pytest
 from helpers import nightly_beyond
+from PIL import Image
 
 from drake_nonstop import simulate, write_results
 from drake_nonstop.cli.main import main
@@ -117,10 +118,10 @@ def test_bad_input_is_one_sentence_and_changes_nothing(
     assert (files(tmp_path), files(stored)) == before
 
 
-def test_an_unwritable_folder_is_reported_before_the_run(ended, tmp_path, capsys):
+def test_an_unwritable_folder_is_reported_before_the_run(faulty, tmp_path, capsys):
     (tmp_path / "file").write_text("")
     for folder in (tmp_path / "file", tmp_path / "file" / "below"):
-        assert ended("flown raises", "run", "line", "--out", str(folder)) == 2
+        assert faulty("flown raises", "run", "line", "--out", str(folder)) == 2
         assert "--out = " in capsys.readouterr().err
 
 
@@ -205,7 +206,7 @@ def test_results_do_not_depend_on_what_is_printed(tmp_path, redirection, code, w
     ),
 )
 def test_in_any_order_results_of_a_whole_run_stay(
-    ended, tmp_path, monkeypatch, capsys, options, seed
+    faulty, tmp_path, monkeypatch, capsys, options, seed
 ):
     (tmp_path / "work").mkdir()
     monkeypatch.chdir(tmp_path / "work")
@@ -213,7 +214,7 @@ def test_in_any_order_results_of_a_whole_run_stay(
     stopped = folder.resolve().with_name(f"{folder.resolve().name}_stopped")
     kept, kinds = None, {"whole": 0, "flown raises": 1, "flown 2": 130}
     for how in ["flown 2", "whole", *random.Random(seed).choices([*kinds], k=5)]:
-        assert ended(how, "run", "line", *BRIEF[1:], *options) == kinds[how]
+        assert faulty(how, "run", "line", *BRIEF[1:], *options) == kinds[how]
         said = capsys.readouterr().err
         place = folder if how == "whole" or kept is None else stopped
         outcome = json.loads((place / "metrics.json").read_text())["outcome"]
@@ -226,6 +227,49 @@ def test_in_any_order_results_of_a_whole_run_stay(
     if not options:  # and another scenario's go elsewhere
         assert main(["run", "line", *BRIEF, "--set", *SHORT]) == 0
         assert contents(folder.parent) == {"line", "line_2", "line_stopped"}
+
+
+NOISE = "load_feedback=!NoisyFeedback {position_noise: 0.005, velocity_noise: 0.02}"
+# A scenario and options, its changes, the exit code, and what is said.
+CHECKED = [
+    (
+        ["quintic"],
+        ["simulation_duration=1"],
+        0,
+        ("check quintic: a flight of 1 s\n", "\nok: the flight keeps all limits\n"),
+    ),
+    (
+        ["aircraft_co_rotating"],
+        ["simulation_duration=0.2", "wind.velocity=[3, -4, 0]"],
+        0,
+        ("within all limits", " of that with cable and bank", "cables are simulated as straight: "),
+    ),
+    (
+        ["quintic", "--seeds", "2"],
+        [NOISE, "simulation_duration=1"],
+        1,
+        ("2 flights of 1 s\n", "without the errors that the scenario states the flight is ok"),
+    ),
+]
+
+
+@pytest.mark.parametrize(("call", "changes", "code", "words"), CHECKED)
+def test_check_says_and_writes_what_comes_of_a_scenario(
+    tmp_path, capsys, call, changes, code, words
+):
+    assert main(["check", *call, "--out", str(tmp_path), "--set", *changes]) == code
+    told = capsys.readouterr().out
+    assert all(text in told for text in words)
+    assert f"results: {tmp_path}\n" in told
+    written = {"scenario.yaml", "check.json", "task.png"}
+    assert contents(tmp_path) == written | ({"check.png"} if "aircraft" in call[0] else set())
+    report = json.loads((tmp_path / "check.json").read_text())
+    assert report["is_ok"] == (code == 0)
+    if "aircraft" in call[0]:
+        assert report["wind_m_s"] == [3.0, -4.0, 0.0]
+        assert report["ranges"]["lift_share"][1] == pytest.approx(0.49, abs=0.01)
+    with Image.open(tmp_path / "task.png") as picture:
+        assert picture.width > 1000
 
 
 def test_a_design_that_cannot_be_is_said_in_a_folder_of_its_own(tmp_path, capsys, monkeypatch):

@@ -30,10 +30,11 @@ def flown(folder):
 
 
 @pytest.mark.nightly("processes")
-@pytest.mark.parametrize("block", ["Spins", "Swallows"])
-def test_a_block_that_never_returns_is_ended_by_the_second_signal(tmp_path, blocks, block):
+@pytest.mark.parametrize("how", ["hangs", "swallows"])
+def test_a_block_that_never_returns_is_ended_by_the_second_signal(tmp_path, how):
     """What was flown is kept, unless the block swallows the KeyboardInterrupt."""
-    options = ["--out", "o", "--trust", "--quiet", "--set", f"phase=ending_blocks.{block}"]
+    block = f"load_disturbance=!faulty_blocks.FaultyWind {{begin: 0.3, fault: flown {how}}}"
+    options = ["--out", "o", "--trust", "--quiet", "--set", block]
     process = subprocess.Popen(
         [sys.executable, "-m", "drake_nonstop.cli", "run", "quintic", *options],
         stderr=subprocess.PIPE,
@@ -41,7 +42,7 @@ def test_a_block_that_never_returns_is_ended_by_the_second_signal(tmp_path, bloc
         cwd=tmp_path,
         start_new_session=True,
         preexec_fn=handle_signals_as_a_shell_does,
-        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "FAULT_FILE": "there"},
     )
     end = time.monotonic() + 30
     while not (tmp_path / "there").exists() and time.monotonic() < end:
@@ -55,7 +56,7 @@ def test_a_block_that_never_returns_is_ended_by_the_second_signal(tmp_path, bloc
     assert process.returncode == 130
     assert error.count("drake-nonstop: interrupted") == 1
     assert "Traceback" not in error
-    if block == "Spins":
+    if how == "hangs":
         assert "the results up to 0.3" in error
         assert flown(tmp_path / "o") == pytest.approx(0.3, abs=0.011)
         assert {path.name for path in (tmp_path / "o").iterdir()} == DATA
@@ -63,10 +64,10 @@ def test_a_block_that_never_returns_is_ended_by_the_second_signal(tmp_path, bloc
 
 @pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_while_a_run_goes_on_keeps_what_was_flown(ended, tmp_path, capsys, number):
+def test_a_signal_while_a_run_goes_on_keeps_what_was_flown(faulty, tmp_path, capsys, number):
     options = ["--no-figures", "--no-replay", "--quiet", "--out", str(tmp_path)]
-    how = f"flown {number.value}"
-    assert ended(how, "run", "line", *options, changes=LONG) == 128 + number
+    fault = f"flown {number.value}"
+    assert faulty(fault, "run", "line", *options, changes=LONG) == 128 + number
     name = {signal.SIGINT: "interrupted", signal.SIGTERM: "ended by SIGTERM"}[number]
     kept = rf"drake-nonstop: {name}: the results up to ([\d.]+) s are in {tmp_path}\n"
     (simulated,) = re.fullmatch(kept, capsys.readouterr().err).groups()
@@ -75,19 +76,16 @@ def test_a_signal_while_a_run_goes_on_keeps_what_was_flown(ended, tmp_path, caps
     assert {path.name for path in tmp_path.iterdir()} == DATA | {"diagram.svg"}
 
 
-def test_a_keyboard_interrupt_that_became_another_error_is_one(ended, monkeypatch, capsys):
+def test_a_keyboard_interrupt_that_became_another_error_is_one(faulty, monkeypatch, capsys):
     """As pybind11 makes of it where it comes while arguments are converted."""
-    assert (
-        ended("built 2", "stability", "line", changes=["wrench_controller=ending_blocks.Ends"])
-        == 130
-    )
+    assert faulty("built 2", "stability", "line", box="wrench_controller") == 130
     assert capsys.readouterr().err == "drake-nonstop: interrupted\n"
     monkeypatch.setattr(json, "dumps", lambda *_, **__: int("a"))
     with pytest.raises(ValueError, match="invalid literal"):  # an error of ours is shown whole
         main(["schema"])
 
 
-def test_an_interrupt_before_the_flight_ends_it_and_leaves_no_folder(ended, tmp_path, capsys):
-    assert ended("built 2", "run", "line", "--quiet", "--out", str(tmp_path / "out")) == 130
+def test_an_interrupt_before_the_flight_ends_it_and_leaves_no_folder(faulty, tmp_path, capsys):
+    assert faulty("built 2", "run", "line", "--quiet", "--out", str(tmp_path / "out")) == 130
     assert capsys.readouterr().err == "drake-nonstop: interrupted: nothing had been flown yet\n"
     assert not any(tmp_path.iterdir())

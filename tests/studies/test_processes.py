@@ -21,8 +21,6 @@ from helpers import handle_signals_as_a_shell_does
 from drake_nonstop import ScenarioError, SerialExecutor, StudyInterrupted, study
 from drake_nonstop.scenario.loading import load_scenario
 
-pytestmark = pytest.mark.usefixtures("faulty_blocks")
-
 COUNT = int(os.environ.get("NONSTOP_SIGNALS", "4"))
 SEED = int(os.environ.get("NONSTOP_SEED", "0"))
 ENDS_WITHIN = 2.0  # s, from the last signal, on a machine that has nothing else to do
@@ -49,7 +47,7 @@ SCRIPT = f"""
 from drake_nonstop import load_scenario, study
 
 scenario = load_scenario("line", {[*SHORT, FAULTY]}, trust=True)
-print(study(scenario, {{"{FAULT}": ["tells threads", "none"]}}, folder="out").table["message"][0])
+print(study(scenario, {{"{FAULT}": ["flown tells", "none"]}}, folder="out").table["message"][0])
 """
 
 
@@ -155,11 +153,9 @@ def test_any_study_ends_by_ctrl_c_at_any_time(tmp_path, number):
 @pytest.mark.parametrize(
     ("sign", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGKILL, -9)]
 )
-def test_a_block_that_never_returns_keeps_no_process(
-    tmp_path, faulty_blocks, monkeypatch, sign, code
-):
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([*sys.path, str(faulty_blocks)]))
-    swap = ["--swap", f"{FAULT}=hangs", "--trust", "--out", "out"]
+def test_a_block_that_never_returns_keeps_no_process(tmp_path, monkeypatch, sign, code):
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(sys.path))
+    swap = ["--swap", f"{FAULT}=flown hangs", "--trust", "--out", "out"]
     process = begun(tmp_path, ["ablate", "line", *swap, "--set", *SHORT, FAULTY])
     wait_until(lambda: len(journalled(tmp_path / "out")) == 2, 60)  # the unchanged scenario
     process.send_signal(sign)
@@ -179,7 +175,7 @@ def test_an_interrupt_leaves_no_process_behind_where_python_goes_on(tmp_path, fa
         left.extend(workers())
         raise KeyboardInterrupt
 
-    faults = {FAULT: ["none", "hangs", "dies"]}
+    faults = {FAULT: ["none", "flown hangs", "flown dies"]}
     with pytest.raises(StudyInterrupted, match="1 runs are in"):
         study(faulty, faults, folder=tmp_path / "out", progress=interrupt)
     assert left
@@ -210,7 +206,7 @@ def test_killed_workers_cost_no_run(tmp_path, scenario):
 
 @pytest.mark.slow
 def test_a_block_that_ends_its_process_spoils_nothing(faulty):
-    factors = {FAULT: ["dies", "exits", "none"], MASS: [1.0, 1.1, 1.2]}
+    factors = {FAULT: ["flown dies", "flown exits", "none"], MASS: [1.0, 1.1, 1.2]}
     table = study(faulty, factors).table
     assert table["ending"].tolist() == 6 * ["failed"] + 3 * ["completed"]
     for row, words in ((0, "process died"), (3, "SystemExit")):
@@ -232,22 +228,21 @@ def test_nothing_is_lost_by_a_kill_of_the_command(tmp_path):
     assert len(journalled(tmp_path / "out")) == 301
 
 
-def run_script(folder, faulty_blocks, *call, **given):
-    """What a script prints, in a process that can import the blocks."""
-    path = os.pathsep.join([*sys.path, str(faulty_blocks)])
-    environment = given.pop("env", os.environ) | {"PYTHONPATH": path}
+def run_script(folder, *call, **given):
+    """What a script prints, in a process that can import the block."""
+    environment = given.pop("env", os.environ) | {"PYTHONPATH": os.pathsep.join(sys.path)}
     about = {"capture_output": True, "text": True, "timeout": 120, "cwd": folder}
     return subprocess.run([sys.executable, *call], env=environment, **about, **given)
 
 
 @pytest.mark.parametrize("is_file", [True, False])
 @pytest.mark.nightly("processes")
-def test_a_script_that_processes_cannot_import_is_told_so(tmp_path, faulty_blocks, is_file):
+def test_a_script_that_processes_cannot_import_is_told_so(tmp_path, is_file):
     """They would run it again, and end as they start; nothing is kept of that."""
     script = tmp_path / "study.py"
     script.write_text(SCRIPT)
     call = [script] if is_file else ["-"]
-    done = run_script(tmp_path, faulty_blocks, *call, input=None if is_file else SCRIPT)
+    done = run_script(tmp_path, *call, input=None if is_file else SCRIPT)
     assert done.returncode == 1
     assert done.stderr.count("Traceback") == 1
     last = done.stderr.strip().splitlines()[-1]
@@ -266,10 +261,10 @@ def test_a_main_module_without_its_file_is_refused(scenario, monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("asked", [None, "2"])
-def test_workers_have_one_thread_for_linear_algebra_unless_asked(tmp_path, faulty_blocks, asked):
+def test_workers_have_one_thread_for_linear_algebra_unless_asked(tmp_path, asked):
     body = "".join(f"    {line}\n" for line in SCRIPT.splitlines())
     (tmp_path / "script.py").write_text(f"if __name__ == '__main__':\n{body}")
     given = {name: value for name, value in os.environ.items() if "_NUM_THREADS" not in name}
     given |= {"OPENBLAS_NUM_THREADS": asked} if asked else {}
-    done = run_script(tmp_path, faulty_blocks, "script.py", env=given)
+    done = run_script(tmp_path, "script.py", env=given)
     assert f"threads: {asked or 1}\n" in done.stdout, done.stderr

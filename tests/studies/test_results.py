@@ -178,7 +178,7 @@ def test_a_damaged_journal_and_one_of_other_settings_stay_and_are_refused(flown,
     assert (tmp_path / "s" / JOURNAL).read_bytes() == content
 
 
-def test_what_is_there_stays_whatever_ends_the_study(flown, tmp_path, faulty_blocks):
+def test_what_is_there_stays_whatever_ends_the_study(flown, tmp_path):
     def end(error):
         def progress(what, share):
             raise error
@@ -193,7 +193,7 @@ def test_what_is_there_stays_whatever_ends_the_study(flown, tmp_path, faulty_blo
         flown(4, progress=end(OSError(errno.ENOSPC, "No space left on device")))
     assert flown(4) == 1
     new = tmp_path / "new"
-    wind = "load_disturbance=!faulty_blocks.FaultyWind {fault: interrupts}"
+    wind = "load_disturbance=!faulty_blocks.FaultyWind {fault: flown interrupts}"
     with pytest.raises(StudyInterrupted, match=r"^$"):
         serial(load_scenario("line", [*SHORT, wind], trust=True), {MASS: [1.0]}, folder=new)
     assert not new.exists()

@@ -1,10 +1,10 @@
 """One study and its presets: factors, seeds, endings, statistics, and what is written."""
 
-import contextlib
 import functools
 import itertools
 import re
 from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -57,12 +57,6 @@ def scenario():
 @pytest.fixture(scope="module")
 def noisy():
     return load_scenario("line", [*SHORT, "load_feedback=!NoisyFeedback {position_noise: 0.01}"])
-
-
-def own(*changes):
-    """A scenario with the wind of conftest.py, which has faults."""
-    block = "load_disturbance=!faulty_blocks.FaultyWind {}"
-    return load_scenario("line", [*SHORT, block, *changes], trust=True)
 
 
 def known(table):
@@ -145,16 +139,19 @@ def test_levels_are_values_blocks_or_lists_of_changes_in_their_order(scenario):
     assert table[ERROR].nunique() == 3
 
 
-def test_runs_have_endings_of_their_own(faulty_blocks):
+def test_runs_have_endings_of_their_own():
     endings = {
         "none": "completed",
-        "raises": "failed",
-        "diverges": "diverged",
-        "exits": "failed",
-        "constructor": "unbuildable",
-        "constructor exits": "unbuildable",
+        "flown raises": "failed",
+        "flown diverges": "diverged",
+        "flown exits": "failed",
+        "built raises": "unbuildable",
+        "built exits": "unbuildable",
     }
-    done = serial(own(), {"load_disturbance.fault": [*endings]})
+    block = "load_disturbance=!faulty_blocks.FaultyWind {}"
+    done = serial(
+        load_scenario("line", [*SHORT, block], trust=True), {"load_disturbance.fault": [*endings]}
+    )
     assert done.table["ending"].tolist() == [*endings.values()]
     assert (done.table["message"] == "").tolist() == [True, *5 * [False]]
     assert "the wind broke" in str(done)
@@ -178,17 +175,16 @@ def test_processes_make_the_table_of_one_which_goes_on_from_what_is_there(scenar
         serial(load_scenario("line"), {MASS: [1.0]}, folder=tmp_path)
 
 
-def test_other_code_of_the_users_own_is_another_study(tmp_path, faulty_blocks):
-    file = faulty_blocks / "faulty_blocks.py"
-    text = file.read_text()
-    try:
-        for code in (text, f"{text}\n", f"{text}\n# changed\n"):
-            file.write_text(code)
-            refused = pytest.raises(ScenarioError, match="other code")
-            with refused if code != text else contextlib.nullcontext():
-                serial(own(), {MASS: [1.0]}, folder=tmp_path)
-    finally:
-        file.write_text(text)
+def test_other_code_of_the_users_own_is_another_study(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(str(tmp_path))
+    code = "import faulty_blocks\nclass MineConfig(faulty_blocks.FaultyWindConfig): pass\n"
+    code += "class Mine(faulty_blocks.FaultyWind): pass\n"
+    block = "load_disturbance=!blocks_of_mine.Mine {}"
+    for more, refused in (("", False), ("", False), ("# changed\n", True)):
+        (tmp_path / "blocks_of_mine.py").write_text(code + more)
+        made = load_scenario("line", [*SHORT, block], trust=True)
+        with pytest.raises(ScenarioError, match="other code") if refused else nullcontext():
+            serial(made, {MASS: [1.0]}, folder=tmp_path / "out")
 
 
 @pytest.mark.usefixtures("undrawn")
