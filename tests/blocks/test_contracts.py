@@ -1,5 +1,6 @@
 """What holds of every block: each variant of each box, of continuous and of sampled controllers."""
 
+import dataclasses
 import inspect
 import itertools
 import pydoc
@@ -8,29 +9,40 @@ import re
 import numpy as np
 import pytest
 import yaml
-from helpers import difference, fix
+from helpers import difference, fix, sizes_of_ports, vector_outputs
 from pydrake.autodiffutils import AutoDiffXd, ExtractGradient, ExtractValue
 from pydrake.symbolic import Expression
 from pydrake.systems.framework import LeafSystem, PortDataType
-from registries import CASES, VARIANTS, changed_model, loop_of, made, model_of, near_rest
+from registries import (
+    BOXES,
+    CASES,
+    CONFIGS,
+    VARIANTS,
+    changed_model,
+    loop_of,
+    made,
+    made_with,
+    model_of,
+    near_rest,
+)
 
 from drake_nonstop import ScenarioError
-from drake_nonstop.diagrams.nonstop import SIGNALS
-from drake_nonstop.mechanics.signals import HELD
-from drake_nonstop.mechanics.signals import SIGNALS as LAYOUTS
-from drake_nonstop.scenario.describe import parameters
-from drake_nonstop.systems.block import BlockType, set_state_values, state_values
-from drake_nonstop.systems.documentation import config_class, own_config_class
+from drake_nonstop.mechanics.signals import HELD, SIGNALS
+from drake_nonstop.systems.block import set_state_values, state_values
 from drake_nonstop.systems.equation_block import EquationBlock
 from drake_nonstop.systems.equations import STATE
-from drake_nonstop.systems.wiring import input_sizes, output_sizes
 
+LAYOUTS = SIGNALS | {name: kind for box in BOXES.values() for name, kind in box.signals.items()}
 TIME = 5.5037  # s, at which references move, and nothing is sampled
 every = pytest.mark.parametrize("case", CASES, ids=lambda case: f"{case.box}-{case.name}")
 
 
-def vectors(ports):
-    return [name for name, size in ports.items() if size is not None]
+def input_sizes(block):
+    return sizes_of_ports(block, "input")
+
+
+def vector_inputs(block):
+    return [name for name, size in input_sizes(block).items() if size is not None]
 
 
 def plain(signal):
@@ -69,7 +81,7 @@ def block_and_context(case, rng):
 
 def results_of(block, context):
     """The vector outputs of a block, and the rates of its state, by name."""
-    found = {name: block.GetOutputPort(name).Eval(context) for name in vectors(output_sizes(block))}
+    found = {name: block.GetOutputPort(name).Eval(context) for name in vector_outputs(block)}
     if context.num_continuous_states():
         found[STATE] = block.EvalTimeDerivatives(context).CopyToVector()
     return found
@@ -123,7 +135,7 @@ def test_all_four_scalar_types_show_the_same_and_one_derivative(block_and_contex
     def moved(step):
         other = context.Clone()
         other.SetTime(TIME + step * along("time", 1)[0])
-        for name in vectors(input_sizes(block)):
+        for name in vector_inputs(block):
             value = block.GetInputPort(name).Eval(context)
             fix(block, other, **{name: value + step * along(name, len(value))})
         if count := context.num_continuous_states():
@@ -157,7 +169,7 @@ def read_by(own, output):
 def test_what_feeds_through_is_what_the_trace_reads_and_nothing_else_counts(block_and_context):
     block, context = block_and_context
     shown = results_of(block, context)
-    outputs = vectors(output_sizes(block))
+    outputs = vector_outputs(block)
     through = {
         (source, target)
         for source, target in itertools.product(input_sizes(block), outputs)
@@ -168,7 +180,7 @@ def test_what_feeds_through_is_what_the_trace_reads_and_nothing_else_counts(bloc
     if isinstance(block, EquationBlock):
         own = block.equations_of_block
         assert through == {(k, output) for output in outputs for k in read_by(own, output)}
-    for source in vectors(input_sizes(block)):
+    for source in vector_inputs(block):
         other = context.Clone()
         fix(block, other, **{source: 1.1 * block.GetInputPort(source).Eval(context) + 0.01})
         for target, values in results_of(block, other).items():
@@ -192,7 +204,7 @@ def test_outputs_follow_each_change_of_an_input_the_state_the_time_and_a_paramet
             np.testing.assert_array_equal(found, expected, err_msg=f"{changed}, {name}")
 
     check("nothing")
-    for name in vectors(input_sizes(block)):
+    for name in vector_inputs(block):
         fix(block, context, **{name: near_rest(block.GetInputPort(name).Eval(context), rng)})
         check(name)
     set_state_values(context, near_rest(state_values(context), rng))
@@ -255,14 +267,10 @@ def test_a_parameter_of_the_context_is_that_of_a_block_built_with_it(case, block
         if name in {"pattern_offset", *ALSO_BUILT.get(case.kind.__name__, ())}:
             continue
         new = 1.03 * value if np.any(value) else value + 0.05
-        config, system = case.fields, {}
-        if name in numbers.of_system:
-            system = {name: new.tolist()}
-        else:
-            config = config | {name: new.tolist()}
+        changes = {name: new.tolist()}
+        system, config = (changes, {}) if name in numbers.of_system else ({}, changes)
         try:
-            changed = changed_model(model_of(case), **system)
-            other = type(block)(changed, own_config_class(case.kind)(**config))
+            other = made_with(case, changed_model(model_of(case), **system), **config)
         except ScenarioError:
             continue  # a value out of its range, or one that has to fit another
         own = other.CreateDefaultContext()
@@ -300,7 +308,7 @@ def test_rows_of_quantities_are_those_of_each_time_and_have_their_rates(case):
 def is_there(case, name):
     """Whether a block may have a port, by what its class says of where it has it."""
     where = case.kind.where.get(name, "")
-    fields = vars(own_config_class(case.kind)(**case.fields))
+    fields = vars(CONFIGS[case.kind](**case.fields))
     words = re.findall(r"`(\w+)` is (true|false)", where)
     by_fields = all(str(fields[field]).lower() == value for field, value in words)
     return by_fields and (case.is_sampled or "control period" not in where)
@@ -309,8 +317,8 @@ def is_there(case, name):
 @every
 def test_ports_are_those_that_the_class_declares_in_the_sizes_of_their_layouts(case):
     block, own = made(case)[0], model_of(case)
-    inputs, outputs = input_sizes(block), output_sizes(block)
-    known = LAYOUTS | SIGNALS | dict(block.signal_layouts)
+    inputs, outputs = input_sizes(block), sizes_of_ports(block)
+    known = LAYOUTS | dict(block.signal_layouts)
     for name, size in {**inputs, **outputs}.items():
         layout = known.get(name, known.get(plain(name)))
         expected = None if layout is None else layout.count(own.n, own.m)
@@ -328,9 +336,8 @@ def test_ports_are_those_that_the_class_declares_in_the_sizes_of_their_layouts(c
 
 
 @pytest.mark.parametrize("name", VARIANTS)
-def test_a_block_is_a_leaf_system_that_is_freed_and_its_docstring_tells_all_that_it_declares(name):
+def test_the_docstring_of_a_block_tells_all_that_it_declares(name):
     _, block = VARIANTS[name]
-    assert isinstance(block, BlockType)
     assert issubclass(block, LeafSystem) == (block.__name__ != "MultibodyLoadPlant")
     assert "`model` and a `config`" in inspect.getdoc(block.__init__)
     text = inspect.getdoc(block)
@@ -339,14 +346,13 @@ def test_a_block_is_a_leaf_system_that_is_freed_and_its_docstring_tells_all_that
     assert ports["name"] == block.__name__
     for kind, names in (("input_ports", block.reads), ("output_ports", block.makes)):
         assert [port.partition(" ")[0] for port in ports.get(kind, [])] == list(names)
-    known = LAYOUTS | SIGNALS | dict(block.signal_layouts)
+    known = LAYOUTS | dict(block.signal_layouts)
     for signal in (*block.reads, *block.makes):
         (line,) = {line for line in text.splitlines() if line.startswith(f"- `{signal}` (")}
         layout = known[signal.removeprefix(HELD)]
         size = "abstract" if layout is None else layout.size
         assert line.startswith((f"- `{signal}` ({size})", f"- `{signal}` ({size}, "))
-    for field in parameters(config_class(block)):
-        assert field.meaning
-        assert f"- `{field.name}`: {field.meaning}" in text.splitlines()
+    for field in dataclasses.fields(CONFIGS[block]):
+        assert re.search(rf"(?m)^- `{field.name}`: \S", text), field.name
     shown = pydoc.render_doc(block, renderer=pydoc.plaintext).replace("\n |  ", "\n")
     assert block.__doc__ in shown
