@@ -1,7 +1,5 @@
 """What a compiled loop refuses, shares, reads and keeps; `tests/run` compares its flights."""
 
-import gc
-import weakref
 from functools import partial
 
 import numpy as np
@@ -131,13 +129,3 @@ def test_a_source_is_read_no_longer_than_the_flight(layer):
     assert len(times) == 11
     with pytest.raises(ValueError, match="nothing is known"):
         loop.run(loop.diagram.CreateDefaultContext(), 0.2)
-
-
-def test_what_loops_share_keeps_no_diagram():
-    loop = loop_of(load_scenario("quintic", [CONSTANT]))
-    loop.sensitivities(loop.diagram.CreateDefaultContext(), 0.02)
-    loop.run(loop.diagram.CreateDefaultContext(), 0.02)
-    diagram = weakref.ref(loop.diagram)
-    del loop
-    gc.collect()
-    assert diagram() is None

@@ -158,13 +158,6 @@ class MovedByTrim(MappedLoad):
         context.SetContinuousState(self.map @ (np.eye(13)[0] + np.eye(13)[4] - self.shift))
 
 
-class ImmeasurableLoad(MappedLoad):
-    """A load whose acceleration is not finite."""
-
-    def rate(self, context):
-        return np.full(13, np.nan)
-
-
 REFUSED = [
     (ClippedLoad, r"load_plant\.load_state\[6\] = -0\.5: .*give ClippedLoad a method SetLoadState"),
     (
@@ -175,7 +168,6 @@ REFUSED = [
         MovedByTrim,
         r"load_plant\.load_state\[4\] = 1: .*or correct it, or trim, which has to keep it",
     ),
-    (ImmeasurableLoad, r"start = load_plant: it makes a value that is not finite"),
     (
         FrozenCarriers,
         r"carrier_dynamics\.carrier_state\[\d+\] = 0: .*FrozenCarriers .* SetCarrierSt",

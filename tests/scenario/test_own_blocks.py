@@ -6,7 +6,6 @@ import textwrap
 import pytest
 
 from drake_nonstop import (
-    RunStopped,
     ScenarioError,
     changed,
     compute_metrics,
@@ -44,10 +43,6 @@ MODULE = """
             )
 
 
-    class Bare(LeafSystem):
-        pass
-
-
     @dataclass
     class OrphanConfig:
         pass
@@ -65,22 +60,6 @@ MODULE = """
     @dataclass
     class NeedyConfig:
         speed_bound: float
-
-
-    @dataclass
-    class FailingConfig(SteadyConfig):
-        pass
-
-
-    class Failing(LeafSystem):
-        def __init__(self, model, config):
-            super().__init__()
-            self.DeclareVectorOutputPort("parameters", 2, self.calc)
-
-        def calc(self, context, output):
-            if context.get_time() > 0.1:
-                raise ZeroDivisionError("nothing to divide by")
-            output.SetFromVector([2.0, 1.2])
 
 
     @dataclass(kw_only=True)
@@ -164,7 +143,6 @@ def test_changes_and_swaps_of_what_is_trusted(folder):
         ("no_such_module.Steady", "no_such_module cannot be had .*No module named"),
         ("own_test_blocks.Needyy", r"no NeedyyConfig; did you mean NeedyConfig\?"),
         ("own_test_blocks.Xyz", "there is no XyzConfig"),
-        ("own_test_blocks.Bare", "there is no BareConfig"),
         ("own_test_blocks.Orphan", "a LeafSystem or Diagram of the name Orphan"),
         ("own_test_blocks.Boundless", "give BoundlessConfig a field speed_bound"),
         (
@@ -178,11 +156,3 @@ def test_what_cannot_be_had_is_told(folder, path, message):
     (folder / "broken_test_blocks.py").write_text("1 / 0")
     with pytest.raises(ScenarioError, match=message):
         load_scenario("quintic", [f"optimization_layer={path}"], trust=True)
-
-
-def test_an_error_during_a_run_names_block_and_line(folder):
-    setting = "optimization_layer=own_test_blocks.Failing"
-    scenario = load_scenario("quintic", ["simulation_duration=0.3", setting], trust=True)
-    said = r"optimization_layer \(own_test_blocks.py:\d+\): ZeroDivisionError: nothing"
-    with pytest.raises(RunStopped, match=said):
-        simulate(scenario)

@@ -5,7 +5,6 @@ import signal
 import subprocess
 import sys
 import time
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from unittest.mock import Mock
 
@@ -213,18 +212,6 @@ def test_arrays_and_functions_that_do_not_fit_are_refused():
     for results in ([x, x], [x, casadi.SX(2, 1), x], [x[0], x, x]):
         with pytest.raises(ValueError, match="dense"):
             Interpreted(casadi.Function("f", [x, *others], results))
-
-
-@needs_compiler
-def test_threads_fly_at_once():
-    f = function(make=few)
-    for evaluated in (native(f), Interpreted(f)):
-        expected, *others = (arrays(f, 300) for _ in range(13))
-        evaluated.fly(*expected, np.inf)
-        with ThreadPoolExecutor(4) as pool:
-            list(pool.map(lambda values: evaluated.fly(*values, np.inf), others))  # noqa: B023
-        for values in others:
-            assert_same_bits(values, expected)
 
 
 def is_cached(function, lanes=1):
