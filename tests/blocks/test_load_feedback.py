@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
-from helpers import Motion, fix, model, output
+from helpers import Motion, fix, model, output, outputs
 from pydrake.systems.analysis import Simulator
 from scipy.linalg import solve_discrete_are
 from scipy.spatial.transform import Rotation
 
+from drake_nonstop import load_scenario, simulate
 from drake_nonstop.blocks.load_feedback import (
     FilteredFeedback,
     FilteredFeedbackConfig,
@@ -20,44 +21,30 @@ from drake_nonstop.mechanics.load_estimate import (
     state_with_error,
 )
 from drake_nonstop.mechanics.signals import LoadState
-from drake_nonstop.run.simulate import simulate
-from drake_nonstop.scenario.loading import load_scenario
-from drake_nonstop.systems.documentation import own_config_class
-
-
-def measured(config, times, states):
-    """What the feedback shows at some times of a run in which the state is (time, …)."""
-    block = NoisyFeedback(model(4, 0.01), config)
-    context = block.CreateDefaultContext()
-    results = []
-    for time, value in zip(times, states, strict=True):
-        context.SetTime(time)
-        fix(block, context, load_state=value)
-        results.append(output(block, context, "measured_load_state").copy())
-    return np.array(results)
 
 
 def test_noise_has_the_deviations_that_were_asked_for_and_repeats():
-    config = NoisyFeedbackConfig(
-        position_noise=0.1, orientation_noise=0.02, velocity_noise=0.3, angular_velocity_noise=0.4
-    )
+    names = ("orientation", "position", "angular_velocity", "velocity")
+    deviations = np.array([0.02, 0.1, 0.4, 0.3])
+    fields = {f"{name}_noise": size for name, size in zip(names, deviations, strict=True)}
     times = 0.01 * np.arange(2000) + 0.003
-    still = np.tile(np.array([1.0, *np.zeros(12)]), (2000, 1))
-    noisy = measured(config, times, still)
-    np.testing.assert_array_equal(noisy, measured(config, times, still))
+
+    def measured(times, seed=0):
+        """What the feedback shows at some times of a load at rest."""
+        block = NoisyFeedback(model(4, 0.01), NoisyFeedbackConfig(**fields, seed=seed))
+        still = np.eye(13)[0]
+        return np.array(
+            [outputs(block, time=t, load_state=still)["measured_load_state"] for t in times]
+        )
+
+    noisy = measured(times)
     turns = Rotation.from_quat(noisy[:, [1, 2, 3, 0]]).as_rotvec()
-    for values, deviation in (
-        (turns, 0.02),
-        (noisy[:, 4:7], 0.1),
-        (noisy[:, 7:10], 0.4),
-        (noisy[:, 10:], 0.3),
-    ):
-        np.testing.assert_allclose(values.std(axis=0), deviation, rtol=0.1)
-        assert np.abs(values.mean(axis=0)).max() < 0.1 * deviation
+    found = np.stack([turns, noisy[:, 4:7], noisy[:, 7:10], noisy[:, 10:]])
+    np.testing.assert_allclose(found.std(axis=1), np.outer(deviations, np.ones(3)), rtol=0.1)
+    assert np.all(np.abs(found.mean(axis=1)) < 0.1 * deviations[:, None])
     # Held between samples, other for another seed.
-    np.testing.assert_array_equal(noisy[:5], measured(config, times[:5] + 0.004, still[:5]))
-    config.seed = 1
-    assert not np.array_equal(noisy[0], measured(config, times[:1], still[:1])[0])
+    np.testing.assert_array_equal(noisy[:5], measured(times[:5] + 0.004))
+    assert not np.array_equal(noisy[:1], measured(times[:1], seed=1))
 
 
 @pytest.mark.slow
@@ -94,12 +81,12 @@ def test_covariances_settle_at_the_solution_of_the_riccati_equation(noises):
     np.testing.assert_allclose(error, 0, atol=1e-9)
 
 
-def test_an_error_and_its_reference_make_the_state_again():
-    for seed in range(5):
-        state, reference = (Motion(seed + k).state(0.3) for k in (0, 9))
-        again = state_with_error(error_of(state, reference), reference)
-        again[:4] *= np.sign(again[:4] @ state[:4])
-        np.testing.assert_allclose(again, state, rtol=0, atol=1e-12)
+@pytest.mark.parametrize("seed", range(5))
+def test_an_error_and_its_reference_make_the_state_again(seed):
+    state, reference = (Motion(seed + k).state(0.3) for k in (0, 9))
+    again = state_with_error(error_of(state, reference), reference)
+    again[:4] *= np.sign(again[:4] @ state[:4])
+    np.testing.assert_allclose(again, state, rtol=0, atol=1e-12)
 
 
 def filtered(config, states, references):
@@ -164,25 +151,23 @@ def test_a_late_measurement_of_a_load_beside_its_moving_reference_is_exact():
     np.testing.assert_allclose(shown, states, atol=1e-9)
 
 
-@pytest.mark.parametrize("block", [NoisyFeedback, FilteredFeedback])
-def test_an_attitude_that_is_not_measured_is_the_reference_s(block):
-    state, reference, shown = Motion(50).state(0.1), Motion(51).reference(0.1), []
+@pytest.mark.parametrize(
+    ("kind", "config"),
+    [(NoisyFeedback, NoisyFeedbackConfig), (FilteredFeedback, FilteredFeedbackConfig)],
+)
+def test_an_attitude_that_is_not_measured_is_the_reference_s(kind, config):
+    inputs, shown = (
+        {"load_state": Motion(50).state(0.1), "reference": Motion(51).reference(0.1)},
+        [],
+    )
+    noises = {"position_noise": 0.1, "orientation_noise": 0.1}
     for measures_attitude in (True, False):
-        feedback = block(
-            model(),
-            own_config_class(block)(
-                position_noise=0.1, orientation_noise=0.1, measures_attitude=measures_attitude
-            ),
-        )
-        context = feedback.CreateDefaultContext()
-        context.SetTime(0.1)
-        fix(feedback, context, load_state=state)
-        if feedback.HasInputPort("reference"):
-            fix(feedback, context, reference=reference)
-        shown.append(LoadState.view(output(feedback, context, "measured_load_state").copy()))
-    measured, desired = shown[0], LoadState.view(reference)
+        block = kind(model(), config(measures_attitude=measures_attitude, **noises))
+        given = {name: value for name, value in inputs.items() if block.HasInputPort(name)}
+        found = outputs(block, time=0.1, **given)
+        shown.append(LoadState.view(found["measured_load_state"]))
+    measured, desired = shown[0], LoadState.view(inputs["reference"])
     expected = (desired.quaternion, measured.position, desired.angular_velocity, measured.velocity)
     for found, value in zip(shown[1], expected, strict=True):
         np.testing.assert_array_equal(found, value)
-    is_measured = feedback.describe_response().is_measured
-    np.testing.assert_array_equal(is_measured, np.repeat([0, 1, 0, 1], 3))
+    np.testing.assert_array_equal(block.describe_response().is_measured, np.repeat([0, 1, 0, 1], 3))
