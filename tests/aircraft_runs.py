@@ -1,4 +1,4 @@
-"""A made-up run of aircraft that hold a resting load, for several test files."""
+"""Made-up runs, such as that of aircraft that hold a resting load, for several test files."""
 
 import numpy as np
 
@@ -32,6 +32,25 @@ def orbits(time):
     return attachments() + CABLE_LENGTH * forces / lengths, forces
 
 
+def made_up(scenario, time, motion, load, reference, *, signals=None, steps=None, **fields):
+    """A run whose carriers have positions and velocities (k, n, 3) at each time and step."""
+    carriers = np.hstack([part.reshape(len(time), -1) for part in motion])
+    own = {
+        "load_plant.load_state": load,
+        "load_trajectory.reference": reference,
+        "carrier_dynamics.carrier_state": carriers,
+    }
+    flown = {"time": time, "load_state": load, "carrier_state": carriers}
+    return Run(
+        scenario=scenario,
+        diagram=None,
+        time=time,
+        signals=own | (signals or {}),
+        steps=flown | (steps or {}),
+        **{"solve_times": np.zeros(0), "wall_time": 1.0} | fields,
+    )
+
+
 def aircraft_run(duration=11.0, wind=(0.0, 0.0, 0.0), velocity=(0.0, 0.0, 0.0)):
     """Four aircraft of 6 kg on 150 m cables, in a steady wind, above a load that moves steadily."""
     time = np.arange(0, duration + 1e-9, PERIOD)
@@ -58,17 +77,14 @@ def aircraft_run(duration=11.0, wind=(0.0, 0.0, 0.0), velocity=(0.0, 0.0, 0.0)):
     load[:, 0] = 1.0
     load[:, 4:7], load[:, 10:13] = moved, velocity
     reference = np.hstack([load, np.zeros((len(time), 9))])
-    carriers = np.hstack([part.reshape(len(time), -1) for part in (positions, velocities)])
     tensions = np.linalg.norm(forces, axis=2)
-    saturation = np.zeros((len(time), 12))
-    return Run(
-        scenario=Scenario(name="aircraft", system=system, simulation_duration=duration),
-        diagram=None,
-        time=time,
+    return made_up(
+        Scenario(name="aircraft", system=system, simulation_duration=duration),
+        time,
+        (positions, velocities),
+        load,
+        reference,
         signals={
-            "load_plant.load_state": load,
-            "load_trajectory.reference": reference,
-            "carrier_dynamics.carrier_state": carriers,
             "carrier_dynamics.aircraft_state": state,
             "cables.tensions": tensions,
             "optimization_layer.parameters": np.tile([FREQUENCY, RADIAL], (len(time), 1)),
@@ -76,13 +92,8 @@ def aircraft_run(duration=11.0, wind=(0.0, 0.0, 0.0), velocity=(0.0, 0.0, 0.0)):
             "wind.load_wind": np.tile(wind, (len(time), 1)),
         },
         steps={
-            "time": time,
-            "load_state": load,
-            "carrier_state": carriers,
             "aircraft_state": state,
-            "command_saturation": saturation,
+            "command_saturation": np.zeros((len(time), 12)),
             "tensions": tensions,
         },
-        solve_times=np.zeros(0),
-        wall_time=1.0,
     )

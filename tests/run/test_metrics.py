@@ -4,9 +4,9 @@ import json
 
 import numpy as np
 import pytest
-from aircraft_runs import FREQUENCY, aircraft_run
+from aircraft_runs import FREQUENCY, aircraft_run, made_up
 
-from drake_nonstop import ConstantParametersConfig, Run, changed, compute_metrics, load_scenario
+from drake_nonstop import ConstantParametersConfig, changed, compute_metrics, load_scenario
 from drake_nonstop.mechanics.rounded_box import nearest_to
 from drake_nonstop.mechanics.signals import AircraftState
 from drake_nonstop.run.metrics import METRICS, metrics_table
@@ -16,29 +16,19 @@ TURN = 2 * np.pi / FREQUENCY
 DIAGNOSTICS = [1, 7, 4, 1, 1, 1, 0.2]
 
 
-def made_up(time, positions, velocities, load=(0.003, 0.0, 0.0)):
+def flown(time, positions, velocities, load=(0.003, 0.0, 0.0)):
     """A run of four carriers (k, 4, 3) above a level load, whose reference rests at the origin."""
     count = len(time)
-    carriers = np.hstack([part.reshape(count, -1) for part in (positions, velocities)])
     state, diagnostics = np.tile(np.eye(13)[0], (count, 1)), np.zeros((count, 7))
     state[:, 4:7], diagnostics[-1] = load, DIAGNOSTICS
-    return Run(
-        scenario=load_scenario("quintic"),
-        diagram=None,
-        time=time,
-        signals={
-            "load_plant.load_state": state,
-            "load_trajectory.reference": np.tile(np.eye(22)[0], (count, 1)),
-            "carrier_dynamics.carrier_state": carriers,
-            "optimization_layer.parameters": np.tile([2.0, 1.3], (count, 1)),
-        },
-        steps={
-            "time": time,
-            "load_state": state,
-            "carrier_state": carriers,
-            "tensions": np.full((count, 4), 2.5),
-            "diagnostics": diagnostics,
-        },
+    return made_up(
+        load_scenario("quintic"),
+        time,
+        (positions, velocities),
+        state,
+        np.tile(np.eye(22)[0], (count, 1)),
+        signals={"optimization_layer.parameters": np.tile([2.0, 1.3], (count, 1))},
+        steps={"tensions": np.full((count, 4), 2.5), "diagnostics": diagnostics},
         solve_times=np.array([1e-3, 2e-3, 3e-3]),
         wall_time=0.5,
     )
@@ -51,7 +41,7 @@ def circling_run(*, radius=0.5, rate=2.0):
     ring = radius * np.stack([np.cos(angle), np.sin(angle), 0 * angle + 1.6], axis=2)
     swing = radius * rate * np.stack([-np.sin(angle), np.cos(angle), 0 * angle], axis=2)
     positions = np.array(load_scenario("quintic").system.attachments) + ring
-    return made_up(time, positions, np.broadcast_to(swing, positions.shape))
+    return flown(time, positions, np.broadcast_to(swing, positions.shape))
 
 
 def everything():
@@ -148,7 +138,7 @@ def test_extremes_between_two_steps_are_found(step, rng):
     path = t * [1.0, 2.0, 0.0]
     apart = path, np.array([0, 0, 0.004]) - path, path + 5.6, path + 6.6  # 4 mm, where two meet
     velocities = np.repeat((start + t * acceleration)[:, None], 4, axis=1)
-    carriers = compute_metrics(made_up(time, np.stack(apart, axis=1), velocities))["carriers"]
+    carriers = compute_metrics(flown(time, np.stack(apart, axis=1), velocities))["carriers"]
     place = -start @ acceleration / (acceleration @ acceleration)
     slowest = np.linalg.norm(start + place * acceleration)
     assert carriers["speed_min_m_s"] == pytest.approx(slowest, rel=1e-6)
@@ -209,7 +199,7 @@ def test_the_saturated_share_is_the_time_with_any_flag():
 
 def flown_past(obstacle, load, carriers):
     """A run of 7 steps in 3 s."""
-    run = made_up(np.linspace(0, 3, 7), carriers, 0 * carriers, load)
+    run = flown(np.linspace(0, 3, 7), carriers, 0 * carriers, load)
     run.scenario = changed(run.scenario, [f"obstacles=[{obstacle}]"])
     return run
 
