@@ -1,13 +1,12 @@
 """References of a load that are functions of coordinates along a trajectory."""
 
 import functools
-import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.trajectories import PiecewisePolynomial
+from pydrake.trajectories import Trajectory
 
 from drake_nonstop.mechanics.reference_preview import ReferencePreview
 from drake_nonstop.mechanics.rotation import angular_velocity_of, roll_pitch_yaw_to_quaternion
@@ -22,6 +21,7 @@ from drake_nonstop.mechanics.taylor import Taylor
 from drake_nonstop.model.block import Block
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.grid_function import GridFunction
+from drake_nonstop.validation import require
 
 _BOX = "load_trajectory"
 _RATES = 4  # derivatives of the coordinates
@@ -31,39 +31,26 @@ _SIZES = {"reference": LOAD_REFERENCE_SIZE, "reference_higher_rates": REFERENCE_
 class _Coordinates:
     """Coordinates along a trajectory with their derivatives; they rest beyond its ends."""
 
-    def __init__(self, trajectory: PiecewisePolynomial):
-        starts, rows = np.array(trajectory.get_segment_times()[:-1]), trajectory.rows()
-        of_segment = trajectory.getSegmentPolynomialDegree
-        degree = max(of_segment(i, row) for i in range(len(starts)) for row in range(rows))
-        # Of the derivatives at the starts, which are zero beyond the degree, Taylor series follow.
-        derivatives = np.zeros((len(starts), degree + _RATES + 2, rows))
-        for k in range(degree + 1):
-            derivatives[:, k] = trajectory.MakeDerivative(k).vector_values(starts).T
-        self._series = [
-            [
-                derivatives[:, first + k : first + k + _RATES + 1] / math.factorial(k)
-                for k in reversed(range(degree + 1))
-            ]
-            for first in (0, 1)
-        ]
-        self._starts = starts
+    def __init__(self, trajectory: Trajectory):
+        # A trajectory without derivatives would end the process.
+        is_one = isinstance(trajectory, Trajectory) and trajectory.has_derivative()
+        is_pose = is_one and (trajectory.rows(), trajectory.cols()) == (6, 1)
+        remedy = (
+            "give a Trajectory of Drake's with derivatives, of the rows roll, pitch, yaw, x, y, z"
+        )
+        require(is_pose, f"{_BOX}.trajectory", trajectory, remedy)
+        self._derivatives = [trajectory.MakeDerivative(k) for k in range(_RATES + 2)]
         self._limits = trajectory.start_time(), trajectory.end_time()
-        self.size = (_RATES + 1) * rows
+        self.size = (_RATES + 1) * 6
 
     def rows(self, times: NDArray, first: int = 0) -> NDArray:
         """The coordinates and four derivatives (k, size) at times (k,), s.
 
         `first` is 1 for the rates of all of these.
         """
-        start, end = self._limits
-        at = np.maximum(start, np.minimum(times, end))
-        segments = np.searchsorted(self._starts[1:], at, "right")
-        since = (at - self._starts[segments])[:, None, None]
-        highest, *others = self._series[first]
-        values = highest.take(segments, axis=0)
-        for coefficients in others:
-            values *= since
-            values += coefficients.take(segments, axis=0)
+        at = np.clip(times, *self._limits)
+        made = [each.vector_values(at).T for each in self._derivatives[first : first + _RATES + 1]]
+        values = np.stack(made, axis=1)
         values[at != times, 1 - first :] = 0
         return values.reshape(len(times), -1)
 
@@ -76,7 +63,7 @@ class AlongTrajectory(Block):
 
     makes: ClassVar[tuple[str, ...]] = ("reference", "reference_higher_rates")
 
-    def __init__(self, trajectory: PiecewisePolynomial):
+    def __init__(self, trajectory: Trajectory):
         self._coordinates = _Coordinates(trajectory)
         super().__init__(None)
 
@@ -93,21 +80,25 @@ class AlongTrajectory(Block):
 
 
 class LoadTrajectory(AlongTrajectory):
-    """The desired motion of the load along a piecewise polynomial.
+    """The desired motion of the load along a Trajectory of Drake's.
 
     `reference_preview` is a `ReferencePreview`: the reference at any time.
 
     Args:
         trajectory: the rows [roll, pitch, yaw (rad), x, y, z (m)], twice continuously
-            differentiable where the load has to follow closely. Before its start and after its
-            end the load rests at its first and last pose.
+            differentiable where the load has to follow closely, such as a PiecewisePolynomial or a
+            BsplineTrajectory. Before its start and after its end the load rests at its first and
+            last pose.
         yaw_rate: rad/s, at which the load turns about the vertical besides, at all times.
+
+    Raises:
+        ScenarioError: it is no Trajectory, or has no derivatives, or not these six rows.
     """
 
     makes = ("reference", "reference_higher_rates", "reference_preview")
     reads_time = True
 
-    def __init__(self, trajectory: PiecewisePolynomial, *, yaw_rate: float = 0.0):
+    def __init__(self, trajectory: Trajectory, *, yaw_rate: float = 0.0):
         self._constants = {"yaw_rate": yaw_rate}
         super().__init__(trajectory)
 

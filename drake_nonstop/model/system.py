@@ -151,6 +151,13 @@ class Model:
         overridden: the fields that `simulated` replaces.
 
     Attributes:
+        system, pattern_config, control_period, field, overridden: as given.
+        n, m: the numbers of carriers and of coordinates of internal forces.
+        load: its `mass`, `inertia`, `drag`, `angular_drag` and `gravity`, a `RigidLoad`.
+        attachments: (n, 3), m.
+        pseudo_inverse: (3n, 6), of the grasp matrix, see `mechanics.grasp`.
+        pattern: its `basis` N₀ (3n, m), `phases` (m,) in rad and `offset` (3n,) in N.
+        carrier_mass, gravity: kg, of each carrier, and m/s².
         aircraft: the carriers, where they are fixed-wing aircraft, whose mass is `carrier_mass`.
         bears_cable_drag: whether these have a share of their cable's drag; cables may have their
             own.

@@ -7,9 +7,17 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 from helpers import model, output, rates_by_differences, rotation
-from pydrake.math import RollPitchYaw
+from pydrake.math import BsplineBasis, RollPitchYaw
+from pydrake.trajectories import (
+    BezierCurve,
+    BsplineTrajectory,
+    CompositeTrajectory,
+    FunctionHandleTrajectory,
+    PiecewisePolynomial,
+)
 from registries import CASES, made
 
+from drake_nonstop import LoadTrajectory, ScenarioError
 from drake_nonstop.blocks.load_trajectory import (
     ConstantVelocityMove,
     ConstantVelocityMoveConfig,
@@ -22,6 +30,7 @@ from drake_nonstop.blocks.load_trajectory import (
     Waypoints,
     WaypointsConfig,
 )
+from drake_nonstop.mechanics.signals import LoadReference
 
 START = {"start_position": [0.5, -1.0, 2.0], "start_roll_pitch_yaw": [0.2, -0.3, 0.4]}
 ON = START | {"displacement": [1.0, -2.0, 0.5], "start_time": 1.0}
@@ -201,3 +210,47 @@ def test_steady_turn_is_the_rest_to_rest_move_of_a_load_that_turns_at_all_times(
         np.testing.assert_allclose(rotation(now[:4]), yaw @ rotation(still[:4]), rtol=0, atol=1e-13)
         expected = [*still[4:7], 0, 0, -0.7, *still[10:13], 0, 0, 0, *still[16:]]
         np.testing.assert_allclose(now[4:], expected, rtol=0, atol=1e-15)
+
+
+POSES = np.random.default_rng(58).normal(size=(6, 8))
+DRAKES = {
+    "polynomial": PiecewisePolynomial.CubicShapePreserving(np.linspace(1, 4, 8), POSES, True),
+    "spline": BsplineTrajectory(BsplineBasis(6, 8), [*POSES.T[..., None]]),
+    "curves": CompositeTrajectory([BezierCurve(1, 4, POSES), BezierCurve(4, 5, POSES[:, -1:])]),
+}
+
+
+@pytest.mark.parametrize("curve", DRAKES.values(), ids=DRAKES)
+def test_a_load_follows_any_trajectory_of_drakes_and_rests_beyond_its_ends(curve):
+    block, span = LoadTrajectory(curve), (curve.start_time(), curve.end_time())
+    for time in (span[0] - 1, *np.linspace(*span, 7)[1:-1], span[1] + 1):
+        context = block.CreateDefaultContext()
+        context.SetTime(time)
+        shown = LoadReference.view(output(block, context, "reference"))
+        at = np.clip(time, *span)
+        pose = curve.value(at)[:, 0]
+        np.testing.assert_allclose(shown.position, pose[3:], atol=1e-12)
+        np.testing.assert_allclose(
+            rotation(shown.quaternion),
+            RollPitchYaw(pose[:3]).ToRotationMatrix().matrix(),
+            atol=1e-12,
+        )
+        for order, rate in enumerate((shown.velocity, shown.acceleration, shown.jerk), 1):
+            expected = curve.EvalDerivative(at, order)[3:, 0] * (at == time)
+            np.testing.assert_allclose(rate, expected, atol=1e-9 * (1 + np.abs(expected).max()))
+
+
+@pytest.mark.parametrize(
+    "curve",
+    [
+        "a circle",
+        PiecewisePolynomial(np.zeros((3, 1))),
+        PiecewisePolynomial(np.zeros((6, 6))),
+        FunctionHandleTrajectory(lambda time: np.zeros((6, 1)), 6, 1, 0, 1),
+    ],
+)
+def test_what_is_no_trajectory_of_poses_is_refused_and_ends_no_process(curve):
+    with pytest.raises(
+        ScenarioError, match=r"^load_trajectory\.trajectory = .*: give a Trajectory"
+    ):
+        LoadTrajectory(curve)

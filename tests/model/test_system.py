@@ -162,3 +162,8 @@ def test_an_aircraft_of_ones_own_has_all_fields():
     del own["wing_area"]
     with pytest.raises(ScenarioError, match=r"system.aircraft.wing_area = not given: give it"):
         make(aircraft=own | {"model": AircraftParameters().model})
+
+
+def test_the_docstring_of_a_model_names_all_that_it_has():
+    known = set(re.findall(r"\w+", Model.__doc__))
+    assert {name for name in vars(make()) if not name.startswith("_")} <= known
