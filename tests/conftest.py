@@ -50,17 +50,14 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         mark = item.get_closest_marker("nightly")
         if mark is not None:
             if mark.args not in {(name,) for name in CLASSES}:
-                raise pytest.UsageError(
-                    f"{item.nodeid}: nightly{mark.args}: give one of {', '.join(CLASSES)}"
-                )
+                remedy = f"give one of {', '.join(CLASSES)}"
+                raise pytest.UsageError(f"{item.nodeid}: nightly{mark.args}: {remedy}")
             by_class[mark.args[0]].append(item)
     count = config.getoption("sample")
     if count:
-        chosen = {
-            item
-            for name, some in by_class.items()
-            for item in random.Random(name).sample(some, min(count, len(some)))
-        }
+        chosen: set[pytest.Item] = set()
+        for name, some in by_class.items():
+            chosen |= {*random.Random(name).sample(some, min(count, len(some)))}
         config.hook.pytest_deselected(items=[item for item in items if item not in chosen])
         items[:] = [item for item in items if item in chosen]
 
@@ -86,18 +83,15 @@ def rng() -> np.random.Generator:
     return np.random.default_rng(20240607)
 
 
-@pytest.fixture(scope="session", autouse=True)
-def fleet(tmp_path_factory) -> "Iterator[Fleet]":
+@pytest.fixture(scope="session")
+def fleet(tmp_path_factory) -> "Fleet":
     """Flights that all tests of all workers share."""
     from fleet import Fleet
 
     folder = tmp_path_factory.getbasetemp()
     if "PYTEST_XDIST_WORKER" in os.environ:
         folder = folder.parent  # each worker has a folder of its own in it
-    made = Fleet(folder / "fleet")
-    made.start()  # now, while no test has opened anything that its process would keep open
-    yield made
-    made.close()
+    return Fleet(folder / "fleet")
 
 
 @pytest.fixture

@@ -73,9 +73,8 @@ def private_names() -> dict[str, set[str]]:
     public, found = public_names(), dict[str, set[str]]()
     for path in sorted(TESTS.rglob("*.py")):
         room = room_of(path, TESTS)
-        for module, name in imported(path.read_text(encoding="utf-8")):
-            is_equation = module.startswith("drake_nonstop.mechanics.")
-            if name not in public and not is_equation and room not in OPEN:
+        for module, name in imported(path.read_text(encoding="utf-8")) if room not in OPEN else ():
+            if name not in public and not module.startswith("drake_nonstop.mechanics."):
                 found.setdefault(room, set()).add(f"{module.removeprefix('drake_nonstop.')}.{name}")
     return found
 
@@ -89,16 +88,12 @@ def main() -> int:
         row = package.get(room, 0), tests.get(room, 0), len(private.get(room, ()))
         print(f"{room:12}{row[0]:9}{row[1]:9}{row[2]:15}")
     if "--names" in sys.argv:
-        for room, names in private.items():
-            print(f"\n{room}: {', '.join(sorted(names))}")
+        print(*(f"\n{room}: {', '.join(sorted(names))}" for room, names in private.items()))
     lines = sum(package.values()), sum(tests.values())
     values = lines[1], lines[1] / lines[0], len(set().union(*private.values()))
     print(f"{'all':12}{lines[0]:9}{lines[1]:9}{values[2]:15}")
-    missed = [
-        f"{name} = {value:.4g}: keep to {limit}"
-        for (name, limit), value in zip(LIMITS.items(), values, strict=True)
-        if value > limit
-    ]
+    rows = zip(LIMITS.items(), values, strict=True)
+    missed = [f"{what} = {v:.4g}: keep to {limit}" for (what, limit), v in rows if v > limit]
     print("\n".join(missed))
     return bool(missed)
 

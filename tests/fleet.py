@@ -5,23 +5,19 @@ box, every pattern, every outcome, and 3 to 8 carriers; `tests/test_fleet.py` ho
 compiled engine flies them where it can. Those of `BY_BOTH_ENGINES` are flown by the diagram, too.
 """
 
-import contextlib
 import copy
 import dataclasses
 import fcntl
 import hashlib
-import multiprocessing
 import os
 import pickle
 import warnings
-from collections.abc import Iterable, Iterator
-from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 import pytest
 from helpers import irregular, regular, spatial
-from memory import begin_forked, free_memory
 
 from drake_nonstop import (
     Run,
@@ -29,9 +25,11 @@ from drake_nonstop import (
     Scenario,
     ScenarioWarning,
     compute_metrics,
+    dump_scenario,
+    load_scenario,
+    scenario_names,
+    simulate,
 )
-from drake_nonstop.run.simulate import simulate
-from drake_nonstop.scenario.loading import dump_scenario, load_scenario, scenario_names
 
 
 def _carriers(n: int, shape=irregular, **settings: object) -> list[str]:
@@ -200,7 +198,6 @@ def scenario_of(name: str) -> Scenario:
 # needed.
 _STORED = [field.name for field in dataclasses.fields(Run)]
 _STORED = [name for name in _STORED if name not in ("scenario", "diagram")]
-_KEPT = 1  # run in the memory of a process, of up to 50 MB
 
 
 class Fleet:
@@ -211,8 +208,7 @@ class Fleet:
 
     def __init__(self, folder: Path):
         self._folder = folder
-        self._here: dict[str, tuple[Run, dict]] = {}  # of this process, the latest last
-        self._process: Executor | None = None  # whose memory is not that of this one
+        self._latest: tuple[str, Run, dict] = "", None, {}  # up to 50 MB
 
     def run(self, flight: str | Scenario, engine: str | None = None) -> Run:
         """The run of a flight of the fleet, or of a scenario, by an engine or the fastest."""
@@ -223,45 +219,31 @@ class Fleet:
         scenario = scenario_of(flight) if isinstance(flight, str) else flight
         text = f"{engine}\n{dump_scenario(scenario)}"
         key = hashlib.sha256(text.encode()).hexdigest()
-        found = self._here.pop(key, None)
-        if found is None:
-            stored, metrics = self._stored(key, scenario, engine=engine)
+        if self._latest[0] != key:
+            stored, metrics = self._stored(key, scenario, engine)
             run = Run(scenario=copy.deepcopy(scenario), diagram=None, **stored)
             for values in (run.time, run.solve_times, *run.signals.values(), *run.steps.values()):
                 values.flags.writeable = False
-            found = run, metrics
-        while len(self._here) >= _KEPT:
-            del self._here[next(iter(self._here))]
-        self._here[key] = found
-        return found
+            self._latest = key, run, metrics
+        return self._latest[1:]
 
-    def _stored(self, key: str, scenario: Scenario, **arguments: object) -> tuple[dict, dict]:
+    def _stored(self, key: str, scenario: Scenario, engine: str | None) -> tuple[dict, dict]:
         """The stored fields of a run, and its metrics, flown now if no process has done so."""
         path = self._folder / f"{key}.pickle"
         self._folder.mkdir(exist_ok=True)
-        with _locked(path.with_suffix(".lock")):
-            if not path.exists():
-                try:
-                    self.start().submit(_write, path, scenario, arguments).result()
-                except BrokenExecutor:
-                    self.close()
-                    raise
-        with path.open("rb") as file:
-            return pickle.load(file)
-
-    def start(self) -> Executor:
-        """The process of its flights, started now if there is none."""
-        if self._process is None:
-            context = multiprocessing.get_context("fork")
-            self._process = ProcessPoolExecutor(1, context, initializer=begin_forked)
-            self._process.submit(int).result()
-        return self._process
-
-    def close(self) -> None:
-        """Ends the process of its flights."""
-        if self._process is not None:
-            self._process.shutdown()
-        self._process = None
+        with path.with_suffix(".lock").open("w") as lock:  # held by one process at a time
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            try:
+                if not path.exists():
+                    run = flown(scenario, engine=engine)
+                    stored = {name: getattr(run, name) for name in _STORED}
+                    stored |= {name: dict(stored[name]) for name in ("signals", "steps")}
+                    content = pickle.dumps((stored, compute_metrics(run)), pickle.HIGHEST_PROTOCOL)
+                    path.with_suffix(".new").write_bytes(content)
+                    os.replace(path.with_suffix(".new"), path)
+            finally:  # for processes, too, that were forked meanwhile
+                fcntl.flock(lock, fcntl.LOCK_UN)
+        return pickle.loads(path.read_bytes())
 
 
 def flown(scenario: Scenario, **arguments: object) -> Run:
@@ -272,26 +254,3 @@ def flown(scenario: Scenario, **arguments: object) -> Run:
             return simulate(scenario, **arguments)
         except RunStopped as stopped:
             return stopped.run
-
-
-def _write(path: Path, scenario: Scenario, arguments: dict[str, object]) -> None:
-    """Flies a scenario, and writes the stored fields of its run and its metrics."""
-    run = flown(scenario, **arguments)
-    stored = {name: getattr(run, name) for name in _STORED}
-    stored |= {name: dict(stored[name]) for name in ("signals", "steps")}
-    written = path.with_suffix(".new")
-    with written.open("wb") as file:
-        pickle.dump((stored, compute_metrics(run)), file, pickle.HIGHEST_PROTOCOL)
-    os.replace(written, path)
-    free_memory()
-
-
-@contextlib.contextmanager
-def _locked(path: Path) -> Iterator[None]:
-    """Waits until no other process holds the file."""
-    with path.open("w") as file:
-        fcntl.flock(file, fcntl.LOCK_EX)
-        try:
-            yield
-        finally:
-            fcntl.flock(file, fcntl.LOCK_UN)  # for processes, too, that were forked meanwhile

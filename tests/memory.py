@@ -1,10 +1,9 @@
-"""What a process of the suite frees, and how it ends with the one that started it."""
+"""What a process of the suite frees."""
 
 import contextlib
 import ctypes
 import gc
 import os
-import signal
 from pathlib import Path
 
 from pydrake.systems.framework import LeafSystem
@@ -13,7 +12,6 @@ from drake_nonstop import LeafBlock
 
 MOST = 500_000_000  # bytes: a process with less does not look for what it can free
 _STATISTICS = Path("/proc/self/statm")
-_PR_SET_PDEATHSIG = 1  # of prctl
 
 _next = MOST  # the memory in bytes at which the process looks again
 
@@ -41,10 +39,3 @@ def free_memory() -> None:
 def _resident() -> int:
     """The memory of this process in bytes."""
     return int(_STATISTICS.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
-
-
-def begin_forked() -> None:
-    """Has a forked process leave alone what it was forked with, and end with its parent."""
-    gc.freeze()
-    with contextlib.suppress(OSError, AttributeError):  # another system than Linux
-        ctypes.CDLL("libc.so.6").prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)

@@ -1,7 +1,5 @@
 """The fleet has every block, pattern and outcome; each of its flights is flown once."""
 
-import contextlib
-
 import fleet as fleet_module
 import numpy as np
 import pytest
@@ -32,11 +30,10 @@ def test_a_flight_is_flown_once_and_is_that_of_the_scenario(tmp_path, monkeypatc
     short = ["simulation_duration=0.1", "optimization_layer=ConstantParameters"]
     scenario = load_scenario("quintic", short)
     expected = flown(scenario)
-    other = Fleet(tmp_path)  # as of another process
-    with contextlib.closing(Fleet(tmp_path)) as store:
-        runs = [store.run(scenario)]
-        monkeypatch.setattr(fleet_module, "flown", lambda *_, **__: pytest.fail("flown again"))
-        runs += [store.run(scenario), other.run(scenario)]
+    store, other = Fleet(tmp_path), Fleet(tmp_path)  # as of two processes
+    runs = [store.run(scenario)]
+    monkeypatch.setattr(fleet_module, "flown", lambda *_, **__: pytest.fail("flown again"))
+    runs += [store.run(scenario), other.run(scenario)]
     for run in runs:
         assert run.signals.keys() == expected.signals.keys()
         for name, values in expected.signals.items():

@@ -100,15 +100,15 @@ def read_claims(text: str) -> list[Claim]:
 
 def measure(claims: Sequence[Claim]) -> Iterator[tuple[Claim, float]]:
     """The value of each claim, as it is found, in a process per core; of speed last, one by one."""
-    of_arguments: dict[str, list[Claim]] = {}
+    groups: dict[str, list[Claim]] = {}
     for claim in claims:
-        of_arguments.setdefault(claim.arguments, []).append(claim)
-    groups = sorted(of_arguments.values(), key=lambda group: group[0].is_of_speed)
-    shared = [group for group in groups if not group[0].is_of_speed]
+        groups.setdefault(claim.arguments, []).append(claim)
+    alone = [group for group in groups.values() if group[0].is_of_speed]
+    shared = [group for group in groups.values() if not group[0].is_of_speed]
     with ProcessPoolExecutor() as pool:
         for group, values in zip(shared, pool.map(values_of, shared), strict=True):
             yield from zip(group, values, strict=True)
-    for group in groups[len(shared) :]:
+    for group in alone:
         yield from zip(group, values_of(group), strict=True)
 
 
@@ -118,7 +118,7 @@ def values_of(claims: Sequence[Claim]) -> list[float]:
     name, *overrides = shlex.split(claims[0].arguments.removeprefix(claims[0].measure))
     found = measure.measure(load_scenario(name, overrides))
     values = [measure.quantities[claim.quantity](found) for claim in claims]
-    unknown = [claim for claim, value in zip(claims, values, strict=True) if value is None]
-    if unknown:
-        raise ValueError(f"{unknown[0]}: give a quantity that this run measures")
+    for claim, value in zip(claims, values, strict=True):
+        if value is None:
+            raise ValueError(f"{claim}: give a quantity that this run measures")
     return [float(value) for value in values if value is not None]

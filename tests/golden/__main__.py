@@ -4,7 +4,6 @@ Numbers within their tolerance stay as they are; what is written anew is listed.
 """
 
 import argparse
-import contextlib
 import multiprocessing
 import os
 import sys
@@ -32,11 +31,8 @@ from golden.numbers import (  # noqa: E402
 
 def renewed(name: str, kept: dict[str, Golden]) -> tuple[dict[str, Golden], dict[str, str]]:
     """The golden numbers of a flight, those that hold as they are kept, and what differs."""
-    with (
-        tempfile.TemporaryDirectory() as folder,
-        contextlib.closing(Fleet(Path(folder))) as fleet,
-    ):
-        numbers = numbers_of_flight(name, fleet)
+    with tempfile.TemporaryDirectory() as folder:
+        numbers = numbers_of_flight(name, Fleet(Path(folder)))
     different = differences(kept, numbers)
     if not different:
         return kept, {}
