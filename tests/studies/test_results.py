@@ -1,8 +1,9 @@
-"""Folders of results: whole or not at all, and each run's row kept from its end on."""
+"""Folders of results, whole or not at all; journals of studies; exports, by readers not ours."""
 
 import errno
 import functools
 import json
+import operator
 import os
 import re
 import shutil
@@ -11,11 +12,14 @@ import tempfile
 import time
 
 import numpy as np
+import pandas
 import pytest
+from helpers import rotation
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from drake_nonstop import (
+    ConstantParameters,
     Run,
     ScenarioError,
     SerialExecutor,
@@ -25,6 +29,7 @@ from drake_nonstop import (
     write_results,
 )
 from drake_nonstop.cli.main import main
+from drake_nonstop.mechanics.signals import CarrierStates, LoadState, Wrench
 from drake_nonstop.scenario.loading import load_scenario
 
 JOURNAL, MASS = "journal.jsonl", "system.load_mass"
@@ -34,7 +39,7 @@ SHORT = ["simulation_duration=0.1", "optimization_layer=ConstantParameters"]
 
 @pytest.fixture(scope="module")
 def run():
-    return simulate(load_scenario("quintic", ["simulation_duration=0.1"]))
+    return simulate(load_scenario("three_carriers", ["simulation_duration=1.1"]))
 
 
 @pytest.fixture
@@ -226,3 +231,114 @@ def test_a_full_disk_at_the_end_keeps_the_results_elsewhere(tmp_path, monkeypatc
     assert main(["run", "line", "--out", str(tmp_path / "out"), "--quiet", *short]) == 2
     (place,) = re.findall(r"the results are in (.*)\n", capsys.readouterr().err)
     assert Run.load(place).time[-1] == pytest.approx(0.05)
+
+
+@pytest.fixture
+def export(run, tmp_path, undrawn):
+    """Exports the run, or another, from a folder of results; returns the exit code."""
+
+    def call(kind, *signals, of=run):
+        if of is not None:
+            write_results(of, tmp_path / "run", figures=False, replay=False)
+        file = tmp_path / f"run.{'rrd' if kind == 'rerun' else kind}"
+        options = [word for name in signals for word in ("--signal", name)]
+        return main(["export", str(tmp_path / "run"), "--to", kind, "--out", str(file), *options])
+
+    return call
+
+
+@pytest.mark.parametrize("kind", ["csv", "parquet"])
+def test_tables_have_all_numbers_under_names_with_units(run, export, tmp_path, kind):
+    """Those of some signals need neither the scenario nor its blocks."""
+    pytest.importorskip("pyarrow")
+    assert export(kind) == 0
+    file, columns = tmp_path / f"run.{kind}", run.columns()
+    read = functools.partial(pandas.read_csv, dtype=str) if kind == "csv" else pandas.read_parquet
+    frame = read(file).reset_index(drop=kind == "csv")
+    assert list(frame.columns) == list(columns)
+    for name, values in columns.items():
+        np.testing.assert_array_equal(frame[name].astype(float), values)
+    if kind == "parquet":
+        name, attributes = "load_state.position.x [m]", read(file).attrs
+        assert (attributes["units"][name], attributes["frames"][name]) == ("m", "W")
+    (tmp_path / "run" / "scenario.yaml").write_text("own: {phase: !no_such_module.Phase {}}")
+    assert export(kind, "tensions", of=None) == 0
+    numbers = read(file).to_numpy(dtype=float)[:, -3:]
+    np.testing.assert_array_equal(numbers, run.signal("tensions"))
+
+
+def test_a_bag_reads_back_without_ros_and_with_equal_values(run, export, tmp_path):
+    """By rosbags, which has a reader, a decoder and definitions of messages of its own."""
+    pytest.importorskip("mcap_ros2")
+    rosbag2 = pytest.importorskip("rosbags.rosbag2")
+    typesys = pytest.importorskip("rosbags.typesys")
+    assert export("mcap") == 0
+    types = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+    found, log_times = {}, {}
+    with rosbag2.Reader(tmp_path / "run.mcap") as bag:
+        for connection, log_time, data in bag.messages():
+            message = types.deserialize_cdr(data, connection.msgtype)
+            found.setdefault(connection.topic, []).append(message)
+            log_times.setdefault(connection.topic, []).append(log_time)
+    several = [("carriers", "odometry"), ("cables", "force")]
+    topics = {f"/{kind}/{k}/{name}" for kind, name in several for k in (1, 2, 3)}
+    assert found.keys() == topics | {"/load/odometry", "/load/reference", "/load/wrench"}
+    for topic, messages in found.items():
+        stamps = [each.header.stamp for each in messages]
+        times = [stamp.sec + 1e-9 * stamp.nanosec for stamp in stamps]
+        np.testing.assert_allclose(times, run.time, atol=1e-9)
+        np.testing.assert_array_equal(log_times[topic], np.round(1e9 * run.time))
+
+    def values(topic, path, axes="xyz"):
+        get = operator.attrgetter(*(f"{path}.{axis}" for axis in axes))
+        return np.array([get(message) for message in found[topic]])
+
+    def in_world(topic, path):
+        turns = map(rotation, values(topic, "pose.pose.orientation", "wxyz"))
+        return np.einsum("kij,kj->ki", [*turns], values(topic, path))
+
+    first = found["/load/odometry"][0]
+    assert (first.header.frame_id, first.child_frame_id) == ("world", "load")
+    for topic, port in (("/load/odometry", "load_state"), ("/load/reference", "reference")):
+        state, twist = LoadState.view(run.signal(port)), "twist.twist"
+        np.testing.assert_array_equal(values(topic, "pose.pose.position"), state.position)
+        quaternions = values(topic, "pose.pose.orientation", "wxyz")
+        np.testing.assert_array_equal(quaternions, state.quaternion)
+        moved = in_world(topic, f"{twist}.linear"), in_world(topic, f"{twist}.angular")
+        np.testing.assert_allclose(moved, (state.velocity, state.angular_velocity), atol=1e-12)
+    wrench = Wrench.view(run.signal("wrench"))
+    np.testing.assert_array_equal(values("/load/wrench", "wrench.force"), wrench.force)
+    np.testing.assert_array_equal(values("/load/wrench", "wrench.torque"), wrench.torque)
+    carriers = CarrierStates.view(run.signal("carrier_state"))
+    for k in range(3):
+        topic, velocities = f"/carriers/{k + 1}/odometry", carriers.velocities[:, k]
+        place = values(topic, "pose.pose.position")
+        np.testing.assert_array_equal(place, carriers.positions[:, k])
+        np.testing.assert_allclose(in_world(topic, "twist.twist.linear"), velocities, atol=1e-12)
+        ahead = np.linalg.norm(velocities, axis=1)[:, None] * [1, 0, 0]
+        np.testing.assert_allclose(values(topic, "twist.twist.linear"), ahead, atol=1e-12)
+        turns = map(rotation, values(topic, "pose.pose.orientation", "wxyz"))
+        assert max(abs(turn[2, 1]) for turn in turns) < 1e-12  # y is level
+        forces = run.signal("cable_forces")[:, 3 * k : 3 * k + 3]
+        np.testing.assert_array_equal(values(f"/cables/{k + 1}/force", "wrench.force"), forces)
+
+
+def test_recordings_have_one_name_if_they_are_of_one_flight(run, export, tmp_path):
+    """A viewer merges recordings of one name."""
+    pytest.importorskip("rerun")
+    names = []
+    for flown in (run, run, simulate(run.scenario, optimization_layer=ConstantParameters)):
+        assert export("rerun", of=flown) == 0
+        content = (tmp_path / "run.rrd").read_bytes()
+        assert content[:3] == b"RRF"
+        assert len(content) > 50_000  # the motion and the plots
+        names.append(re.findall(rb"three_carriers [0-9a-f]{32}", content)[0])
+    assert names[0] == names[1] != names[2]
+
+
+@pytest.mark.parametrize("kind", ["parquet", "mcap", "rerun"])
+def test_without_the_extra_it_is_named(export, tmp_path, monkeypatch, capsys, kind):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    assert export(kind) == 2
+    assert "pip install 'drake-nonstop[export]'" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["run"]

@@ -136,6 +136,44 @@ def test_a_long_curve_has_few_samples_with_the_ends_and_all_extremes_and_gaps(fl
         assert extremes == (np.nanmin(values[:, column]), np.nanmax(values[:, column]))
 
 
+def test_values_that_diverged_hide_nothing(fleet):
+    whole = fleet.run("quintic")
+
+    def diverged(values):
+        values[-3:] += 1e8
+        return values
+
+    run = changed_run(whole, every=diverged, reference=lambda values: values)
+    run.stopped, run.steps = "it diverged", {k: np.array(v) for k, v in whole.steps.items()}
+    for name in ("tensions", "carrier_state"):
+        diverged(run.steps[name])
+    for name in ALWAYS:
+        for axes, other in zip(run.plot(name).axes, whole.plot(name).axes, strict=True):
+            assert np.ptp(axes.get_ylim()) < 12 * max(np.ptp(other.get_ylim()), 1)
+            assert np.ptp(axes.get_xlim()) < 12 * np.ptp(other.get_xlim())
+            marks = [text for text in axes.texts if text.get_text().startswith("to ")]
+            assert marks or name in ("snapshots", "carrier_paths_from_above"), name
+            assert not [text for text in other.texts if text.get_text().startswith("to ")]
+    (axes,) = run.plot("tensions", "tensions").axes
+    assert axes.get_ylim()[1] < 40
+
+
+def test_marks_stand_where_the_curve_leaves_the_panel(fleet):
+    def waves(values):
+        values[:, 4] = np.sin(9 * np.linspace(0, 1, len(values)))
+        values[[70, 90], 4] = -300, 200
+        return values
+
+    run = changed_run(fleet.run("quintic"), load_state=waves)
+    run.stopped = "it diverged"
+    (axes,) = run.plot("load_state.position.x").axes
+    low, high = axes.get_ylim()
+    assert -12 < low < -0.9 < 0.9 < high < 12
+    places = [line.get_xydata()[0] for line in axes.lines[1:]]
+    np.testing.assert_allclose(places, [[run.time[70], low], [run.time[90], high]])
+    assert [text.get_text() for text in axes.texts] == ["to -3e+02", "to 2e+02"]
+
+
 @pytest.mark.parametrize("rests", [False, True])
 def test_snapshots_are_at_equal_lengths_of_the_loads_way_or_at_equal_times(rests):
     run = circling_run(duration=10.0)

@@ -1,7 +1,11 @@
 """The page of a replay, decoded by msgpack, and by night played by a browser without network."""
 
+import base64
+import copy
+import gzip
 import html
 import io
+import json
 import re
 
 import numpy as np
@@ -11,7 +15,7 @@ from helpers import circling_run, rotation
 from PIL import Image
 from scenes import Recording, Screen, instant, watch
 
-from drake_nonstop import Run, record_replay
+from drake_nonstop import Run, make_nonstop, record_replay
 from drake_nonstop.scenario.loading import load_scenario
 
 STRIDE, RATE = 8, 12.5  # samples of a frame, frames per s
@@ -334,4 +338,57 @@ def test_all_carriers_are_in_view_in_any_window(watched, flown, width, height):
     assert boxes["#meshcat-pane"]["height"] + boxes["#overlay"]["height"] == pytest.approx(height)
     assert page.evaluate("document.documentElement.scrollWidth") <= width
     assert page.locator("#margin").text_content().startswith("margin 0.")
+    assert watched.errors == []
+
+
+@pytest.fixture(scope="module")
+def with_figure(fleet):
+    flown = copy.copy(fleet.run("quintic"))
+    flown.diagram = make_nonstop(flown.scenario)
+    return flown
+
+
+def numbers_of(page):
+    """Each signal's numbers (samples, size) in a page, and their times."""
+    told = json.loads(re.search(r'id="signals">(.*?)</script>', page)[1])
+    packed = re.search(r'"data:application/gzip;base64,([\w+/=]+)"\)\n *\.then\(\(', page)[1]
+    planes = np.frombuffer(gzip.decompress(base64.b64decode(packed)), np.uint8)
+    table = planes.reshape(4, -1).T.copy().view("<f4").reshape(-1, len(told["times"])).T
+    signals = {
+        name: table[:, each["first"] : each["first"] + len(each["entries"])]
+        for name, each in told["signals"].items()
+    }
+    return np.array(told["times"]), signals
+
+
+def test_a_page_has_the_numbers_of_all_signals_at_the_frames_of_its_scene(with_figure):
+    times, signals = numbers_of(record_replay(with_figure, frame_rate=10))
+    np.testing.assert_allclose(times, with_figure.time[::10])
+    assert [*signals] == [*with_figure.signals]
+    for name, values in with_figure.signals.items():
+        np.testing.assert_allclose(signals[name], values[::10], rtol=3e-4, atol=1e-30)
+    assert 'id="signals"' not in record_replay(with_figure, has_figure=False)
+
+
+@browsers
+def test_wires_show_their_values_at_the_time_of_the_scene(watched, with_figure, tmp_path):
+    (tmp_path / "replay.html").write_text(record_replay(with_figure))
+    page = watched.page
+    page.set_viewport_size({"width": 1360, "height": 900})
+    page.goto((tmp_path / "replay.html").as_uri())
+    page.wait_for_function("viewer.animator.actions.length > 0")
+    page.get_by_label("time").fill("4")
+    tension = with_figure.signal("tensions")[400]
+    wire = page.locator('[data-signal="cables.tensions"]')
+    page.wait_for_function("document.getElementById('clock').textContent === '4.00 s'")
+    assert wire.locator(".value").text_content() == f"{min(tension):.2g} … {max(tension):.2g} N"
+    wire.locator("path").dispatch_event("click")
+    shown = page.locator("#values b").all_text_contents()
+    assert shown == [f"{value:.3g} N" for value in tension]
+    page.set_viewport_size({"width": 390, "height": 844})
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    page.get_by_label("rate").select_option("2")
+    assert page.evaluate("viewer.animator.actions.every((action) => action.timeScale === 2)")
+    page.get_by_role("button", name="control figure").click()
+    assert not page.locator("#figure").is_visible()
     assert watched.errors == []
