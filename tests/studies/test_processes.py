@@ -18,7 +18,7 @@ from pathlib import Path
 import pytest
 from helpers import handle_signals_as_a_shell_does
 
-from drake_nonstop import ScenarioError, SerialExecutor, StudyInterrupted, study
+from drake_nonstop import ScenarioError, SerialExecutor, study
 from drake_nonstop.scenario.loading import load_scenario
 
 COUNT = int(os.environ.get("NONSTOP_SIGNALS", "4"))
@@ -165,21 +165,6 @@ def test_a_block_that_never_returns_keeps_no_process(tmp_path, monkeypatch, sign
         assert "1 runs are in out; the same call continues from there" in error
     assert len(journalled(tmp_path / "out")) == 2
     assert (tmp_path / "out" / "as_it_is" / "metrics.json").exists()
-
-
-@pytest.mark.nightly("processes")
-def test_an_interrupt_leaves_no_process_behind_where_python_goes_on(tmp_path, faulty):
-    left = []
-
-    def interrupt(what, share):
-        left.extend(workers())
-        raise KeyboardInterrupt
-
-    faults = {FAULT: ["none", "flown hangs", "flown dies"]}
-    with pytest.raises(StudyInterrupted, match="1 runs are in"):
-        study(faulty, faults, folder=tmp_path / "out", progress=interrupt)
-    assert left
-    wait_until(lambda: not {*left} & {process for process, *_ in processes()})
 
 
 @pytest.mark.nightly("processes")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from aircraft_runs import PERIOD, aircraft_run, orbits
 from helpers import circling_run, rotation
-from pydrake.math import RigidTransform
+from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 from pydrake.systems.framework import DiagramBuilder
 from scenes import Screen, instant, shown, watch
@@ -34,15 +34,6 @@ def meshcat():
 
 def short(name="quintic", duration=0.3, *changes):
     return load_scenario(name, [f"simulation_duration={duration}", *changes])
-
-
-def test_a_run_is_the_same_to_the_bit_with_any_number_of_viewers():
-    alone = simulate(short(), engine="diagram")
-    watched = simulate(short(), viewers=[show_in(start_meshcat()) for _ in range(2)])
-    assert alone.signals.keys() == watched.signals.keys()
-    for name, values in alone.signals.items():
-        np.testing.assert_array_equal(values, watched.signals[name], err_msg=name)
-    np.testing.assert_array_equal(alone.steps["time"], watched.steps["time"])
 
 
 @pytest.mark.parametrize(("tick", "least", "most"), [(0.0, 1, 1), (1.0, 20, 1000)])
@@ -190,6 +181,9 @@ def test_directions_that_are_parallel_or_undefined_make_poses(velocity):
     for i in range(3):
         ends = screen.ends(f"/nonstop/cables/{i}")
         np.testing.assert_allclose(ends, [attachments[i], attachments[i] + away[i]], atol=1e-6)
+        matrix = screen.matrices[f"/nonstop/cables/{i}"][:3, :3].copy()
+        matrix[:, 2] /= np.linalg.norm(matrix[:, 2])
+        RotationMatrix(matrix)  # raises where it is none
         pose = RigidTransform(screen.matrices[f"/nonstop/carriers/{i}"])  # raises for no rotation
         speed = np.linalg.norm(velocity)
         np.testing.assert_allclose(speed * pose.rotation().col(0), velocity, atol=1e-9 * speed)
