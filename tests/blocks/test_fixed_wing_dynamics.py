@@ -12,7 +12,6 @@ from drake_nonstop import (
     RunOutcome,
     compute_metrics,
     load_scenario,
-    make_nonstop,
     simulate,
 )
 from drake_nonstop.blocks.carrier_dynamics import FixedWingDynamics, FixedWingDynamicsConfig
@@ -73,17 +72,6 @@ def test_a_stall_ends_a_run(cause):
     assert ends_run(block, context)
     other, its_context = flown(config=FixedWingDynamicsConfig(stops_at_stall=False))
     assert not other.ends_run(its_context, output(block, context, "aircraft_state"))
-
-
-def test_new_contexts_start_in_trim():
-    """The aircraft have the acceleration of their reference, and the load is at rest."""
-    loop = make_nonstop(load_scenario("aircraft_three"))
-    context = loop.CreateDefaultContext()
-    names = ("carrier_acceleration", "carrier_reference_acceleration")
-    found, expected = (output(loop, context, name) for name in names)
-    np.testing.assert_allclose(found, expected, atol=1e-5)
-    shown = AircraftState.view(output(loop, context, "aircraft_state"))
-    assert np.all(shown.lift < 0.8 * 1.4)
 
 
 @dataclass

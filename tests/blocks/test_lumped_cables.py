@@ -3,7 +3,6 @@
 import numpy as np
 from helpers import fix, model, output
 
-from drake_nonstop import load_scenario, make_nonstop
 from drake_nonstop.blocks.cables import Cables, LumpedCables
 
 
@@ -25,17 +24,3 @@ def test_trimmed_cables_pull_as_straight_ones_at_both_ends():
             np.testing.assert_allclose(state[1, [0, -1]], np.ones((4, 3)) * 0.1 * shares)
         found.append([output(block, context, f"{end}cable_forces") for end in ("", "carrier_")])
     np.testing.assert_allclose(found[0], found[1], atol=0.02)  # but for what dampers add
-
-
-def test_aircraft_have_no_drag_of_cables_that_have_their_own():
-    found = []
-    for changes in (["cables=LumpedCables", "cables.nodes=2"], []):
-        loop = make_nonstop(load_scenario("aircraft_rest", changes))
-        block = loop.GetSubsystemByName("carrier_dynamics")
-        context, state = block.CreateDefaultContext(), np.zeros(48)
-        state[12:24:3] = 15.0  # m/s
-        context.SetContinuousState(state)
-        fix(block, context, **{name: np.zeros(12) for name in block.reads})
-        found.append(output(block, context, "carrier_acceleration").reshape(4, 3)[:, 0])
-    mass, drag = 6.0, 1.225 / 2 * 1.1 * 1e-3 * 150 / 4 * 15.0**2
-    np.testing.assert_allclose(np.subtract(*found), drag / mass, rtol=1e-6)

@@ -150,20 +150,6 @@ def test_updates_are_counted_alike_of_a_bound_that_is_commanded_and_of_one_that_
     ]
 
 
-@pytest.mark.parametrize("solver", ["snopt", "ipopt"])
-@pytest.mark.parametrize("seed", [1, 5])
-def test_at_one_phase_of_a_load_on_its_reference_it_is_the_paper_s_layer(seed, solver):
-    inputs = on_its_reference(seed)
-    given = {"speed_bound": speed_bound_above(inputs, 0.1), "solver": solver}
-    paper = PaperLayer(model(), PaperLayerConfig(tightening=0.01, **given))
-    expected, _ = updated(paper, inputs)
-    parameters, told = updated(NlpLayer(model(), NlpLayerConfig(**given, **PAPER)), inputs)
-    assert told.solved == 1
-    # The wrench accelerates the load otherwise than the reference, which speeds do not feel.
-    np.testing.assert_allclose(parameters, expected, atol=2e-4)
-    assert told.speed_margin == pytest.approx(0.01 * given["speed_bound"], abs=1e-5)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("ahead", nightly_beyond(1, "studies", [0.05, 0.0]))
 def test_along_the_orbit_it_keeps_every_carrier_above_the_bound_of_first_principles(ahead):

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from helpers import connections, model, output, outputs
+from helpers import model, outputs
 
-from drake_nonstop import ScenarioError, load_scenario, make_nonstop
+from drake_nonstop import ScenarioError
 from drake_nonstop.blocks.wind import GustyWind, GustyWindConfig, SteadyWind, SteadyWindConfig
 from drake_nonstop.mechanics.wind import GUST_STEP, gust_samples, turbulence_at
 
@@ -102,36 +102,3 @@ def test_gusts_repeat_to_the_bit_whatever_the_number_of_carriers_and_the_order_o
     assert np.abs(gusts(times, seed=8) - found).max() > 0.1
     with pytest.raises(ScenarioError, match=r"^wind = GustyWind at t = 20000 s: "):
         gusts([2e4])
-
-
-def test_controllers_that_know_the_wind_hold_the_load_where_it_should_be():
-    def offset(*settings):
-        """How far from its reference the load starts at rest (3,), m."""
-        windy = "wind=!SteadyWind {velocity: [2, 0, 0]}"
-        nonstop = make_nonstop(load_scenario("quintic", [CONSTANT, windy, *settings]))
-        context = nonstop.CreateDefaultContext()
-        load, reference = (output(nonstop, context, n)[4:7] for n in ("load_state", "reference"))
-        return load - reference
-
-    np.testing.assert_allclose(offset(), 0, atol=1e-7)
-    drift = offset("wind_estimator=NoWind")
-    assert drift[0] > 0.01
-    assert np.abs(drift[1:]).max() < 0.2 * drift[0]
-
-
-@pytest.mark.parametrize(
-    ("wind", "estimator", "is_held"),
-    [
-        ("StillAir", "KnownWind", False),
-        ("SteadyWind", "KnownWind", False),
-        ("!SteadyWind {rise_time: 1}", "KnownWind", True),
-        ("GustyWind", "KnownWind", True),
-        ("GustyWind", "NoWind", False),
-        ("GustyWind", "WindObserver", False),
-    ],
-)
-def test_sampled_controllers_hold_an_estimate_that_changes(wind, estimator, is_held):
-    settings = [CONSTANT, f"wind={wind}", f"wind_estimator={estimator}"]
-    nonstop = make_nonstop(load_scenario("quintic", settings), at_equilibrium=False)
-    source = "sample_and_hold.held_" if is_held else "wind_estimator."
-    assert f"{source}wind_estimate -> wrench_controller.wind_estimate" in connections(nonstop)

@@ -1,5 +1,6 @@
 import numpy as np
 from helpers import SHAPES, difference, over_shapes
+from numpy.polynomial import Polynomial
 
 from drake_nonstop.mechanics.grasp import grasp_matrix
 from drake_nonstop.mechanics.internal_force import (
@@ -37,14 +38,10 @@ def test_each_column_is_a_pair_of_opposite_unit_forces_that_spread_two_neighbour
 
 
 def plan(time):
-    """`PlannedParameters` (8,) of a frequency and an amplitude that both swing."""
-    size, rate = 1.3, 0.8
-    angle = 0.2 + 1.7 * time + 0.5 * np.sin(size * time)
-    angle_rates = [0.5 * size**k * np.sin(size * time + k * np.pi / 2) for k in (1, 2, 3)]
-    sizes = [0.3 * rate**k * np.cos(rate * time + k * np.pi / 2) for k in range(4)]
-    frequency, amplitude = 1.7 + angle_rates[0], 0.9 + sizes[0]
-    rates = [angle_rates[1], sizes[1], angle_rates[2], sizes[2], sizes[3]]
-    return np.array([angle, frequency, amplitude, *rates])
+    """`PlannedParameters` (8,) of polynomials of the phase and of the amplitude."""
+    theta, A = Polynomial([0.2, 1.7, 0.3, -0.2, 0.1]), Polynomial([0.9, -0.2, 0.1, 0.05, -0.03])
+    a, b = ([p(time), *(p.deriv(k)(time) for k in (1, 2, 3))] for p in (theta, A))
+    return np.array([a[0], a[1], b[0], a[2], b[1], a[3], b[2], b[3]])
 
 
 def test_planned_internal_force_has_the_differences_of_what_is_below_as_rates(rng):

@@ -1,9 +1,12 @@
 """Cables of nodes against lines in closed form, and against Drake's MultibodyPlant."""
 
+from itertools import chain, pairwise
+
 import numpy as np
 import pytest
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import LinearSpringDamper, SpatialInertia, UnitInertia
+from scipy.optimize import least_squares
 
 from drake_nonstop.mechanics.lumped_cable import (
     CableMaterial,
@@ -34,29 +37,20 @@ def moved(state, carrier, wind=(0, 0, 0), cable=CABLE, ratio=0.3):
 def settled(carrier, nodes, wind=(0, 0, 0), cable=CABLE, *, start=None, bow=(0, 0, 0)):
     """Nodes (N, 3) without acceleration, with velocities as of a line that turns, and all else.
 
-    Newton's method, from points (N, 3) or from a line with a bow (3,), m.
+    Sought from points (N, 3), or from a line with a bow (3,), m.
     """
     carrier, places = np.asarray(carrier, float), (np.arange(nodes) + 0.5)[:, None] / nodes
     state = straight_nodes(REST, carrier, attachments=ONE, nodes=nodes)
     positions, velocities = np.split(state, 2)
     positions = positions + (4 * places * (1 - places) * bow).ravel()
-    positions = positions if start is None else np.ravel(start)
 
-    def force(positions):
-        now = np.concatenate([positions, velocities])
-        return moved(now, carrier, wind, cable).rates[3 * nodes :] * cable.mass / nodes
+    def flown(positions):
+        return moved(np.concatenate([positions, velocities]), carrier, wind, cable)
 
-    steps = 1e-6 * np.eye(3 * nodes)
-    for _ in range(50):
-        residual = force(positions)
-        if np.max(np.abs(residual)) < 1e-9:
-            break
-        slopes = [(force(positions + step) - force(positions - step)) / 2e-6 for step in steps]
-        change = np.linalg.solve(np.transpose(slopes), residual)
-        positions = positions - change * min(1.0, 2.0 / np.max(np.abs(change)))
-    assert np.max(np.abs(residual)) < 1e-9
-    end = np.concatenate([positions, velocities])
-    return positions.reshape(-1, 3), moved(end, carrier, wind, cable)
+    begin = positions if start is None else np.ravel(start)
+    found = least_squares(lambda p: flown(p).rates[3 * nodes :], begin, xtol=1e-12, ftol=1e-15)
+    assert np.max(np.abs(found.fun)) * cable.mass / nodes < 1e-9
+    return found.x.reshape(-1, 3), flown(found.x)
 
 
 def elastic_catenary(level, low, s):
@@ -123,28 +117,15 @@ def plant_of(nodes, end, cable):
     """One cable in the air-free plant of Drake, with a small ball for each node."""
     plant = MultibodyPlant(0.0)
     plant.mutable_gravity_field().set_gravity_vector([0, 0, -GRAVITY])
-    mass, shares = cable.mass / nodes, segment_shares(nodes).ravel()
-    ball = SpatialInertia(mass, np.zeros(3), UnitInertia.SolidSphere(0.01))
+    ball = SpatialInertia(cable.mass / nodes, np.zeros(3), UnitInertia.SolidSphere(0.01))
     bodies = [plant.AddRigidBody(f"node_{k}", ball) for k in range(nodes)]
-    places = [(plant.world_body(), np.zeros(3)), *((body, np.zeros(3)) for body in bodies)]
-    places.append((plant.world_body(), np.array(end)))
-    for k, share in enumerate(shares):
-        (a, p), (b, q) = places[k : k + 2]
-        rest, stiff, damp = (
-            cable.rest_length * share,
-            cable.stiffness / share,
-            cable.damping / share,
-        )
-        plant.AddForceElement(LinearSpringDamper(a, p, b, q, rest, stiff, damp))
+    places = [(body, np.zeros(3)) for body in bodies]
+    places = [(plant.world_body(), np.zeros(3)), *places, (plant.world_body(), end)]
+    for share, ends in zip(segment_shares(nodes).ravel(), pairwise(places), strict=True):
+        spring = cable.rest_length * share, cable.stiffness / share, cable.damping / share
+        plant.AddForceElement(LinearSpringDamper(*chain(*ends), *spring))
     plant.Finalize()
     return plant
-
-
-def as_bodies(positions, velocities):
-    """The state of Drake's bodies without rotation, of nodes (N, 1, 3)."""
-    poses = [[1, 0, 0, 0, *position] for position in positions[:, 0]]
-    twists = [[0, 0, 0, *velocity] for velocity in velocities[:, 0]]
-    return np.concatenate([np.ravel(poses), np.ravel(twists)])
 
 
 def test_accelerations_are_those_of_drakes_bodies_and_springs():
@@ -156,14 +137,13 @@ def test_accelerations_are_those_of_drakes_bodies_and_springs():
     carrier = np.concatenate([end, np.zeros(3)])
     for _ in range(5):
         state = straight_nodes(REST, carrier, attachments=ONE, nodes=nodes)
-        state[: 3 * nodes] += rng.uniform(-0.03, 0.03, 3 * nodes)
-        state[3 * nodes :] += rng.uniform(-0.1, 0.1, 3 * nodes)
+        state += rng.uniform(-1, 1, 6 * nodes) * np.repeat([0.03, 0.1], 3 * nodes)
         positions, velocities = nodes_of(state, 1)
-        context.SetContinuousState(as_bodies(positions, velocities))
+        poses = [[1, 0, 0, 0, *position] for position in positions[:, 0]]
+        twists = [[0, 0, 0, *velocity] for velocity in velocities[:, 0]]
+        context.SetContinuousState([*chain(*poses), *chain(*twists)])
         rates = plant.EvalTimeDerivatives(context).CopyToVector()
-        expected = rates[7 * nodes :].reshape(-1, 6)[:, 3:]
+        expected = rates[7 * nodes :].reshape(-1, 6)[:, 3:].ravel()
         found = moved(state, carrier, cable=cable, ratio=1e6)
         assert np.min(found.tensions) > 0
-        np.testing.assert_allclose(
-            found.rates[3 * nodes :].reshape(-1, 3), expected, rtol=1e-9, atol=1e-9
-        )
+        np.testing.assert_allclose(found.rates[3 * nodes :], expected, rtol=1e-9, atol=1e-9)

@@ -1,3 +1,5 @@
+"""Rotations against Drake, SciPy and NumPy."""
+
 import numpy as np
 import pytest
 from helpers import Motion, difference, rotation
@@ -25,19 +27,14 @@ def test_cross_is_numpys_and_broadcasts(rng, shapes):
     np.testing.assert_allclose(cross(a, b), np.cross(a, b), rtol=0, atol=1e-15)
 
 
-def test_rotation_matrix_is_drakes(rng):
+def test_rotation_matrix_and_quaternion_product_are_drakes_row_by_row(rng):
     for quaternion in rng.normal(size=(20, 4)):
-        np.testing.assert_allclose(
-            rotation_matrix(quaternion), rotation(quaternion), rtol=0, atol=1e-14
-        )
-
-
-def test_quaternion_product_is_drakes_row_by_row(rng):
+        expected = rotation(quaternion)
+        np.testing.assert_allclose(rotation_matrix(quaternion), expected, rtol=0, atol=1e-14)
     a, b = rng.normal(size=(2, 20, 4))
     a, b = (q / np.linalg.norm(q, axis=1, keepdims=True) for q in (a, b))
-    expected = [
-        Quaternion(wxyz=p).multiply(Quaternion(wxyz=q)).wxyz() for p, q in zip(a, b, strict=True)
-    ]
+    pairs = zip(a, b, strict=True)
+    expected = [Quaternion(wxyz=p).multiply(Quaternion(wxyz=q)).wxyz() for p, q in pairs]
     np.testing.assert_allclose(quaternion_product(a, b), expected, rtol=0, atol=1e-15)
     np.testing.assert_allclose(quaternion_product(a[0], b[0]), expected[0], rtol=0, atol=1e-15)
 
@@ -61,41 +58,26 @@ def test_quaternion_rate_follows_a_motion_that_turns_about_changing_axes():
         np.testing.assert_allclose(rate, expected, rtol=0, atol=1e-10)
 
 
-def test_roll_pitch_yaw_to_quaternion_is_drakes(rng):
+def test_roll_pitch_yaw_to_quaternion_is_drakes_and_does_not_flip_over_a_full_turn(rng):
     for angles in [*rng.uniform(-1.5, 1.5, (20, 3)), np.zeros(3), np.array([3.0, 0.1, -3.0])]:
         quaternion = roll_pitch_yaw_to_quaternion(angles)
         assert np.linalg.norm(quaternion) == pytest.approx(1, abs=1e-15)
-        np.testing.assert_allclose(
-            rotation_matrix(quaternion),
-            RollPitchYaw(angles).ToRotationMatrix().matrix(),
-            rtol=0,
-            atol=1e-14,
-        )
+        expected = RollPitchYaw(angles).ToRotationMatrix().matrix()
+        np.testing.assert_allclose(rotation_matrix(quaternion), expected, rtol=0, atol=1e-14)
+    yaws = np.linspace(-3, 3, 601)
+    turned = np.array([roll_pitch_yaw_to_quaternion(np.array([0.2, 0.1, yaw])) for yaw in yaws])
+    assert np.max(np.linalg.norm(np.diff(turned, axis=0), axis=1)) < 0.006
 
 
-def test_roll_pitch_yaw_to_quaternion_does_not_flip_its_sign_over_a_full_turn():
-    turns = np.linspace(-3, 3, 601)
-    quaternions = np.array([roll_pitch_yaw_to_quaternion(np.array([0.2, 0.1, a])) for a in turns])
-    assert np.max(np.linalg.norm(np.diff(quaternions, axis=0), axis=1)) < 0.006
+def test_angular_acceleration_is_the_inverse_of_drakes_and_the_jerk_its_difference(rng):
+    for angles, rate, acceleration, jerk in rng.uniform(-1.2, 1.2, (20, 4, 3)):
 
+        def motion(t, a=angles, b=rate, c=acceleration, d=jerk):
+            now = a + b * t + c * t**2 / 2 + d * t**3 / 6, b + c * t + d * t**2 / 2
+            return angular_velocity_of(Taylor.of_rates(*now, c + d * t, d)).rates
 
-def test_angular_acceleration_is_the_inverse_of_drakes(rng):
-    for angles, rate, acceleration in rng.uniform(-1.2, 1.2, (20, 3, 3)):
-        _, alpha = angular_velocity_of(Taylor.of_rates(angles, rate, acceleration)).rates
-        back = RollPitchYaw(angles).CalcRpyDDtFromRpyDtAndAngularAccelInParent(rate, alpha)
+        _, found, its_rate = motion(0.0)
+        back = RollPitchYaw(angles).CalcRpyDDtFromRpyDtAndAngularAccelInParent(rate, found)
         np.testing.assert_allclose(back, acceleration, rtol=0, atol=1e-12)
-
-
-def test_angular_jerk_is_the_difference_of_the_angular_acceleration(rng):
-    polynomials = rng.uniform(-1, 1, (3, 6))
-
-    def angles(time, order):
-        return [np.polynomial.Polynomial(row).deriv(order)(time) for row in polynomials]
-
-    def motion(time):
-        series = Taylor.of_rates(*(np.array(angles(time, order)) for order in range(4)))
-        return angular_velocity_of(series).rates
-
-    for time in (-0.8, 0.1, 0.9):
-        expected = difference(lambda t: motion(t)[1], time)
-        np.testing.assert_allclose(motion(time)[2], expected, rtol=0, atol=1e-6)
+        expected = difference(lambda t, motion=motion: motion(t)[1], 0.0)
+        np.testing.assert_allclose(its_rate, expected, rtol=0, atol=1e-6)
