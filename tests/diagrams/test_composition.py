@@ -195,8 +195,6 @@ def test_a_preview_can_come_from_outside():
 
 
 LOST = with_ports({"wind_speed": 3}, {})
-
-
 NOT_SO = "it cannot be called so"
 LAYER, REPLACED = "optimization_layer", "replacement phase = "
 FITS = [
@@ -240,33 +238,25 @@ def test_what_does_not_fit_is_named_with_the_remedy(arguments, told, remedy):
 
 def test_a_context_of_another_loop_is_refused_in_a_sentence():
     made = scenario(0.01)
-    nonstop, other, outer = make_nonstop(made), make_nonstop(made), DiagramBuilder()
+    nonstop, outer, logged = make_nonstop(made), DiagramBuilder(), DiagramBuilder()
     outer.AddSystem(make_nonstop(made))
     loop = CompiledLoop(nonstop, made.simulator_config, made.control_period)
-    logged = DiagramBuilder()
     logs = LogSignals.AddToBuilder(logged, logged.AddSystem(make_nonstop(made)))
     logged.Build()
-    takers = {
-        "set_equilibrium": lambda context: set_equilibrium(nonstop, context),
-        "get": lambda context: get_parameter(nonstop, context, "system.load_mass"),
-        "set": lambda context: set_parameter(nonstop, context, "system.load_mass", 1.1),
-        "state": loop.state_of,
-        "fly": loop.fly,
-        "run": lambda context: loop.run(context, 0.02),
-        "sensitivities": lambda context: loop.sensitivities(context, 0.02),
-        "logs": lambda context: Run.from_logs(logs, context, made),
-    }
-    contexts = [
-        other.CreateDefaultContext(),
-        outer.Build().CreateDefaultContext(),
-        PaperPhase(model()).CreateDefaultContext(),
-        None,
+    takers = [
+        lambda context: set_equilibrium(nonstop, context),
+        lambda context: get_parameter(nonstop, context, "system.load_mass"),
+        lambda context: set_parameter(nonstop, context, "system.load_mass", 1.1),
+        *(loop.state_of, loop.fly),
+        lambda context: loop.run(context, 0.02),
+        lambda context: loop.sensitivities(context, 0.02),
+        lambda context: Run.from_logs(logs, context, made),
     ]
-    for name, taker in takers.items():
-        for context in contexts:
-            with pytest.raises(ScenarioError, match=r"^\w+ = \w.*: give (a|that)") as error:
+    others = [make_nonstop(made), outer.Build(), PaperPhase(model())]
+    for context in (*(other.CreateDefaultContext() for other in others), None):
+        for taker in takers:
+            with pytest.raises(ScenarioError, match=r"^\w+ = \w.*: give (a|that)[^\n]*$"):
                 taker(context)
-            assert "\n" not in str(error.value), name
 
 
 @pytest.mark.parametrize("period", [0.0, 0.01])
