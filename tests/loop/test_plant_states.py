@@ -1,7 +1,5 @@
 """Where runs start whose load and carriers are blocks of the user's own."""
 
-from functools import partial
-
 import numpy as np
 import pytest
 from helpers import nightly_beyond
@@ -19,7 +17,7 @@ from drake_nonstop import (
 )
 from drake_nonstop.mechanics.carrier import double_integrator_rate
 from drake_nonstop.mechanics.rigid_load import load_state_rate
-from examples import articulated_load, own_physics
+from examples import articulated_load
 
 SIGNALS = ("load_state", "carrier_state", "tensions")
 
@@ -33,38 +31,21 @@ def distance(run, other):
     return {name: np.abs(run.signal(name) - other.signal(name)).max() for name in SIGNALS}
 
 
-@pytest.mark.nightly("engines")
-def test_discrete_multibody_plants_approach_our_blocks_with_the_first_order_of_their_step():
-    scenario, apart = short(0.15, "simulated.load_drag=0.0"), []
-    ours = simulate(scenario)
-    for step in (2e-3, 1e-3):
-        own = {
-            "load_plant": partial(own_physics.load, time_step=step),
-            "carrier_dynamics": partial(own_physics.carriers, time_step=step),
-        }
-        apart.append(distance(simulate(scenario, **own), ours))
-    for name in SIGNALS:
-        assert apart[1][name] < 5e-3
-        assert apart[0][name] / apart[1][name] == pytest.approx(2, rel=0.2)
+class Mapped(LeafSystem):
+    """Shows x of a state z = M (x - c), continuous, or stepped by Euler's method."""
 
-
-class MappedLoad(LeafSystem):
-    """Our load in the state z = M (x - c), continuous, or stepped by Euler's method."""
-
-    def __init__(self, model, seed, period=0.0):
+    def __init__(self, model, seed, reads, shows, start, period=0.0):
         super().__init__()
-        generator = np.random.default_rng(seed)
-        self.map, self.shift = generator.normal(size=(13, 13)), generator.normal(size=13)
+        generator, size = np.random.default_rng(seed), len(start)
+        self.map, self.shift = generator.normal(size=(size, size)), generator.normal(size=size)
         self.model, self.period = model, period
-        start = self.map @ (np.eye(13)[0] - self.shift)
-        self.DeclareVectorInputPort("cable_forces", 3 * model.n)
-        ticket = self.all_state_ticket()
+        self._forces = self.DeclareVectorInputPort(reads, 3 * model.n)
         if period:
-            self.DeclareDiscreteState(start)
+            self.DeclareDiscreteState(self.map @ (start - self.shift))
             self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self.update)
         else:
-            self.DeclareContinuousState(13)
-        self.DeclareVectorOutputPort("load_state", 13, self.calc, {ticket})
+            self.DeclareContinuousState(size)
+        self.DeclareVectorOutputPort(shows, size, self.calc, {self.all_state_ticket()})
 
     def state(self, context):
         vector = context.get_discrete_state_vector() if self.period else None
@@ -72,10 +53,7 @@ class MappedLoad(LeafSystem):
         return np.linalg.solve(self.map, vector.CopyToVector()) + self.shift
 
     def rate(self, context):
-        forces, model = self.GetInputPort("cable_forces").Eval(context), self.model
-        return self.map @ load_state_rate(
-            model.load, self.state(context), forces, np.zeros(6), attachments=model.attachments
-        )
+        return self.map @ self.rate_of(self.state(context), self._forces.Eval(context))
 
     def calc(self, context, output):
         output.SetFromVector(self.state(context))
@@ -89,27 +67,25 @@ class MappedLoad(LeafSystem):
         discrete.set_value(state + self.period * self.rate(context))
 
 
-class MappedCarriers(LeafSystem):
-    """Our carriers in a state z = M x."""
+class MappedLoad(Mapped):
+    """Our load."""
+
+    def __init__(self, model, seed, period=0.0):
+        super().__init__(model, seed, "cable_forces", "load_state", np.eye(13)[0], period)
+
+    def rate_of(self, state, forces):
+        load, attachments = self.model.load, self.model.attachments
+        return load_state_rate(load, state, forces, np.zeros(6), attachments=attachments)
+
+
+class MappedCarriers(Mapped):
+    """Our carriers."""
 
     def __init__(self, model, seed):
-        super().__init__()
-        size, self.mass = 6 * model.n, model.carrier_mass
-        self.map = np.random.default_rng(seed).normal(size=(size, size))
-        self.DeclareVectorInputPort("carrier_forces", 3 * model.n)
-        self.DeclareContinuousState(size)
-        self.DeclareVectorOutputPort("carrier_state", size, self.calc, {self.xc_ticket()})
+        super().__init__(model, seed, "carrier_forces", "carrier_state", np.zeros(6 * model.n))
 
-    def state(self, context):
-        return np.linalg.solve(self.map, context.get_continuous_state_vector().CopyToVector())
-
-    def calc(self, context, output):
-        output.SetFromVector(self.state(context))
-
-    def DoCalcTimeDerivatives(self, context, derivatives):  # noqa: N802
-        forces = self.GetInputPort("carrier_forces").Eval(context)
-        rate = double_integrator_rate(self.state(context), forces, mass=self.mass)
-        derivatives.get_mutable_vector().SetFromVector(self.map @ rate)
+    def rate_of(self, state, forces):
+        return double_integrator_rate(state, forces, mass=self.model.carrier_mass)
 
 
 @pytest.mark.parametrize("seed", nightly_beyond(1, "engines", range(3)))
@@ -139,16 +115,11 @@ class ShiftedLoad(MappedLoad):
         context.SetContinuousState(state)
 
 
-class FrozenCarriers(LeafSystem):
+class FrozenCarriers(MappedCarriers):
     """Carriers that show another state than they have."""
 
-    def __init__(self, model):
-        super().__init__()
-        self.DeclareDiscreteState(6 * model.n)
-        self.DeclareVectorOutputPort("carrier_state", 6 * model.n, self.calc)
-
-    def calc(self, context, output):
-        output.SetFromVector(np.zeros(output.size()))
+    def state(self, context):
+        return np.zeros(6 * self.model.n)
 
 
 class MovedByTrim(MappedLoad):
@@ -159,31 +130,19 @@ class MovedByTrim(MappedLoad):
 
 
 REFUSED = [
-    (ClippedLoad, r"load_plant\.load_state\[6\] = -0\.5: .*give ClippedLoad a method SetLoadState"),
-    (
-        ShiftedLoad,
-        r"load_plant\.load_state\[4\] = 0\.001: .*ShiftedLoad a method .*, or correct it",
-    ),
-    (
-        MovedByTrim,
-        r"load_plant\.load_state\[4\] = 1: .*or correct it, or trim, which has to keep it",
-    ),
-    (
-        FrozenCarriers,
-        r"carrier_dynamics\.carrier_state\[\d+\] = 0: .*FrozenCarriers .* SetCarrierSt",
-    ),
+    ("load_plant", ClippedLoad, r"[6\] = -0\.5: .*give ClippedLoad a method SetLoadState"),
+    ("load_plant", ShiftedLoad, r"[4\] = 0\.001: .*ShiftedLoad a method .*, or correct it"),
+    ("load_plant", MovedByTrim, r"[4\] = 1: .*or correct it, or trim, which has to keep it"),
+    ("carrier_dynamics", FrozenCarriers, r"[\d+\] = 0: .*FrozenCarriers .* SetCarrierState"),
 ]
 
 
-@pytest.mark.parametrize(("kind", "said"), REFUSED)
-def test_a_state_that_the_port_does_not_show_is_refused_by_name(kind, said):
-    own = {"load_plant": lambda model: kind(model, 3)}
-    if kind is FrozenCarriers:
-        own = {"carrier_dynamics": kind}
-    with pytest.raises(ScenarioError, match=said):
-        simulate(short(0.1), **own)
-    with pytest.raises(ScenarioError, match=said):
-        make_nonstop(short(0.1, "control_period=0.0"), **own)
+@pytest.mark.parametrize(("box", "kind", "said"), REFUSED)
+def test_a_state_that_the_port_does_not_show_is_refused_by_name(box, kind, said):
+    own = {box: lambda model: kind(model, 3)}
+    for build, overrides in ((simulate, []), (make_nonstop, ["control_period=0"])):
+        with pytest.raises(ScenarioError, match=rf"^{box}\.\w+_state\{said}"):
+            build(short(0.1, *overrides), **own)
 
 
 class HiddenLoad(MappedLoad):

@@ -92,19 +92,12 @@ def test_a_plan_keeps_a_limit_that_the_plan_without_it_exceeds(field):
         assert (margins[limited.names == name].min() >= -room) == (problem is limited)
 
 
-def speeds_at_instants(problem, data, margins):
-    """The speeds (n, k), m/s, of margins."""
-    shares = margins[: problem.model.n, : len(problem.instants)]
-    bounds = data.speed_bounds[:, None]
-    units = np.where(bounds > 0, bounds, 1.0)
-    return np.sqrt(shares * units**2 + bounds**2)
-
-
 def test_limits_that_exclude_each_other_give_a_finite_plan_that_prefers_the_speed_bound():
     problem = points_problem("cycle-4", max_speed=0.9)
     data, answer = best_plan(problem, 0.8)
     assert np.isfinite(answer.coefficients).all()
-    squares = speeds_at_instants(problem, data, answer.margins)[:, 30:] ** 2
+    shares = answer.margins[: problem.model.n, 30 : len(problem.instants)]
+    squares = (1 + shares) * data.speed_bounds[:, None] ** 2
     below = 1 - squares.min() / (1.02 * 0.8) ** 2
     above = squares.max() / (0.98 * 0.9) ** 2 - 1
     assert above > max(below, 1e-3)

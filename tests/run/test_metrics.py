@@ -1,5 +1,6 @@
 """The metrics: each row of the table, and runs made up so that figures are known."""
 
+import itertools
 import json
 
 import numpy as np
@@ -211,19 +212,24 @@ def test_no_body_is_nearer_to_an_obstacle_at_any_of_many_instants(kind, seed):
     far = 6 * (seed % 2)  # for one of them, no contact
     place = (far + rng.uniform(-1, 1, 3)).tolist()
     where = f"height: {-2 - far}" if kind == "Ground" else f"position: {place}"
-    load, carriers = rng.normal(size=(7, 3)), 2 * rng.normal(size=(7, 4, 3))
-    run = flown_past(f"!{kind} {{{where}}}", load, carriers)
+    paths = [rng.normal(size=(7, 3)), *(2 * rng.normal(size=(2, 7, 4, 3)))]
+    run = flown_past(f"!{kind} {{{where}}}", *paths[:2])
     times = np.linspace(0, 3, 3001)
-    load, carriers = (
-        np.stack([np.interp(times, run.steps["time"], c) for c in part.reshape(7, -1).T], axis=1)
-        for part in (load, carriers)
+    load, carriers, nodes = (
+        np.stack([np.interp(times, run.time, c) for c in path.reshape(7, -1).T], axis=1)
+        for path in paths
     )
-    corners, carriers = np.array(run.scenario.system.attachments), carriers.reshape(-1, 4, 3)
-    frame = load[:, None] + np.vstack([corners, np.zeros(3)])
+    frame = load[:, None] + np.vstack([run.scenario.system.attachments, np.zeros(3)])
+    points = [frame[:, :4], carriers.reshape(-1, 4, 3)]  # of cables
+    if seed > 0:  # cables with a node
+        run.signals["cables.cable_state"] = np.hstack(2 * [paths[2].reshape(7, -1)])
+        points.insert(1, nodes.reshape(-1, 4, 3))
     bodies = {
         "load": frame[:, np.transpose(np.triu_indices(5, 1))],
-        "cable": np.stack([frame[:, :4], carriers], axis=2),
-        "carrier": np.stack([carriers, carriers], axis=2),
+        "cable": np.concatenate(
+            [np.stack(pair, axis=2) for pair in itertools.pairwise(points)], axis=1
+        ),
+        "carrier": np.stack([points[-1], points[-1]], axis=2),
     }
     approaches = {each.kind: each for each in RunQuantities(run).approaches}
     assert approaches.keys() == bodies.keys()

@@ -192,40 +192,6 @@ def test_the_outcome_is_the_worst_of_all_faults_and_each_is_said(seed, n, size, 
     assert json.loads(json.dumps(metrics, allow_nan=False))["outcome"] == metrics["outcome"]
 
 
-def test_cables_with_nodes_are_measured_as_polylines():
-    """A node of cable 1 is moved outwards: a ball beyond it, and one beside the part below it."""
-    made = MadeUpRun(np.random.default_rng(5))
-    half = [0, 0, made.cable_length / 2]
-    ends = made.reference[0, 4:7] + np.array(made.scenario.system.attachments)
-    made.positions = np.tile(ends + np.multiply(2, half), (SAMPLES, 1, 1))
-    nodes = ends + half
-    side = ends[0] - ends.mean(axis=0)
-    nodes[0] += side
-    part = nodes[0] - ends[0]
-    normal = np.cross(part, np.cross(side, part))
-    beside = ends[0] + part / 2 + 0.3 * normal / np.linalg.norm(normal)
-    balls = {"beyond": nodes[0] + 2 * side, "beside": beside}
-    made.scenario = with_obstacles(
-        made.scenario,
-        *(
-            f"!Sphere {{name: {name}, position: {place.tolist()}, radius: 0.05}}"
-            for name, place in balls.items()
-        ),
-    )
-
-    def distances(run):
-        approaches = RunQuantities(run).approaches
-        return {a.obstacle: (a.distance, a.body) for a in approaches if a.kind == "cable"}
-
-    run, width = made.run(), np.linalg.norm(side)
-    assert distances(run)["beyond"] == (pytest.approx(3 * width - 0.05, rel=1e-4), "cable 1")
-    state = np.hstack([nodes.ravel(), np.zeros(nodes.size)])
-    run.signals["cables.cable_state"] = np.tile(state, (SAMPLES, 1))
-    found = distances(run)
-    assert found["beyond"] == (pytest.approx(2 * width - 0.05, rel=1e-4), "cable 1")
-    assert found["beside"] == (pytest.approx(0.25, rel=1e-3), "cable 1")
-
-
 def everything_stated():
     """A run in which every quantity that is bounded is above zero, of a scenario that has all."""
     made = MadeUpRun(np.random.default_rng(8))

@@ -259,10 +259,9 @@ def test_a_drawn_simulator_flies_as_simulate_does(overrides):
 @pytest.mark.nightly("studies")
 def test_monte_carlo_gives_what_a_study_gives_to_the_bit():
     def position_error(system, context):
-        load, reference = (
-            system.GetOutputPort(name).Eval(context) for name in ("load_state", "reference")
-        )
-        return float(np.linalg.norm([load[4:7] - reference[4:7]], axis=1)[0])
+        ports = (system.GetOutputPort(name) for name in ("load_state", "reference"))
+        load, reference = (port.Eval(context)[4:7] for port in ports)
+        return float(np.linalg.norm([load - reference], axis=1)[0])
 
     scenario, generator = by_diagram("quintic", *DRAWN), RandomGenerator(5)
     seeds = [generator() for _ in range(RUNS)]

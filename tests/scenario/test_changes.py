@@ -31,13 +31,11 @@ def fields(scenario):
     [
         ("", []),
         ("system: {load_mass: 1.2}, pattern: ", ["system.load_mass=1.2"]),
-        ("load_trajectory: {move_time: 8.0}", ["load_trajectory.move_time=8.0"]),
         ("optimization_layer: {tightening: 0.03}", ["optimization_layer={tightening: 0.03}"]),
         (
             f"system: {{attachments: {FIVE}}}, pattern: !HamiltonianCycle {{}}",
             [f"system.attachments={FIVE}", "pattern=!HamiltonianCycle {}"],
         ),
-        ("phase: !PaperPhase {}", ["phase=!PaperPhase"]),
         (
             "optimization_layer: !ConstantParameters {frequency: 1.5}",
             ["optimization_layer=!ConstantParameters {frequency: 1.5}"],
@@ -56,8 +54,6 @@ def test_an_entry_means_the_same_in_a_file_and_by_an_override(entries, settings)
 @pytest.mark.parametrize(
     ("settings", "path", "value"),
     [
-        (["system.load_mass=1.2"], "system.load_mass", 1.2),
-        (["simulation_duration=2"], "simulation_duration", 2.0),
         # Another block by its tag has its own defaults; by its name it takes what both call alike.
         (["optimization_layer=!ConstantParameters"], "optimization_layer.speed_bound", 0.2),
         (["optimization_layer=ConstantParameters"], "optimization_layer.speed_bound", 0.55),
@@ -68,16 +64,12 @@ def test_an_entry_means_the_same_in_a_file_and_by_an_override(entries, settings)
         ),
         # A change of the angles before, and a list of them now.
         (["load_trajectory=Waypoints"], "load_trajectory.roll_pitch_yaw", []),
-        (["pattern=!HamiltonianCycle {}"], "pattern.phases", []),
         (
             ["system.load_mass=!Uniform {min: 0.7, max: 1.3}", "system.load_mass.max=2"],
             "system.load_mass.max",
             2.0,
         ),
-        (["system.load_mass=!Uniform {min: 0.7, max: 1.3}", "system.load_mass=2"],
-         "system.load_mass", 2.0),
         (["simulated.aircraft.mass=6.5"], "simulated.aircraft", AircraftParameters(mass=6.5)),
-        ([], "optimization_layer.speed_bound", 0.55),
         (np.array(["system.load_mass=1.2"]), "system.load_mass", 1.2),
     ],
 )  # fmt: skip

@@ -129,20 +129,6 @@ def test_numpy_in_a_field_is_python_in_the_scenario():
     make_nonstop(scenario)
 
 
-def test_new_writes_a_file_and_replaces_none(folder, capsys):
-    assert main(["new", "mine", "--from", "three_carriers"]) == 0
-    scenario = load_scenario("mine.yaml")
-    assert dataclasses.replace(scenario, name="three_carriers") == load_scenario("three_carriers")
-    before = (folder / "mine.yaml").read_bytes()
-    for name, remedy in (("mine", "give another name"), ("a b", "letters"), ("a.txt", ".yaml")):
-        assert main(["new", name]) == 2
-        error = capsys.readouterr().err
-        assert remedy in error
-        assert len(error.splitlines()) == 1
-    assert [path.name for path in folder.iterdir()] == ["mine.yaml"]
-    assert (folder / "mine.yaml").read_bytes() == before
-
-
 def test_a_trajectory_from_a_file_is_in_the_resolved_scenario(folder):
     path = folder / "way.csv"
     path.write_text("t,x,y,z\n0,0,0,1\n4,0.25,0,1\n9,1,0,1e-1\n")
