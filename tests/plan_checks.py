@@ -29,9 +29,8 @@ from drake_nonstop.model.pattern import (
     SpreadCarouselConfig,
 )
 from drake_nonstop.model.system import Model, SystemParameters
-from drake_nonstop.planning.diagnostics import BOUND
 from drake_nonstop.planning.horizon_config import HorizonConfig
-from drake_nonstop.planning.horizon_problem import TERMINAL_PHASES, HorizonProblem
+from drake_nonstop.planning.horizon_problem import HorizonProblem
 from drake_nonstop.planning.problem_config import LimitsConfig
 
 TIGHTENING = 0.02
@@ -39,14 +38,12 @@ WINDOW = TimeWindow.of(0.75, 9)
 WIND = np.array([1.6, -0.7, 0.2])  # m/s
 AT_REST = np.concatenate([[1.0], np.zeros(21)])
 SMALL = HorizonConfig(intervals=10, knot_spacing=0.4, instants=10)
+ELLIPSE = EllipticCarouselConfig(spread=1.0, radial=1.2, tangential=0.7, vertical=0.3)
 PATTERNS = {
     "cycle-3": (regular(3), HamiltonianCycleConfig()),
     "cycle-4": (irregular(4), HamiltonianCycleConfig()),
     "cycle-5": (spatial(5), HamiltonianCycleConfig()),
-    "ellipse-6": (
-        regular(6),
-        EllipticCarouselConfig(spread=1.0, radial=1.2, tangential=0.7, vertical=0.3),
-    ),
+    "ellipse-6": (regular(6), ELLIPSE),
     "spread-7": (regular(7), SpreadCarouselConfig(spread=1.5)),
     "cycle-8": (irregular(8), HamiltonianCycleConfig()),
 }
@@ -71,15 +68,13 @@ def aircraft_problem(fixed=4, is_bowed=False, lengths=150.0, **fields) -> Horizo
         load_mass=10.0,
         load_inertia=[[5.6, 0.2, 0.1], [0.2, 5.1, 0.0], [0.1, 0.0, 9.2]],
         load_drag=0.6,
-        attachments=[[1.5, 0.0, 0.0], [0.0, 1.5, 0.0], [-1.5, 0.0, 0.0], [0.0, -1.5, 0.0]],
+        attachments=regular(4, 1.5).tolist(),
         cable_length=lengths,
         cable_stiffness=120.0,
         aircraft=AircraftParameters(model="rascal_110"),
     )
-    carousel = EllipticCarouselConfig(
-        spread=6.75, phase_turns=2, radial=3.3, tangential=4.5, vertical=4.9
-    )
-    model = Model(system, carousel)
+    sizes = {"spread": 6.75, "radial": 3.3, "tangential": 4.5, "vertical": 4.9}
+    model = Model(system, EllipticCarouselConfig(phase_turns=2, **sizes))
     own = {"frequency": 0.595, "amplitude": 1.0, "amplitude_bounds": [0.6, 1.6]}
     own |= {"speed_bound": BOUND_OF_AIRCRAFT, "tightening": TIGHTENING}
     horizon = HorizonConfig(instants=10, fixed_coefficients=fixed)
@@ -196,19 +191,11 @@ def motion_at(problem: HorizonProblem, reference, orbit, time: float, wind=WIND)
         velocities = straight_velocities(model, reference, orbit, time, wind)
         accelerations = (at(time + step)[0] - 2 * positions + at(time - step)[0]) / step**2
         return Motion(positions, velocities, accelerations, forces, forces)
-    pulls, ends = [], []
-    for now in time + WINDOW.times:
-        _, own = at(now)
-        pulls.append(own)
-        ends.append(reference(now)[4:7] + model.attachments @ rotation(reference(now)[:4]).T)
-    lines = bowed_lines(
-        np.array(pulls),
-        np.array(ends),
-        wind,
-        WINDOW,
-        cable=problem.shape.cable,
-        nodes=problem.shape.nodes,
-    )
+    now = [reference(each) for each in time + WINDOW.times]
+    pulls = np.array([at(each)[1] for each in time + WINDOW.times])
+    ends = [row[4:7] + model.attachments @ rotation(row[:4]).T for row in now]
+    shape = {"cable": problem.shape.cable, "nodes": problem.shape.nodes}
+    lines = bowed_lines(pulls, np.array(ends), wind, WINDOW, **shape)
     positions, velocities, accelerations, _ = WINDOW.at_present(lines.ends)
     pull = lines.forces[len(WINDOW.times) // 2]
     return Motion(positions, velocities - wind, accelerations, forces, pull)
@@ -233,8 +220,9 @@ def expected_margins(
     tensions = np.linalg.norm(motion.at_load, axis=1)
     first, second = np.triu_indices(n, 1)
     apart = np.linalg.norm(motion.positions[first] - motion.positions[second], axis=1)
+    slowest = np.linalg.norm(slowest_velocities(motion, half), axis=1)
     rows = {
-        BOUND: (np.linalg.norm(slowest_velocities(motion, half), axis=1) / bounds) ** 2 - 1,
+        problem.names[0]: (slowest / bounds) ** 2 - 1,
         "speed": 1 - (speeds / (less * limits.max_speed)) ** 2,
         "largest_tension": 1 - (tensions / (less * limits.max_tension)) ** 2,
     }
@@ -258,12 +246,13 @@ def expected_orbit_margins(
     """
     angle, xi, A = planned
     model, n = problem.model, problem.model.n
+    phases = (problem.points - len(problem.instants)) // 8  # of each of eight orbits
 
     def kept(frequency):
         return lambda now: (angle + frequency * (now - time), A)
 
     motion = motion_at(problem, reference, kept(xi), time)
-    half = np.pi / TERMINAL_PHASES / xi
+    half = np.pi / phases / xi
     margins = expected_margins(problem, motion, bounds, half)
     wind = WIND if model.aircraft is not None else STILL_AIR
     slow, fast = (

@@ -74,6 +74,9 @@ class Case(NamedTuple):
     fields: dict[str, Any]
     is_sampled: bool
 
+    def __hash__(self) -> int:
+        return hash((self.box, self.name))
+
     @property
     def name(self) -> str:
         """That of the block, of its fields and of the controllers."""
@@ -108,17 +111,12 @@ def loop_of(name: str, is_sampled: bool) -> tuple[Diagram, Context, dict[str, An
     return diagram, context, {port.get_name(): port.Eval(context) for port in ports}
 
 
+@functools.cache
 def made(case: Case) -> tuple[Any, str]:
     """The block of a case, and the scenario whose model it has.
 
     Every test may have the same one: what a block computes is in its contexts.
     """
-    return _made(case.kind, case.name)
-
-
-@functools.cache
-def _made(kind: Any, case_name: str) -> tuple[Any, str]:
-    case = next(case for case in CASES if case.kind is kind and case.name == case_name)
     for name in _MODELS:
         try:
             return made_with(case, _model_in(name, case.is_sampled)), name

@@ -24,6 +24,11 @@ WORDS = (
     *("🛩", "a\nb", "x" * 3000, "--", "-", "-h", "a=b", "=", "/dev/zero", "[]", "!x", "%s", "{0}"),
     *("../..", "quintic", "no_such.yaml", "LINE", "phase=PaperPhase", "system.load_mass=0", "640x"),
 )
+FOLDERS = (
+    *("x" * 300, "file", "file/below", "closed/new", "loop/a", "gone/below", "x" * 255, "x" * 256),
+    *("/dev/null", "/dev/null/a", "/dev/full", "/proc/new", "/sys/new", " ", "a\tb", "a//b/../c"),
+    *(".", "..", "~", "é/ü", "\udcff", "\\", "*", "$HOME", "a:b", "'"),
+)
 
 
 def help_of(*command: str) -> str:
@@ -52,7 +57,8 @@ def calls(draw: st.DrawFn) -> list[str]:
     call = [command, draw(st.one_of(st.sampled_from(["line", "quintic"]), word))]
     for option, takes_value in OPTIONS[command].items():
         if draw(st.booleans()) and draw(st.booleans()):
-            call += [option, draw(word)] if takes_value else [option]
+            value = st.sampled_from(FOLDERS) if option == "--out" else word
+            call += [option, draw(value)] if takes_value else [option]
     call += draw(st.lists(word, max_size=1))
     return [*call, *BRIEF.get(command, REFUSED_ANYHOW if "--set" in OPTIONS[command] else [])]
 
@@ -89,9 +95,14 @@ def test_the_commands_and_their_options_are_found():
 
 
 @given(calls())
-def test_any_options_are_one_sentence_or_a_result(tmp_path, monkeypatch, capfd, arguments):
-    monkeypatch.chdir(tmp_path)
+def test_any_options_are_one_sentence_or_a_result(tmp_path_factory, monkeypatch, capfd, arguments):
+    monkeypatch.chdir(tmp_path_factory.mktemp("called"))
+    Path("file").write_text("mine")
+    Path("closed").mkdir(mode=0o500)
+    Path("loop").symlink_to("loop")
+    Path("gone").symlink_to("nowhere")
     judged(arguments, capfd)
+    assert Path("file").read_text() == "mine"
 
 
 CSV = "t,x,y,z\n0,0,0,0\n1,0.1,0,0\n2,0.2,0,0\n"
@@ -184,23 +195,6 @@ def test_results_that_meet_something_in_their_way(
     kept = [*Path().rglob("mine.txt")]
     assert all(path.read_text() == "mine" for path in kept)
     assert not [*Path().rglob(".new-*")]
-
-
-FOLDERS = ("x" * 300, "file", "file/below", "closed/new", "loop/a")
-FOLDERS += ("gone/below", "/dev/null", "/dev/null/a", "/dev/full", "/proc/new", "/sys/new", "", " ")
-FOLDERS += (".", "..", "-", "~", "é/ü", "a\nb", "\udcff", "a\tb", "\\", "*", "$HOME", "a:b", "'")
-FOLDERS += ("x" * 255, "x" * 256, "a//b/../c")
-
-
-@given(st.sampled_from(FOLDERS))
-def test_a_folder_of_an_odd_name(tmp_path_factory, monkeypatch, capfd, out):
-    monkeypatch.chdir(tmp_path_factory.mktemp("named"))
-    Path("file").write_text("mine")
-    Path("closed").mkdir(mode=0o500)
-    Path("loop").symlink_to("loop")
-    Path("gone").symlink_to("nowhere")
-    judged([*RUN, f"--out={out}", "--", "line"], capfd)
-    assert Path("file").read_text() == "mine"
 
 
 ENVIRONMENTS = (

@@ -30,23 +30,19 @@ def example():
 def test_rigid_aircraft_begin_as_the_point_masses_do_and_repeat_to_the_bit(example, fleet):
     """Over the first 2 s of the same hold."""
     scenario = load_scenario("aircraft_rest", ["simulation_duration=2"])
-    plant = example.PLANTS["JSBSim"]
-    rigid, again = (simulate(scenario, **plant) for _ in range(2))
-    mass = fleet.run("aircraft_rest")
-    count = len(rigid.time)
-    needs = []
+    rigid, again = (simulate(scenario, **example.PLANTS["JSBSim"]) for _ in range(2))
+    mass, count, needs = fleet.run("aircraft_rest"), len(rigid.time), []
     for run in (rigid, mass):
         state = AircraftState.view(run.signal("aircraft_state")[:count])
         power = drawn_power(aircraft_in(run.scenario.system), state.thrust, state.airspeed)
         each = (state.lift, np.abs(state.bank), state.thrust, state.airspeed, power)
         needs.append([np.mean(need) for need in each])
-    np.testing.assert_allclose(needs[0], needs[1], rtol=0.02)
-    ways = [run.signal("carrier_state")[:count, :12] for run in (rigid, mass)]
-    assert np.ptp(ways[0], axis=0).max() > 15  # m
-    np.testing.assert_allclose(ways[0], ways[1], rtol=0, atol=0.06)
-    loads = [run.signal("load_state")[:count, 4:7] for run in (rigid, mass)]
-    np.testing.assert_allclose(loads[0], loads[1], rtol=0, atol=0.03)
-    assert np.any(loads[0] != loads[1])
+    np.testing.assert_allclose(*needs, rtol=0.02)
+    assert np.ptp(rigid.signal("carrier_state")[:, :12], axis=0).max() > 15  # m
+    for name, part, within in (("carrier_state", slice(12), 0.06), ("load_state", [4, 5, 6], 0.03)):
+        ways = [run.signal(name)[:count, part] for run in (rigid, mass)]
+        np.testing.assert_allclose(*ways, rtol=0, atol=within)
+        assert np.any(ways[0] != ways[1])
     for name in ("load_state", "carrier_state", "aircraft_state", "carrier_acceleration"):
         np.testing.assert_array_equal(rigid.signal(name), again.signal(name), name)
 
