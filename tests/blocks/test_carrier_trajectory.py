@@ -130,22 +130,6 @@ def test_carousel_over_a_resting_load_in_closed_form(n):
         np.testing.assert_allclose(jerk, -(2.0**2) * velocities, rtol=0, atol=1e-12)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "allowed"), [("aircraft_co_rotating", 1e-8), ("aircraft_transfer", 2e-4)]
-)
-def test_references_on_lines_without_mass_and_drag_are_straight(name, allowed):
-    """At the start of a turning load, and of one that is carried."""
-    bowed = "carrier_trajectory=!BowedCarrierTrajectory {nodes: 2}"
-    found = []
-    for changes in ([], [bowed, "system.cable_diameter=0"]):
-        diagram = make_nonstop(load_scenario(name, changes))
-        context = diagram.CreateDefaultContext()
-        found.append([output(diagram, context, n) for n in ("carrier_reference", *DERIVATIVES)])
-    for straight, of_lines, factor in zip(*found, (1, 10, 100), strict=True):
-        np.testing.assert_allclose(of_lines, straight, rtol=0, atol=factor * allowed)
-
-
 def test_between_samples_accelerations_are_the_rates_of_velocities():
     changes = ["optimization_layer=ConstantParameters", "control_period=0.05"]
     run = simulate(load_scenario("quintic", [*changes, "simulation_duration=0.2"]))

@@ -1,18 +1,11 @@
 """Aircraft as a block: their trim, and their stall."""
 
-from dataclasses import dataclass
-
 import numpy as np
 import pytest
 from helpers import fix, model, output
 
 from drake_nonstop import (
     AircraftParameters,
-    Block,
-    RunOutcome,
-    compute_metrics,
-    load_scenario,
-    simulate,
 )
 from drake_nonstop.blocks.carrier_dynamics import FixedWingDynamics, FixedWingDynamicsConfig
 from drake_nonstop.mechanics.aircraft import air_force
@@ -72,35 +65,3 @@ def test_a_stall_ends_a_run(cause):
     assert ends_run(block, context)
     other, its_context = flown(config=FixedWingDynamicsConfig(stops_at_stall=False))
     assert not other.ends_run(its_context, output(block, context, "aircraft_state"))
-
-
-@dataclass
-class StallingConfig:
-    """It has no parameters."""
-
-
-class Stalling(Block):
-    """All aircraft hold what they are trimmed to, but for the second, which pulls up."""
-
-    reads, makes = ("carrier_state",), ("aircraft_command",)
-
-    @staticmethod
-    def equations(state):
-        return np.array([0.7, 3.0, 0.7, 0.0, 0.0, 0.0, 15.0, 15.0, 15.0]) + 0 * state[:9]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("stops", [True, False])
-def test_a_run_goes_on_to_its_first_stall(stops):
-    stopping = f"carrier_dynamics.stops_at_stall={stops}".lower()
-    scenario = load_scenario("aircraft_three", [stopping, "simulation_duration=0.6"])
-    run = simulate(scenario, carrier_controller=Stalling)
-    metrics, time = compute_metrics(run), run.steps["time"]
-    assert metrics["outcome"] == RunOutcome.STALLED
-    lift = AircraftState.view(run.steps["aircraft_state"]).lift
-    first = time[np.argmax(np.any(lift >= 1.4 * (1 - 1e-9), axis=1))]
-    assert 0 < first < 0.6
-    (reason,) = [text for text in metrics["reasons"] if "stalled" in text]
-    assert reason.startswith(f"carrier 2 stalled at t = {first:.3f} s")
-    assert time[-1] == (first if stops else 0.6)
-    assert np.max(lift) <= 1.4 * (1 + 1e-12)

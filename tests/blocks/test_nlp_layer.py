@@ -89,23 +89,6 @@ def test_what_carriers_do_is_that_of_first_principles_of_all_scalar_types(seed):
         np.testing.assert_allclose(values[:, 0], found[0], rtol=1e-12)
 
 
-@pytest.mark.parametrize("excess", [1.0, 1.2, 2.0])
-def test_the_papers_solution_over_a_square_at_rest_is_the_global_optimum(excess):
-    bound = excess * speed_at_rest(*START)
-    layer = PaperLayer(model(), PaperLayerConfig(speed_bound=bound, tightening=0.01))
-    (frequency, amplitude), told = updated(layer, AT_REST)
-    target = 1.01 * bound
-    assert told.solved == 1
-    assert speed_at_rest(frequency, amplitude) == pytest.approx(target, rel=1e-6)
-
-    def cost(xi, A):  # Σ cos² = Σ sin² = 2 over the four phases
-        return (xi - 2) ** 2 + 3 * (A - 1.2) ** 2 + 2 * (A * xi - 2.4) ** 2
-
-    amplitudes = np.linspace(0.3, 10, 100_001)
-    cheapest = np.min(cost(target / speed_at_rest(1.0, amplitudes), amplitudes))
-    assert cost(frequency, amplitude) == pytest.approx(cheapest, rel=1e-5)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("solver", ["snopt", "ipopt"])
 @pytest.mark.parametrize(("seed", "slope"), [(1, 0.0), (2, 3.0), (5, 0.0)])

@@ -12,9 +12,7 @@ from drake_nonstop import (
     Model,
     ReferencePreview,
     carrier_speeds,
-    compute_metrics,
     load_scenario,
-    simulate,
 )
 from drake_nonstop.blocks.load_trajectory import RestToRest, RestToRestConfig
 from drake_nonstop.blocks.receding_horizon import (
@@ -225,15 +223,3 @@ def test_a_limit_that_no_plan_keeps_is_counted(aircraft_model):
     *_, told, counts = planned(aircraft_model, speed_bound=10.0, max_lift_share=0.4, **bounds)
     assert told.relaxed == 1
     assert counts == [0, 1]  # of the airspeed and the lift
-
-
-@pytest.mark.nightly("flights")
-def test_on_bowed_cables_aircraft_fly_as_fast_as_planned():
-    """Planned for straight ones they are 0.2 m/s slower than planned, see docs/aircraft.md."""
-    layer = {"speed_bound": "1.45 V_s", "frequency": 0.595, "amplitude": 1.0}
-    layer |= {"frequency_bounds": [0.5, 0.8], "amplitude_bounds": [0.7, 1.4]}
-    own = [f"optimization_layer=!RecedingHorizonOptimizer {layer}", "simulation_duration=60"]
-    metrics = compute_metrics(simulate(load_scenario("aircraft_transfer_cables", own)))
-    bound = metrics["carriers"]["speed_bound_m_s"]
-    above = metrics["aircraft"]["airspeed_min_m_s"] - bound
-    assert above == pytest.approx(0.02 * bound, abs=0.06)  # 2 % of the bound is aimed at

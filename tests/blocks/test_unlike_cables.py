@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 import pytest
-from helpers import Motion, fix, model, nightly_beyond, outputs, regular, sizes_of_ports
+from helpers import Motion, fix, model, outputs, regular, sizes_of_ports
 
 from drake_nonstop import RunOutcome, compute_metrics, load_scenario, simulate
 from drake_nonstop.blocks.cables import Cables
@@ -69,40 +69,6 @@ def test_each_cable_is_as_one_of_many_that_are_all_like_it(rng, block, config):
         for one, other in zip(together, alone, strict=True):
             np.testing.assert_allclose(one[:, i], other[:, i], rtol=1e-9, atol=1e-9)
     assert any(np.ptp(a - b) > 1e-3 for a, b in zip(together, alone, strict=True))
-
-
-# Five cables on the corners of an L, whose carriers circle outside of it.
-L_SHAPED = [
-    "system.load_mass=3.0",
-    "system.load_inertia=[[0.9, -0.2, 0.0], [-0.2, 0.9, 0.0], [0.0, 0.0, 1.7]]",
-    "system.attachments=[[1.2, -0.4, 0.05], [0.4, -0.5, 0.05], [-0.5, -0.5, 0.0], "
-    "[-0.5, 0.4, 0.05], [-0.4, 1.2, 0.1]]",
-    "pattern=!SpreadCarousel {spread: 3.0}",
-    "optimization_layer=!ConstantParameters {frequency: 3.0, amplitude: 2.5, speed_bound: 0.3}",
-    *("load_trajectory.move_time=6", "simulation_duration=7"),
-]
-LUMPED = [
-    *("cables=!LumpedCables {nodes: 3}", "carrier_trajectory=!BowedCarrierTrajectory {nodes: 3}"),
-    "system.cable_diameter=0.003",
-]
-HORIZON = [
-    "optimization_layer=!RecedingHorizonOptimizer {speed_bound: 0.3}",
-    *("load_trajectory.move_time=10", "simulation_duration=11"),
-]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("changes", nightly_beyond(1, "flights", [([],), (HORIZON,), (LUMPED,)]))
-def test_cables_of_five_lengths_carry_an_l_shaped_load_as_well_as_equal_ones(changes):
-    found = []
-    for lengths in ("1.1", "[0.8, 0.95, 1.1, 1.25, 1.4]"):
-        own = [*L_SHAPED, *changes, f"system.cable_length={lengths}"]
-        metrics = compute_metrics(simulate(load_scenario("quintic", own)))
-        assert metrics["outcome"] == RunOutcome.OK, metrics["reasons"]
-        names = ("position_error_max_m", "orientation_error_max_rad")
-        found.append([metrics["load"][name] for name in names])
-    alike, unlike = np.array(found)
-    assert np.all(unlike < 1.5 * alike + 1e-6)
 
 
 def test_the_cable_that_bears_too_little_is_the_one_that_breaks():

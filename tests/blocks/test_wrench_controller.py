@@ -4,8 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from helpers import Motion, fix, model, nightly_beyond, outputs
-from pydrake.systems.analysis import Simulator
+from helpers import Motion, model, nightly_beyond, outputs
 
 from drake_nonstop import compute_metrics, load_scenario, simulate
 from drake_nonstop.blocks.wrench_controller import (
@@ -17,7 +16,6 @@ from drake_nonstop.blocks.wrench_controller import (
     WrenchControllerConfig,
 )
 from drake_nonstop.mechanics.tuning import load_gains
-from drake_nonstop.mechanics.wrench import tracking_error
 
 SIGNALS = {
     "measured_load_state": Motion(3).state(0.3),
@@ -31,19 +29,6 @@ def same(one, other):
     expected = outputs(other, INTEGRALS, **SIGNALS)
     for name, value in outputs(one, INTEGRALS, **SIGNALS).items():
         np.testing.assert_allclose(value, expected[name], rtol=1e-12, atol=1e-12, err_msg=name)
-
-
-def test_integrals_of_a_sampled_controller_step_once_a_period():
-    block = WrenchController(model(4, 0.02))
-    simulator = Simulator(block)
-    context = simulator.get_mutable_context()
-    fix(block, context, **SIGNALS, sample_time=np.array([0.02]))
-    simulator.Initialize()
-    error = tracking_error(SIGNALS["measured_load_state"], SIGNALS["reference"])[:6]
-    for time, steps in ((0.0, 0), (0.01, 0), (0.03, 1), (0.05, 2)):
-        simulator.AdvanceTo(time)
-        integrals = context.get_discrete_state_vector().value()
-        np.testing.assert_allclose(integrals, steps * 0.02 * error, rtol=0, atol=1e-15)
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from helpers import connections, model, nightly_beyond, sizes_of_ports, vector_o
 from pydrake.common.value import Value
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
-from pydrake.systems.primitives import ConstantVectorSource, Multiplexer
+from pydrake.systems.primitives import Multiplexer
 from registries import BOXES
 
 from drake_nonstop import (
@@ -257,21 +257,3 @@ def test_a_context_of_another_loop_is_refused_in_a_sentence():
         for taker in takers:
             with pytest.raises(ScenarioError, match=r"^\w+ = \w.*: give (a|that)[^\n]*$"):
                 taker(context)
-
-
-@pytest.mark.parametrize("period", [0.0, 0.01])
-def test_the_equilibrium_is_the_same_under_other_names_and_inside_of_another_diagram(period):
-    (nonstop, start, _), _ = reference(period)
-    blocks = {f"my_{name}": block for name, block in make_blocks(scenario(period)).items()}
-    inner, outer = DiagramBuilder(), DiagramBuilder()
-    connect_by_name(inner, blocks)
-    loop = outer.AddSystem(inner.Build())
-    for name in sizes_of_ports(loop):
-        outer.ExportOutput(loop.GetOutputPort(name), name)
-    outer.AddSystem(ConstantVectorSource([1.0]))
-    diagram = outer.Build()
-    context = diagram.CreateDefaultContext()
-    set_equilibrium(diagram, context)
-    for name in ("load_state", "carrier_state"):
-        expected = nonstop.GetOutputPort(name).Eval(start)
-        np.testing.assert_array_equal(diagram.GetOutputPort(name).Eval(context), expected)

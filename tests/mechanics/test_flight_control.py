@@ -16,7 +16,7 @@ from drake_nonstop.mechanics.flight_control import (
     limited_command,
     observer_rate,
 )
-from drake_nonstop.mechanics.signals import AircraftCommand, AircraftState, CarrierStates
+from drake_nonstop.mechanics.signals import AircraftCommand, AircraftState
 
 GRAVITY = np.array([0.0, 0.0, 9.81])
 WIND = np.array([2.0, -1.0, 0.0])
@@ -24,74 +24,57 @@ GAINS = {"position_gain": 2.25, "velocity_gain": 2.7}
 LIMITS = {"lift_share": 0.9, "max_bank": 0.87, "speed_share": 1.2, "speed_gain": 2.7}
 
 
-class Orbits:
-    """Two aircraft on leaning ellipses, with cable forces that turn with them."""
-
-    rate, phases = 0.6, np.array([0.3, 2.0])
-
-    def _turned(self, time, order, cosine, sine):
-        angle = self.rate * time + self.phases + order * np.pi / 2
-        waves = np.cos(angle)[:, None] * cosine + np.sin(angle)[:, None] * sine
-        return self.rate**order * waves
-
-    def motion(self, time, order):
-        return self._turned(time, order, np.array([30.0, 0, 3.0]), np.array([0, 25.0, 0]))
-
-    def force(self, time, order=0):
-        turned = self._turned(time, order, np.array([7.0, 0, 4.0]), np.array([1.0, 6.0, 0]))
-        return turned + (order == 0) * np.array([1.0, 0, 24.0])
-
-    def needed(self, time):
-        return RASCAL.mass * (self.motion(time, 2) + GRAVITY) + self.force(time)
-
-    def command(self, time, carrier_state=None, lead=0.0, disturbance=0.0):
-        reference = np.concatenate([self.motion(time, k).ravel() for k in (0, 1)])
-        signals = FlightSignals(
-            reference,
-            self.motion(time, 2).ravel(),
-            self.motion(time, 3).ravel(),
-            reference if carrier_state is None else carrier_state,
-            np.zeros(8),
-            self.force(time).ravel(),
-            self.force(time, 1).ravel(),
-            WIND,
-            np.zeros(6),
-        )
-        return flight_command(RASCAL, signals, np.full((2, 3), disturbance), **GAINS, lead=lead)
+def turned(time, order, cosine, sine):
+    """Of two aircraft at 0.6 rad/s on an ellipse, or its rate of that order (2, 3)."""
+    angle = 0.6 * time + np.array([[0.3], [2.0]]) + order * np.pi / 2
+    return 0.6**order * (np.cos(angle) * cosine + np.sin(angle) * sine)
 
 
-def flown(command, velocities):
-    told = AircraftCommand.view(command)
-    return air_force(RASCAL, velocities - WIND, told.lift, told.bank, told.thrust)
+def motion(time, order):
+    return turned(time, order, np.array([30.0, 0, 3.0]), np.array([0, 25.0, 0]))
 
 
-def test_the_command_flies_the_needed_force_less_the_disturbance():
-    orbits = Orbits()
-    command = orbits.command(0.7, disturbance=3.0)
-    frame = air_frame(orbits.motion(0.7, 1) - WIND)
-    expected = orbits.needed(0.7) - 3.0 * (frame.forward + frame.right + frame.up)
-    np.testing.assert_allclose(flown(command, orbits.motion(0.7, 1)), expected, atol=1e-9)
+def pull(time, order=0):
+    """The cables' forces, which turn with the aircraft, and their rates."""
+    found = turned(time, order, np.array([7.0, 0, 4.0]), np.array([1.0, 6.0, 0]))
+    return found + (order == 0) * np.array([1.0, 0, 24.0])
 
 
-def test_errors_are_corrected_as_by_a_spring_and_a_damper(rng):
-    orbits = Orbits()
+def needed(time):
+    return RASCAL.mass * (motion(time, 2) + GRAVITY) + pull(time)
+
+
+def command(time, errors=(0.0, 0.0), lead=0.0, disturbance=0.0):
+    """Of aircraft that are behind their reference by these errors (2, 2, 3)."""
+    reference, state = (
+        np.concatenate([(motion(time, k) - by[k]).ravel() for k in (0, 1)])
+        for by in ((0.0, 0.0), errors)
+    )
+    rates = motion(time, 2).ravel(), motion(time, 3).ravel()
+    pulls = pull(time).ravel(), pull(time, 1).ravel()
+    signals = FlightSignals(reference, *rates, state, np.zeros(8), *pulls, WIND, np.zeros(6))
+    return flight_command(RASCAL, signals, np.full((2, 3), disturbance), **GAINS, lead=lead)
+
+
+def test_the_command_flies_the_needed_force_with_springs_and_dampers_less_the_disturbance(rng):
     errors = rng.uniform(-1, 1, (2, 2, 3))
-    state = CarrierStates(*(orbits.motion(0.7, k) - errors[k] for k in (0, 1)))
-    command = orbits.command(0.7, state.flat())
-    expected = orbits.needed(0.7) + RASCAL.mass * (2.25 * errors[0] + 2.7 * errors[1])
-    np.testing.assert_allclose(flown(command, state.velocities), expected, atol=1e-9)
+    told = AircraftCommand.view(command(0.7, errors, disturbance=3.0))
+    air = motion(0.7, 1) - errors[1] - WIND
+    frame = air_frame(air)
+    expected = needed(0.7) + RASCAL.mass * (2.25 * errors[0] + 2.7 * errors[1])
+    expected -= 3.0 * (frame.forward + frame.right + frame.up)
+    found = air_force(RASCAL, air, told.lift, told.bank, told.thrust)
+    np.testing.assert_allclose(found, expected, atol=1e-9)
 
 
 def test_the_lead_is_each_lag_times_the_rate_of_the_command_along_the_reference():
-    orbits = Orbits()
-
     def exact(time):
-        needs = flight_needs(RASCAL, orbits.needed(time), orbits.motion(time, 1) - WIND)
+        needs = flight_needs(RASCAL, needed(time), motion(time, 1) - WIND)
         return np.concatenate(needs.command)
 
     rate = (exact(0.7 + 1e-4) - exact(0.7 - 1e-4)) / 2e-4
     lags = np.repeat([RASCAL.lift_lag, RASCAL.bank_lag, RASCAL.thrust_lag], 2)
-    lead = orbits.command(0.7, lead=1.0) - orbits.command(0.7)
+    lead = command(0.7, lead=1.0) - command(0.7)
     assert np.all(np.abs(rate) > 1e-3)
     np.testing.assert_allclose(lead, lags * rate, atol=1e-6 * np.max(np.abs(lags * rate)))
 
