@@ -35,17 +35,16 @@ class Attempt:
 
 
 def attempts(
-    runs: Iterable[tuple[Scenario, dict[str, Any]]], *, is_recording: bool = False
+    runs: Iterable[tuple[Scenario, dict[str, Any]]],
 ) -> Iterator[tuple[int, Attempt]]:
     """The numbers of runs and how they ended, as they do; several fly at a time.
 
     A run is a scenario with arguments as of `simulate`. Nothing but Ctrl-C is raised. The systems
-    of the loops, whose memory is mostly C++'s, are released after the last run. What is warned of
-    is in the attempts where it `is_recording`.
+    of the loops, whose memory is mostly C++'s, are released after the last run.
     """
     arguments = [{"scenario": scenario} | given for scenario, given in runs]
     diagrams: dict[int, Diagram] = {}
-    for number, outcome, told in fly_many(arguments, is_recording=is_recording):
+    for number, outcome, told in fly_many(arguments, is_recording=True):
         found = _attempt(outcome, told)
         if found.run is not None:
             diagrams[id(found.run.diagram)] = found.run.diagram

@@ -73,12 +73,11 @@ def open_journal(
     *,
     contents: Iterable[str] = (),
     restart: bool = False,
-    what: str = "runs",
 ) -> Iterator[Journal]:
     """The journal in a folder, with the rows that it has unless it is to `restart`.
 
     Without a folder nothing is kept. `settings` are those of `settings_of`, `contents` the files
-    that the study will write; the message of an interrupt calls its rows `what`.
+    that the study will write.
 
     Raises:
         ScenarioError: the folder has rows of other settings, another study is running in it, or it
@@ -108,7 +107,7 @@ def open_journal(
                 journal.read()
             yield journal
         except KeyboardInterrupt:
-            done = f"{len(journal.rows)} {what} are in {folder}; the same call continues from there"
+            done = f"{len(journal.rows)} runs are in {folder}; the same call continues from there"
             raise StudyInterrupted(done if journal.rows else "") from None
         except ConnectionError:
             raise

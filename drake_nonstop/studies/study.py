@@ -332,7 +332,7 @@ def fly(calls: list[tuple[str, Call]]) -> list[Row]:
             continue
         runs.append((scenario, others))
         about.append((k, drawn))
-    for number, tried in attempts(runs, is_recording=True):
+    for number, tried in attempts(runs):
         k, drawn = about[number]
         row = rows[k] = failed_row(tried.ending, tried.message, drawn)
         if tried.run is None:

@@ -18,10 +18,9 @@ _MOST_RATE = 50.0  # 1/s; browsers slow down faster GIFs
 _MOST_PICTURES = 10_000
 _PALETTE_FRAMES = 6  # whose colours a GIF has
 
-_PREPARE = """(has_strip) => {
+_PREPARE = """() => {
   viewer.animator.pause();
   viewer.gui.domElement.style.display = "none";
-  if (!has_strip) document.getElementById("overlay").style.display = "none";
   window.dispatchEvent(new Event("resize"));
 }"""
 # The viewer draws in the next frame of the page, before what is called here.
@@ -31,19 +30,14 @@ _SEEK = """(time) => new Promise((drawn) => {
 })"""
 
 
-def replay_pictures(
-    page: Any, run: Run, times: Iterable[float], *, has_strip: bool = False
-) -> Iterator[bytes]:
-    """Pictures of a run's replay at times in s, as PNG; the browser's page is as large as they.
-
-    With `has_strip` they have the plot of the replay below the scene.
-    """
+def _replay_pictures(page: Any, run: Run, times: Iterable[float]) -> Iterator[bytes]:
+    """Pictures of a run's replay at times in s, as PNG; the browser's page is as large as they."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "replay.html"
         path.write_text(record_replay(run, has_figure=False), encoding="utf-8")
         page.goto(f"{path.as_uri()}#embedded")
         page.wait_for_function("viewer.animator.actions.length > 0")
-        page.evaluate(_PREPARE, has_strip)
+        page.evaluate(_PREPARE)
         for time in times:
             page.evaluate(_SEEK, float(time - run.time[0]))
             yield page.screenshot()
@@ -92,7 +86,7 @@ def record_video(
     def take() -> list[bytes]:
         pictures: list[bytes] = []
         with open_browser(*size) as page:
-            for picture in replay_pictures(page, run, times, has_strip=True):
+            for picture in _replay_pictures(page, run, times):
                 pictures.append(picture)
                 if progress is not None:
                     progress("video", len(pictures) / len(times))
