@@ -130,10 +130,8 @@ def test_slacks_are_those_of_the_bound_of_aircraft_and_of_others_in_each_interva
             slacks = problem.least_slacks(margins)
             expected = 0.7 * np.eye(3 * (intervals + 1))[kind * (intervals + 1) + place]
             np.testing.assert_array_equal(slacks, expected)
-            weight = slacks @ problem.slack_weights
-            assert weights.setdefault((kind > 0, column >= count), weight) == weight
-    assert weights[False, False] > weights[True, False]
-    assert weights[False, True] > weights[False, False]
+            weights[kind, place < intervals] = slacks @ problem.slack_weights
+    assert weights[0, False] > weights[0, True] > weights[1, True] == weights[2, True]
     assert problem.missed(np.full(problem.slacks.shape, np.nan), 1.0) == {*problem.names}
 
 

@@ -129,12 +129,6 @@ def test_columns_frames_and_datasets_have_units(stored):
     np.testing.assert_array_equal(data["time"], run.time)
 
 
-def test_a_run_is_shown_in_one_line(stored):
-    assert repr(stored[0]) == "<Run of quintic: 0.2 s, 28 signals>"
-    stopped = dataclasses.replace(stored[0], stopped="the run diverged")
-    assert repr(stopped) == "<Run of quintic: 0.2 s, 28 signals, stopped: the run diverged>"
-
-
 @pytest.fixture
 def copied(stored, tmp_path):
     """A copy of the folder, whose path is longer than what a sentence shows of a value."""

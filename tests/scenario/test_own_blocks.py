@@ -44,11 +44,6 @@ MODULE = """
 
 
     @dataclass
-    class OrphanConfig:
-        pass
-
-
-    @dataclass
     class BoundlessConfig:
         gain: float = 1.0
 
@@ -143,7 +138,6 @@ def test_changes_and_swaps_of_what_is_trusted(folder):
         ("no_such_module.Steady", "no_such_module cannot be had .*No module named"),
         ("own_test_blocks.Needyy", r"no NeedyyConfig; did you mean NeedyConfig\?"),
         ("own_test_blocks.Xyz", "there is no XyzConfig"),
-        ("own_test_blocks.Orphan", "a LeafSystem or Diagram of the name Orphan"),
         ("own_test_blocks.Boundless", "give BoundlessConfig a field speed_bound"),
         (
             "own_test_blocks.Needy",

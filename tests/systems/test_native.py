@@ -173,19 +173,6 @@ def test_a_flight_ends_before_what_is_not_finite_and_other_lanes_go_on(place):
 
 
 @needs_compiler
-def test_lanes_may_have_samples_of_their_own_or_no_flight():
-    f = function(0.1, make=few)
-    samples = [5, 0, 3, 1, 5, 2, 4][: LANES - 1]
-    flights = [arrays(f, count, seed=k) for k, count in enumerate(samples)]
-    begin = [arrays(f, count, seed=k) for k, count in enumerate(samples)]
-    counts = native(f, lanes=LANES).fly_lanes(flights, np.inf)
-    for flight, alone, count, own in zip(flights, begin, counts, samples, strict=True):
-        assert native(f).fly(*alone, np.inf) == count <= own
-        written = [[each[1], each[4][:count], each[5][:count]] for each in (flight, alone)]
-        assert_same_bits(*written)
-
-
-@needs_compiler
 @pytest.mark.parametrize("sizes", [(0, 0, 0), (2, 1, 0)])
 def test_sizes_may_be_zero(sizes):
     f = function(sizes=sizes)
@@ -208,10 +195,6 @@ def test_arrays_and_functions_that_do_not_fit_are_refused():
             evaluated.fly(*each, LARGEST)
     with pytest.raises(ValueError, match="give "):
         evaluated.fly_lanes([values, arrays(f, 3, (LANES,))], LARGEST)
-    x, *others = (casadi.SX.sym("x", 2) for _ in range(4))
-    for results in ([x, x], [x, casadi.SX(2, 1), x], [x[0], x, x]):
-        with pytest.raises(ValueError, match="dense"):
-            Interpreted(casadi.Function("f", [x, *others], results))
 
 
 def is_cached(function, lanes=1):
