@@ -4,17 +4,15 @@ import json
 import os
 import random
 import re
-import signal
 import subprocess
 import sys
-import time
 
 import numpy as np
 import pytest
-from helpers import handle_signals_as_a_shell_does, nightly_beyond
+from helpers import nightly_beyond
 from PIL import Image
 
-from drake_nonstop import simulate, write_results
+from drake_nonstop import Run, simulate, write_results
 from drake_nonstop.cli.main import main
 from drake_nonstop.scenario.loading import dump_scenario, load_scenario, scenario_names
 
@@ -185,13 +183,19 @@ def test_in_any_order_results_of_a_whole_run_stay(
     monkeypatch.chdir(tmp_path / "work")
     folder = tmp_path / "work" / (options[1] if options else "out/line")
     stopped = folder.resolve().with_name(f"{folder.resolve().name}_stopped")
-    kept, kinds = None, {"whole": 0, "flown raises": 1, "flown 2": 130}
+    kept, kinds = None, {"whole": 0, "flown raises": 1, "flown 2": 130, "flown 15": 143}
+    told = {"flown 2": "interrupted", "flown 15": "ended by SIGTERM", "flown raises": r".*broke.*"}
     for how in ["flown 2", "whole", *random.Random(seed).choices([*kinds], k=5)]:
         assert faulty(how, "run", "line", *BRIEF[1:], *options) == kinds[how]
         said = capsys.readouterr().err
         place = folder if how == "whole" or kept is None else stopped
         outcome = json.loads((place / "metrics.json").read_text())["outcome"]
         assert (outcome == "ok") == (how == "whole")
+        flown = Run.load(place, trust=True).time[-1]
+        if how != "whole":
+            sentence = rf"drake-nonstop: {told[how]}[:;] the results up to ([\d.]+) s are in "
+            assert float(re.match(sentence, said)[1]) == pytest.approx(flown, abs=0.011)
+            assert 0 < flown < 0.05
         if how == "whole":
             kept = files(folder)
         elif kept is not None:
@@ -261,68 +265,6 @@ def test_a_design_that_cannot_be_is_said_in_a_folder_of_its_own(tmp_path, capsys
     (tmp_path / "again.yaml").write_text(capsys.readouterr().out)
     assert main(["design", "again.yaml", "--print-request"]) == 0
     assert capsys.readouterr().out == (tmp_path / "again.yaml").read_text()
-
-
-DATA = {"scenario.yaml", "metrics.json", "signals.npz"}
-GRACE = 2.0  # s, from the second signal to the end
-LONG = ["simulation_duration=1000", "optimization_layer=ConstantParameters"]
-
-
-def flown(folder):
-    """The time to which the results of a folder go; they have to be whole."""
-    metrics = json.loads((folder / "metrics.json").read_text())
-    with np.load(folder / "signals.npz") as signals:
-        assert signals["time"][-1] == pytest.approx(metrics["simulated_s"], abs=0.011)
-        names = {name for name in signals if "." in name}
-        assert all(len(signals[name]) == len(signals["time"]) for name in names)
-    return metrics["simulated_s"]
-
-
-@pytest.mark.nightly("processes")
-@pytest.mark.parametrize("how", ["hangs", "swallows"])
-def test_a_block_that_never_returns_is_ended_by_the_second_signal(tmp_path, how):
-    """What was flown is kept, unless the block swallows the KeyboardInterrupt."""
-    block = f"load_disturbance=!faulty_blocks.FaultyWind {{begin: 0.3, fault: flown {how}}}"
-    options = ["--out", "o", "--trust", "--quiet", "--set", block]
-    process = subprocess.Popen(
-        [sys.executable, "-m", "drake_nonstop.cli", "run", "quintic", *options],
-        stderr=subprocess.PIPE,
-        text=True,
-        cwd=tmp_path,
-        start_new_session=True,
-        preexec_fn=handle_signals_as_a_shell_does,
-        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "FAULT_FILE": "there"},
-    )
-    end = time.monotonic() + 30
-    while not (tmp_path / "there").exists() and time.monotonic() < end:
-        time.sleep(0.01)
-    for _ in range(2):
-        process.send_signal(signal.SIGINT)
-        time.sleep(0.1)
-    begin = time.monotonic()
-    _, error = process.communicate(timeout=30)
-    assert time.monotonic() - begin < GRACE
-    assert process.returncode == 130
-    assert error.count("drake-nonstop: interrupted") == 1
-    assert "Traceback" not in error
-    if how == "hangs":
-        assert "the results up to 0.3" in error
-        assert flown(tmp_path / "o") == pytest.approx(0.3, abs=0.011)
-        assert {path.name for path in (tmp_path / "o").iterdir()} == DATA
-
-
-@pytest.mark.usefixtures("undrawn")
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_while_a_run_goes_on_keeps_what_was_flown(faulty, tmp_path, capsys, number):
-    options = ["--no-figures", "--no-replay", "--quiet", "--out", str(tmp_path)]
-    fault = f"flown {number.value}"
-    assert faulty(fault, "run", "line", *options, changes=LONG) == 128 + number
-    name = {signal.SIGINT: "interrupted", signal.SIGTERM: "ended by SIGTERM"}[number]
-    kept = rf"drake-nonstop: {name}: the results up to ([\d.]+) s are in {tmp_path}\n"
-    (simulated,) = re.fullmatch(kept, capsys.readouterr().err).groups()
-    assert 0 < flown(tmp_path) < 1000
-    assert flown(tmp_path) == pytest.approx(float(simulated), abs=6e-4)
-    assert {path.name for path in tmp_path.iterdir()} == DATA | {"diagram.svg"}
 
 
 def test_a_keyboard_interrupt_that_became_another_error_is_one(faulty, monkeypatch, capsys):

@@ -18,7 +18,7 @@ from pathlib import Path
 import pytest
 from helpers import handle_signals_as_a_shell_does
 
-from drake_nonstop import ScenarioError, SerialExecutor, study
+from drake_nonstop import Run, ScenarioError, SerialExecutor, study
 from drake_nonstop.scenario.loading import load_scenario
 
 COUNT = int(os.environ.get("NONSTOP_SIGNALS", "4"))
@@ -165,6 +165,31 @@ def test_a_block_that_never_returns_keeps_no_process(tmp_path, monkeypatch, sign
         assert "1 runs are in out; the same call continues from there" in error
     assert len(journalled(tmp_path / "out")) == 2
     assert (tmp_path / "out" / "as_it_is" / "metrics.json").exists()
+
+
+@pytest.mark.nightly("processes")
+@pytest.mark.parametrize("how", ["hangs", "swallows"])
+def test_a_run_whose_block_never_returns_is_ended_by_the_second_signal(tmp_path, monkeypatch, how):
+    """What was flown is kept, unless the block swallows the KeyboardInterrupt."""
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(sys.path))
+    monkeypatch.setenv("FAULT_FILE", "there")
+    block = f"load_disturbance=!faulty_blocks.FaultyWind {{begin: 0.3, fault: flown {how}}}"
+    options = ["--out", "out", "--trust", "--quiet", "--set", block]
+    process = begun(tmp_path, ["run", "quintic", *options])
+    wait_until((tmp_path / "there").exists, 60)
+    for _ in range(2):
+        process.send_signal(signal.SIGINT)
+        time.sleep(0.1)
+    code, error = ended(process)
+    assert code == 130
+    assert error.count("drake-nonstop: interrupted") == 1
+    assert "Traceback" not in error
+    if how == "hangs":
+        assert "the results up to 0.3" in error
+        flown = Run.load(tmp_path / "out", trust=True).time[-1]
+        assert flown == pytest.approx(0.3, abs=0.011)
+        names = {path.name for path in (tmp_path / "out").iterdir()}
+        assert names == {"scenario.yaml", "metrics.json", "signals.npz"}
 
 
 @pytest.mark.nightly("processes")
