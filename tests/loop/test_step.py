@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 from pydrake.systems.framework import DiagramBuilder
-from pydrake.systems.primitives import LinearSystem
+from pydrake.systems.primitives import FirstOrderTaylorApproximation, LinearSystem
 
 from drake_nonstop import (
     ScenarioError,
@@ -18,10 +18,19 @@ CONSTANT = "optimization_layer=ConstantParameters"
 STIFF = "system.load_inertia=[[0.0015,0,0],[0,0.0015,0],[0,0,0.0015]]"
 
 
-def loop_with(*overrides, name="quintic"):
-    scenario = load_scenario(name, [CONSTANT, *overrides])
+def loop_with(*overrides):
+    scenario = load_scenario("quintic", [CONSTANT, *overrides])
     loop = make_nonstop(scenario)
     return scenario.simulator_config, loop, loop.CreateDefaultContext()
+
+
+def test_it_follows_from_the_fastest_mode_of_drakes_linearization():
+    """Which has all states, in automatic differentiation."""
+    _, loop, context = loop_with("control_period=0")
+    matrix = FirstOrderTaylorApproximation(loop, context).A()
+    assert matrix.shape == (51, 51)
+    fastest = np.max(np.abs(np.linalg.eigvals(matrix)))
+    assert largest_step(loop, context) == pytest.approx(1.6 / fastest, rel=1e-4)
 
 
 def test_states_around_the_loop_count_too():

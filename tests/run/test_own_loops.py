@@ -192,7 +192,6 @@ def test_a_loop_that_cannot_be_flown_is_refused(scenario):
     for builder, loop, said in (
         (DiagramBuilder(), alone, "LogSignals = Diagram without output ports reference, .*: give"),
         (DiagramBuilder(), make_nonstop(scenario), "LogSignals = nonstop: add it to the builder"),
-        (DiagramBuilder(), 3, "LogSignals = 3: give a"),
         (None, alone, "builder = None: give a"),
     ):
         with pytest.raises(ScenarioError, match=f"^{said}"):

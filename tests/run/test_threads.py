@@ -70,14 +70,10 @@ def by_compiled_loop(scenario, diagram, duration):
 
 
 def signals_of(fly, context):
-    """The signals of a flight but for wall times; an error's text."""
-    try:
-        signals = fly(context)
-    except Exception as error:
-        return repr(error)
+    """The signals of a flight but for wall times."""
     return {
         name: values.tobytes()
-        for name, values in signals.items()
+        for name, values in fly(context).items()
         if name != "solve_time" and hasattr(values, "tobytes")
     }
 
@@ -95,7 +91,6 @@ def test_flights_in_threads_are_those_one_after_the_other_to_the_bit(flight, eng
         set_parameter(diagram, start, path, value)
     fly = engine(scenario, diagram, duration)
     expected = [signals_of(fly, start) for start in starts]
-    assert all(isinstance(signals, dict) for signals in expected), expected
     assert len({signals["parameters"] for signals in expected}) == THREADS
     for _ in range(tries):
         with ThreadPoolExecutor(THREADS) as pool:

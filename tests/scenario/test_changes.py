@@ -130,3 +130,22 @@ def test_the_paper_scenarios_are_as_printed():
         assert type(scenario.optimization_layer) is PaperLayerConfig
         assert scenario.optimization_layer.tightening == 0.0
         assert scenario.optimization_layer.solver == "snopt"
+
+
+STALL = math.sqrt(2 * 6.0 * 9.81 / (1.225 * 0.98 * 1.4))  # m/s
+BOUND = "optimization_layer.speed_bound"
+
+
+def test_a_bound_of_aircraft_may_be_a_multiple_of_the_stall_speed():
+    scenario = load_scenario("aircraft_rest", [f"{BOUND}=1.4 V_s"])
+    assert scenario.optimization_layer.speed_bound == "1.4 V_s"
+    assert scenario.speed_bound == pytest.approx(1.4 * STALL)
+    assert scenario.sampled().optimization_layer.speed_bound == pytest.approx(1.4 * STALL)
+    heavier = load_scenario("aircraft_rest", [f"{BOUND}=1.4 V_s", "system.aircraft.mass=24"])
+    assert heavier.speed_bound == pytest.approx(2 * 1.4 * STALL)
+
+
+@pytest.mark.parametrize("text", ["V_s", "1.4V_s", "1.4 Vs", "-1 V_s", "nan V_s", "a b c", '""'])
+def test_no_other_text_is_a_bound(text):
+    with pytest.raises(ScenarioError, match=r'speed_bound = .*as "1\.4 V_s"$'):
+        load_scenario("aircraft_rest", [f"{BOUND}={text}"]).sampled()

@@ -103,18 +103,14 @@ def test_a_block_of_its_own_flies_where_it_is_trusted_and_is_not_imported_elsewh
     assert again.optimization_layer == scenario.optimization_layer
 
 
-def test_a_resolved_scenario_names_the_block_and_reads_back(folder):
+def test_what_is_trusted_reads_back_and_can_be_changed_and_swapped(folder):
+    """Nothing else comes in with it; by its name a block takes over what was set."""
     scenario = load_scenario("mine.yaml", trust=True)
     text = dump_scenario(scenario)
     assert "!own_test_blocks.Steady" in text
     with pytest.raises(ScenarioError, match=TRUST):
         parse_scenario(text)
     assert dump_scenario(parse_scenario(text, trust=True)) == text
-
-
-def test_changes_and_swaps_of_what_is_trusted(folder):
-    """Nothing else comes in with it; by its name a block takes over what was set."""
-    scenario = load_scenario("mine.yaml", trust=True)
     louder = changed(scenario, ["optimization_layer.amplitude=2"])
     assert louder.optimization_layer.amplitude == 2
     for setting, message in (
