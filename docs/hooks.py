@@ -287,7 +287,8 @@ _GROUPS = {
     "optimizer": """How many updates of the optimization layer ended in each way: `kept` left ξ and
         A as they were, `solved` found better ones within all limits, `relaxed` found none within
         all limits and took those that miss them least, and `held` found nothing better than the
-        last ones. Wall times are those of updates made in Python.""",
+        last ones. `solve_time_ms` has the median, the 99th percentile and the largest wall time of
+        updates made in Python.""",
 }
 
 
