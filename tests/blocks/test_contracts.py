@@ -188,58 +188,51 @@ def test_what_feeds_through_is_what_the_trace_reads_and_nothing_else_counts(bloc
                 np.testing.assert_array_equal(values, shown[target], err_msg=f"{source}, {target}")
 
 
+def as_in(context, block, other=None):
+    """A context of a block, or of its clone, with all that a context of the block has."""
+    own = (other or block).CreateDefaultContext()
+    own.SetTimeStateAndParametersFrom(context)
+    (other or block).FixInputPortsFrom(block, context, own)
+    return own
+
+
 @every
-def test_outputs_follow_each_change_of_an_input_the_state_the_time_and_a_parameter(
+def test_results_follow_each_change_to_the_bit_and_clones_of_context_and_block_keep_theirs(
     block_and_context, rng
 ):
-    """As in a context of its own, to the bit: nothing that was kept is stale."""
+    """As in a context of its own: nothing that was kept is stale."""
     block, context = block_and_context
+    before, expected = state_values(context), results_of(block, context)
+    other = block.Clone()
+    clones = (block, context.Clone()), (other, as_in(context, block, other))
 
     def check(changed):
-        fresh = block.CreateDefaultContext()
-        fresh.SetTimeStateAndParametersFrom(context)
-        block.FixInputPortsFrom(block, context, fresh)
-        for name, expected in results_of(block, fresh).items():
-            found = results_of(block, context)[name]
-            np.testing.assert_array_equal(found, expected, err_msg=f"{changed}, {name}")
+        fresh = results_of(block, as_in(context, block))
+        for name, values in results_of(block, context).items():
+            np.testing.assert_array_equal(values, fresh[name], err_msg=f"{changed}, {name}")
 
     check("nothing")
     for name in vector_inputs(block):
         fix(block, context, **{name: near_rest(block.GetInputPort(name).Eval(context), rng)})
         check(name)
-    set_state_values(context, near_rest(state_values(context), rng))
+    values = near_rest(before, rng)
+    set_state_values(context, values)
+    np.testing.assert_array_equal(state_values(context), values)
     check("state")
+    if isinstance(block, EquationBlock) and len(block.equations_of_block.state):
+        ports = block.equations_of_block.shown
+        shown = [block.GetOutputPort(name).Eval(context) for name in ports]
+        np.testing.assert_array_equal(np.concatenate([[], *shown]), values[: sum(ports.values())])
     context.SetTime(TIME + 0.75)
     check("time")
     for k in range(context.num_numeric_parameter_groups()):
         group = context.get_mutable_numeric_parameter(k)
         group.SetFromVector(1.01 * group.CopyToVector())
         check("parameters")
-
-
-@every
-def test_a_state_that_is_set_is_found_and_a_clone_of_context_or_block_keeps_it(
-    block_and_context, rng
-):
-    block, context = block_and_context
-    before, expected = state_values(context), results_of(block, context)
-    copied, other = context.Clone(), block.Clone()
-    own = other.CreateDefaultContext()
-    own.SetTimeStateAndParametersFrom(context)
-    other.FixInputPortsFrom(block, context, own)
-    values = near_rest(before, rng)
-    set_state_values(context, values)
-    np.testing.assert_array_equal(state_values(context), values)
-    for shown, of_clone in ((results_of(block, copied), copied), (results_of(other, own), own)):
-        np.testing.assert_array_equal(state_values(of_clone), before)
-        for name, result in expected.items():
-            np.testing.assert_array_equal(shown[name], result, err_msg=name)
-    if isinstance(block, EquationBlock) and len(block.equations_of_block.state):
-        start = 0
-        for name, size in block.equations_of_block.shown.items():
-            shown = block.GetOutputPort(name).Eval(context)
-            np.testing.assert_array_equal(shown, values[start : start + size])
-            start += size
+    for each, own in clones:
+        np.testing.assert_array_equal(state_values(own), before)
+        for name, values in results_of(each, own).items():
+            np.testing.assert_array_equal(values, expected[name], err_msg=name)
 
 
 # What counts, besides, where a block is built: gains that are "auto" follow the load, the axes of

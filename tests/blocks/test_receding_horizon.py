@@ -20,7 +20,7 @@ from drake_nonstop.blocks.receding_horizon import (
     RecedingHorizonOptimizerConfig,
 )
 from drake_nonstop.mechanics.carrier import carrier_motion
-from drake_nonstop.mechanics.signals import LoadReference, PlannedParameters
+from drake_nonstop.mechanics.signals import LoadReference
 
 MOVE = RestToRestConfig(displacement=[1.5, 0.5, 0.2], start_time=1.0, move_time=6.0)
 SAMPLE = 0.01
@@ -105,18 +105,8 @@ def test_carriers_on_the_plan_keep_the_bound_that_the_first_parameters_do_not(fl
     assert np.min(speeds_by_differences(planned, preview, times)) > 1.015 * BOUND
 
 
-def test_a_plan_goes_on_smoothly_from_the_last_and_returns(flown):
+def test_a_plan_begins_with_the_first_parameters_and_returns_to_them(flown):
     flight, _, planned = flown
-    parts = PlannedParameters.view(planned)
-    for values, rates, tolerance in (
-        (parts.angle, parts.frequency, 1e-4),
-        (parts.frequency, parts.frequency_rate, 1e-2),
-        (parts.amplitude, parts.amplitude_rate, 1e-2),
-        (parts.frequency_rate, parts.frequency_second_rate, 3e-2),
-        (parts.amplitude_second_rate, parts.amplitude_third_rate, 5e-2),
-    ):
-        changes, rates = np.gradient(values[:, 0], SAMPLE)[1:-1], rates[1:-1, 0]
-        np.testing.assert_allclose(changes, rates, atol=tolerance * np.max(np.abs(rates)))
     np.testing.assert_allclose(planned[0], NOMINAL, atol=1e-10)
     np.testing.assert_allclose(planned[-1, 1:3], [2.0, 1.2], rtol=1e-3)
     assert np.max(np.abs(planned[:, 1] - 2.0)) > 0.05

@@ -74,18 +74,12 @@ def test_a_bound_that_is_missed_at_full_speed_is_kept_and_the_load_arrives_late(
         for changes in ([], [GOVERNED])
     ]
     governed = runs[1]
-    slowest = [
-        np.min(np.linalg.norm(CarrierStates.view(run.steps["carrier_state"]).velocities, axis=-1))
-        for run in runs
-    ]
-    assert slowest[0] < 0.9 * 0.25
-    assert slowest[1] > 0.25
-    figures = [compute_metrics(run) for run in runs]
-    assert figures[0]["carriers"]["time_below_bound_s"] > 0.05
-    assert figures[1]["carriers"]["time_below_bound_s"] == 0
-    assert figures[0]["load"]["reference_delay_max_s"] is None
+    states = [CarrierStates.view(run.steps["carrier_state"]) for run in runs]
+    slowest = [np.min(np.linalg.norm(state.velocities, axis=-1)) for state in states]
+    assert slowest[0] < 0.9 * 0.25 < 0.25 < slowest[1]
     delays = governed.signal("reference_delay")[:, 0]
-    assert figures[1]["load"]["reference_delay_max_s"] == np.max(delays) == delays[-1] > 0.5
+    shown = compute_metrics(governed)["load"]["reference_delay_max_s"]
+    assert shown == np.max(delays) == delays[-1] > 0.5
     places = [run.signal("load_state")[:, 4] for run in runs]
     np.testing.assert_allclose([place[-1] for place in places], 1.0, atol=1e-3)
     middle = np.searchsorted(governed.time, 3.0)

@@ -8,13 +8,10 @@ import pytest
 from helpers import connections, nightly_beyond, output, regular, sizes_of, sizes_of_ports
 from helpers import with_ports as ports
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import LeafSystem
 from registries import BOXES, CONFIGS, VARIANTS
 
 from drake_nonstop import (
-    ConstantParameters,
     ConstantParametersConfig,
-    NlpLayerConfig,
     Scenario,
     ScenarioError,
     SystemParameters,
@@ -24,9 +21,7 @@ from drake_nonstop import (
     make_nonstop,
 )
 from drake_nonstop.blocks.carrier_controller import CarrierPidConfig
-from drake_nonstop.blocks.load_feedback import DesiredStateFeedback
 from drake_nonstop.blocks.load_trajectory import RestToRestConfig
-from drake_nonstop.blocks.phase import PaperPhase
 from drake_nonstop.diagrams.nonstop import figure_wires
 
 build = partial(make_nonstop, at_equilibrium=False)  # of which wires do not depend
@@ -111,30 +106,6 @@ def test_sampled_signals_and_commands_stand_still_between_samples():
         assert not np.array_equal(first, following)
 
 
-class CommandingDisturbance(LeafSystem):
-    """No disturbance, and a speed bound that rises with the time."""
-
-    def __init__(self, model):
-        super().__init__()
-        self.DeclareVectorOutputPort("disturbance_wrench", 6, lambda c, output: None)
-        self.DeclareVectorOutputPort(
-            "speed_bound_command",
-            1,
-            lambda context, output: output.SetFromVector([0.3 + 0.01 * context.get_time()]),
-        )
-
-
-@pytest.mark.parametrize("layer", [NlpLayerConfig(), ConstantParametersConfig()])
-def test_speed_bound_command_of_a_block_is_the_bound(layer):
-    scenario = Scenario(optimization_layer=layer)
-    diagram = build(scenario, load_disturbance=CommandingDisturbance)
-    wire = "load_disturbance.speed_bound_command -> optimization_layer.speed_bound_command"
-    assert wire in connections(diagram)
-    context = diagram.CreateDefaultContext()
-    context.SetTime(2.0)
-    np.testing.assert_array_equal(output(diagram, context, "speed_bound"), [0.32])
-
-
 def optional_inputs(block):
     return {f"{block.get_name()}.{name}" for name in getattr(block, "optional_inputs", ())}
 
@@ -154,19 +125,6 @@ def test_signals_that_others_need_have_to_be_made_in_their_sizes(box, scenario_a
             build(plain(), **{box: ports({}, others | {signal: sizes[signal] + 1})})
         with pytest.raises(ScenarioError, match=f"{signal}, (which {box} = Ports does n|of wh)"):
             build(plain(), **{box: ports({}, others)})
-
-
-def test_box_can_be_replaced_by_a_config_and_by_a_class():
-    diagram = make_nonstop(
-        plain(),
-        optimization_layer=ConstantParametersConfig(frequency=3.0),
-        phase=PaperPhase,
-        load_feedback=lambda model: DesiredStateFeedback(model),
-    )
-    own = {"optimization_layer": ConstantParameters, "phase": PaperPhase}
-    assert types_of(diagram).items() >= (own | {"load_feedback": DesiredStateFeedback}).items()
-    context = diagram.CreateDefaultContext()
-    np.testing.assert_array_equal(output(diagram, context, "parameters"), [3.0, 1.2])
 
 
 @pytest.fixture(scope="module", params=nightly_beyond(1, "engines", [0.01, 0.0]))

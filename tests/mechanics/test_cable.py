@@ -1,5 +1,3 @@
-import itertools
-
 import numpy as np
 import pytest
 from helpers import SHAPES, Motion, difference, irregular, rotation
@@ -26,25 +24,14 @@ def straight(stretch, stretch_rate):
     return force[0], tension[0]
 
 
-def test_cable_never_pushes():
-    for stretch, stretch_rate in itertools.product((0.0, 1e-6, 1e-3, 0.05), (-1000.0, -10.0, -1.0)):
-        force, tension = straight(stretch, stretch_rate)
-        expected = max(STIFFNESS * stretch + DAMPING * stretch_rate, 0)
-        assert tension >= 0, (stretch, stretch_rate)
-        assert tension == pytest.approx(expected, abs=1e-12)
-        assert force[2] == tension
-
-
-@pytest.mark.parametrize("stretch_rate", [-20.0, -1.0, 0.0, 1.0, 20.0])
-def test_tension_has_no_jump_where_the_cable_goes_slack(stretch_rate):
+@pytest.mark.parametrize("stretch_rate", [-1000.0, -20.0, -1.0, 0.0, 1.0, 20.0])
+def test_cable_never_pushes_and_has_no_jump_where_it_goes_slack(stretch_rate):
     stretches = np.linspace(-2e-3, 2e-3, 401)
-    tensions = np.array([straight(stretch, stretch_rate)[1] for stretch in stretches])
-    # No steeper than twice the spring; a damper that switches would jump by up to 6 N.
-    step = stretches[1] - stretches[0]
-    assert np.max(np.abs(np.diff(tensions))) <= 2 * STIFFNESS * step * (1 + 1e-6)
-    assert tensions[-1] == pytest.approx(
-        np.clip(STIFFNESS * 2e-3 + DAMPING * stretch_rate, 0, 2 * STIFFNESS * 2e-3), abs=1e-9
-    )
+    forces, tensions = zip(*(straight(s, stretch_rate) for s in stretches), strict=True)
+    spring = STIFFNESS * np.maximum(stretches, 0)
+    expected = np.clip(STIFFNESS * stretches + DAMPING * stretch_rate, 0, 2 * spring)
+    np.testing.assert_allclose(tensions, expected, atol=1e-9)
+    np.testing.assert_array_equal(np.array(forces)[:, 2], tensions)
 
 
 @pytest.mark.parametrize("shape", ["regular-4", "spatial-5"])

@@ -27,15 +27,6 @@ def make(control_period=0.0, **fields):
     return Model(system, HamiltonianCycleConfig(), control_period)
 
 
-def test_default_system_is_the_papers():
-    model = make()
-    assert (model.n, model.m, model.load.mass, model.load.drag) == (4, 4, 1.0, 0.7)
-    assert (model.cable_length, model.cable_stiffness, model.cable_damping) == (0.8, 500, 0.1)
-    assert (model.carrier_mass, model.gravity, model.aircraft) == (0.1, 9.81, None)
-    np.testing.assert_array_equal(model.load.inertia, 0.01 * np.eye(3))
-    np.testing.assert_array_equal(np.abs(model.attachments), [[0.75, 0.75, 0]] * 4)
-
-
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
 @pytest.mark.parametrize("shape", [regular(3), irregular(5), spatial(6)])
 def test_constants_that_follow_from_the_system(shape, scale):
