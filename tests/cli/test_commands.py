@@ -258,7 +258,9 @@ def test_a_design_that_cannot_be_is_said_in_a_folder_of_its_own(tmp_path, capsys
     assert main(["design", "--set", *heavy]) == 1
     shown = capsys.readouterr().out
     assert shown.startswith("1 kinds and numbers of carriers, 1 at a time")
-    assert re.search(r"3 co-rotating, is at -[\d.]+ of them: .*; give longer cables", shown)
+    assert re.search(
+        r"3 co-rotating, is at -[\d.]+ of them: .*(thrust|C_L).*; give longer cables", shown
+    )
     assert "results: out/design/formation_2" in shown
     assert (other / "request.yaml").read_text() == "load_mass: 1.0\n"
     assert main(["design", "--print-request"]) == 0

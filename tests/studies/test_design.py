@@ -141,12 +141,6 @@ def test_a_formation_is_flown_in_stronger_gusts():
     assert formation_search.fault_in_flight(gentle) == ""
 
 
-def test_a_load_that_is_too_heavy_is_refused(unflown):
-    found = found_for([*RESTING[:2], "cable_length=[40, 60]", "load_mass=80", "starts=1"])
-    assert not found.formations
-    assert re.search(r"thrust left to the largest|C_L / C_Lmax|airspeed", found.verdict)
-
-
 # A change, and the field, the value and the remedy of the sentence.
 REFUSED = [
     ("carriers=[2]", "request.carriers = [2]: give numbers from 3 to 12"),

@@ -116,9 +116,7 @@ def test_what_cannot_be_written_is_one_sentence(written, tmp_path, there, folder
     assert all(word in str(raised.value) for word in words)
 
 
-def test_a_folder_that_is_none_and_a_disk_without_room_are_refused(run, monkeypatch, capsys):
-    with pytest.raises(ScenarioError, match=r"^folder = 3: give a path"):
-        write_results(run, 3)
+def test_a_disk_without_room_is_refused(monkeypatch, capsys):
     full = shutil.disk_usage(".")._replace(free=1e6)
     monkeypatch.setattr(shutil, "disk_usage", lambda path: full)
     assert main(["run", "line", "--set", "simulation_duration=10000"]) == 2

@@ -12,8 +12,7 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource, PassThrough
 from scenes import instant, shown
 
-from drake_nonstop import AddGeometry, Scenario, ScenarioError, SystemParameters, make_nonstop
-from drake_nonstop.loop.start import set_equilibrium
+from drake_nonstop import AddGeometry, Scenario, ScenarioError, SystemParameters
 from drake_nonstop.mechanics.signals import CarrierStates, Pose
 from drake_nonstop.scenario.loading import load_scenario
 
@@ -45,7 +44,8 @@ class Shown:
         self.scene_graph = builder.AddSystem(SceneGraph())
         loop = builder.AddSystem(ports(**signals))
         self.geometry = AddGeometry(builder, loop, self.scene_graph, scenario, **options)
-        context = builder.Build().CreateDefaultContext()
+        self.diagram = builder.Build()
+        context = self.diagram.CreateDefaultContext()
         own = self.scene_graph.GetMyContextFromRoot(context)
         self.query = self.scene_graph.get_query_output_port().Eval(own)
 
@@ -97,6 +97,16 @@ def test_poses_are_those_of_the_states(attachments):
                 np.testing.assert_allclose(along, far - near, atol=1e-12)
 
 
+def test_poses_are_of_floats_only():
+    attachments = irregular(3)
+    made = Shown(described(attachments), states(attachments))
+    for converted in (made.diagram.ToAutoDiffXd(), made.diagram.ToSymbolic()):
+        own = converted.GetSubsystemByName(made.geometry.get_name())
+        context = own.GetMyContextFromRoot(converted.CreateDefaultContext())
+        with pytest.raises(ScenarioError, match=r"^scalar type of loop_geometry = .*: it comp"):
+            own.GetOutputPort("geometry_pose").Eval(context)
+
+
 def test_only_bodies_that_meet_collide():
     attachments = 0.4 * irregular(4)
     above = attachments + np.array([0, 0, CABLE])
@@ -115,28 +125,6 @@ def test_only_bodies_that_meet_collide():
     (depth,) = (depth for a, b, depth in pairs() if "carriers" in a and "carriers" in b)
     radius = 0.1 * (CABLE + np.linalg.norm(attachments, axis=1).max())
     assert depth == pytest.approx(2 * radius - 0.05, abs=1e-12)
-
-
-def test_poses_are_those_of_a_loop_and_of_floats_only():
-    scenario = load_scenario("three_carriers")
-    builder = DiagramBuilder()
-    loop = builder.AddSystem(make_nonstop(scenario))
-    scene_graph = builder.AddSystem(SceneGraph())
-    geometry = AddGeometry(builder, loop, scene_graph, scenario)
-    diagram = builder.Build()
-    context = diagram.CreateDefaultContext()
-    inside = loop.GetMyMutableContextFromRoot(context)
-    set_equilibrium(loop, inside)
-    port = geometry.GetOutputPort("geometry_pose")
-    poses = port.Eval(geometry.GetMyContextFromRoot(context))
-    found = [poses.value(frame).translation() for frame in geometry.carrier_frames]
-    carriers = CarrierStates.view(loop.GetOutputPort("carrier_state").Eval(inside))
-    np.testing.assert_allclose(found, carriers.positions)
-    for converted in (diagram.ToAutoDiffXd(), diagram.ToSymbolic()):
-        own = converted.GetSubsystemByName(geometry.get_name())
-        context = own.GetMyContextFromRoot(converted.CreateDefaultContext())
-        with pytest.raises(ScenarioError, match=r"^scalar type of nonstop_geometry = .*: it comp"):
-            own.GetOutputPort("geometry_pose").Eval(context)
 
 
 FRAMES = "".join(
