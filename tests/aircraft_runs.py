@@ -2,11 +2,9 @@
 
 import numpy as np
 
-from drake_nonstop import Run
+from drake_nonstop import AircraftParameters, Run, Scenario, SystemParameters
 from drake_nonstop.mechanics.aircraft import flight_needs, needed_force
-from drake_nonstop.model.aircraft import AircraftParameters
-from drake_nonstop.model.system import SystemParameters, aircraft_in
-from drake_nonstop.scenario.schema import Scenario
+from drake_nonstop.model.system import aircraft_in
 
 LOAD_MASS, ATTACHMENTS_RADIUS, CABLE_LENGTH = 10.0, 1.5, 150.0  # kg, m, m
 FREQUENCY = 0.595  # rad/s

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from aircraft_runs import made_up
 from numpy.typing import NDArray
 from pydrake.autodiffutils import AutoDiffXd, ExtractGradient, ExtractValue
 from pydrake.common.eigen_geometry import Quaternion
@@ -14,7 +15,7 @@ from pydrake.common.value import Value
 from pydrake.math import RollPitchYaw_, RotationMatrix
 from pydrake.systems.framework import Context, Diagram, LeafSystem, PortDataType, System
 
-from drake_nonstop import Block, Model, NlpLayerConfig, Run, Scenario, SystemParameters
+from drake_nonstop import Block, Model, NlpLayerConfig, Scenario, SystemParameters
 from drake_nonstop.mechanics.rotation import norm
 from drake_nonstop.mechanics.signals import LoadState
 from drake_nonstop.model.pattern import HamiltonianCycleConfig
@@ -226,24 +227,15 @@ def circling_run(n=4, duration=0.5, cable_length=0.8):
     positions += load[:, None, 4:7]
     velocities = np.stack([-np.sin(turns), np.cos(turns), np.zeros(turns.shape)], 2)
     velocities *= (1 + 0.3 * np.sin(5 * turns))[..., None]
-    carriers = [values.reshape(len(time), -1) for values in (positions, velocities)]
-    return Run(
-        scenario=Scenario(
-            system=SystemParameters(attachments=regular(n, 1).tolist(), cable_length=cable_length),
-            simulation_duration=duration,
-            optimization_layer=NlpLayerConfig(speed_bound=0.7),
-        ),
-        diagram=None,
-        time=time,
-        signals={
-            "load_plant.load_state": load,
-            "load_trajectory.reference": np.hstack([load, np.zeros((len(time), 9))]),
-            "carrier_dynamics.carrier_state": np.hstack(carriers),
-            "cables.tensions": np.abs(4 * np.sin(3 * turns)),
-        },
-        steps={},
-        solve_times=np.zeros(0),
-        wall_time=0.0,
+    system = SystemParameters(attachments=regular(n, 1).tolist(), cable_length=cable_length)
+    layer = NlpLayerConfig(speed_bound=0.7)
+    return made_up(
+        Scenario(system=system, simulation_duration=duration, optimization_layer=layer),
+        time,
+        (positions, velocities),
+        load,
+        np.hstack([load, np.zeros((len(time), 9))]),
+        signals={"cables.tensions": np.abs(4 * np.sin(3 * turns))},
     )
 
 

@@ -1,8 +1,7 @@
 """Checks the built documentation: `python -m site_pages ../site` in this folder.
 
-Links lead somewhere, pictures have texts, headings divide long pages, nothing is loaded from
-elsewhere, and no page is large. `--replays FOLDER` takes the pictures by which the first page shows
-its replays.
+Links lead somewhere, pictures have texts, nothing is loaded from elsewhere, and no page is large.
+`--replays FOLDER` takes the pictures by which the first page shows its replays.
 """
 
 import argparse
@@ -13,13 +12,10 @@ from pathlib import Path
 from urllib.parse import unquote
 
 LARGEST_PAGE = 1_500_000  # bytes, with the pictures, styles and scripts that it loads
-MOST_WORDS = 600  # between two headings, but for docstrings
-_UNREAD = {"pre", "svg", "style", "script", "table"}  # no running text
-_EMPTY = {"br", "hr", "img", "input", "link", "meta", "source", "wbr"}  # tags without an end
 
 
 class Page(HTMLParser):
-    """What a page has: places, links, what it loads, headings and words."""
+    """What a page has: places, links, what it loads, and pictures without a text."""
 
     def __init__(self, text: str):
         super().__init__()
@@ -27,9 +23,6 @@ class Page(HTMLParser):
         self.links: set[str] = set()
         self.loaded: set[str] = set()
         self.unlabelled: list[str] = []
-        self.headings: list[int] = []
-        self.words = [0]  # of the article, before and after each heading
-        self._open: list[str] = []
         self.feed(text)
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
@@ -42,19 +35,6 @@ class Page(HTMLParser):
             self.loaded.add(given["href"])
         if tag == "img" and not given.get("alt"):
             self.unlabelled.append(given.get("src", "img")[:80])
-        if re.fullmatch(r"h[1-6]", tag) and "article" in self._open:
-            self.headings.append(int(tag[1]))
-            self.words.append(0)
-        if tag not in _EMPTY:
-            self._open.append(tag)
-
-    def handle_endtag(self, tag: str) -> None:
-        while self._open and self._open.pop() != tag:
-            pass
-
-    def handle_data(self, data: str) -> None:
-        if "article" in self._open and not _UNREAD & {*self._open}:
-            self.words[-1] += len(data.split())
 
 
 def faults(site: Path) -> list[str]:
@@ -64,12 +44,6 @@ def faults(site: Path) -> list[str]:
     found = []
     for path, page in pages.items():
         own = [*broken_links(path, pages), *(f"no alt text: {name}" for name in page.unlabelled)]
-        if page.headings.count(1) != 1:
-            own.append(f"{page.headings.count(1)} headings of the first level")
-        steps = zip(page.headings, page.headings[1:], strict=False)
-        own += [f"a heading h{b} after h{a}" for a, b in steps if b > a + 1]
-        if max(page.words) > MOST_WORDS and path.parent.name not in ("boxes", "reference"):
-            own.append(f"{max(page.words)} words without a heading")
         outside = [link for link in page.loaded if re.match(r"https?:|//", link)]
         own += [f"loaded from elsewhere: {link}" for link in outside]
         files = {path.parent / unquote(link.partition("?")[0]) for link in page.loaded}
