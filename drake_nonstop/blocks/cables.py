@@ -9,6 +9,7 @@ from drake_nonstop.blocks.lumped_cables import (
     LumpedCables,
     LumpedCablesConfig,  # noqa: F401
     require_stretch,
+    tell_of_equilibrium,
 )
 from drake_nonstop.mechanics.cable import cable_forces_and_tensions
 from drake_nonstop.model.block import Block
@@ -34,6 +35,7 @@ class Cables(Block):
     makes = ("cable_forces", "carrier_cable_forces", "tensions")
     system = ("cable_length", "cable_stiffness", "cable_damping")
     of_model = ("attachments",)
+    tell_start = tell_of_equilibrium
 
     @staticmethod
     def equations(

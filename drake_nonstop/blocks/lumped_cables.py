@@ -22,7 +22,7 @@ from drake_nonstop.mechanics.lumped_cable import (
 )
 from drake_nonstop.mechanics.planned_orbit import FlightTerms
 from drake_nonstop.mechanics.signal_layouts import Layout
-from drake_nonstop.mechanics.signals import MOST_NODES, nodes_layout
+from drake_nonstop.mechanics.signals import MOST_NODES, CarrierStates, nodes_layout
 from drake_nonstop.model.block import Block, BlockParameters
 from drake_nonstop.model.system import AIRCRAFT, Model, per_cable
 from drake_nonstop.systems.parameters import parameters_in
@@ -33,6 +33,7 @@ from drake_nonstop.validation import (
     require,
     require_ranges,
     require_whole,
+    warn_user,
 )
 
 _OF_AIR = f"{AIRCRAFT}air_density"
@@ -58,6 +59,16 @@ def require_stretch(model: Model) -> None:
         "simulated cables stretch: give finite numbers greater than zero here, also where "
         "system.cable_stiffness is .inf",
     )
+
+
+def tell_of_equilibrium(cables: Block, context: Context) -> None:
+    """Warns where all carriers are in one place, as before an equilibrium was looked for."""
+    state = cables.GetInputPort("carrier_state").Eval(context)
+    if not np.any(np.ptp(CarrierStates.view(state).positions, axis=0)):
+        warn_user(
+            "start = all carriers in one place: call set_equilibrium(diagram, context) before the "
+            "flight, or set_default_equilibrium(diagram) once the diagram is built"
+        )
 
 
 def air_density_name(model: Model) -> tuple[str, ...]:
@@ -103,6 +114,7 @@ class LumpedCables(Block):
     system = (*CABLE_MATERIAL, "gravity")
     of_model = ("attachments",)
 
+    tell_start = tell_of_equilibrium
     bears_drag = True  # of its cables, which aircraft then do not
 
     @staticmethod

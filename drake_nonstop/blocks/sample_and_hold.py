@@ -5,7 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.framework import Context, DiagramBuilder
 
 from drake_nonstop.mechanics.signal_layouts import Layout
 from drake_nonstop.mechanics.signals import HELD, SAMPLE_TIME, SIGNALS
@@ -15,12 +15,13 @@ from drake_nonstop.systems.equation_block import EquationBlock
 from drake_nonstop.systems.equations import Equations
 from drake_nonstop.systems.requirements import LoopBlocks
 from drake_nonstop.systems.wiring import connect_remaining, input_names, require_open
-from drake_nonstop.validation import ScenarioError, require
+from drake_nonstop.validation import ScenarioError, require, warn_user
 
 SAMPLE_AND_HOLD = "sample_and_hold"  # no scenario chooses it: in front of sampled controllers
 _WIND = "wind_estimate"
 _POSES = ("measured_load_state", "reference")  # begin with a quaternion
 _HIGHER_RATES = "reference_higher_rates"
+_ALIKE = 0.98  # |cos(angle / 2)| of two attitudes, 23 degrees apart
 HELD_SIGNALS = ("measured_load_state", "reference", _HIGHER_RATES)
 
 
@@ -78,6 +79,17 @@ class SampleAndHold(EquationBlock):
         )
         super().__init__(equations)
         self.replaces = (*sizes,)[: len(sizes) - len(others)]
+
+    def tell_start(self, context: Context) -> None:
+        """Warns of an attitude whose quaternion is given as x, y, z, w."""
+        given, desired = (self.GetInputPort(name).Eval(context)[:4] for name in _POSES)
+        # |cos(angle / 2)| of what is between the load and its reference.
+        turned, as_told = (abs(desired @ np.roll(given, shift)) for shift in (0, 1))
+        if turned < 0.5 * _ALIKE and as_told > _ALIKE:
+            warn_user(
+                f"measured_load_state = {np.round(given, 3).tolist()}, ...: begin it with the "
+                "quaternion w, x, y, z; this is the attitude of the reference as x, y, z, w"
+            )
 
 
 def _sampled(held: NDArray, *signals_and_time: NDArray) -> NDArray:

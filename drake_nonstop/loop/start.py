@@ -44,6 +44,7 @@ from drake_nonstop.systems.block import (
 )
 from drake_nonstop.systems.diagnosis import block_blamed, source_of_fault
 from drake_nonstop.systems.documentation import declared_by
+from drake_nonstop.systems.equation_block import IS_SOUGHT
 from drake_nonstop.systems.tracing import LARGEST, NotFiniteError
 from drake_nonstop.systems.wiring import (
     context_in,
@@ -106,8 +107,12 @@ def set_equilibrium(nonstop: Diagram, context: Context) -> None:
     loop = loop_in(nonstop, LOOP_SIGNALS)
     nonstop, context = loop, context_in(nonstop, loop, context)
     trial = copied_context(nonstop, context)
-    with block_named(nonstop, trial):
-        _settle(nonstop, trial)
+    was_sought = IS_SOUGHT.set(True)
+    try:
+        with block_named(nonstop, trial):
+            _settle(nonstop, trial)
+    finally:
+        IS_SOUGHT.reset(was_sought)
     PlantStates(nonstop).take_over(context, trial)
 
 

@@ -196,7 +196,6 @@ class CompiledRun:
         return None if last is None else last + 1
 
 
-@np.errstate(under="ignore")  # a number below the smallest is zero, whatever the user has set
 def fly_together(runs: Sequence[CompiledRun], check: Callable[[], None] = lambda: None) -> None:
     """Flies what compiled loops can of runs; those of one function in the lanes of a core.
 

@@ -78,7 +78,8 @@ def fly_many(
             for lane in batch:
                 lane.go_on(lane.begin)
             compiled = [each for lane in batch if lane.flight for each in lane.flight.compiled]
-            fly_together(compiled, interruption.check)
+            with np.errstate(under="ignore"):
+                fly_together(compiled, interruption.check)
             for number, lane in enumerate(batch, first):
                 if lane.outcome is None:
                     lane.go_on(lane.finish)
@@ -118,7 +119,6 @@ class _Lane:
         with self.flight.kept():
             return self.flight.finish()
 
-    @np.errstate(under="ignore")
     def go_on(self, stage: Callable[[], Run | None]) -> None:
         """Passes through a stage, and has an outcome where it ends it.
 
@@ -128,7 +128,8 @@ class _Lane:
         check = self._interruption.check
         check()
         kept: Any = warnings.catch_warnings(record=True)
-        with asking(check), kept if self._is_recording else nullcontext([]) as told:
+        tiny = np.errstate(under="ignore")
+        with asking(check), tiny, kept if self._is_recording else nullcontext([]) as told:
             if self._is_recording:
                 warnings.simplefilter("always")
             try:

@@ -3,6 +3,7 @@
 import functools
 import weakref
 from collections.abc import Callable, Sequence
+from contextvars import ContextVar
 from typing import Any, ClassVar
 
 import numpy as np
@@ -36,6 +37,7 @@ from drake_nonstop.systems.parameters import declare_parameters
 from drake_nonstop.systems.tracing import LARGEST, Evaluator, NotFiniteError
 from drake_nonstop.validation import require
 
+IS_SOUGHT = ContextVar("is_sought", default=False)  # whether a start is looked for
 _OURS = __name__.partition(".")[0], "pydrake"
 
 _LARGE = 600  # operations of a group whose results are kept in the cache
@@ -61,9 +63,11 @@ class EquationBlock(LeafBlock):
         equations_of_block: as given.
         every: the number of events of which one is a step.
         declares_besides: whether it declares events besides those of its equations.
+        tell_start: a method of a context that warns of a start from which no flight begins.
     """
 
     answer: ClassVar[Callable[..., NDArray] | None] = None
+    tell_start: ClassVar[Callable[..., None] | None] = None
     equations_of_block: Equations
     every: int = 1
 
@@ -99,6 +103,9 @@ class EquationBlock(LeafBlock):
             else:
                 calc = _calc(weakref.ref(self), name)
                 self.DeclareVectorOutputPort(name, made[name], calc, self._tickets[name])
+        if self.tell_start is not None and self.scalar is float:
+            tell: Any = weakly(self.tell_start)
+            self.DeclareInitializationPublishEvent(lambda c: None if IS_SOUGHT.get() else tell(c))
         self.declares_besides = False
 
     def _declare_state(self) -> dict[str, Any]:

@@ -134,12 +134,8 @@ def wires(
     result = []
     for name, read in _signals_read(blocks, makers).items():
         for port, signal in read.items():
-            is_passed = passes_on(blocks[name], signal)
-            found = [
-                Wire(maker, signal, name, port)
-                for maker in makers.get(signal, ())
-                if not (is_passed and maker == name)
-            ]
+            others = [maker for maker in makers.get(signal, ()) if maker != name]
+            found = [Wire(maker, signal, name, port) for maker in others]
             if takes is not None and not any(map(takes, found)):
                 continue
             size = input_sizes(blocks[name])[port]

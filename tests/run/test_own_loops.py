@@ -2,6 +2,8 @@
 
 import functools
 import os
+import warnings
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -19,6 +21,7 @@ from pydrake.systems.primitives import ConstantVectorSource
 
 from drake_nonstop import (
     AddGeometry,
+    Block,
     LogSignals,
     Run,
     ScenarioError,
@@ -33,6 +36,7 @@ from drake_nonstop import (
     make_nonstop,
     make_simulator,
     scenario_names,
+    set_default_equilibrium,
     set_equilibrium,
     simulate,
     study,
@@ -113,6 +117,55 @@ def test_simulate_flies_a_loop_of_ones_own_like_the_figure(make_loop, scenario, 
     assert_same(run, shipped)
     assert "my_load_plant.load_state" in run.signals
     assert verify_step(run).half_step == {"step_s": run.step / 2, "moved": {}}
+
+
+@dataclass(kw_only=True)
+class ScalarLastConfig:
+    pass
+
+
+class ScalarLast(Block):
+    """A feedback with the quaternion in the order x, y, z, w."""
+
+    reads = ("load_state",)
+    makes = ("measured_load_state",)
+
+    @staticmethod
+    def equations(load_state):
+        return np.concatenate([load_state[1:4], load_state[:1], load_state[4:]])
+
+
+def started(diagram, turns=False):
+    """A Simulator of a hand-made context; it may have a state in the order x, y, z, w."""
+    simulator = Simulator(diagram)
+    context = diagram.GetSubsystemByName("my_load_plant").GetMyMutableContextFromRoot(
+        simulator.get_mutable_context()
+    )
+    state = context.get_continuous_state_vector().CopyToVector()
+    state[:4] = np.roll(state[:4], -int(turns))
+    context.SetContinuousState(state)
+    simulator.Initialize()
+
+
+def test_a_start_from_which_no_flight_begins_is_told_at_the_first_evaluation():
+    scenario = by_diagram("line", "control_period=0.01")
+    diagram = by_hand(scenario)
+    with pytest.warns(match=r"^start = all carriers in one place: call set_equilibrium") as told:
+        started(diagram)
+    assert told[0].filename == __file__
+    set_default_equilibrium(diagram)
+    for engine in ("compiled", "diagram"):
+        with pytest.warns(
+            match=r"^measured_load_state = \[0.0.*, 1.0\], .*: begin .* w, x, y, z"
+        ) as told:
+            simulate(scenario, load_feedback=ScalarLast, engine=engine)
+        assert told[0].filename == __file__
+    with pytest.warns(match=r"^measured_load_state = \[0.0.*, 1.0\]"):
+        started(diagram, turns=True)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        started(diagram)
+        simulate(scenario)
 
 
 @pytest.mark.parametrize("box", ["load_plant", "carrier_dynamics", "load_trajectory"])
