@@ -13,7 +13,7 @@ from drake_nonstop.cli.arguments import (
     result_folder,
 )
 from drake_nonstop.scenario.overrides import changed
-from drake_nonstop.studies.presets import ablate, grid_names, name_overrides, read_grid
+from drake_nonstop.studies.presets import ablate, grid_names, read_grid
 from drake_nonstop.studies.study import settings_of_factors
 from drake_nonstop.validation import require
 
@@ -50,7 +50,7 @@ def _ablate(options: argparse.Namespace) -> int:
         for override in overrides:
             remedy = "give BOX=BLOCK, such as phase=PaperPhase"
             require("=" in override[1:], "--swap", override, remedy)
-        variant = name_overrides(overrides)
+        variant = ", ".join(overrides)
         require(variant not in variants, "--swap", variant, "give each variant once")
         variants[variant] = overrides
     given = {"seeds": seeds, "title": title, "replay": not options.no_replay}

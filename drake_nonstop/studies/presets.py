@@ -1,8 +1,6 @@
 """Studies that are asked for often: ablations, sweeps, robustness."""
 
 import dataclasses
-import re
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -57,8 +55,7 @@ def read_grid(name_or_file: str | Path, option: str = "--grid") -> Grid:
 
     A file has `variants`, a mapping from a variant's name to a list of overrides "path=value", or
     `grid`, a mapping from a path to a list of values, of which all combinations are flown; and
-    may have a `description`, `overrides` of all runs, and `seeds`. The values of a grid's path that
-    ends in "seed" are seeds.
+    may have a `description`, `overrides` of all runs, and `seeds`.
 
     Raises:
         ScenarioError: there is no such grid or file, or its content cannot be used.
@@ -86,34 +83,14 @@ def read_grid(name_or_file: str | Path, option: str = "--grid") -> Grid:
                 require_override(each, f"{where}.{key}")
     overrides = content.get("overrides", [])
     require(isinstance(overrides, list), f"{source}.overrides", overrides, "give a list")
-    grid = dict(content.get("grid", {}))
-    seeds = content.get("seeds")
-    for axis in [axis for axis in grid if re.search(r"(^|[._])seed$", axis)]:
-        seeds = grid.pop(axis)
     return Grid(
         name=path.stem,
         description=content.get("description", ""),
         overrides=overrides,
         variants=content.get("variants", {}),
-        grid=grid,
-        seeds=seeds,
+        grid=content.get("grid", {}),
+        seeds=content.get("seeds"),
     )
-
-
-def name_overrides(overrides: Sequence[str]) -> str:
-    """A variant's name: its blocks, and its other values with their fields."""
-    paths = [override.partition("=")[0] for override in overrides]
-    last = Counter(path.split(".")[-1] for path in paths)
-    labels = []
-    for path, override in zip(paths, overrides, strict=True):
-        value = " ".join(override.partition("=")[2].split())
-        block = value.removeprefix("!").removesuffix("{}").strip()
-        if "." not in path and re.match(r"[A-Za-z_]", block):
-            labels.append(block)
-        else:
-            name = path.split(".")[-1]
-            labels.append(f"{name if last[name] == 1 else path}={value}")
-    return ", ".join(labels)
 
 
 def ablate(
