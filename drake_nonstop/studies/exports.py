@@ -184,7 +184,8 @@ def write_rerun(run: Run, path: Path) -> None:
     import rerun
 
     # The same run makes the same recording, and viewers keep others apart.
-    name = f"{run.scenario.name} {_digest(run)}"
+    flown = b"".join(values.tobytes() for values in (run.time, *run.signals.values()))
+    name = f"{run.scenario.name} {hashlib.sha256(flown).hexdigest()[:32]}"
     recording = rerun.RecordingStream("drake_nonstop", recording_id=name, send_properties=False)
     with replacing_files(path.parent, [path.name]) as new:
         recording.save(str(new / path.name))
@@ -192,15 +193,6 @@ def write_rerun(run: Run, path: Path) -> None:
         _send_plots(run, recording)
         recording.flush()
         recording.disconnect()
-
-
-def _digest(run: Run) -> str:
-    """A text of hexadecimal digits, another one for each flight."""
-    found = hashlib.sha256(run.time.tobytes())
-    for name, values in run.signals.items():
-        found.update(name.encode())
-        found.update(values.tobytes())
-    return found.hexdigest()[:32]
 
 
 def _send_motion(run: Run, recording: Any) -> None:

@@ -10,7 +10,9 @@ part of a compiled loop.
 """
 
 import functools
+import traceback
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import casadi
@@ -80,7 +82,11 @@ def made_by(
             "(systems.tracing.where) or np.linalg.norm (mechanics.rotation.norm), with numbers as "
             "arrays (1,), such as x[:1] and not x[0]"
         )
-        raise ScenarioError(f"{name} = {one_line(error)}: {remedy}") from error
+        frame = traceback.extract_tb(error.__traceback__)[1:2]  # empty: the arguments do not fit
+        place = "".join(f", line {each.lineno} of {Path(each.filename).name}" for each in frame)
+        # CasADi has thousands of frames for one that is too deep.
+        cause = None if isinstance(error, RecursionError) else error
+        raise ScenarioError(f"{name}{place} = {one_line(error)}: {remedy}") from cause
     found = [array.size for array in arrays]
     asked = ", ".join(f"{_SAID.get(k, k)} ({size})" for k, size in sizes.items())
     remedy = f"return an array for each of {asked}"

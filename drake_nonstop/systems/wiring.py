@@ -280,13 +280,14 @@ def connect_by_name(
 
 def _export(builder: DiagramBuilder, blocks: Collection[System]) -> None:
     """Exports each signal that one of the blocks alone makes."""
-    made = Counter(s for block in blocks for s in output_names(block) if not passes_on(block, s))
     # Drake's FirstOrderTaylorApproximation takes the first output, and crashes where that depends
     # on no state, as the signals of a block without inputs.
-    for block in sorted(blocks, key=lambda block: block.num_input_ports() == 0):
-        for signal in output_names(block):
-            if made[signal] == 1 and not passes_on(block, signal):
-                builder.ExportOutput(block.GetOutputPort(signal), signal)
+    ordered = sorted(blocks, key=lambda block: block.num_input_ports() == 0)
+    made = [(b, name) for b in ordered for name in output_names(b) if not passes_on(b, name)]
+    counts = Counter(name for _, name in made)
+    for block, name in made:
+        if counts[name] == 1:
+            builder.ExportOutput(block.GetOutputPort(name), name)
 
 
 def _is_drakes(system: System) -> bool:

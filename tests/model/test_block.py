@@ -228,9 +228,14 @@ REFUSED = [
         equations(lambda load: np.zeros(6)),
     ),
     (
-        "Own.equations = ",
+        "of test_block.py = ",
         "arithmetic of arrays, without branches",
         equations(lambda load, *, gain: np.ones(6) if load[4] > 0 else np.zeros(6)),
+    ),
+    (
+        "of test_block.py = ",
+        "such as x[:1] and not x[0]",
+        equations(lambda load, *, gain: np.stack([load[0], load[1], *np.zeros(4)])),
     ),
     (
         "Own.equations = not a pure function",
@@ -249,6 +254,7 @@ def test_what_cannot_be_a_block_is_refused_in_a_sentence(told, remedy, members):
         own(**NOTHING | {"equations": ZEROS} | members)(model(control_period=0.01))
     assert told in str(error.value)
     assert remedy in str(error.value).partition(told)[2]
+    assert not isinstance(error.value.__cause__, RecursionError)  # of thousands of lines
 
 
 def test_a_class_without_equations_or_a_config_is_refused_in_a_sentence():
