@@ -213,6 +213,19 @@ def outputs(
     return {name: output(block, context, name) for name in vector_outputs(block)}
 
 
+def assert_same_run(run, expected, tolerance=0.0):
+    """Signals and those of steps, but for wall times, to a share of their largest; ends."""
+    np.testing.assert_array_equal(run.time, expected.time)
+    np.testing.assert_allclose(run.steps["time"], expected.steps["time"], atol=1e-12)
+    for of_one, of_other in ((run.signals, expected.signals), (run.steps, expected.steps)):
+        assert of_one.keys() == of_other.keys()
+        for name in of_other.keys() - {"time", "solve_time"}:
+            atol = tolerance * (1 + np.abs(of_other[name]).max(initial=0.0))
+            np.testing.assert_allclose(of_one[name], of_other[name], 0, atol, err_msg=name)
+    ends = [(each.stopped, each.step, each.unresolved) for each in (run, expected)]
+    assert ends[0] == ends[1]
+
+
 def circling_run(n=4, duration=0.5, cable_length=0.8):
     """A made-up run of `n` carriers that circle above a turning load on its way along x.
 

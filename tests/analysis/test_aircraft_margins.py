@@ -252,7 +252,6 @@ def test_the_needs_of_each_aircraft_are_those_of_many_cables_like_its_own(refere
 # Of the plant only: at rest, in wind, beside a load that turns, and with other carriers.
 OTHER_PLANTS = [
     ("aircraft_rest", ["simulated.load_mass=8"]),
-    ("aircraft_rest", ["simulated.load_mass=14"]),
     ("aircraft_rest", ["simulated.load_mass=8", "wind=!SteadyWind {velocity: [2, 0, 0]}"]),
     ("aircraft_rest", ["simulated.aircraft={mass: 6.6, zero_lift_drag: 0.04, max_lift: 1.3}"]),
     ("aircraft_rest", ["simulated={load_drag: 1.0, cable_stiffness: 80.0, cable_length: 150.3}"]),

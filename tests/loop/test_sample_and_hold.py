@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from helpers import Ports, model, output, vector_outputs
+from helpers import output, vector_outputs
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 from pydrake.systems.framework import DiagramBuilder
 
@@ -16,12 +16,14 @@ from drake_nonstop import (
     set_default_equilibrium,
 )
 
+# Overrides, and whether the wind that the controllers believe in may change, and is held.
 SCENARIOS = {
-    "still air": [],
-    "gusts": ["wind=GustyWind"],
-    "steady wind": ["wind=SteadyWind"],
-    "feedback of the reference": ["load_feedback=DesiredStateFeedback"],
-    "paper": ["wrench_controller=PaperWrenchController"],
+    "still air": ([], False),
+    "gusts": (["wind=GustyWind"], True),
+    "steady wind": (["wind=SteadyWind"], False),
+    "wind by a sampled observer": (["wind=GustyWind", "wind_estimator=WindObserver"], False),
+    "feedback of the reference": (["load_feedback=DesiredStateFeedback"], False),
+    "paper": (["wrench_controller=PaperWrenchController"], False),
 }
 
 
@@ -35,8 +37,10 @@ def wires(diagram, called):
 
 
 @pytest.mark.parametrize("names", [False, True])
-@pytest.mark.parametrize("overrides", SCENARIOS.values(), ids=SCENARIOS)
-def test_a_loop_with_an_added_hold_has_the_figures_wires_and_flies_as_it(overrides, names):
+@pytest.mark.parametrize(("overrides", "holds_wind"), SCENARIOS.values(), ids=SCENARIOS)
+def test_a_loop_with_an_added_hold_has_the_figures_wires_and_flies_as_it(
+    overrides, holds_wind, names
+):
     layer = "optimization_layer=ConstantParameters"
     scenario = load_scenario("line", ["control_period=0.01", layer, *overrides])
     blocks, builder = make_blocks(scenario), DiagramBuilder()
@@ -47,6 +51,7 @@ def test_a_loop_with_an_added_hold_has_the_figures_wires_and_flies_as_it(overrid
     system = Model(scenario.system, scenario.pattern, scenario.control_period)
     hold = add_sample_and_hold(builder, system)
     assert hold.get_name() == "sample_and_hold"
+    assert hold.HasInputPort("wind_estimate") is holds_wind
     own, other = hold.CreateDefaultContext(), of_figure.CreateDefaultContext()
     for name in vector_outputs(hold):
         np.testing.assert_array_equal(output(hold, own, name), output(of_figure, other, name))
@@ -63,26 +68,3 @@ def test_a_loop_with_an_added_hold_has_the_figures_wires_and_flies_as_it(overrid
         simulator.AdvanceTo(0.053)
         values.append(output(flown, simulator.get_context(), "load_state"))
     np.testing.assert_array_equal(*values)
-
-
-def test_the_wind_is_held_where_it_may_change():
-    for ports, is_sampled, is_held in (
-        (None, False, False),
-        (({"wind_estimate": 3}, {}), False, True),
-        (({}, {"wind_estimate": 3}), False, True),
-        (({}, {"wind_estimate": 3}), True, False),
-    ):
-        builder = DiagramBuilder()
-        blocks = [
-            Ports({}, {"reference": 22}),
-            Ports({"reference": 22}, {"measured_load_state": 13}),
-            Ports({"measured_load_state": 13, "reference": 22}, {"wrench": 6}),
-            Ports({"reference": 22, "sample_time": 1}, {"parameters": 2}),
-        ]
-        if ports:
-            blocks.append(Ports(*ports))
-            blocks[-1].is_sampled = is_sampled
-        for block in blocks:
-            builder.AddSystem(block)
-        hold = add_sample_and_hold(builder, model(4, 0.01))
-        assert hold.HasInputPort("wind_estimate") is is_held

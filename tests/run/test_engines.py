@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from drawn_own_blocks import compare
 from fleet import BY_BOTH_ENGINES, FLEET
-from helpers import nightly_beyond
+from helpers import assert_same_run, nightly_beyond
 from registries import LIVELY, LOOPS, VARIANTS
 
 from drake_nonstop import (
@@ -47,18 +47,6 @@ def flown(name, overrides, engine, **arguments):
     return run, [message for message in messages if "engine" in message]
 
 
-def assert_same(run, expected, tolerance=1e-9):
-    np.testing.assert_array_equal(run.time, expected.time)
-    np.testing.assert_allclose(run.steps["time"], expected.steps["time"], atol=1e-12)
-    for of_one, of_other in ((run.signals, expected.signals), (run.steps, expected.steps)):
-        assert of_one.keys() == of_other.keys()
-        for name in of_other.keys() - {"time", "solve_time"}:  # the latter is by a clock
-            atol = tolerance * (1 + np.abs(of_other[name]).max(initial=0.0))
-            np.testing.assert_allclose(of_one[name], of_other[name], 0, atol, err_msg=name)
-    ends = [(each.stopped, each.step, each.unresolved) for each in (run, expected)]
-    assert ends[0] == ends[1]
-
-
 @pytest.mark.parametrize(
     "name",
     nightly_beyond(len(BY_BOTH_ENGINES), "engines", dict.fromkeys([*BY_BOTH_ENGINES, *FLEET])),
@@ -66,7 +54,7 @@ def assert_same(run, expected, tolerance=1e-9):
 def test_both_engines_fly_the_fleet_alike(name, fleet):
     run, metrics = fleet.evaluated(name)  # compiled
     expected, expected_metrics = fleet.evaluated(name, DIAGRAM)
-    assert_same(run, expected, GROWING.get(name, 1e-8))
+    assert_same_run(run, expected, GROWING.get(name, 1e-8))
     assert metrics["outcome"] == expected_metrics["outcome"]
 
 
@@ -101,7 +89,7 @@ def test_drawn_blocks_fly_the_same_or_are_named(seed):
 def test_steps_and_samples_of_other_lengths_are_the_diagrams(overrides):
     run, told = flown("quintic", overrides, COMPILED)
     assert not told
-    assert_same(run, flown("quintic", overrides, DIAGRAM)[0])
+    assert_same_run(run, flown("quintic", overrides, DIAGRAM)[0], 1e-9)
 
 
 BY_DAY = ["phase-PaperPhase", "carrier_dynamics-LimitedCarriers"]
@@ -118,7 +106,7 @@ def test_each_variant_flies_the_same_or_is_named(name):
     if told:
         assert f"{box} = {kind.__name__}: it has no equations" in told[0]
     else:
-        assert_same(run, flown(scenario, overrides, DIAGRAM)[0])
+        assert_same_run(run, flown(scenario, overrides, DIAGRAM)[0], 1e-9)
 
 
 STEERED = {"after_step": lambda *_: StepAction.CONTINUE}
@@ -141,7 +129,7 @@ def test_what_cannot_be_compiled_is_said_where_it_was_asked_for(overrides, argum
         assert [said in message for message in told] == [True] * is_told
         assert run.engine.startswith("diagram: ")
         assert said in run.engine == compute_metrics(run)["engine"]
-        assert_same(run, expected, tolerance=0)
+        assert_same_run(run, expected)
 
 
 @pytest.mark.slow
@@ -191,7 +179,7 @@ def test_a_block_that_fails_ends_the_run_at_the_diagrams_step():
     expected, _ = flown("quintic", overrides, DIAGRAM, load_disturbance=Fails)
     run, _ = flown("quintic", overrides, COMPILED, load_disturbance=Fails)
     assert "0.0525 s: load_disturbance (test_engines.py" in run.stopped
-    assert_same(run, expected)
+    assert_same_run(run, expected, 1e-9)
 
 
 @dataclass
@@ -220,5 +208,5 @@ def test_a_commanded_bound_counts_and_is_checked_as_in_the_diagram(layer, later)
     overrides = [layer, "simulation_duration=0.2"]
     run, told = flown("quintic", overrides, COMPILED, extra=extra)
     assert later < 0 or not told
-    assert_same(run, flown("quintic", overrides, DIAGRAM, extra=extra)[0])
+    assert_same_run(run, flown("quintic", overrides, DIAGRAM, extra=extra)[0], 1e-9)
     assert run.signal("speed_bound")[-1] in (later, 0.4)

@@ -161,10 +161,8 @@ def _changed(name, change):
             lambda arrays, name=name: arrays.pop(name)
             for name in ("time", "cables.tensions", "run", "steps/carrier_state")
         ),
-        _changed("time", lambda time: time[:-2]),
         _changed("time", lambda time: np.where(time > 0.1, np.nan, time)),
         _changed("entries", lambda rows: rows[:-1]),
-        _changed("load_plant.load_state", np.ravel),
         _changed("steps/time", lambda time: time[1:]),
         _changed("run", lambda text: np.array("{}")),
     ],
