@@ -113,10 +113,9 @@ def legend_above(figure: Figure, title: str | None = None) -> Figure:
 
 
 def plausible_range(values: NDArray, least: ArrayLike = 0.0) -> tuple[NDArray, NDArray]:
-    """The least and the largest plausible value of a run that diverged, of each column.
+    """The ends of the plausible values of each column, for a run that diverged.
 
-    They are ten times what four fifths of the values differ from their median, or `least`, apart
-    from it.
+    They are ten times as far from the median as four fifths of the values, or `least`.
     """
     middle = np.median(values, axis=0)
     usual = np.quantile(np.abs(values - middle), _USUAL_SHARE, axis=0)

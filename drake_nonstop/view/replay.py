@@ -141,10 +141,7 @@ def _snapshots(run: Run, samples: NDArray) -> list[Snapshot]:
 
 
 def legend(scenario: Scenario, *, has_aircraft: bool = False, square: float = 0.0) -> str:
-    """The legend of the scene's colours in HTML; a sample of a colour has the class `swatch`.
-
-    `square` is the width in m of a square of the grid, and the length of the axes; 0: not told.
-    """
+    """The legend of the scene in HTML, with axes as long as a `square` of the grid, m, if not 0."""
     marks = f"carrier's speed, from {MARK_RANGE:g} ε down to ε"
     if has_aircraft:
         marks = f"wing, from {COLOURED_FROM:g} of the stall up to it"

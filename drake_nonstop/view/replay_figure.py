@@ -21,13 +21,7 @@ _PLACE = re.compile(r"(\.([wxyz]|\d+))+$")  # of an entry in its part
 
 
 def figure_of(run: Run, samples: NDArray) -> str:
-    """The figure in HTML: the drawing, and the data of its wires for the page's script.
-
-    Args:
-        run: whose diagram is drawn.
-        samples: the run's samples that the scene shows, whose values the wires have: all of them,
-            or every second, third, ...
-    """
+    """The figure in HTML; its wires have the values at these samples (k,), or at fewer of them."""
     samples = samples[:: -(-len(samples) // _MOST_ROWS)]
     signals, count = {}, 0
     for name, values in run.signals.items():
@@ -39,17 +33,15 @@ def figure_of(run: Run, samples: NDArray) -> str:
             "brief": _brief(entries),
         }
         count += values.shape[1]
-    data = {
-        "times": (run.time[samples] - run.time[samples[0]]).tolist(),
-        "signals": signals,
-    }
+    times = (run.time[samples] - run.time[samples[0]]).tolist()
+    data = json.dumps({"times": times, "signals": signals}).replace("</", "<\\/")
     table = np.hstack([values[samples] for values in run.signals.values()])
     drawing = draw_diagram(run.diagram)
     page = resources.files("drake_nonstop.view").joinpath("replay_figure.html")
     return Template(page.read_text(encoding="utf-8")).substitute(
         drawing=drawing[drawing.index("<svg") :],
         options="".join(f"<option>{html.escape(name)}</option>" for name in signals),
-        data=json.dumps(data).replace("</", "<\\/"),
+        data=data,
         values=_packed(table),
     )
 
