@@ -132,13 +132,21 @@ def test_formations_that_do_not_fly_are_told_with_the_reason(monkeypatch):
     assert "3 co_rotating, at " in str(found)
 
 
-def test_a_formation_is_flown_in_stronger_gusts():
+def test_a_formation_is_flown_in_stronger_gusts(monkeypatch):
+    flown = []
+
+    def noted(scenario):
+        flown.append(scenario.wind.gust)
+        return simulate(scenario)
+
+    monkeypatch.setattr(formation_search, "simulate", noted)
     wind = "wind=!GustyWind {gust: 4.0, load_gust: 4.0}"
     scenario = load_scenario("aircraft_rest", [wind, "simulation_duration=2"])
     start = "in gusts 1.25 times as strong, of seed 0, "
     assert formation_search.fault_in_flight(scenario).startswith(start)
     gentle = changed(scenario, ["wind.gust=0.3", "wind.load_gust=0.3"])
     assert formation_search.fault_in_flight(gentle) == ""
+    assert (flown[0], flown[-1]) == (1.25 * 4.0, 1.25 * 0.3)
 
 
 # A change, and the field, the value and the remedy of the sentence.
