@@ -118,14 +118,11 @@ def test_all_four_scalar_types_show_the_same_and_one_derivative(block_and_contex
     def along(name, size):
         return np.random.default_rng([1, *name.encode()]).uniform(0.5, 1, size)
 
-    dual = of_type(
-        block,
-        context,
-        AutoDiffXd,
-        lambda name, v: np.array(
-            [AutoDiffXd(x, [d]) for x, d in zip(v, along(name, len(v)), strict=True)]
-        ),
-    )
+    def dual_of(name, values):
+        pairs = np.transpose([values, along(name, len(values))])
+        return np.array([AutoDiffXd(x, [d]) for x, d in pairs])
+
+    dual = of_type(block, context, AutoDiffXd, dual_of)
     same({k: ExtractValue(v).ravel() for k, v in dual.items()}, expected, rtol=1e-9, atol=1e-9)
     if None not in input_sizes(block).values():  # of a preview, symbols of plans take minutes
         symbolic = of_type(block, context, Expression, lambda name, v: [Expression(x) for x in v])

@@ -9,7 +9,6 @@ from pydrake.common.value import Value
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import Multiplexer
-from registries import BOXES
 
 from drake_nonstop import (
     CompiledLoop,
@@ -106,27 +105,6 @@ def test_blocks_renamed_reordered_and_merged_make_the_same_signals(seed, period)
     builder = DiagramBuilder()
     connect_by_name(builder, wired)
     assert_flies_like_the_figure(builder.Build(), blocks, period)
-
-
-@pytest.mark.parametrize("period", [0.0, 0.01])
-@pytest.mark.parametrize("seed", nightly_beyond(1, "studies", range(3)))
-def test_boxes_left_out_and_given_as_extra_blocks_make_the_same_signals(seed, period):
-    random = np.random.default_rng(seed)
-    left_out = [str(n) for n in random.choice([*BOXES], random.integers(1, 5), replace=False)]
-    made = make_blocks(scenario(period))
-
-    def maker(name):
-        return lambda model: made[name]
-
-    nonstop = make_nonstop(
-        scenario(period),
-        extra={f"my_{name}": maker(name) for name in left_out},
-        **dict.fromkeys(left_out),
-    )
-    blocks = {system.get_name().removeprefix("my_"): system for system in nonstop.GetSystems()}
-    assert blocks.keys() >= BOXES.keys()
-    assert nonstop.num_input_ports() == 0
-    assert_flies_like_the_figure(nonstop, blocks, period)
 
 
 def test_extra_blocks_read_and_make_signals_of_any_name():

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from helpers import rotation
 from numpy.polynomial import Polynomial
-from pydrake.symbolic import Expression, Variable
 
 from drake_nonstop.mechanics.rotation import cross, norm, rotation_matrix
 from drake_nonstop.mechanics.taylor import Taylor, turned
@@ -63,14 +62,3 @@ def test_axes_turn_as_the_exponential_about_a_fixed_axis():
         angle = speed.integ()(time) / 2
         turn = rotation([np.cos(angle), *(np.sin(angle) * axis)])
         np.testing.assert_allclose(axes.at(time), (turn @ tilt).T, rtol=0, atol=0.2 * time**4)
-
-
-def test_series_of_symbols_have_the_derivatives_of_the_symbols(rng):
-    t = Variable("t")
-    x, y = drawn(rng, 3), drawn(rng, 3)
-    with np.errstate(invalid="ignore"):  # Drake's symbols raise the flag without a cause
-        values = FORMULAS["circles"](*(z.at(Expression(t)) for z in (x, y)))
-    value = values[0]
-    for rate in FORMULAS["circles"](x, y).rates[:3]:  # symbols of more take seconds
-        assert rate[0] == pytest.approx(value.Evaluate({t: 0.0}), rel=1e-9)
-        value = value.Differentiate(t)

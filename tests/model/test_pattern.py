@@ -208,29 +208,3 @@ def test_a_pattern_of_ones_own_is_flown_as_the_shipped_one_that_it_is():
         scenario.system.attachments = regular(4).tolist()
         states.append(simulate(scenario).signal("carrier_state"))
     np.testing.assert_allclose(*states, rtol=0, atol=1e-9)
-
-
-@pytest.mark.slow
-def test_co_rotating_formation_flies_as_its_closed_form_says():
-    """R60 of the theory: 60 m cables, and carriers that keep their places above a turning load."""
-    settings = ["control_period=0", "simulation_duration=2", "pattern=!ConstantSpread {spread: 30}"]
-    settings += ["load_trajectory=!SteadyTurn {yaw_rate: 0.4}"]
-    fixed = {"frequency": 0.4, "amplitude": 0.0, "speed_bound": 8.0}
-    settings += [f"optimization_layer=!ConstantParameters {fixed}"]
-    run = simulate(load_scenario("real_scale_spread", settings))
-    share, length = 98.1 / 4, 60.0
-    tension = np.hypot(share, 30.0)
-    length += tension / 120.0
-    radius, height = 1.5 + length * 30.0 / tension, length * share / tension
-    carriers = run.signal("carrier_state").reshape(-1, 2, 4, 3)
-    places = carriers[:, 0] - run.signal("load_state")[:, None, 4:7]
-    flat = np.linalg.norm(places[..., :2], axis=2)
-    speeds = np.linalg.norm(carriers[:, 1], axis=2)
-    np.testing.assert_allclose(flat, radius, rtol=1e-6)
-    np.testing.assert_allclose(places[..., 2], height, rtol=1e-6)
-    np.testing.assert_allclose(speeds, 0.40 * radius, rtol=1e-6)
-    np.testing.assert_allclose(run.signal("tensions"), tension, rtol=1e-5)
-    assert np.max(np.abs(run.signal("tracking_error"))) < 1e-5
-    # The figures of the theory's table.
-    assert 0.40 * radius == pytest.approx(19.2, abs=0.1)
-    assert 2 * radius * np.sin(np.pi / 4) == pytest.approx(68, abs=0.5)
