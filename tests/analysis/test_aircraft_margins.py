@@ -255,7 +255,6 @@ OTHER_PLANTS = [
     ("aircraft_rest", ["simulated.load_mass=8", "wind=!SteadyWind {velocity: [2, 0, 0]}"]),
     ("aircraft_rest", ["simulated.aircraft={mass: 6.6, zero_lift_drag: 0.04, max_lift: 1.3}"]),
     ("aircraft_rest", ["simulated={load_drag: 1.0, cable_stiffness: 80.0, cable_length: 150.3}"]),
-    ("aircraft_three", ["simulated.load_mass=8"]),
     ("aircraft_co_rotating", ["simulated.load_mass=8"]),
 ]
 

@@ -20,10 +20,10 @@ from drake_nonstop import (
 SHORT = "simulation_duration=3"
 WIND = "wind=!SteadyWind {velocity: [0.5, 0, 0]}"
 OFF = "[[0.77,0.75,0],[-0.75,0.77,0],[-0.75,-0.75,0],[0.75,-0.75,0]]"
-NOISE = (
-    "position_noise: {0}, velocity_noise: {1}, orientation_noise: {0}, angular_velocity_noise: {1}"
+FEEDBACK = (
+    "load_feedback=!NoisyFeedback {position_noise: 0.005, velocity_noise: 0.02, "
+    "orientation_noise: 0.005, angular_velocity_noise: 0.02}"
 )
-FEEDBACK = "load_feedback=!NoisyFeedback {{" + NOISE + "}}"
 
 
 def quintic(*overrides):
@@ -73,7 +73,7 @@ def test_margins_are_those_of_the_flight_with_their_places_and_times(calm):
 
 
 def test_noise_is_flown_in_seeds_and_margins_are_the_worst_of_all_flights():
-    found = check_scenario(quintic(FEEDBACK.format(0.005, 0.02)), seeds=2)
+    found = check_scenario(quintic(FEEDBACK), seeds=2)
     assert found.outcome is RunOutcome.BOUND_MISSED
     assert [flight.name for flight in found.flights] == ["as stated", "seed +1"]
     assert found.nominal is not None

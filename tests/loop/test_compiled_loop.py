@@ -56,10 +56,8 @@ OTHER_NUMBERS = [
 ]
 OTHER_EQUATIONS = [
     "wind=!SteadyWind {velocity: [1, 0, 0]}",
-    "load_feedback=!NoisyFeedback {delay: 0.02}",
     "simulated.attachments=[[0.4, 0, 0], [0, 0.5, 0], [-0.5, 0, 0], [0, -0.5, 0]]",
     "carrier_trajectory.hold=velocity",
-    "carrier_controller.integral_gain=1",
     "pattern=Carousel",
     PROGRAM,
     "wrench_controller=PaperWrenchController",
@@ -83,17 +81,9 @@ def test_loops_of_equal_equations_share_their_functions():
 class Push(DisturbanceForce):
     """Is no number after 0.1 s."""
 
-    late = np.nan
-
     def precomputed_inputs(self, names, times):
         rows = super().precomputed_inputs(names, times)
-        return [np.where(times[:, None] > 0.1 + 1e-9, self.late, own) for own in rows]
-
-
-class HugePush(Push):
-    """Is larger than any number of a flight after 0.1 s."""
-
-    late = 1e200
+        return [np.where(times[:, None] > 0.1 + 1e-9, np.nan, own) for own in rows]
 
 
 class EndingPush(DisturbanceForce):
@@ -105,10 +95,9 @@ class EndingPush(DisturbanceForce):
         return super().precomputed_inputs(names, times)
 
 
-@pytest.mark.parametrize("block", [Push, HugePush])
 @pytest.mark.parametrize("compiles", [False, True])
-def test_what_becomes_no_number_in_flight_ends_it(compiles, block):
-    push = partial(block, config=DisturbanceForceConfig(gust_force=1.0))
+def test_what_becomes_no_number_in_flight_ends_it(compiles):
+    push = partial(Push, config=DisturbanceForceConfig(gust_force=1.0))
     scenario = load_scenario("quintic", [CONSTANT])
     loop = loop_of(scenario, compiles=compiles, load_disturbance=push)
     flight = loop.fly(loop.diagram.CreateDefaultContext())

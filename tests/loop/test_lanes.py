@@ -38,7 +38,6 @@ IN_LANES = [
         [[*own, "control_period=0.005"] for own in masses(1, 1.05, 1.1, 1.15, 1.2)],
         {"signals": ["load_state"]},
     ),
-    ("three_carriers", [[f"simulated.load_mass={m}"] for m in (0.95, 1.0, 1.05, 1.1, 1.15)], {}),
     (
         "aircraft_transfer_gusty",
         [[f"simulated.load_mass={9 + m}", f"random_seed={m}"] for m in range(5)],

@@ -2,7 +2,6 @@
 
 import math
 
-import numpy as np
 import pytest
 from pydrake.common.schema import Uniform
 
@@ -10,7 +9,6 @@ from drake_nonstop import (
     Scenario,
     ScenarioError,
     ScenarioWarning,
-    ablate,
     dump_scenario,
     load_scenario,
     make_nonstop,
@@ -168,20 +166,6 @@ def test_what_is_drawn_is_checked():
     with pytest.raises(ScenarioError) as error:
         scenario.sampled()
     assert_told(error.value, "control_period = ", "give 0 for")
-
-
-@pytest.mark.parametrize("value", [np.array("x"), np.array(None), 3, b"x", "a=1"])
-def test_what_is_no_list_is_one_sentence(tmp_path, value):
-    scenario = Scenario(simulation_duration=0.02)
-    for field, call in (
-        ("overrides", lambda: load_scenario("quintic", value)),
-        ("variant", lambda: ablate(scenario, value, tmp_path)),
-        ("variant", lambda: ablate(scenario, {"a": value}, tmp_path)),
-        ("inputs", lambda: make_nonstop(scenario, inputs=value)),
-    ):
-        with pytest.raises(ScenarioError) as error:
-            call()
-        assert_told(error.value, field, "give ")
 
 
 def test_angles_in_degrees_get_a_hint(capsys):

@@ -18,7 +18,7 @@ from drake_nonstop import (
 from drake_nonstop.cli.main import main
 
 MODULE = """
-    from dataclasses import dataclass, field
+    from dataclasses import dataclass
 
     import numpy as np
     from pydrake.systems.framework import LeafSystem
@@ -31,7 +31,6 @@ MODULE = """
         speed_bound: float = 0.5  # m/s
         frequency: float = 1.0  # rad/s
         amplitude: float = 1.0  # N
-        others: list[float] = field(default_factory=list)
 
 
     class Steady(LeafSystem):
