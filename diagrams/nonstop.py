@@ -33,6 +33,7 @@ from drake_nonstop.blocks import (
     wind_estimator,
     wrench_controller,
 )
+from drake_nonstop.blocks.observed_carrier_trajectory import ObservedCarrierTrajectory
 from drake_nonstop.blocks.sample_and_hold import SAMPLE_AND_HOLD
 from drake_nonstop.loop import assembly
 from drake_nonstop.loop.assembly import (
@@ -43,7 +44,8 @@ from drake_nonstop.loop.assembly import (
     make_parts,
 )
 from drake_nonstop.loop.box import Box, Kind, Place
-from drake_nonstop.loop.start import set_default_equilibrium
+from drake_nonstop.loop.start import set_default_equilibrium, starts_beside_defaults
+from drake_nonstop.model.block import Block
 from drake_nonstop.systems import wiring
 from drake_nonstop.validation import require_flags
 
@@ -57,6 +59,9 @@ _BESIDE_THE_REFERENCE = (
     "cable_drag_and_weight_rates",
     "cable_reference",
 )
+
+# What it may observe of load and cables.
+_OBSERVED = ("load_mass_estimate", "centre_of_mass_estimate", "cable_length_estimate")
 
 # What an optimization_layer may make, too.
 _OF_LAYERS = (
@@ -80,8 +85,9 @@ BOXES: dict[str, Box] = {
     ),
     "load_feedback": Box(
         variants=load_feedback.VARIANTS,
-        makes=("measured_load_state", "measured_load_covariance"),
-        optional=("measured_load_covariance",),
+        makes=("measured_load_state", "measured_attitude", "measured_load_covariance"),
+        optional=("measured_attitude", "measured_load_covariance"),
+        recorded_where_read=("measured_attitude",),
         place=Place(0, 2, 1, Kind.ADDITION),
     ),
     "wrench_controller": Box(
@@ -118,9 +124,9 @@ BOXES: dict[str, Box] = {
         place=Place(3, 2, 1, Kind.INNER_LOOP),
     ),
     "carrier_trajectory": Box(
-        variants=carrier_trajectory.VARIANTS,
-        makes=("carrier_reference", *_BESIDE_THE_REFERENCE),
-        optional=_BESIDE_THE_REFERENCE,
+        variants=(*carrier_trajectory.VARIANTS, ObservedCarrierTrajectory),
+        makes=("carrier_reference", *_BESIDE_THE_REFERENCE, *_OBSERVED),
+        optional=(*_BESIDE_THE_REFERENCE, *_OBSERVED),
         recorded_where_read=_BESIDE_THE_REFERENCE,
         place=Place(4, 2, 1, Kind.INNER_LOOP),
     ),
@@ -220,7 +226,8 @@ SYMBOLS = {
 
 # The figure's wires, to be read. They follow from the names of the ports; a test checks this list
 # against what is built. Where the scenario has a control period, a `sample_and_hold` stands in
-# front of the controllers: of `measured_load_state`, `reference` and `reference_higher_rates`.
+# front of the controllers: of `measured_load_state`, `measured_attitude`, `reference` and
+# `reference_higher_rates`.
 WIRES = """
 load_trajectory.reference -> wrench_controller.reference
 load_trajectory.reference_higher_rates -> wrench_controller.reference_higher_rates
@@ -232,6 +239,8 @@ load_trajectory.reference_higher_rates -> carrier_trajectory.reference_higher_ra
 load_plant.load_state -> load_feedback.load_state
 load_feedback.measured_load_state -> wrench_controller.measured_load_state
 load_feedback.measured_load_state -> force_distribution.measured_load_state
+load_feedback.measured_load_state -> carrier_trajectory.measured_load_state
+load_feedback.measured_attitude -> carrier_trajectory.measured_attitude
 
 wrench_controller.wrench -> force_distribution.wrench
 wrench_controller.wrench_rate -> force_distribution.wrench_rate
@@ -313,7 +322,15 @@ def make_nonstop(
     parts = make_parts(BOXES, scenario, replacements, extra)
     diagram = connected(BOXES, parts, inputs)
     is_whole = set(wiring.input_names(diagram)) <= wiring.optional_inputs(diagram)
-    if at_equilibrium and is_whole:
+    if not (at_equilibrium and is_whole):
+        return diagram
+    beside = {block.get_name(): state for block, state in starts_beside_defaults(diagram).items()}
+    if beside:  # a sampled state has no other default than the one that its block is made with
+        parts = make_parts(BOXES, scenario, replacements, extra)
+        for name, state in beside.items():
+            if isinstance(block := parts.blocks.get(name), Block):
+                parts.blocks[name] = block.starting_at(state)
+        diagram = connected(BOXES, parts, inputs)
         set_default_equilibrium(diagram)
     return diagram
 

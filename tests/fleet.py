@@ -88,7 +88,7 @@ DRAWN: dict[str, tuple[str, list[str]]] = {
             *_carriers(6, regular, simulation_duration=3),
             *_ONE_SAMPLE_AHEAD,
             *("optimization_layer.amplitude=0.7", "optimization_layer.speed_bound=0.4"),
-            "limits.time_below_bound=0.4",  # its step is too long for what else it shows
+            "limits.time_below_bound=0.5",  # its step is too long for what else it shows
             "pattern=!SpreadCarousel {spread: 1.5}",
             "load_feedback=!NoisyFeedback {position_noise: 0.002, delay: 0.02, seed: 3}",
             "load_disturbance=!DisturbanceForce {force: [0.5, 0.2, 0], gust_force: 0.2}",

@@ -37,7 +37,7 @@ LIVELY: dict[str, dict[str, Any]] = {
     "CarrierPid": {"integral_gain": 3.0},
     "FeedforwardCarrierPid": {"integral_gain": 3.0},
     "LimitedCarriers": {"has_weight": True, "feels_cable": True},
-    "CarrierTrajectory": {"hold": "velocity", "correction_rates": [0.1, 0.0, 0.3]},
+    "CarrierTrajectory": {"hold": "velocity", "correction_rates": [0.1, 0.3, 0.2, 0.4]},
     "NoisyFeedback": NOISE | {"measures_attitude": False},
     "FilteredFeedback": NOISE | {"period": 0.04},
     "DisturbanceForce": {"force": [1, 2, 3], "gust_force": 1.0},
@@ -53,6 +53,7 @@ LOOPS: dict[str, tuple[str, list[str]]] = {
     "FixedWingDynamics": (AIRCRAFT, []),
     "FixedWingController": (AIRCRAFT, []),
     "BowedCarrierTrajectory": ("aircraft_rest_cables", []),
+    "ObservedCarrierTrajectory": ("aircraft_rest_cables", []),
     "TurnRateOptimizer": (
         "aircraft_co_rotating",
         ["load_trajectory=!PlannedTurn {}", "phase=!ShapedPhase {bandwidth: 4.0}"],

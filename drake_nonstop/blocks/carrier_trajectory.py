@@ -1,12 +1,14 @@
 """Box "Carrier Desired Trajectories" of the figure."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, ClassVar
+from types import SimpleNamespace
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from pydrake.systems.framework import Context
 
 from drake_nonstop.blocks.lumped_cables import (
     CABLE_MATERIAL,
@@ -31,19 +33,29 @@ from drake_nonstop.mechanics.carrier import (
 )
 from drake_nonstop.mechanics.grasp import forces_along
 from drake_nonstop.mechanics.internal_force import orbit_axes, orbit_forces
+from drake_nonstop.mechanics.load_estimate import error_of
 from drake_nonstop.mechanics.load_motion import LoadMotion
 from drake_nonstop.mechanics.lumped_cable import CableMaterial
 from drake_nonstop.mechanics.planned_orbit import FlightTerms
+from drake_nonstop.mechanics.reference_correction import (
+    CORRECTION_SIZE,
+    corrected_attachments,
+    corrected_forces,
+    corrected_reference,
+)
+from drake_nonstop.mechanics.rotation import rotation_matrix
 from drake_nonstop.mechanics.signal_layouts import Layout
 from drake_nonstop.mechanics.signals import (
+    HELD,
+    LOAD_STATE_SIZE,
     SAMPLE_TIME,
     SAMPLED,
     LoadReference,
-    LoadState,
     nodes_layout,
 )
-from drake_nonstop.mechanics.taylor import Taylor
+from drake_nonstop.mechanics.tuning import correction_rate
 from drake_nonstop.model.block import (
+    AUTO,
     LOAD,
     Block,
     BlockParameters,
@@ -52,20 +64,20 @@ from drake_nonstop.model.block import (
 )
 from drake_nonstop.model.descriptions import CarrierReferences, described
 from drake_nonstop.model.system import OFFSET, Model
+from drake_nonstop.systems.block import set_state_values, state_values
 from drake_nonstop.systems.equations import BetweenSamples
 from drake_nonstop.systems.requirements import LoopBlocks
-from drake_nonstop.systems.tracing import for_each
+from drake_nonstop.systems.tracing import for_each, where
 from drake_nonstop.validation import (
     ScenarioError,
     StrictFields,
     checked,
-    number_or_list,
     one_of,
     positive,
     require,
+    require_array,
     require_non_negative,
     require_ranges,
-    vector,
 )
 
 _BOX = "carrier_trajectory"
@@ -77,10 +89,15 @@ _FORCE_RATES = "internal_force_higher_rates"
 _FOR_DERIVATIVES = (_FORCE_RATES, "wind_estimate")
 _HIGHER_RATES = "reference_higher_rates"
 _MEASURED = "measured_load_state"
+_ATTITUDE = "measured_attitude"
+_ATTITUDES = (_ATTITUDE, HELD + _ATTITUDE)  # the second where there are samples
+_RATES, _TIME = "correction_rates", "correction_time"
+# Reference, attachments (n, 3), desired cable forces (n, 3) and their rates.
+_Given = tuple[NDArray, NDArray, NDArray, NDArray]
 _GUSTS = "carrier_gust_estimate"
 
 
-class _CarrierReferences(Block):
+class CarrierReferenceBlock(Block):
     """Carriers' references, of which some are made at the samples, and move in between."""
 
     where: ClassVar = dict.fromkeys(
@@ -98,6 +115,15 @@ class _CarrierReferences(Block):
         return (*moved, *others)
 
 
+def _check_rates(field: str, value: Any) -> None:
+    if isinstance(value, str):
+        require(value == AUTO, field, value, f'give four rates in rad/s, or "{AUTO}"')
+    else:
+        rates = require_array(field, value, [4], "rad/s: of level position, height, tilt and yaw")
+        for k, rate in enumerate(rates):
+            require_non_negative(f"{field}[{k}]", float(rate))
+
+
 @dataclass(kw_only=True)
 class _MovingReferencesConfig(StrictFields):
     """How the references move, between samples and against errors; the cables are the system's."""
@@ -105,8 +131,10 @@ class _MovingReferencesConfig(StrictFields):
     hold: str = checked(  # of the references between samples: "third_order" or "velocity"
         "third_order", one_of(_HOLDS, f"give {' or '.join(_HOLDS)}")
     )
-    # rad/s, along x, y and z of W, at which the references move against the load's measured error
-    correction_rates: list[float] = vector([0.0] * 3, "in W", number_or_list(require_non_negative))
+    # rad/s, at which the references move against the load's measured errors of its level position,
+    # its height, its tilt and its yaw; auto: all by the cables
+    correction_rates: list[float] | str = checked(AUTO, _check_rates)
+    correction_time: float = positive(0.5)  # s, of the low-pass of the error before
 
 
 @dataclass(kw_only=True)
@@ -114,7 +142,7 @@ class CarrierTrajectoryConfig(_MovingReferencesConfig):
     """How the references move, between samples and against errors; the cables are the system's."""
 
 
-class CarrierTrajectory(_CarrierReferences):
+class CarrierTrajectory(CarrierReferenceBlock):
     """Carriers above the desired load pose, on cables stretched by the desired forces (eqs. 1, 22).
 
     The cables stretch by the system's stiffness (.inf: L_i = L₀, as in the paper). Only
@@ -126,15 +154,24 @@ class CarrierTrajectory(_CarrierReferences):
     v + τ a + τ² j/2, and its acceleration a + τ j. With the `hold` "velocity" they are p + τ v, v
     and a. Jerks stand still.
 
-    With `correction_rates` σ, one for each axis of W, the load's reference is moved by the state s,
-    of ṡ = −σ (p − p_d), and by its velocity ṡ, with the measured position p: what else holds the
-    load off its reference, such as cables of another length, dies out as exp(−σ t). The integral of
-    a wrench controller cannot do that on long cables: a force moves the load only by the cables'
-    stretch, 2.3 mm/N in `aircraft_rest`, and its predicted rate is that of a free load. Rates above
-    a tenth of the carriers' frequency are lost in `aircraft_co_rotating`.
+    What else holds the load off its reference, such as cables of another length, a wind or a centre
+    of mass beside the model's, dies out by corrections. The measured error [r, e_p], a rotation in
+    L and a shift in W, passes a low-pass of the time `correction_time`, and what is left is
+    integrated at the `correction_rates`: the load's reference is moved, and turned about the
+    vertical with the whole formation, and the ends of its cables are tilted. The integral of a
+    wrench controller cannot do that on long cables: a force moves the load only by the cables'
+    stretch, 2.3 mm/N in `aircraft_rest`, and its predicted rate is that of a free load. The
+    low-pass keeps the load's own turning on its cables, which little damps, from being amplified.
+    An attitude that controllers take as desired is `measured_attitude`; not connected, that of the
+    measured state. Rates that are "auto" follow from the cables by
+    `mechanics.tuning.correction_rate`, but for the tilt of a load below aircraft, 0: ends of long
+    cables that are tilted share the load otherwise, and pull it sideways, by 0.5 m in
+    `aircraft_rest` with its centre of mass 3 % of the width off. `stability` tells whether given
+    rates are stable.
 
     Raises:
-        ScenarioError: `hold` is another text, or a rate is negative.
+        ScenarioError: `hold` is another text, a rate is negative, or the low-pass is faster than
+            the samples.
     """
 
     reads: ClassVar[tuple[str, ...]] = (
@@ -143,7 +180,7 @@ class CarrierTrajectory(_CarrierReferences):
         "desired_cable_force_rates",
         *_FOR_DERIVATIVES,
         _HIGHER_RATES,
-        _MEASURED,
+        *(_MEASURED, *_ATTITUDES),
         SAMPLE_TIME,
     )
     makes: ClassVar[tuple[str, ...]] = (
@@ -152,13 +189,13 @@ class CarrierTrajectory(_CarrierReferences):
         *(SAMPLED + name for name in _MOVED),
     )
     where: ClassVar = {
-        **_CarrierReferences.where,
-        _MEASURED: "`correction_rates` are not all zero",
+        **CarrierReferenceBlock.where,
+        **dict.fromkeys((_MEASURED, *_ATTITUDES), "a correction rate is not zero"),
     }
-    optional_inputs: tuple[str, ...] = (_HIGHER_RATES,)
+    optional_inputs: tuple[str, ...] = (_HIGHER_RATES, *_ATTITUDES)
     system: ClassVar[tuple[str, ...]] = ("cable_length", "cable_stiffness", *LOAD)
     of_model: ClassVar[tuple[str, ...]] = (
-        *_CarrierReferences.of_model,
+        *CarrierReferenceBlock.of_model,
         *("pseudo_inverse", "pattern.basis", "control_period"),
     )
 
@@ -174,13 +211,17 @@ class CarrierTrajectory(_CarrierReferences):
     @classmethod
     def check(cls, model: Model, config: Any) -> None:
         require_ranges(_BOX, config)
+        if cls.has_state(model, config):
+            remedy = f"give more than the control period, {model.control_period:g} s"
+            is_slower = config.correction_time > model.control_period
+            require(is_slower, f"{_BOX}.correction_time", config.correction_time, remedy)
 
     def state(self, model: Model) -> NDArray:
-        return np.zeros(3)
+        return np.zeros(2 * CORRECTION_SIZE)
 
     @classmethod
     def has_state(cls, model: Model, config: Any) -> bool:
-        return bool(np.any(config.correction_rates))
+        return bool(np.any(_rates(model, config)))
 
     def requires(self, loop: LoopBlocks) -> Iterator[str]:
         """Raises ScenarioError where nothing moves the carriers, or rates of the force are missing.
@@ -219,7 +260,7 @@ class CarrierTrajectory(_CarrierReferences):
 
     @staticmethod
     def equations(
-        shift: NDArray,
+        correction: NDArray,
         reference: NDArray,
         forces: NDArray,
         rates: NDArray,
@@ -228,39 +269,58 @@ class CarrierTrajectory(_CarrierReferences):
         reference_higher_rates: NDArray,
         *measured: NDArray,
         corrects: bool,
-        correction_rates: NDArray,
         control_period: float,
         pseudo_inverse: NDArray,
         basis: NDArray,
         attachments: NDArray,
         cable_length: NDArray,
         cable_stiffness: NDArray,
-        **load: NDArray,
+        **numbers: Any,
     ) -> tuple[NDArray, NDArray, NDArray, NDArray]:
-        motion, shift_rate = LoadMotion.along(reference, reference_higher_rates), shift
+        given = reference, attachments, _rows(forces), _rows(rates)
+        own = numbers.pop(_RATES), numbers.pop(_TIME)
+        if corrects:
+            correction, given = corrected(correction, given, measured, control_period, *own)
+        reference, attachments, pulls, pull_rates = given
+        motion = LoadMotion.along(reference, reference_higher_rates)
         along = forces_along(
-            rigid_load(**load),
+            rigid_load(**numbers),
             motion,
-            forces.reshape(-1, 3),
-            rates.reshape(-1, 3),
+            pulls,
+            pull_rates,
             internal_force_higher_rates,
             wind,
             pseudo_inverse=pseudo_inverse,
             basis=basis,
         )
-        if corrects:
-            motion, shift_rate = _corrected(
-                motion, shift, *measured, rates=correction_rates, period=control_period
-            )
         cables = _cables(attachments, cable_length, cable_stiffness)
         position, velocity, acceleration, jerk = carrier_positions(motion, along, **cables).rates
-        return shift_rate, np.concatenate([position, velocity]), acceleration, jerk
+        return correction, np.concatenate([position, velocity]), acceleration, jerk
+
+    def block_parameters(self, model: Model, config: Any) -> BlockParameters:
+        return _parameters(model, self.system, config)
+
+    @property
+    def corrects(self) -> bool:
+        """Whether the references answer the load's error."""
+        return self.has_state(self.model, self.config)
+
+    def SetCorrection(self, context: Context, correction: NDArray) -> NDArray:
+        """Sets the state to a correction (6,) but for what does not move, and returns this part."""
+        moves, error = _rates(self.model, self.config) > 0, np.zeros(CORRECTION_SIZE)
+        others = state_values(context)[2 * CORRECTION_SIZE :]
+        own = np.where(moves, correction, 0.0)
+        set_state_values(context, np.concatenate([error, own, others]))
+        return np.where(moves, 0.0, correction)
 
     def constants(self, model: Model, config: Any) -> dict[str, Any]:
-        return super().constants(model, config) | {"corrects": self.has_state(model, config)}
+        return super().constants(model, config) | {"corrects": self.corrects}
 
     def inputs(self, model: Model) -> tuple[str, ...]:
-        left_out = () if self.has_state(model, self.config) else (_MEASURED,)
+        is_held = model.control_period > 0
+        left_out: tuple[str, ...] = (_MEASURED, *_ATTITUDES)
+        if self.has_state(model, self.config):
+            left_out = _ATTITUDES[:1] if is_held else _ATTITUDES[1:]
         return tuple(name for name in super().inputs(model) if name not in left_out)
 
     def between_samples(self, model: Model, config: Any) -> BetweenSamples:
@@ -279,22 +339,60 @@ def _along_velocity(motion: NDArray, acceleration: NDArray, jerk: NDArray, since
     return motion_after(motion, since), acceleration
 
 
-def _corrected(
-    motion: LoadMotion,
-    shift: NDArray,
-    load_state: NDArray,
-    *sample_time: NDArray,
-    rates: NDArray,
-    period: float,
-) -> tuple[LoadMotion, NDArray]:
-    """A motion, moved by the shift s after this sample and at the velocity ṡ, and the state's rate.
+def _rates(model: Model, config: Any) -> NDArray:
+    """The rates (6,), rad/s, of the corrections of [attitude; position], in L and in W."""
+    rates = config.correction_rates
+    if isinstance(rates, str):
+        length, gravity = map(model.number, ("cable_length", "gravity"))
+        rate = correction_rate(length, gravity)
+        rates = [rate, rate, rate if model.aircraft is None else 0.0, rate]
+    level, height, tilt, yaw = rates
+    return np.array([tilt, tilt, yaw, level, level, height])
 
-    ṡ = −σ (p − p_d), with the measured position p and σ (3,), rad/s, along the axes of W.
+
+def _parameters(
+    model: Model, system: Sequence[str], config: Any, others: Sequence[str] = ()
+) -> BlockParameters:
+    """Those of the system, of the corrections, and other fields of the config."""
+    own = {_RATES: _rates(model, config), _TIME: config.correction_time}
+    own |= {name: getattr(config, name) for name in others}
+    return BlockParameters(model, system, config=SimpleNamespace(**own), own=own)
+
+
+def corrected(
+    correction: NDArray,
+    given: _Given,
+    measured: Sequence[NDArray],
+    period: float,
+    rates: NDArray,
+    time: NDArray,
+) -> tuple[NDArray, _Given]:
+    """The rate of the state, and reference, attachments, forces and their rates as corrected.
+
+    The state (12,) has the filtered error and the correction; that after this sample counts.
+    What is measured are the load's state, its attitude, zero where that of the
+    state is, and the time of the sample, if there are samples.
     """
-    speed = rates * (motion.position.coefficients[0] - LoadState.view(load_state).position)
-    rate, shift = with_this_sample(shift, speed, sample_time, period)
-    steady = Taylor([shift, speed, *[0 * speed] * (len(motion.position.coefficients) - 2)])
-    return motion._replace(position=motion.position + steady), rate
+    reference, attachments, forces, force_rates = given
+    state, attitude, *sample_time = measured
+    own = where((attitude * attitude).sum() > 0, attitude, state[:4])
+    off = error_of(np.concatenate([own, state[4:]]), reference[:LOAD_STATE_SIZE])
+    turned = off[:3] @ rotation_matrix(reference[:4])  # in L
+    error = np.concatenate([turned, off[3:CORRECTION_SIZE]])
+    filtered, corrected = np.split(correction, 2)
+    # What has no rate fades, so that no state of the loop is left without a motion of its own.
+    fading = np.concatenate([where(rate > 0, 0 * time, 1 / time) for rate in rates])
+    change = (error - filtered) / time, -rates * filtered - fading * corrected
+    both, after = with_this_sample(correction, np.concatenate(change), sample_time, period)
+    rate, correction = both[CORRECTION_SIZE:], after[CORRECTION_SIZE:]
+    reference = corrected_reference(reference, correction, rate)
+    attachments = corrected_attachments(attachments, correction)
+    return both, (reference, attachments, *corrected_forces(forces, force_rates, correction, rate))
+
+
+def _rows(vectors: NDArray) -> NDArray:
+    """Vectors (n, 3) of a signal (3n,)."""
+    return vectors.reshape(-1, 3)
 
 
 def _cables(attachments: NDArray, length: NDArray, stiffness: NDArray) -> dict[str, Any]:
@@ -308,7 +406,7 @@ class MeasuredCarrierTrajectoryConfig(StrictFields):
     """No parameters: cable length and stiffness are the system's."""
 
 
-class MeasuredCarrierTrajectory(_CarrierReferences):
+class MeasuredCarrierTrajectory(CarrierReferenceBlock):
     """Carriers above the measured load pose: they follow the load wherever it is.
 
     Only the wrench controller then corrects the load's pose. It does not make the accelerations and
@@ -349,11 +447,16 @@ class MeasuredCarrierTrajectory(_CarrierReferences):
 
 
 @dataclass(kw_only=True)
-class BowedCarrierTrajectoryConfig(_MovingReferencesConfig):
-    """How finely cables are resolved; what they are made of is the system's."""
+class BowedReferencesConfig(_MovingReferencesConfig):
+    """How finely cables are resolved; no variant's own: Drake's YAML takes the first that fits."""
 
     nodes: int = checked(12, check_nodes)  # of each cable
     window: float = positive(0.75)  # s, before and after the present, in which their motion counts
+
+
+@dataclass(kw_only=True)
+class BowedCarrierTrajectoryConfig(BowedReferencesConfig):
+    """How finely cables are resolved; what they are made of is the system's."""
 
 
 class BowedCarrierTrajectory(CarrierTrajectory):
@@ -373,7 +476,7 @@ class BowedCarrierTrajectory(CarrierTrajectory):
         ScenarioError: a parameter is out of its range, or the stiffness is no finite number.
     """
 
-    reads = (
+    reads: ClassVar[tuple[str, ...]] = (
         "reference",
         "desired_cable_forces",
         "desired_cable_force_rates",
@@ -381,11 +484,11 @@ class BowedCarrierTrajectory(CarrierTrajectory):
         "wind_estimate",
         _HIGHER_RATES,
         _GUSTS,
-        _MEASURED,
+        *(_MEASURED, *_ATTITUDES),
         SAMPLE_TIME,
     )
-    optional_inputs = (_HIGHER_RATES, _GUSTS)
-    makes = (
+    optional_inputs = (_HIGHER_RATES, _GUSTS, *_ATTITUDES)
+    makes: ClassVar[tuple[str, ...]] = (
         *CarrierTrajectory.makes,
         "cable_drag_and_weight",
         "cable_drag_and_weight_rates",
@@ -394,6 +497,7 @@ class BowedCarrierTrajectory(CarrierTrajectory):
     system = (*CABLE_MATERIAL, *LOAD)
     of_model = (*CarrierTrajectory.of_model, "pattern.phases")
 
+    own: ClassVar[tuple[str, ...]] = ()  # further fields of the config
     bears_drag = True  # of the cables, which aircraft then do not
 
     def constants(self, model: Model, config: Any) -> dict[str, Any]:
@@ -409,14 +513,14 @@ class BowedCarrierTrajectory(CarrierTrajectory):
 
     def block_parameters(self, model: Model, config: Any) -> BlockParameters:
         system = (*self.system, *model.offset_parameter, *air_density_name(model))
-        return BlockParameters(model, system, config=config, own=["correction_rates"])
+        return _parameters(model, system, config, self.own)
 
     def layouts(self, model: Model, config: Any) -> dict[str, Layout]:
         return {"cable_reference": nodes_layout(config.nodes)}
 
     @staticmethod
     def equations(  # type: ignore[override]
-        shift: NDArray,
+        correction: NDArray,
         reference: NDArray,
         forces: NDArray,
         rates: NDArray,
@@ -427,56 +531,114 @@ class BowedCarrierTrajectory(CarrierTrajectory):
         *measured: NDArray,
         corrects: bool,
         control_period: float,
-        correction_rates: NDArray,
         window: TimeWindow,
         nodes: int,
-        **numbers: NDArray,
+        **numbers: Any,
     ) -> tuple[NDArray, ...]:
-        motion, shift_rate = LoadMotion.along(reference, reference_higher_rates), shift
+        given = reference, numbers["attachments"], _rows(forces), _rows(rates)
+        own = numbers.pop(_RATES), numbers.pop(_TIME)
         if corrects:
-            motion, shift_rate = _corrected(
-                motion, shift, *measured, rates=correction_rates, period=control_period
-            )
-        terms = FlightTerms.along(
-            rigid_load(**{name: numbers[name] for name in LOAD}),
-            motion,
+            correction, given = corrected(correction, given, measured, control_period, *own)
+        found = bowed_references(
+            given,
+            planned,
             wind,
-            pseudo_inverse=numbers["pseudo_inverse"],
-            offset=numbers.get(OFFSET, np.zeros(1)),
+            reference_higher_rates,
+            gusts,
+            window=window,
+            nodes=nodes,
+            **numbers,
         )
-        pattern = partial(orbit_forces, orbit_axes(numbers["basis"], numbers["phases"]))
-        attachments = numbers["attachments"]
-        along, ends = motion_over_window(terms, pattern, planned, window, attachments)
-        pulls = with_feedback(window, along, forces.reshape(-1, 3), rates.reshape(-1, 3))
+        return (correction, *found.beside(forces, rates))
 
-        def carried_line(
-            pull: NDArray, end: NDArray, gust: NDArray, material: NDArray, wind: NDArray
-        ) -> NDArray:
-            """Motion and pull of a carrier, and motion of its nodes, (6 + 2 N, 3)."""
-            lines = bowed_lines(
-                *(pull[:, None], end[:, None], wind, window),
-                cable=CableMaterial(*material[:, None]),
-                nodes=nodes,
-                gusts=gust[None],
-            )
-            found = [*window.at_present(lines.ends), *window.at_present(lines.forces)[:2]]
-            for node in lines.nodes:
-                found += window.at_present(node)[:2]
-            return np.concatenate(found)
 
-        own = [*(values.swapaxes(0, 1) for values in (pulls, ends)), gusts.reshape(-1, 3)]
-        own.append(material_rows(numbers, len(own[0])))
-        found = for_each(carried_line, own, [wind]).swapaxes(0, 1)
-        position, velocity, acceleration, jerk, pull, pull_rate, *moving = found
+class BowedReferences(NamedTuple):
+    """Motion of carriers at the ends of bowed cables, and of the cables' nodes, in W."""
+
+    ends: NDArray  # (n, 3), m, of the cables, at the load
+    carried: NDArray  # (n, 3), N, that the cables pull with there
+    position: NDArray  # (n, 3), m, of the carriers
+    velocity: NDArray
+    acceleration: NDArray
+    jerk: NDArray
+    pull: NDArray  # (n, 3), N, of the carriers
+    pull_rate: NDArray
+    nodes: NDArray  # positions and velocities
+
+    def beside(self, forces: NDArray, rates: NDArray) -> tuple[NDArray, ...]:
+        """The signals of the references, with pulls beyond desired forces (3n,)."""
         return (
-            shift_rate,
-            np.concatenate([position, velocity]),
-            acceleration,
-            jerk,
-            pull.ravel() - forces,
-            pull_rate.ravel() - rates,
-            np.concatenate([*moving[::2], *moving[1::2]]).ravel(),
+            np.concatenate([self.position, self.velocity]),
+            self.acceleration,
+            self.jerk,
+            self.pull.ravel() - forces,
+            self.pull_rate.ravel() - rates,
+            self.nodes,
         )
+
+
+def bowed_references(
+    given: _Given,
+    planned: NDArray,
+    wind: NDArray,
+    reference_higher_rates: NDArray,
+    gusts: NDArray,
+    *,
+    window: TimeWindow,
+    nodes: int,
+    carried: Callable[[NDArray, NDArray], NDArray] | None = None,
+    **numbers: NDArray,
+) -> BowedReferences:
+    """The references of a load's reference, attachments, forces and their rates.
+
+    Args:
+        given: these.
+        planned: signal, as are the next three.
+        wind: of the air at the load.
+        reference_higher_rates: of the load's reference.
+        gusts: of the carriers beyond that wind.
+        window: the time in which motion counts.
+        nodes: of each cable.
+        carried: what cables pull with (k, n, 3), for desired forces (k, n, 3) and the load's axes
+            (k, 3, 3), in W, as rows; None: these forces.
+        numbers: parameters and constants of `BowedCarrierTrajectory`.
+    """
+    reference, attachments, *wanted = given
+    motion = LoadMotion.along(reference, reference_higher_rates)
+    terms = FlightTerms.along(
+        rigid_load(**{name: numbers[name] for name in LOAD}),
+        motion,
+        wind,
+        pseudo_inverse=numbers["pseudo_inverse"],
+        offset=numbers.get(OFFSET, np.zeros(1)),
+    )
+    pattern = partial(orbit_forces, orbit_axes(numbers["basis"], numbers["phases"]))
+    along, ends = motion_over_window(terms, pattern, planned, window, attachments)
+    pulls = with_feedback(window, along, *wanted)
+    if carried is not None:
+        pulls = carried(pulls, terms.over(window.times).motion.axes)
+
+    def carried_line(
+        pull: NDArray, end: NDArray, gust: NDArray, material: NDArray, wind: NDArray
+    ) -> NDArray:
+        """Motion and pull of a carrier, and motion of its nodes, (6 + 2 N, 3)."""
+        lines = bowed_lines(
+            *(pull[:, None], end[:, None], wind, window),
+            cable=CableMaterial(*material[:, None]),
+            nodes=nodes,
+            gusts=gust[None],
+        )
+        found = [*window.at_present(lines.ends), *window.at_present(lines.forces)[:2]]
+        for node in lines.nodes:
+            found += window.at_present(node)[:2]
+        return np.concatenate(found)
+
+    each = [*(values.swapaxes(0, 1) for values in (pulls, ends)), gusts.reshape(-1, 3)]
+    each.append(material_rows(numbers, len(each[0])))
+    found = for_each(carried_line, each, [wind]).swapaxes(0, 1)
+    moving = np.concatenate([*found[6::2], *found[7::2]]).ravel()
+    present = (window.at_present(values)[0] for values in (ends, pulls))
+    return BowedReferences._make([*present, *found[:6], moving])
 
 
 VARIANTS = (

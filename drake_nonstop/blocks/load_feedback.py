@@ -66,11 +66,11 @@ class IdealFeedback(Block):
     """The load's state, exact and without delay."""
 
     reads = ("load_state",)
-    makes = ("measured_load_state",)
+    makes = ("measured_load_state", "measured_attitude")
 
     @staticmethod
-    def equations(load_state: NDArray) -> NDArray:
-        return load_state
+    def equations(load_state: NDArray) -> tuple[NDArray, NDArray]:
+        return load_state, load_state[:4]
 
 
 @dataclass(kw_only=True)
@@ -86,11 +86,11 @@ class DesiredStateFeedback(Block):
     """
 
     reads = ("reference",)
-    makes = ("measured_load_state",)
+    makes = ("measured_load_state", "measured_attitude")
 
     @staticmethod
-    def equations(reference: NDArray) -> NDArray:
-        return reference[:LOAD_STATE_SIZE]
+    def equations(reference: NDArray) -> tuple[NDArray, NDArray]:
+        return reference[:LOAD_STATE_SIZE], reference[:4]
 
     def describe_response(self) -> LoadMeasurement:
         return LoadMeasurement(is_measured=np.zeros(TRACKING_ERROR_SIZE))
@@ -112,11 +112,11 @@ class DesiredAttitudeFeedback(Block):
     """
 
     reads = ("load_state", "reference")
-    makes = ("measured_load_state",)
+    makes = ("measured_load_state", "measured_attitude")
 
     @staticmethod
-    def equations(load_state: NDArray, reference: NDArray) -> NDArray:
-        return _with_attitude(load_state, reference)
+    def equations(load_state: NDArray, reference: NDArray) -> tuple[NDArray, NDArray]:
+        return _with_attitude(load_state, reference), load_state[:4]
 
     def describe_response(self) -> LoadMeasurement:
         return LoadMeasurement(is_measured=_WITHOUT_ATTITUDE)
@@ -159,16 +159,16 @@ class NoisyFeedback(Block):
     """
 
     reads = ("load_state", "reference")
-    makes: ClassVar[tuple[str, ...]] = ("measured_load_state",)
+    makes: ClassVar[tuple[str, ...]] = ("measured_load_state", "measured_attitude")
     where: ClassVar = {"reference": "`measures_attitude` is false"}
     makes_next_state = True
 
     @staticmethod
-    def equations(line: NDArray, load_state: NDArray, *others: NDArray) -> tuple[NDArray, NDArray]:
+    def equations(line: NDArray, load_state: NDArray, *others: NDArray) -> tuple[NDArray, ...]:
         """Behind the load's state: the reference, if it is read, and the noise."""
         *reference, noise = others
-        shown = _with_attitude(_measured(line, load_state, noise), *reference)
-        return _shifted(line, load_state), shown
+        measured = _measured(line, load_state, noise)
+        return _shifted(line, load_state), _with_attitude(measured, *reference), measured[:4]
 
     @staticmethod
     def start(*values: NDArray, **constants: Any) -> NDArray:
@@ -259,6 +259,8 @@ def held_noise(seed: int, times: NDArray, period: float, size: int) -> NDArray:
 class FilteredFeedbackConfig(MeasurementConfig):
     """The measurement's, and what the filter believes of it and of the load's motion."""
 
+    # true: controllers get the filtered attitude, in place of corrections of the references alone
+    measures_attitude: bool = False
     believed_position_noise: float = non_negative(0.0005)  # m
     believed_orientation_noise: float = non_negative(0.0005)  # rad
     believed_velocity_noise: float = non_negative(0.002)  # m/s
@@ -328,7 +330,8 @@ class FilteredFeedback(NoisyFeedback):
             line = where(has_begun, np.concatenate([error, line[:-size]]), filled)
         is_new = time[0] >= newest[0] + period / 2  # a run may begin at the instant of a sample
         stepped = where(is_new, np.concatenate([corrected, less, time, line]), state)
-        return stepped, state_with_error(is_measured * shown, desired), spread
+        whole = state_with_error(shown, desired)
+        return stepped, state_with_error(is_measured * shown, desired), whole[:4], spread
 
     @staticmethod
     def start(*values: NDArray, **constants: Any) -> NDArray:

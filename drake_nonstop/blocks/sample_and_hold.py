@@ -54,7 +54,7 @@ class SampleAndHold(EquationBlock):
     where: ClassVar = {"wind_estimate": "it is held", "held_wind_estimate": "it is held"}
 
     signal_layouts: Mapping[str, Layout | None] = {"sample_time": SIGNALS["sample_time"]}
-    optional_inputs = (_HIGHER_RATES,)
+    optional_inputs: tuple[str, ...] = (_HIGHER_RATES,)
     is_sampled = True
 
     def __init__(self, model: Model, *, holds_wind: bool = False, others: Sequence[str] = ()):
@@ -67,7 +67,7 @@ class SampleAndHold(EquationBlock):
             _sampled,
             inputs=sizes,
             outputs={},
-            optional={_HIGHER_RATES: 0.0},
+            optional=dict.fromkeys((_HIGHER_RATES, *others), 0.0),
             state=np.concatenate([*parts, [0.0]]),
             shown=shown,
             reads_time=True,
@@ -78,6 +78,7 @@ class SampleAndHold(EquationBlock):
             key="hold",
         )
         super().__init__(equations)
+        self.optional_inputs = (_HIGHER_RATES, *others)
         self.replaces = (*sizes,)[: len(sizes) - len(others)]
 
     def tell_start(self, context: Context) -> None:

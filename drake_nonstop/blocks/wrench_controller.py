@@ -142,10 +142,10 @@ def _gain() -> Any:
 class _Gains(StrictFields):
     position_gain: float | str = _gain()  # N/m, K_p; auto: by mass and cables
     velocity_gain: float | str = _gain()  # N s/m, K_v; auto: by mass and cables
-    position_integral_gain: float | str = _gain()  # N/(m s), K_i; auto: by mass and cables
+    position_integral_gain: float | str = _gain()  # N/(m s), K_i; auto: 0
     orientation_gain: float | str = _gain()  # N m, K_R; auto: by inertia and cables
     angular_velocity_gain: float | str = _gain()  # N m s, K_omega; auto: by inertia and cables
-    orientation_integral_gain: float | str = _gain()  # N m/s, K_iR; auto: by inertia and cables
+    orientation_integral_gain: float | str = _gain()  # N m/s, K_iR; auto: 0
 
 
 @dataclass(kw_only=True)
@@ -199,11 +199,11 @@ class TunedWrenchControllerConfig(StrictFields):
 
     position_frequency: float = positive(2.0)  # rad/s, natural frequency
     position_damping: float = non_negative(0.8)  # damping ratio
-    position_integral_rate: float = non_negative(0.2)  # rad/s, of the pole that the integral adds
+    position_integral_rate: float = non_negative(0.0)  # rad/s, of the pole that the integral adds
     orientation_frequency: float = positive(5.0)  # rad/s, natural frequency
     orientation_damping: float = non_negative(0.8)  # damping ratio
     # rad/s, of the pole that the integral adds
-    orientation_integral_rate: float = non_negative(0.2)
+    orientation_integral_rate: float = non_negative(0.0)
     feedforward: float = non_negative(1.0)  # weight of the reference's own wrench
 
 

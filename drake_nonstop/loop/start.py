@@ -71,10 +71,12 @@ _SETTERS = {LOAD: "SetLoadState", CARRIERS: "SetCarrierState"}
 _TOLERANCE = 1e-6  # of what a port shows, in SI units or relative to larger values
 _REST = 1e-6  # m/s² and rad/s², the acceleration that counts as rest
 _STEP = 1e-6  # of the differences of accelerations, in SI units
+_WRONG = 0.01  # m/s² and rad/s², of a load on its reference that the model did not foresee
 _REACH = 0.5  # m and rad, of the linear model
 _SHARES = (1.0, 0.5, 0.25, 0.1, 0.03)  # of a step of Newton's method, the first that comes nearer
 _NEAR = np.repeat([_REACH, 0.0], [7, 6])  # of a load that may be at its equilibrium: as fast
 _DROPS = (0.0, 0.001, 0.003, 0.01, 0.03, 0.1)  # m, below the reference, to start looking from
+_OBSERVATIONS, _SEEN = 20, 3e-3  # of lengths: as often at most, and until as close, m
 _PORT_STEP = 2.0**-16  # of differences of a port: most states are exact with a power of two
 _SMALLEST = 1e-9  # of the largest singular value: what a port does not show
 
@@ -82,14 +84,15 @@ _SMALLEST = 1e-9  # of the largest singular value: what a port does not show
 def set_equilibrium(nonstop: Diagram, context: Context) -> None:
     """Sets load and carriers in `context` to the equilibrium of the loop as configured.
 
-    The carriers start on their references, with their velocities; the load starts where
-    the cables then hold it at rest: on its reference where the controllers know the
-    cables, lower or higher where they do not. Newton's method on the built diagram, with its
-    initialization events, finds the pose, whatever the blocks are; the controllers know the load's
-    true state there, without noise. Inputs of the loop, where a box was left out, are held at their
-    values at the start. A load whose reference moves at the start has that velocity and that
-    acceleration. Further states keep their values, but for those that a block trims: what a block
-    of one's own may offer is in `loop/start.py`.
+    The carriers start on their references, with their velocities, and the load on its own. Where
+    the controllers do not know the plant, such as its cables or its mass, what corrects references
+    in flight does so from the start, see `CarrierTrajectory`; where nothing does, the load starts
+    where the cables hold it at rest. Newton's method on the built diagram, with its
+    initialization events, finds correction or pose, whatever the blocks are; the controllers know
+    the load's true state there, without noise. Inputs of the loop, where a box was left out, are
+    held at their values at the start. A load whose reference moves at the start has that velocity
+    and that acceleration. Further states keep their values, but for those that a block trims: what
+    a block of one's own may offer is in `loop/start.py`.
 
     The blocks with these states are those that make the signals `load_state` and `carrier_state`,
     found by the names of their output ports, whatever the blocks are called, however deep in
@@ -125,13 +128,21 @@ def set_default_equilibrium(nonstop: Diagram) -> None:
     Raises:
         ScenarioError: as of `set_equilibrium`.
     """
+    for block in starts_beside_defaults(nonstop):
+        warn_user(
+            f"{title(block)} = {type(block).__name__}: new contexts of the diagram do "
+            "not start at its equilibrium, since the block's default state cannot be set; "
+            "call set_equilibrium(diagram, context) before each run"
+        )
+
+
+def starts_beside_defaults(nonstop: Diagram) -> dict[System, NDArray]:
+    """What `set_default_equilibrium` does; returns blocks that cannot follow, and their states."""
     require(isinstance(nonstop, Diagram), "diagram", nonstop, "give a built Diagram of floats")
     context = nonstop.CreateDefaultContext()
     set_equilibrium(nonstop, context)
     loop = loop_in(nonstop, LOOP_SIGNALS)
-    own = context_in(nonstop, loop, context)
-    for message in PlantStates(loop).declare_defaults(own):
-        warn_user(message)
+    return PlantStates(loop).declare_defaults(context_in(nonstop, loop, context))
 
 
 @contextlib.contextmanager
@@ -174,9 +185,11 @@ def _settle(nonstop: Diagram, trial: Context) -> None:
     plant.place(trial, on_reference)
     plant.take_over(start, trial)
 
-    def residual_at(load_state: NDArray) -> NDArray:
+    def residual_at(load_state: NDArray, correction: NDArray | None = None) -> NDArray:
         """The load's acceleration (6,) beside the reference's."""
         trial.SetTimeStateAndParametersFrom(start)
+        if correction is not None:
+            plant.correct(trial, correction)
         plant.set_states(trial, load_state=load_state)
         plant.measure_truly(trial, on_reference)
         simulator.Initialize()  # whatever samples or holds takes its first value
@@ -184,16 +197,46 @@ def _settle(nonstop: Diagram, trial: Context) -> None:
         return plant.load_acceleration(trial) - desired_rate
 
     def residual_of(offset: NDArray) -> NDArray:
-        """The same at a rotation vector and shift (6,), in W, from the reference."""
-        quaternion, position, *twist = LoadState.view(on_reference)
-        turned = rotate_quaternion(quaternion, offset[:3])
-        return residual_at(np.concatenate([turned, position + offset[3:], *twist]))
+        """The same at a rotation vector and shift (6,), in W, from the reference.
 
-    is_near = np.all(np.abs(given - on_reference) <= _NEAR)
+        References of carriers that can be corrected are in place of the load.
+        """
+        quaternion, position, *twist = LoadState.view(on_reference)
+        if corrects:
+            correction, offset = offset, plant.correct(trial, offset)
+        turned = rotate_quaternion(quaternion, offset[:3])
+        off = np.concatenate([turned, position + offset[3:], *twist])
+        return residual_at(off, correction if corrects else None)
+
+    def observe() -> float:
+        """Has references start from what cables show; returns how much of it is new, m."""
+        new = plant.observe(trial)
+        plant.take_over_references(start, trial)
+        return new
+
+    beside = np.abs(given - on_reference)
+    is_near = np.all(beside <= (_REST if plant.can_correct else _NEAR))
     if is_near and np.max(np.abs(residual_at(given))) < _REST / 1e3:
         return
-    for plant.trims_for_all, drop in itertools.product((True, False), _DROPS):
-        residual = _newton(residual_of, np.array([0, 0, 0, 0, 0, -drop]))
+    corrects = False
+    is_wrong = plant.can_correct and np.max(np.abs(residual_of(np.zeros(6)))) > _WRONG
+    ways = (True, False) if is_wrong else (False,)
+    if is_wrong:
+        corrects = True
+        for _ in range(_OBSERVATIONS):
+            residual_of(np.zeros(6))
+            if observe() < _SEEN:
+                break
+    for corrects, plant.trims_for_all, drop in itertools.product(ways, (True, False), _DROPS):
+        residual = _newton(residual_of, np.array([0, 0, 0, 0, 0, drop if corrects else -drop]))
+        for _ in range(_OBSERVATIONS):
+            if not corrects or np.max(np.abs(residual)) > _REST:
+                break
+            new = observe()
+            if new > 0:
+                residual = _newton(residual_of, np.zeros(6))
+            if new < _SEEN:
+                break
         if np.max(np.abs(residual)) < _REST:
             if not plant.trims_for_all:
                 warn_user(
@@ -260,6 +303,14 @@ class PlantStates:
         self._trimmed: list[Any] = [block for block in blocks if hasattr(block, "trim")]
         self._ports = {signal: ports[signal] for signal in _SETTERS}
         self._owners: dict[str, Any] = {s: port.get_system() for s, port in self._ports.items()}
+        above: Any = ports_of(nonstop, "carrier_reference")[0].get_system()
+        self._references: Any = above if getattr(above, "corrects", False) else None
+
+    @property
+    def _blocks(self) -> list[Any]:
+        """Whose states are set."""
+        others = [self._references] if self.can_correct else []
+        return [*dict.fromkeys([*self._owners.values(), *self._trimmed, *others])]
 
     def _context(self, system: System, context: Context) -> Context:
         return self._nonstop.GetMutableSubsystemContext(system, context)
@@ -288,6 +339,33 @@ class PlantStates:
             elif signal == LOAD or not own.is_stateless():
                 _show(self._ports[signal], own, value)
         self._require_shown(context, states)
+
+    @property
+    def can_correct(self) -> bool:
+        """Whether the carriers' references can be moved and turned beside the load's."""
+        return self._references is not None
+
+    def correct(self, context: Context, correction: NDArray) -> NDArray:
+        """Moves the carriers' references by a rotation vector and shift (6,), in W.
+
+        Returns the part by which they cannot be moved.
+        """
+        rest: NDArray = self._references.SetCorrection(
+            self._context(self._references, context), correction
+        )
+        return rest
+
+    def observe(self, context: Context) -> float:
+        """Has carriers' references take the lengths that cables show; returns the change, m."""
+        if not hasattr(self._references, "ObserveLengths"):
+            return 0.0
+        own = self._context(self._references, context)
+        return float(np.max(np.abs(self._references.ObserveLengths(own))))
+
+    def take_over_references(self, context: Context, settled: Context) -> None:
+        """Sets the states of the carriers' references to those in another context of the loop."""
+        settled_own = self._nonstop.GetSubsystemContext(self._references, settled)
+        self._context(self._references, context).SetStateAndParametersFrom(settled_own)
 
     def _require_shown(self, context: Context, states: Mapping[str, NDArray]) -> None:
         for signal, value in states.items():
@@ -338,7 +416,7 @@ class PlantStates:
 
     def take_over(self, context: Context, settled: Context) -> None:
         """Sets all states of the plant's blocks to those in another context of the loop."""
-        for block in (*self._owners.values(), *self._trimmed):
+        for block in self._blocks:
             settled_own = self._nonstop.GetSubsystemContext(block, settled)
             self._context(block, context).SetStateAndParametersFrom(settled_own)
 
@@ -351,15 +429,10 @@ class PlantStates:
             raise NotFiniteError(title(block), was_given=True)
         return acceleration
 
-    def declare_defaults(self, context: Context) -> list[str]:
-        """Makes the plant's states those of new contexts; says of each block that differs so."""
-        return [
-            f"{title(block)} = {type(block).__name__}: new contexts of the diagram do "
-            "not start at its equilibrium, since the block's default state cannot be set; "
-            "call set_equilibrium(diagram, context) before each run"
-            for block in dict.fromkeys([*self._owners.values(), *self._trimmed])
-            if not _declare_defaults(block, self._context(block, context))
-        ]
+    def declare_defaults(self, context: Context) -> dict[System, NDArray]:
+        """Makes the plant's states those of new contexts; returns those that cannot be."""
+        own = {block: self._context(block, context) for block in self._blocks}
+        return {b: state_values(c) for b, c in own.items() if not _declare_defaults(b, c)}
 
 
 def _port_with_state(nonstop: Diagram, signal: str) -> OutputPort:

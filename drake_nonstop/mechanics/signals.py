@@ -184,6 +184,7 @@ SIGNALS: dict[str, Layout | None] = {
     "reference_delay": Layout(Part("", "1", "s", "", "d of the governed time t − d")),
     "load_state": LoadState.layout,
     "measured_load_state": LoadState.layout,
+    "measured_attitude": Layout(Part("quaternion", "4", "", "W", "of R_WL")),
     "measured_load_covariance": Layout(  # of the error of each axis
         *(
             Part(f"{p}_{name}", "1", u)
@@ -221,6 +222,11 @@ SIGNALS: dict[str, Layout | None] = {
         Part("", "3n", "N", "W", "that carriers pull with beyond desired_cable_forces")
     ),
     "cable_drag_and_weight_rates": Layout(Part("", "3n", "N/s", "W")),
+    "load_mass_estimate": Layout(Part("", "1", "kg", "", "by the cables' tensions")),
+    "centre_of_mass_estimate": Layout(
+        Part("", "3", "m", "L", "beside the model's; its height is not observed")
+    ),
+    "cable_length_estimate": Layout(Part("", "n", "m", "", "L₀, by tensions and chords")),
     "carrier_forces": Layout(Part("", "3n", "N", "W")),
     "aircraft_command": AircraftCommand.layout,
     "command_saturation": Layout(

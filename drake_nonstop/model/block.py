@@ -183,6 +183,7 @@ class Block(EquationBlock):
     start: ClassVar[Callable | None] = None
     equations: Any = None
     reads_time = makes_next_state = is_joint = False
+    _first_state: NDArray | None = None
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
@@ -217,7 +218,7 @@ class Block(EquationBlock):
             require(is_known, self._said("system"), name, remedy)
         constants, parameters = self.constants(model, config), self.block_parameters(model, config)
         reads, makes, period = self.inputs(model), self.outputs(model), model.control_period
-        state = self.state(model)
+        state = self.state(model) if self._first_state is None else self._first_state
         if state is not None:
             state = require_array(self._said("state"), state, [None], "numbers, the first state")
         has_state = state is not None and self.has_state(model, config)
@@ -282,6 +283,14 @@ class Block(EquationBlock):
             allocate = functools.partial(AbstractValue.Clone, AbstractValue.Make(value))
             known = {self.nothing_ticket()}
             self.DeclareAbstractOutputPort(name, allocate, ValueProducer.NoopCalc, known)
+
+    def starting_at(self, state: NDArray) -> "Block":
+        """The block anew, with another first state."""
+        arguments, named = self._arguments
+        made: Block = type(self).__new__(type(self), *arguments, **named)
+        made._first_state = state
+        made.__init__(*arguments, **named)  # type: ignore[misc]
+        return made
 
     def _said(self, member: str) -> str:
         """Name of a member of the class in errors."""

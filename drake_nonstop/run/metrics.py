@@ -169,6 +169,18 @@ def _error_metrics(name: str, unit: str, shown: str, scale: float) -> tuple[Metr
     )
 
 
+def _turn_metric(name: str) -> Metric:
+    """The largest tilt or yaw beside the reference."""
+    of = attrgetter(f"{name}_error")
+    return Metric(
+        *(f"load.{name}_error_max_rad", f"largest {name} error", "deg"),
+        lambda run: np.max(of(run)),
+        *("load orientation error", f", {name} {{:.2g}} {{unit}}"),
+        scale=180 / math.pi,
+        better=LOWER,
+    )
+
+
 def _update_metric(name: str, text: str, better: int = NEITHER) -> Metric:
     """How many updates of the optimization layer ended in a way."""
     return Metric(
@@ -213,6 +225,8 @@ METRICS = (
         is_wall_time=True,
     ),
     *(metric for error in LOAD_ERRORS for metric in _error_metrics(*error)),
+    _turn_metric("tilt"),
+    _turn_metric("yaw"),
     Metric(
         *("load.position_error_final_m", "final position error", "mm"),
         lambda run: run.position_error[-1],

@@ -81,6 +81,16 @@ class RunQuantities:
         """The load's angle (samples,) to its reference at 100 Hz, rad."""
         return _norms(load_errors(self.run)[1])
 
+    @cached_property
+    def tilt_error(self) -> NDArray:
+        """The angle (samples,) of the load's z axis to its reference's at 100 Hz, rad."""
+        return tilt_and_yaw(load_errors(self.run)[1])[0]
+
+    @cached_property
+    def yaw_error(self) -> NDArray:
+        """The load's turn (samples,) about its z axis from its reference at 100 Hz, rad."""
+        return np.abs(tilt_and_yaw(load_errors(self.run)[1])[1])
+
     @property
     def reference_delay(self) -> float | None:
         """The governor's largest delay of the reference, s; None: no governor."""
@@ -427,6 +437,13 @@ def load_errors(run: Run) -> tuple[NDArray, NDArray]:
     """
     errors = _in_chunks(_load_errors, run.signal("load_state"), run.signal("reference"))
     return errors[:, :3], errors[:, 3:]
+
+
+def tilt_and_yaw(rotations: NDArray) -> tuple[NDArray, NDArray]:
+    """The two parts (k,) of rotation vectors (k, 3): a turn about z, and then one that tilts z."""
+    half = _norms(rotations) / 2
+    x, y, z = (np.sinc(half / np.pi)[:, None] * rotations / 2).T
+    return 2 * np.arcsin(np.minimum(np.hypot(x, y), 1.0)), 2 * np.arctan2(z, np.cos(half))
 
 
 def _load_errors(load_states: NDArray, references: NDArray) -> NDArray:

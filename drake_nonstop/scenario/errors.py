@@ -25,7 +25,11 @@ from drake_nonstop.blocks.load_feedback import (
     MeasurementConfig,
 )
 from drake_nonstop.blocks.wind import SteadyWindConfig, StillAirConfig
-from drake_nonstop.blocks.wind_estimator import KnownWindConfig, NoWindConfig
+from drake_nonstop.blocks.wind_estimator import (
+    KnownWindConfig,
+    NoWindConfig,
+    WindObserverConfig,
+)
 from drake_nonstop.model.system import overridden
 from drake_nonstop.validation import require, require_known
 
@@ -47,7 +51,9 @@ class ErrorSet:
     cable_length: float = 0.002  # of each cable's length
     cable_drag: float = 0.1  # of C_D and C_f of the cables
     cable_stiffness: float = 0.1  # of the cables' stiffness
-    wind: float = 0.5  # m/s, from any side; NoWind takes the place of a KnownWind of still air
+    # m/s, from any side; in the place of a KnownWind of still air aircraft have a WindObserver, and
+    # others NoWind
+    wind: float = 0.5
     position_noise: float = 0.0005  # m, of the measured load on each axis
     velocity_noise: float = 0.002  # m/s, likewise
     aircraft_position_noise: float = 0.02  # m, in place of these where the carriers are aircraft
@@ -142,7 +148,8 @@ def _add_wind(scenario: "Scenario", speed: float, direction: float) -> None:
     if scenario.wind == StillAirConfig():
         scenario.wind = SteadyWindConfig(velocity=untold.tolist())
         if scenario.wind_estimator == KnownWindConfig():
-            scenario.wind_estimator = NoWindConfig()
+            flies = scenario.system.aircraft is not None
+            scenario.wind_estimator = WindObserverConfig() if flies else NoWindConfig()
     elif hasattr(scenario.wind, "velocity"):
         velocity = (np.asarray(scenario.wind.velocity) + untold).tolist()
         scenario.wind = dataclasses.replace(scenario.wind, velocity=velocity)
@@ -158,7 +165,6 @@ def _add_noise(scenario: "Scenario", errors: ErrorSet) -> None:
         sizes = {"position_noise": errors.aircraft_position_noise, "delay": errors.aircraft_delay}
     if isinstance(feedback, (IdealFeedbackConfig, DesiredAttitudeFeedbackConfig)):
         feedback = FilteredFeedbackConfig(
-            measures_attitude=isinstance(feedback, IdealFeedbackConfig),
             period=scenario.control_period or MeasurementConfig.period,
             seed=scenario.random_seed,
             **{f"believed_{name}": size for name, size in sizes.items() if name != "delay"},

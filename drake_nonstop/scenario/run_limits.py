@@ -25,7 +25,7 @@ class RunLimits(StrictFields):
 
     # Beyond one of these the outcome is not ok. The reach is the distance of the load's farthest
     # attachment from its centre of mass plus the length of a cable. A load is lost beyond
-    # position_error (of the reach; left out 0.2, with aircraft 1 m) and orientation_error (rad;
+    # position_error (of the reach; left out 0.2, with aircraft 1 m), tilt_error or yaw_error (rad;
     # left out 0.8, with aircraft 0.26, which is 15 deg) from its reference.
 
     carrier_distance: float = non_negative(0.05)  # of the reach; two that come closer collide
@@ -39,4 +39,5 @@ class RunLimits(StrictFields):
     time_below_bound: float = _limit(0.0)  # s, for which a carrier may be below ε
     saturated_share: float = _limit(0.1)  # of the time with a command of an aircraft at its limit
     position_error: float | None = _limit(None)  # of the reach; default 0.2, with aircraft 1 m
-    orientation_error: float | None = _limit(None)  # rad; default 0.8, with aircraft 0.26 (15 deg)
+    tilt_error: float | None = _limit(None)  # rad; default 0.8, with aircraft 0.26 (15 deg)
+    yaw_error: float | None = _limit(None)  # rad, likewise

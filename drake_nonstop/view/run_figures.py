@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from drake_nonstop.mechanics.aircraft import stall_speed, thrust_limits
 from drake_nonstop.run.run import Run
-from drake_nonstop.run.run_quantities import RunQuantities, load_errors
+from drake_nonstop.run.run_quantities import RunQuantities, load_errors, tilt_and_yaw
 from drake_nonstop.run.signal_table import SignalTable
 from drake_nonstop.validation import require
 from drake_nonstop.view.figure_style import (
@@ -59,13 +59,17 @@ def make_figure(run: Run, *names: str) -> Figure:
 
 def _draw_load_errors(run: Run) -> Figure:
     figure, panels = stacked(2)
-    kinds = ("position", "m"), ("orientation", "rad")
-    for axes, error, (name, unit) in zip(panels, load_errors(run), kinds, strict=True):
-        norm = np.linalg.norm(error, axis=1)
-        factor, fitting = fitting_unit(unit, norm)
-        for column, label in zip(error.T, "xyz", strict=True):
-            plot(axes, run.time, factor * column, label=label)
-        plot(axes, run.time, factor * norm, color="black", label="norm")
+    shift, turn = load_errors(run)
+    tilt, yaw = tilt_and_yaw(turn)
+    shifts = zip("xyz", shift.T, ("C0", "C1", "C2"), strict=True)
+    norm = "norm", np.linalg.norm(shift, axis=1), "black"
+    for axes, name, unit, lines in (
+        (panels[0], "position", "m", [*shifts, norm]),
+        (panels[1], "orientation", "rad", [("tilt", tilt, "C3"), ("yaw", yaw, "C4")]),
+    ):
+        factor, fitting = fitting_unit(unit, *(values for _, values, _ in lines))
+        for label, values, colour in lines:
+            plot(axes, run.time, factor * values, label=label, color=colour)
         axes.set_ylabel(f"{name}\nerror ({fitting})")
         if run.stopped:
             keep_plausible(axes, factor * _PLAUSIBLE_ERROR)

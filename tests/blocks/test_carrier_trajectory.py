@@ -8,6 +8,7 @@ import pytest
 from helpers import INERTIA, Motion, difference, fix, model, output, regular
 from pydrake.polynomial import Polynomial
 from pydrake.trajectories import PiecewisePolynomial
+from scipy.spatial.transform import Rotation
 
 from drake_nonstop import (
     CompiledLoop,
@@ -26,38 +27,64 @@ from drake_nonstop.blocks.load_trajectory import (
     RestToRestConfig,
     SteadyTurnConfig,
 )
+from drake_nonstop.mechanics.load_estimate import error_of
 from drake_nonstop.model.pattern import (
     CarouselConfig,
     ConstantSpreadConfig,
     EllipticCarouselConfig,
 )
 
-DERIVATIVES = ("carrier_reference_acceleration", "carrier_reference_jerk")
+RATES = np.array([0.1, 0.3, 0.2, 0.4])  # of level position, height, tilt and yaw
 
 
-def test_references_move_against_the_measured_error():
-    """By a shift and at its velocity, as if the load's reference were moved."""
-    rates, shift = np.array([0.1, 0.0, 0.3]), np.array([0.02, 0.0, -0.04])
-    desired, seen = Motion(4).reference(0.3), Motion(3).state(0.3)
-    velocity = rates * (desired[4:7] - seen[4:7])
-    moved = desired.copy()
+def carried(rates, pose, forces, state=()):
+    """What a block with these rates makes, with the state's rate."""
+    block = CarrierTrajectory(model(), CarrierTrajectoryConfig(correction_rates=list(rates)))
+    context = block.CreateDefaultContext()
+    if len(state):
+        context.SetContinuousState(state)
+    rates_of_forces = {"desired_cable_force_rates": np.zeros(12)}
+    fix(block, context, **pose, desired_cable_forces=forces.ravel(), **rates_of_forces)
+    rate = block.EvalTimeDerivatives(context).CopyToVector() if len(state) else None
+    return output(block, context, "carrier_reference"), rate
+
+
+@pytest.mark.parametrize("turn", [(0.0, 0.0, 0.3), (0.2, -0.1, 0.0)], ids=["yaw", "tilt"])
+def test_references_are_moved_and_turned_against_the_measured_error(turn):
+    """As if the load's reference were moved and turned, or its cables' ends tilted."""
+    shift, seen = np.array([0.02, 0.0, -0.04]), Motion(3).state(0.3)
+    reference = Motion(4).reference(0.3)
+    reference[7:10], forces = 0.0, np.tile([0.3, -0.2, 2.5], (4, 1))
+    forces[:, :2] += np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])
+    still = np.concatenate([reference[:4], reference[4:7], reference[7:13]])  # no error
+    pose = {"measured_load_state": still, "reference": reference}
+    half = np.array([1.0, *np.divide(turn, 2)])  # the rotation vector is that of Rodrigues
+    turned = Rotation.from_quat(half[[1, 2, 3, 0]])
+    found, _ = carried(RATES, pose, forces, [*np.zeros(6), *turn, *shift])
+    moved, expected_forces = reference.copy(), forces
     moved[4:7] += shift
-    moved[10:13] += velocity
-    config = CarrierTrajectoryConfig(correction_rates=rates.tolist())
-    shifted, plain = CarrierTrajectory(model(), config), CarrierTrajectory(model())
-    pulls = {"desired_cable_forces": np.tile([0.3, -0.2, 2.5], 4)}
-    pulls["desired_cable_force_rates"] = np.full(12, 0.1)
-    contexts = [block.CreateDefaultContext() for block in (shifted, plain)]
-    contexts[0].SetContinuousState(shift)
-    fix(shifted, contexts[0], **pulls, reference=desired, measured_load_state=seen)
-    fix(plain, contexts[1], **pulls, reference=moved)
-    found = shifted.EvalTimeDerivatives(contexts[0]).CopyToVector()
-    np.testing.assert_allclose(found, velocity)
-    one, other = (
-        output(block, context, "carrier_reference")
-        for block, context in zip((shifted, plain), contexts, strict=True)
+    if turn[2]:
+        attitude = turned * Rotation.from_quat(reference[[1, 2, 3, 0]])
+        moved[:4] = attitude.as_quat()[[3, 0, 1, 2]]
+        expected_forces = turned.apply(forces)
+        expected_forces += (forces - expected_forces).mean(axis=0)
+    expected, _ = carried(np.zeros(4), {"reference": moved}, expected_forces)
+    tilted = np.zeros((4, 3))
+    if not turn[2]:
+        levers = model().attachments
+        tilted = Rotation.from_quat(reference[[1, 2, 3, 0]]).apply(turned.apply(levers) - levers)
+    np.testing.assert_allclose(found[:12], expected[:12] + tilted.ravel(), rtol=1e-12, atol=1e-12)
+    state = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, *np.zeros(6)]
+    _, rate = carried(RATES, pose | {"measured_load_state": seen}, forces, state)
+    error = error_of(seen, reference[:13])[:6]
+    error[:3] = Rotation.from_quat(reference[[1, 2, 3, 0]]).inv().apply(error[:3])
+    np.testing.assert_allclose(
+        rate[:6], (error - state[:6]) / CarrierTrajectoryConfig.correction_time
     )
-    np.testing.assert_allclose(one, other, rtol=1e-12)
+    np.testing.assert_allclose(rate[6:], -RATES[[2, 2, 3, 0, 0, 1]] * state[:6])
+
+
+DERIVATIVES = ("carrier_reference_acceleration", "carrier_reference_jerk")
 
 
 def loop_on_its_reference(**boxes):

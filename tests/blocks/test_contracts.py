@@ -236,6 +236,9 @@ def test_results_follow_each_change_to_the_bit_and_clones_of_context_and_block_k
 # gusts the mean wind, and the first plan the frequency.
 _LOAD = {"load_mass", "load_inertia", "gravity", "cable_length"}
 ALSO_BUILT = {
+    "CarrierTrajectory": {"cable_length", "gravity"},
+    "BowedCarrierTrajectory": {"cable_length", "gravity"},
+    "ObservedCarrierTrajectory": {"cable_length", "gravity"},
     "WrenchController": _LOAD,
     "PaperWrenchController": _LOAD,
     "GustyWind": {"velocity"},

@@ -128,6 +128,7 @@ def test_errors_of_a_long_record_have_the_covariance_that_is_told(delay):
         **{f"believed_{name}_noise": value for name, value in noises.items()},
         process_acceleration=2.0,
         process_angular_acceleration=0.05,
+        measures_attitude=True,
         delay=delay,
     )
     count = 1500
@@ -147,7 +148,9 @@ def test_a_late_measurement_of_a_load_beside_its_moving_reference_is_exact():
     references = np.array([Motion(50).reference(0.1 + 0.01 * k) for k in range(40)])
     off = np.concatenate([[0.01, 0.02, -0.03, 0.1, 0.2, -0.3], np.zeros(6)])
     states = [state_with_error(off, reference[:13]) for reference in references]
-    shown, _ = filtered(FilteredFeedbackConfig(delay=0.2), states, references)
+    shown, _ = filtered(
+        FilteredFeedbackConfig(delay=0.2, measures_attitude=True), states, references
+    )
     np.testing.assert_allclose(shown, states, atol=1e-9)
 
 

@@ -12,6 +12,7 @@ from drake_nonstop.blocks.carrier_trajectory import (
     BowedCarrierTrajectory,
     BowedCarrierTrajectoryConfig,
     CarrierTrajectory,
+    CarrierTrajectoryConfig,
     MeasuredCarrierTrajectory,
 )
 from drake_nonstop.blocks.lumped_cables import LumpedCables, LumpedCablesConfig
@@ -29,9 +30,9 @@ UNLIKE = {
 BLOCKS = [
     (Cables, None),
     (LumpedCables, LumpedCablesConfig(nodes=3)),
-    (CarrierTrajectory, None),
+    (CarrierTrajectory, CarrierTrajectoryConfig(correction_rates=[0.0] * 4)),
     (MeasuredCarrierTrajectory, None),
-    (BowedCarrierTrajectory, BowedCarrierTrajectoryConfig(nodes=3)),
+    (BowedCarrierTrajectory, BowedCarrierTrajectoryConfig(nodes=3, correction_rates=[0.0] * 4)),
 ]
 
 

@@ -44,6 +44,7 @@ def held_wires():
         f"{maker}.{signal}": f"sample_and_hold.held_{signal}"
         for maker, signal in (
             ("load_feedback", "measured_load_state"),
+            ("load_feedback", "measured_attitude"),
             ("load_trajectory", "reference"),
             ("load_trajectory", "reference_higher_rates"),
         )
@@ -53,6 +54,7 @@ def held_wires():
     found = {f"{source} -> sample_and_hold.{source.split('.')[1]}" for source in held}
     for wire in figure_wires():
         source, target = wire.split(" -> ")
+        target = target.replace("measured_attitude", "held_measured_attitude")
         is_held = target.split(".")[0] in readers
         found.add(f"{held.get(source, source) if is_held else source} -> {target}")
     found |= {f"sample_and_hold.sample_time -> {reader}.sample_time" for reader in timed}

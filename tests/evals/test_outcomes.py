@@ -33,7 +33,7 @@ ALSO = {
     "real_scale_cycle": "(limits.cable_distance: ",
     "that_stalls": BELOW,
     "that_falls": "(limits.slack_time: ",
-    "that_diverges": "(limits.orientation_error: ",
+    "that_diverges": "(limits.tilt_error: ",
 }
 
 

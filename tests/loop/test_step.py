@@ -28,7 +28,7 @@ def test_it_follows_from_the_fastest_mode_of_drakes_linearization():
     """Which has all states, in automatic differentiation."""
     _, loop, context = loop_with("control_period=0")
     matrix = FirstOrderTaylorApproximation(loop, context).A()
-    assert matrix.shape == (51, 51)
+    assert matrix.shape == (57, 57)
     fastest = np.max(np.abs(np.linalg.eigvals(matrix)))
     assert largest_step(loop, context) == pytest.approx(1.6 / fastest, rel=1e-4)
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from helpers import GAINS
 
-from drake_nonstop.mechanics.tuning import load_gains, pid_gains
+from drake_nonstop.mechanics.tuning import correction_rate, load_gains, pid_gains
 
 
 @pytest.mark.parametrize("frequency", [0.8, 20.0])
@@ -19,13 +19,16 @@ def test_poles_are_where_they_were_asked_for(frequency, damping, integral_rate):
 
 
 OF_PAPERS_LOAD = {
-    name: gain / 4 if name.startswith(("orientation", "angular")) else gain
+    name: 0.0
+    if "integral" in name
+    else gain / (4 if name.startswith(("orientation", "angular")) else 1)
     for name, gain in (GAINS | {"velocity_gain": 4.4}).items()
 }
 
 
 def test_the_papers_load_has_the_papers_gains_with_more_damping_and_a_quarter_of_its_torques():
     assert load_gains(1.0, 0.01, 0.8, 9.81) == OF_PAPERS_LOAD
+    assert correction_rate(0.8, 9.81) == pytest.approx(0.3)
 
 
 def loads(count):

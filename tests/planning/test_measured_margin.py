@@ -56,6 +56,7 @@ NOISE = (
     "load_feedback=!NoisyFeedback {position_noise: 0.0005, velocity_noise: 0.002, "
     "orientation_noise: 0.0005, angular_velocity_noise: 0.002, seed: %d}"
 )
+FILTERED = "load_feedback=!FilteredFeedback {position_noise: 0.0005, velocity_noise: 0.002}"
 
 
 def shifted(name, axis, share):
@@ -78,8 +79,9 @@ def wrong_models():
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "override"), nightly_beyond(2, "studies", wrong_models()))
 def test_carriers_stay_above_the_bound_where_the_model_is_wrong(name, override):
+    others = [] if "load_feedback" in override else [FILTERED]
     quantities, right = (
-        RunQuantities(simulate(load_scenario(name, own))) for own in ([override], [])
+        RunQuantities(simulate(load_scenario(name, own))) for own in ([override, *others], [])
     )
     assert quantities.time_below_bound <= 0.02
     assert np.max(quantities.speeds) <= 1.6 * np.max(right.speeds)

@@ -6,6 +6,7 @@ import json
 import numpy as np
 import pytest
 from aircraft_runs import FREQUENCY, aircraft_run, made_up
+from pydrake.math import RollPitchYaw, RotationMatrix
 
 from drake_nonstop import ConstantParametersConfig, changed, compute_metrics, load_scenario
 from drake_nonstop.mechanics.rounded_box import nearest_to
@@ -128,6 +129,17 @@ def test_the_orientation_error_is_the_angle_also_of_a_quaternion_of_other_sign(a
         run.signal("load_state")[:, :4] = sign * np.array([np.cos(half), 0, np.sin(half), 0])
         load = compute_metrics(run)["load"]
         assert load["orientation_error_max_rad"] == pytest.approx(angle, rel=1e-9)
+
+
+@pytest.mark.parametrize("yaw", [0.0, -0.4, 3.0])
+@pytest.mark.parametrize("tilt", [0.0, 1e-4, 1.2])
+def test_tilt_and_yaw_are_the_angles_of_the_two_turns_that_an_orientation_is_made_of(tilt, yaw):
+    run = circling_run()
+    turn = RollPitchYaw(0.0, tilt, 0.0).ToRotationMatrix() @ RotationMatrix.MakeZRotation(yaw)
+    run.signal("load_state")[:, :4] = turn.ToQuaternion().wxyz()
+    load = compute_metrics(run)["load"]
+    found = load["tilt_error_max_rad"], load["yaw_error_max_rad"]
+    assert found == pytest.approx((tilt, abs(yaw)), abs=1e-9)
 
 
 @pytest.mark.parametrize("step", [0.004, 0.01, 0.03])

@@ -97,11 +97,20 @@ def load_far_off(made):
     made.load[made.some_time(), 4:7] += distance * direction / np.linalg.norm(direction)
 
 
-def load_turned(made):
-    axis = made.rng.normal(size=3)
+def turn_of_load(made, axis):
     half = made.rng.uniform(1.01 * 0.8, np.pi) / 2
-    turned = [np.cos(half), *(np.sin(half) * axis / np.linalg.norm(axis))]
-    made.load[made.some_time(), :4] = made.rng.choice([-1, 1]) * np.array(turned)
+    made.load[made.some_time(), :4] = made.rng.choice([-1, 1]) * np.array(
+        [np.cos(half), *(np.sin(half) * np.array(axis))]
+    )
+
+
+def load_tilted(made):
+    angle = made.rng.uniform(0, 2 * np.pi)
+    turn_of_load(made, [np.cos(angle), np.sin(angle), 0])
+
+
+def load_turned(made):
+    turn_of_load(made, [0, 0, 1])
 
 
 def carriers_meet(made):
@@ -155,7 +164,8 @@ FAULTS = {
     stopped: (RunOutcome.STOPPED, "the run diverged at t = 1.0000 s"),
     cable_broken: (RunOutcome.CABLE_BROKEN, " 1257 N (system.cable_breaking_load)"),
     load_far_off: (RunOutcome.LOAD_LOST, "(limits.position_error: "),
-    load_turned: (RunOutcome.LOAD_LOST, "(limits.orientation_error: "),
+    load_tilted: (RunOutcome.LOAD_LOST, "(limits.tilt_error: "),
+    load_turned: (RunOutcome.LOAD_LOST, "(limits.yaw_error: "),
     carriers_meet: (RunOutcome.COLLISION, "(limits.carrier_distance: "),
     cables_cross: (RunOutcome.COLLISION, "(limits.cable_distance: "),
     tower_hit: (RunOutcome.COLLISION, " hit tower at t = "),
@@ -195,8 +205,9 @@ def test_the_outcome_is_the_worst_of_all_faults_and_each_is_said(seed, n, size, 
 def everything_stated():
     """A run in which every quantity that is bounded is above zero, of a scenario that has all."""
     made = MadeUpRun(np.random.default_rng(8))
-    for fault in (load_far_off, load_turned, cable_slack, carrier_slow, commands_saturated):
+    for fault in (load_far_off, load_tilted, cable_slack, carrier_slow, commands_saturated):
         fault(made)
+    made.load[0, :4] = np.cos(0.5), 0, 0, np.sin(0.5)
     made.tensions += 0.1  # but for the tensions, whose least must be above zero
     return made
 
@@ -232,7 +243,8 @@ def test_each_limit_is_kept_up_to_it_and_missed_beyond(limit):
     ("moved", "outcome", "reason"),
     [
         ("off", "load_lost", "limits.position_error: 1 m"),
-        ("turned", "load_lost", "limits.orientation_error: 15.0 deg"),
+        ("tilted", "load_lost", "limits.tilt_error: 15.0 deg"),
+        ("turned", "load_lost", "limits.yaw_error: 15.0 deg"),
         ("saturated", "limit_missed", "limits.saturated_share: 0.1"),
     ],
 )
@@ -242,14 +254,16 @@ def test_loads_of_aircraft_are_lost_where_a_transport_fails(moved, outcome, reas
     state, times = run.signal("load_state"), run.steps["time"]
     if moved == "off":
         state[300:, 6] += 1.01
-    elif moved == "turned":
-        state[300:, :4] = [np.cos(0.135), np.sin(0.135), 0, 0]
+    elif moved in ("tilted", "turned"):
+        state[300:, [0, 1 if moved == "tilted" else 3]] = np.cos(0.135), np.sin(0.135)
     else:
         run.steps["command_saturation"][(times > 2) & (times < 3.2), 4] = 1
     metrics = compute_metrics(run)
     assert metrics["outcome"] == outcome
     assert reason in metrics["reasons"][0]
-    run.scenario.limits = RunLimits(position_error=0.2, orientation_error=0.8, saturated_share=0.2)
+    run.scenario.limits = RunLimits(
+        position_error=0.2, tilt_error=0.8, yaw_error=0.8, saturated_share=0.2
+    )
     assert compute_metrics(run)["outcome"] == "ok"
 
 

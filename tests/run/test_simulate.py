@@ -116,6 +116,7 @@ def test_a_load_whose_attachments_are_elsewhere_starts_near_its_reference(share)
     attachments = np.array(load_scenario("three_carriers").system.attachments)
     shift = share * np.ptp(attachments[:, 0])
     overrides = [f"simulated.attachments={(attachments + np.array([shift, 0, 0])).tolist()}"]
+    overrides.append("carrier_trajectory.correction_rates=[0, 0, 0, 0]")
     loop = make_nonstop(load_scenario("three_carriers", overrides))
     context = loop.CreateDefaultContext()
     state = LoadState.view(loop.GetOutputPort("load_state").Eval(context))

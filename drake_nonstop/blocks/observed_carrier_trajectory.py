@@ -1,0 +1,192 @@
+"""References of carriers that measure their tension, for "Carrier Desired Trajectories"."""
+
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.systems.framework import Context
+
+from drake_nonstop.blocks.carrier_trajectory import (
+    BowedCarrierTrajectory,
+    BowedReferencesConfig,
+    CarrierReferenceBlock,
+    bowed_references,
+    corrected,
+)
+from drake_nonstop.mechanics.load_share import (
+    SHARE_SIZE,
+    observed_lengths,
+    observed_share,
+    share_of_mass,
+    shared_forces,
+)
+from drake_nonstop.mechanics.reference_correction import CORRECTION_SIZE
+from drake_nonstop.mechanics.rotation import norm, rotation_matrix
+from drake_nonstop.mechanics.signals import CarrierStates, LoadState
+from drake_nonstop.model.block import with_this_sample
+from drake_nonstop.model.system import Model
+from drake_nonstop.systems.block import set_state_values, state_values
+from drake_nonstop.systems.parameters import parameters_in
+from drake_nonstop.systems.tracing import where
+from drake_nonstop.validation import positive, require
+
+_BOX = "carrier_trajectory"
+_CORRECTION = 2 * CORRECTION_SIZE
+_TURN_AND_LEVEL = np.array([0.0, 0.0, 1.0, 1.0, 1.0, 0.0])  # of a correction
+_CAUTION = 0.5  # of a step at the start: bow of a cable in motion gives up to three times less
+_RATES = ("length_rate", "share_rate")
+
+
+@dataclass(kw_only=True)
+class ObservedCarrierTrajectoryConfig(BowedReferencesConfig):
+    """As of `BowedCarrierTrajectory`, and how fast what is observed answers what is measured."""
+
+    length_rate: float = positive(0.2)  # 1/s, of the cables' lengths
+    share_rate: float = positive(0.15)  # 1/s, of the load's mass and its centre
+
+
+class ObservedCarrierTrajectory(BowedCarrierTrajectory):
+    """References of `BowedCarrierTrajectory` for the cables and the load that tensions tell of.
+
+    Two observers, for carriers whose cables have load cells. A cable's length: where its measured
+    chord is longer than the model's by more than its tension explains, it is longer. The share s of
+    the load that each cable has to carry: tensions beyond the desired forces, by least squares
+    over [1, x, y] of the attachments, scale the forces, spread included, without the net wrench
+    that unlike cables would have. s is the load's mass and its centre of mass. See
+    `mechanics.load_share`.
+
+    The state has that of the corrections, then s and what each cable is longer. A run starts with
+    what the plant's cables show, and with s in the place of corrections of height and tilt.
+
+    Raises:
+        ScenarioError: as of `BowedCarrierTrajectory`; a rate is not positive, or faster than the
+            samples.
+    """
+
+    reads = (
+        *BowedCarrierTrajectory.reads[:7],
+        *("carrier_state", "tensions"),
+        *BowedCarrierTrajectory.reads[7:],
+    )
+    makes = (
+        *BowedCarrierTrajectory.makes,
+        *("load_mass_estimate", "centre_of_mass_estimate", "cable_length_estimate"),
+    )
+    own = _RATES
+    where: ClassVar = CarrierReferenceBlock.where
+
+    @classmethod
+    def has_state(cls, model: Model, config: Any) -> bool:
+        return True
+
+    def state(self, model: Model) -> NDArray:
+        return np.zeros(_CORRECTION + SHARE_SIZE + model.n)
+
+    @classmethod
+    def check(cls, model: Model, config: Any) -> None:
+        super().check(model, config)
+        if model.control_period > 0:
+            for name in _RATES:
+                value, most = getattr(config, name), 1 / model.control_period
+                remedy = f"give less than one per control period, {most:g} 1/s"
+                require(value < most, f"{_BOX}.{name}", value, remedy)
+
+    @staticmethod
+    def equations(  # type: ignore[override]
+        state: NDArray,
+        reference: NDArray,
+        forces: NDArray,
+        rates: NDArray,
+        planned: NDArray,
+        wind: NDArray,
+        reference_higher_rates: NDArray,
+        gusts: NDArray,
+        carrier_state: NDArray,
+        tensions: NDArray,
+        *measured: NDArray,
+        corrects: bool,
+        control_period: float,
+        length_rate: NDArray,
+        share_rate: NDArray,
+        correction_rates: NDArray,
+        correction_time: NDArray,
+        **numbers: Any,
+    ) -> tuple[NDArray, ...]:
+        attachments, pseudo_inverse = numbers["attachments"], numbers["pseudo_inverse"]
+        correction, share, longer = ObservedCarrierTrajectory.parts(state)
+        lengths = numbers["cable_length"] + longer
+        desired = forces.reshape(-1, 3)
+        correction, given = corrected(
+            correction,
+            (reference, attachments, desired, rates.reshape(-1, 3)),
+            measured,
+            control_period,
+            correction_rates,
+            correction_time,
+        )
+        found = bowed_references(
+            *(given, planned, wind, reference_higher_rates, gusts),
+            carried=partial(
+                shared_forces, share=share, attachments=attachments, pseudo_inverse=pseudo_inverse
+            ),
+            **(numbers | {"cable_length": lengths}),
+        )
+        load_state, attitude, *sample_time = measured
+        load = LoadState.view(load_state)
+        is_told = (attitude * attitude).sum() > 0
+        axes = rotation_matrix(where(is_told, attitude, load.quaternion)).T
+        ends = load.position + attachments @ axes
+        missing = observed_share(tensions, found.carried, desired, attachments)
+        longer_still = observed_lengths(
+            tensions,
+            norm(CarrierStates.view(carrier_state).positions - ends)[:, 0],
+            found.carried,
+            norm(found.position - found.ends)[:, 0],
+            lengths,
+            numbers["cable_stiffness"],
+        )
+        observed = np.concatenate([share_rate * missing, length_rate * longer_still])
+        observed, _ = with_this_sample(state[_CORRECTION:], observed, sample_time, control_period)
+        heavier, centre = share_of_mass(share, pseudo_inverse, attachments)
+        return (
+            np.concatenate([correction, observed]),
+            *found.beside(forces, rates),
+            heavier * numbers["load_mass"],
+            centre,
+            lengths,
+        )
+
+    def SetCorrection(self, context: Context, correction: NDArray) -> NDArray:
+        """As of `CarrierTrajectory`, with the share in the place of height and tilt."""
+        rest = super().SetCorrection(context, correction * _TURN_AND_LEVEL)
+        correction_state, _, longer = self.parts(state_values(context))
+        share = correction[[5, 1, 0]]
+        set_state_values(context, np.concatenate([correction_state, share, longer]))
+        return rest
+
+    def ObserveLengths(self, context: Context) -> NDArray:
+        """Sets the cables' lengths to what the inputs in a context of the block tell.
+
+        Returns by how much (n,), m, they change.
+        """
+        ports = map(self.GetInputPort, self.inputs(self.model))
+        values = [p.Eval(context) if p.HasValue(context) else np.zeros(p.size()) for p in ports]
+        if self.model.control_period > 0:
+            values[-1] = np.ones(1)  # of samples the first does not step
+        numbers: dict[str, Any] = {**parameters_in(self, context)}
+        numbers |= dict.fromkeys(_RATES, 1.0)
+        numbers = {name: np.atleast_1d(number) for name, number in numbers.items()}
+        state = state_values(context)
+        equations: Any = self.equations
+        rate, *_ = equations(state, *values, **self.constants(self.model, self.config), **numbers)
+        *others, longer = self.parts(state)
+        change = _CAUTION * self.parts(rate)[-1]
+        set_state_values(context, np.concatenate([*others, longer + change]))
+        return change
+
+    @staticmethod
+    def parts(state: NDArray) -> list[NDArray]:
+        """Corrections, share and lengths in the state."""
+        return np.split(state, [_CORRECTION, _CORRECTION + SHARE_SIZE])

@@ -1,0 +1,67 @@
+"""Carriers that measure their tension: the load and the cables that they find."""
+
+import numpy as np
+import pytest
+from helpers import spatial
+from scipy.spatial.transform import Rotation
+
+from drake_nonstop import load_scenario, make_nonstop, set_equilibrium
+from drake_nonstop.mechanics.grasp import grasp_matrix
+from drake_nonstop.mechanics.load_share import observed_share, share_of_mass, shared_forces
+
+MASS, CENTRE = 1.1, np.array([0.03, -0.02, 0.0])  # of the model's mass; m, in L
+
+
+def test_tensions_tell_the_mass_and_the_centre_of_mass(rng):
+    """Of a turned load, whose cables carry it with their forces and no internal force is left."""
+    attachments = spatial(4) - spatial(4).mean(axis=0)
+    grasp = grasp_matrix(attachments)
+    known = {"attachments": attachments, "pseudo_inverse": np.linalg.pinv(grasp)}
+    axes = Rotation.from_rotvec([0.02, -0.01, 0.8]).as_matrix().T
+    wrench = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 98.1])
+    spread = np.column_stack([attachments[:, :2], np.zeros(4)]) * 8
+    spread -= (known["pseudo_inverse"] @ grasp @ spread.ravel()).reshape(4, 3)
+    forces = ((known["pseudo_inverse"] @ wrench).reshape(4, 3) + spread) @ axes
+    level, weights = attachments[:, :2], known["pseudo_inverse"][2::3, 5:]
+    slopes = np.linalg.solve(level.T @ (weights * level), MASS * CENTRE[:2])
+    share = np.append(MASS - 1, slopes)
+
+    carried = shared_forces(forces, axes, share, **known)
+
+    torque = np.cross(attachments - CENTRE, carried @ axes.T).sum(axis=0)
+    np.testing.assert_allclose(torque, 0.0, atol=1e-12)
+    np.testing.assert_allclose(carried.sum(axis=0), MASS * forces.sum(axis=0), atol=1e-12)
+    tensions, found = np.linalg.norm(carried, axis=1), np.zeros(3)
+    for _ in range(300):
+        believed = shared_forces(forces, axes, found, **known)
+        found += 0.1 * observed_share(tensions, believed, forces, attachments)
+    mass, centre = share_of_mass(found, known["pseudo_inverse"], attachments)
+    np.testing.assert_allclose(mass, MASS, rtol=1e-6)
+    np.testing.assert_allclose(centre, CENTRE, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("override", "signal", "expected", "atol"),
+    [
+        ("load_mass=11", "load_mass_estimate", [11.0], 0.05),
+        ("cable_length=151.5", "cable_length_estimate", [151.5] * 4, 0.05),
+        (
+            "attachments=[[1.41, 0, 0], [-0.09, 1.5, 0], [-1.59, 0, 0], [-0.09, -1.5, 0]]",
+            "centre_of_mass_estimate",
+            [0.09, 0.0, 0.0],
+            0.01,
+        ),
+    ],
+)
+def test_a_run_starts_with_what_tensions_tell_and_the_load_on_its_reference(
+    override, signal, expected, atol
+):
+    diagram = make_nonstop(
+        load_scenario("aircraft_rest_cables", [f"simulated.{override}"]), at_equilibrium=False
+    )
+    context = diagram.CreateDefaultContext()
+    set_equilibrium(diagram, context)
+    found = diagram.GetOutputPort(signal).Eval(context)
+    np.testing.assert_allclose(found, expected, atol=atol)
+    load = diagram.GetOutputPort("load_state").Eval(context)
+    np.testing.assert_allclose(load, np.eye(13)[0], atol=1e-9)
