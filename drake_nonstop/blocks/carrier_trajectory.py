@@ -33,7 +33,6 @@ from drake_nonstop.mechanics.carrier import (
 )
 from drake_nonstop.mechanics.grasp import forces_along
 from drake_nonstop.mechanics.internal_force import orbit_axes, orbit_forces
-from drake_nonstop.mechanics.load_estimate import error_of
 from drake_nonstop.mechanics.load_motion import LoadMotion
 from drake_nonstop.mechanics.lumped_cable import CableMaterial
 from drake_nonstop.mechanics.planned_orbit import FlightTerms
@@ -43,11 +42,14 @@ from drake_nonstop.mechanics.reference_correction import (
     corrected_forces,
     corrected_reference,
 )
-from drake_nonstop.mechanics.rotation import rotation_matrix
+from drake_nonstop.mechanics.rotation import (
+    quaternion_conjugate,
+    quaternion_product,
+    rotation_matrix,
+)
 from drake_nonstop.mechanics.signal_layouts import Layout
 from drake_nonstop.mechanics.signals import (
     HELD,
-    LOAD_STATE_SIZE,
     SAMPLE_TIME,
     SAMPLED,
     LoadReference,
@@ -376,9 +378,10 @@ def corrected(
     reference, attachments, forces, force_rates = given
     state, attitude, *sample_time = measured
     own = where((attitude * attitude).sum() > 0, attitude, state[:4])
-    off = error_of(np.concatenate([own, state[4:]]), reference[:LOAD_STATE_SIZE])
-    turned = off[:3] @ rotation_matrix(reference[:4])  # in L
-    error = np.concatenate([turned, off[3:CORRECTION_SIZE]])
+    turn = quaternion_product(own, quaternion_conjugate(reference[:4]))
+    sine = 2 * turn[:1] * turn[1:]  # of its angle, along its axis: also of a load upside down
+    shift = state[4:7] - reference[4:7]
+    error = np.concatenate([sine @ rotation_matrix(reference[:4]), shift])  # the first in L
     filtered, corrected = np.split(correction, 2)
     # What has no rate fades, so that no state of the loop is left without a motion of its own.
     fading = np.concatenate([where(rate > 0, 0 * time, 1 / time) for rate in rates])

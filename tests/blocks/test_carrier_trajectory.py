@@ -27,7 +27,6 @@ from drake_nonstop.blocks.load_trajectory import (
     RestToRestConfig,
     SteadyTurnConfig,
 )
-from drake_nonstop.mechanics.load_estimate import error_of
 from drake_nonstop.model.pattern import (
     CarouselConfig,
     ConstantSpreadConfig,
@@ -76,8 +75,10 @@ def test_references_are_moved_and_turned_against_the_measured_error(turn):
     np.testing.assert_allclose(found[:12], expected[:12] + tilted.ravel(), rtol=1e-12, atol=1e-12)
     state = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, *np.zeros(6)]
     _, rate = carried(RATES, pose | {"measured_load_state": seen}, forces, state)
-    error = error_of(seen, reference[:13])[:6]
-    error[:3] = Rotation.from_quat(reference[[1, 2, 3, 0]]).inv().apply(error[:3])
+    own, desired = (Rotation.from_quat(each[[1, 2, 3, 0]]) for each in (seen, reference))
+    turned = (desired.inv() * own).as_rotvec()
+    angle = np.linalg.norm(turned)
+    error = np.concatenate([np.sin(angle) * turned / angle, seen[4:7] - reference[4:7]])
     np.testing.assert_allclose(
         rate[:6], (error - state[:6]) / CarrierTrajectoryConfig.correction_time
     )
