@@ -109,8 +109,3 @@ def test_an_interrupt_keeps_the_runs_that_have_ended():
     with pytest.raises(RunsInterrupted, match="1 of 3 runs have ended") as raised:
         simulate_many(scenarios, progress=interrupt, **COMPILED)
     assert [isinstance(run, Run) for run in raised.value.runs] == [True, False, False]
-
-
-def test_what_is_wrong_for_all_runs_is_refused_once():
-    with pytest.raises(ScenarioError, match=r"^engine = fast"):
-        simulate_many([], engine="fast")

@@ -83,7 +83,6 @@ def test_a_mapping_changes_the_fields_that_it_has():
     assert 0.9 < plant.simulated.load_mass < 1.1
     assert 0.79 < plant.simulated.cable_length[2] < 0.81
     assert plant.wind.velocity == [0.5, 0.0, 0.0]
-    assert dataclasses.replace(plant, errors=scenario.errors, simulated=scenario.simulated) != plant
     assert scenario.simulated.load_mass is None
 
 

@@ -76,9 +76,8 @@ def own_block(function):
 @pytest.mark.slow
 @pytest.mark.parametrize(("function", "remedy"), BAD)
 def test_equations_that_cannot_be_are_named_with_the_remedy(function, remedy):
-    with pytest.raises(ScenarioError, match=rf"Shows\.equations.* = .*: .*{remedy}") as raised:
+    with pytest.raises(ScenarioError, match=rf"Shows\.equations.* = .*: .*{remedy}"):
         simulate(load_scenario("quintic"), extra={"own": own_block(function)})
-    assert "\n" not in str(raised.value)
 
 
 @pytest.mark.parametrize(
