@@ -58,7 +58,6 @@ class ConstantParameters(CommandedBound):
     reads = ("speed_bound_command",)
     makes = ("parameters", "speed_bound")
 
-    is_trivial = True  # ξ and A never change
     is_sampled = True
     optional_inputs = (COMMAND,)
 

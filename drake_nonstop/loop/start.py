@@ -16,6 +16,7 @@ Where a port does not show what was set, an error names the block: no run starts
 """
 
 import contextlib
+import contextvars
 import inspect
 import itertools
 from collections.abc import Callable, Iterator, Mapping
@@ -110,12 +111,8 @@ def set_equilibrium(nonstop: Diagram, context: Context) -> None:
     loop = loop_in(nonstop, LOOP_SIGNALS)
     nonstop, context = loop, context_in(nonstop, loop, context)
     trial = copied_context(nonstop, context)
-    was_sought = IS_SOUGHT.set(True)
-    try:
-        with block_named(nonstop, trial):
-            _settle(nonstop, trial)
-    finally:
-        IS_SOUGHT.reset(was_sought)
+    with block_named(nonstop, trial):
+        contextvars.copy_context().run(_settle, nonstop, trial)
     PlantStates(nonstop).take_over(context, trial)
 
 
@@ -165,6 +162,7 @@ def block_named(nonstop: Diagram, context: Context) -> Iterator[None]:
 
 def _settle(nonstop: Diagram, trial: Context) -> None:
     """Sets a context of the loop alone to the equilibrium."""
+    IS_SOUGHT.set(True)  # of this call alone, see its caller
     plant, simulator = PlantStates(nonstop), Simulator(nonstop, trial)
     reference, given = plant.signals(trial, "reference", LOAD).values()
     on_reference = reference[:LOAD_STATE_SIZE]

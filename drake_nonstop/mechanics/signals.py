@@ -143,7 +143,6 @@ class AircraftState(AircraftCommand):
     airspeed: NDArray = part("n", "m/s")
 
 
-POSE_SIZE = Pose.layout.count()
 LOAD_STATE_SIZE = LoadState.layout.count()
 LOAD_REFERENCE_SIZE = LoadReference.layout.count()
 REFERENCE_HIGHER_RATES_SIZE = ReferenceHigherRates.layout.count()

@@ -202,7 +202,8 @@ def connect_remaining(builder: DiagramBuilder, *, of: System | None = None) -> N
 
     _connect(builder, blocks, wires(blocks, takes=takes))
     if of is None and builder.num_output_ports() == 0:
-        _export(builder, [b for b in blocks.values() if not _is_drakes(b)])
+        drakes = {b for b in blocks.values() if type(b).__module__.startswith("pydrake")}
+        _export(builder, [b for b in blocks.values() if b not in drakes or isinstance(b, Diagram)])
 
 
 def _connect(builder: DiagramBuilder, blocks: Mapping[str, System], planned: list[Wire]) -> None:
@@ -290,11 +291,6 @@ def _export(builder: DiagramBuilder, blocks: Collection[System]) -> None:
             builder.ExportOutput(block.GetOutputPort(name), name)
 
 
-def _is_drakes(system: System) -> bool:
-    """Whether a system is a leaf of Drake's own, whose ports are not named after signals."""
-    return type(system).__module__.startswith("pydrake") and not isinstance(system, Diagram)
-
-
 def require_open(builder: DiagramBuilder, function: str) -> None:
     """Raises ScenarioError for what is no DiagramBuilder, or built before the function's call."""
     require(isinstance(builder, DiagramBuilder), "builder", builder, "give a DiagramBuilder")
@@ -347,13 +343,8 @@ def ports_of(diagram: Diagram, signal: str) -> list[OutputPort]:
                 found += ports_of(part, signal)
     if not found:
         return [*{(p.get_system().get_name(), p.get_index()): p for p in made.values()}.values()]
-    return [_given(port, made) for port in found]
-
-
-def _given(port: OutputPort, made: Mapping[str, OutputPort]) -> OutputPort:
-    """The port that an input of a name is connected to, of a diagram that shows it by that name."""
-    system = port.get_system()
-    return made.get(system.get_name(), port) if passes_on(system, port.get_name()) else port
+    passing = {p.get_system().get_name() for p in found if passes_on(p.get_system(), signal)}
+    return [made.get(n, p) if (n := p.get_system().get_name()) in passing else p for p in found]
 
 
 def loop_in(diagram: Diagram, signals: Collection[str]) -> Diagram:

@@ -6,15 +6,14 @@ import os
 import shutil
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, TypeVar
+from typing import Any
 
 from drake_nonstop.validation import ScenarioError, require_installed
 
 _NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
-_Result = TypeVar("_Result")
 
 
-def outside_event_loop(use_browser: Callable[[], _Result]) -> _Result:
+def outside_event_loop(use_browser: Callable[[], Any]) -> Any:
     """The result of a function that opens a browser, also in a notebook.
 
     A thread with a running event loop, as a notebook's, cannot wait for a browser: another does.
