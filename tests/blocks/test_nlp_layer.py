@@ -173,9 +173,15 @@ def test_a_cost_and_constraints_of_ones_own_with_a_signal_more():
     inputs = on_its_reference(1) | {"carrier_state": np.full(24, 0.5)}
     x, _ = updated(Light(model(), LightConfig(largest=10.0, **PAPER)), inputs)
     np.testing.assert_allclose(x, [2.5, 2.0], atol=1e-5)
-    x, _ = updated(Light(model(), LightConfig(largest=2.8, **PAPER)), inputs)
+    light = Light(model(), LightConfig(largest=2.8, **PAPER))
+    context = light.CreateDefaultContext()
+    x, _ = updated(light, inputs, context)
     tensions = cable_tensions(*arguments(inputs), *x, inputs["phase"][0])
     assert tensions.max() == pytest.approx(2.8, abs=1e-5)
+    for _ in range(4):  # at the optimum nothing better is found, and x is kept
+        again, told = updated(light, inputs, context)
+    assert told.kept > 0 == told.held
+    np.testing.assert_allclose(again, x, atol=1e-4)
 
 
 @pytest.mark.parametrize(
