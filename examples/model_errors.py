@@ -62,7 +62,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--seeds", type=int, default=20, help="of each set of errors")
     parser.add_argument("--set", action="append", default=[], help="an override of all")
     parsed = parser.parse_args(arguments)
-    print("| scenario | errors | mean (mm) | largest (mm) | tilt (°) | yaw (°) | below ε (s) | not ok |")
+    print(
+        "| scenario | errors | mean (mm) | largest (mm) | tilt (°) | yaw (°) | below ε (s) | not ok |"
+    )
     print("| --- | --- | --- | --- | --- | --- | --- | --- |")
     for name in parsed.names:
         for errors in SETS:
