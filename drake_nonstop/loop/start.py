@@ -177,6 +177,7 @@ def _settle(nonstop: Diagram, trial: Context) -> None:
     desired_rate = np.concatenate([desired.angular_acceleration, desired.acceleration])
     # The pull of cables that are stretched to some place far away may not be a number.
     plant.set_states(trial, load_state=on_reference)
+    plant.trim(trial, knows=False)
     plant.measure_truly(trial, on_reference)
     start = trial.Clone()
     simulator.Initialize()
@@ -406,11 +407,19 @@ class PlantStates:
         carriers = self.signals(context, "carrier_reference")["carrier_reference"]
         states = {LOAD: load_state, CARRIERS: carriers}
         self.set_states(context, **states)
+        self.trim(context)
+        self._require_shown(context, states)
+
+    def trim(self, context: Context, *, knows: bool = True) -> None:
+        """Has blocks set their further states; where it knows no signals those that need none."""
         for block in self._trimmed:
             _, *known = inspect.signature(block.trim).parameters.values()
-            names = [p.name for p in known if self.trims_for_all or p.default is p.empty]
-            block.trim(self._context(block, context), **self.signals(context, *names))
-        self._require_shown(context, states)
+            needed = [p.name for p in known if p.default is p.empty]
+            names = [p.name for p in known] if self.trims_for_all else needed
+            if knows:
+                block.trim(self._context(block, context), **self.signals(context, *names))
+            elif not needed:
+                block.trim(self._context(block, context))
 
     def take_over(self, context: Context, settled: Context) -> None:
         """Sets all states of the plant's blocks to those in another context of the loop."""

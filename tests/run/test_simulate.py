@@ -235,3 +235,13 @@ def test_the_block_that_made_a_value_that_is_not_finite_is_named(box, signals, n
     with pytest.raises(RunStopped, match=f"diverged at t = 0.1.* s: {box} made a value") as caught:
         simulate(short(*settings), **{box: lambda model: Faulty(signals, name, fault)})
     assert 0.05 < caught.value.run.time[-1] < 0.13
+
+
+def test_cables_of_many_nodes_start_although_carriers_are_at_the_origin_at_first():
+    """Nodes of the default state would be drawn there by more than a number can hold."""
+    loop = make_nonstop(load_scenario("aircraft_transfer_cables", ["cables.nodes=24"]))
+    load, reference = (
+        loop.GetOutputPort(name).Eval(loop.CreateDefaultContext())
+        for name in ("load_state", "reference")
+    )
+    np.testing.assert_allclose(load, reference[:13], atol=1e-6)
