@@ -24,6 +24,8 @@ def test_every_outcome_is_flown(fleet):
     names = [*DRAWN, "real_scale_cycle", "aircraft_transfer_gusty"]
     outcomes = {fleet.evaluated(name)[1]["outcome"] for name in names}
     assert outcomes == {outcome.value for outcome in RunOutcome} - {RunOutcome.UNCONVERGED.value}
+    stalled = fleet.evaluated("that_stalls")[1]["reasons"][0]
+    assert "carrier 2 stalled at t = 1.480 s: C_L was 1.16" in stalled
 
 
 def test_a_flight_is_flown_once_and_is_that_of_the_scenario(tmp_path, monkeypatch):
