@@ -1,49 +1,18 @@
 """The constraints that are off by default, kept by whole runs."""
 
-from dataclasses import dataclass
-
 import numpy as np
 import pytest
 from helpers import nightly_beyond
 
-from drake_nonstop import (
-    NlpLayer,
-    NlpLayerConfig,
-    carrier_distances,
-    compute_metrics,
-    load_scenario,
-    simulate,
-)
+from drake_nonstop import compute_metrics, load_scenario, simulate
 
 
-@dataclass(kw_only=True)
-class ApartConfig(NlpLayerConfig):
-    least_distance: float = 0.8  # m
-
-
-class Apart(NlpLayer):
-    """Keeps carriers apart along the orbit, too."""
-
-    def constraints(self, x, now):
-        distances = carrier_distances(*self.prediction(x, now))
-        apart = distances - 1.02 * self.config.least_distance
-        return np.concatenate([super().constraints(x, now).ravel(), apart.ravel()])
-
-
-def metrics_of(name, changes, **blocks):
+def metrics_of(changes):
     """The metrics of a run in which every update of the optimization succeeded."""
-    metrics = compute_metrics(simulate(load_scenario(name, changes), **blocks))
+    metrics = compute_metrics(simulate(load_scenario("quintic", changes)))
     assert metrics["carriers"]["time_below_bound_s"] == 0
     assert metrics["optimizer"]["relaxed"] == metrics["optimizer"]["held"] == 0
     return metrics
-
-
-@pytest.mark.nightly("flights")
-def test_a_constraint_on_distances_keeps_the_carriers_apart():
-    task = "quintic_nlp", ["simulation_duration=8"]
-    assert metrics_of(*task)["carriers"]["separation_min_m"] < 0.79
-    apart = metrics_of(*task, optimization_layer=Apart)
-    assert apart["carriers"]["separation_min_m"] >= 0.8
 
 
 # A limit, its metric, the time until which the load moves, and the bound on the speeds.
@@ -60,7 +29,7 @@ LIMITS = [
 def test_a_limit_is_kept_that_is_missed_without_it(limit, value, part, metric, duration, bound):
     changes = [f"simulation_duration={duration}", f"optimization_layer.speed_bound={bound}"]
     limited = [*changes, f"optimization_layer.{limit}={value}"]
-    free, kept = (metrics_of("quintic", each)[part][metric] for each in (changes, limited))
+    free, kept = (metrics_of(each)[part][metric] for each in (changes, limited))
     sign = 1 if "max" in limit else -1
     assert sign * free > sign * value + 0.03
     assert sign * kept <= sign * value

@@ -83,10 +83,3 @@ def test_a_shorter_step_shows_what_a_long_one_damps():
     found = linearize(fine)
     assert found.largest == pytest.approx(growth_per_turn(fine), rel=0.1)
     assert found.largest > 3
-
-
-@pytest.mark.nightly("studies")
-def test_noise_does_not_count():
-    noisy = "load_feedback=!FilteredFeedback {{position_noise: {}, delay: 0.02}}"
-    quiet = linearize(load_scenario("quintic", [noisy.format(0)]))
-    assert linearize(load_scenario("quintic", [noisy.format(0.01)])).largest == quiet.largest
