@@ -4,7 +4,6 @@ from collections import defaultdict
 
 import pytest
 
-from benchmarks.__main__ import main
 from benchmarks.claims import Claim, documentation, measure, read_claims, values_of
 from benchmarks.measures import MEASURES, RUN
 from drake_nonstop import scenario_names
@@ -119,15 +118,3 @@ def test_every_measure_finds_its_quantities(arguments, quantity, least, most):
     quantities = [*MEASURES[arguments.split()[0]].quantities]
     values = values_of([Claim(arguments, each, "1") for each in quantities])
     assert least < values[quantities.index(quantity)] < most
-
-
-def test_the_report_tells_what_holds_and_what_fails(capsys, monkeypatch):
-    rows = [Claim(f"quintic {BRIEF}", "final A (N)", printed) for printed in ("1.2", "1.4")]
-    monkeypatch.setattr("benchmarks.__main__.read_claims", lambda text: rows)
-    monkeypatch.setattr(
-        "benchmarks.__main__.measure", lambda chosen: ((c, values_of([c])[0]) for c in chosen)
-    )
-    assert main(["report", "--quick", "--only", "quintic"]) == 1
-    told = capsys.readouterr().out
-    assert "| final A (N) | 1.2 | 1.2 | holds |" in told
-    assert "| final A (N) | 1.4 | 1.2 | **fails** |" in told
