@@ -65,16 +65,6 @@ def at_trim(aircraft, speed):
     return states, np.concatenate(AircraftCommand(own.lift, own.bank, own.thrust))
 
 
-def test_phugoid():
-    """Lanchester: the period of a slightly disturbed level flight is √2 π V/g without drag."""
-    speed, times = 20.0, np.arange(0, 30, 0.05)
-    aircraft = FREE._replace(zero_lift_drag=0.0, induced_drag=0.0)
-    states, command = at_trim(aircraft, speed)
-    climb = flown(aircraft, states + 0.05 * np.eye(12)[5], command, times)[:, 5]  # m/s upwards
-    rising = times[:-1][(climb[:-1] < 0) & (climb[1:] >= 0)]
-    assert np.mean(np.diff(rising)) == pytest.approx(np.sqrt(2) * np.pi * speed / 9.81, rel=0.01)
-
-
 def test_lags_and_roll_rate():
     """First-order lags; the bank moves at p_max as long as (μ_c − μ)/τ_μ is more."""
     states, command = at_trim(RASCAL, 15.0)

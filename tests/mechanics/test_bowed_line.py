@@ -1,16 +1,10 @@
-"""Lines that bow, against closed forms, the plant's nodes and other formulas of the rates."""
-
-import itertools
+"""Lines that bow, against straight ones and the plant's nodes, which have closed forms."""
 
 import numpy as np
 import pytest
 
 from drake_nonstop.mechanics import bowed_line
-from drake_nonstop.mechanics.bowed_line import (
-    TimeWindow,
-    bowed_lines,
-    lines_between,
-)
+from drake_nonstop.mechanics.bowed_line import TimeWindow, bowed_lines, lines_between
 from drake_nonstop.mechanics.carrier import carrier_motion
 from drake_nonstop.mechanics.lumped_cable import CableMaterial, lumped_cables
 from drake_nonstop.mechanics.signals import LOAD_REFERENCE_SIZE
@@ -27,14 +21,6 @@ def turned(vectors, rate):
     x, y = vectors[:, 0], vectors[:, 1]
     level = [np.outer(cosine, x) - np.outer(sine, y), np.outer(sine, x) + np.outer(cosine, y)]
     return np.stack([*level, np.broadcast_to(vectors[:, 2], level[0].shape)], axis=-1)
-
-
-def resting(force):
-    return np.broadcast_to(np.atleast_2d(force), (len(WINDOW.times), 1, 3))
-
-
-def chord(lines):
-    return np.linalg.norm(WINDOW.at_present(lines.ends)[0][0])
 
 
 def test_lines_without_mass_and_drag_are_straight_as_in_eq_1():
@@ -55,40 +41,6 @@ def test_lines_without_mass_and_drag_are_straight_as_in_eq_1():
         ):
             assert made == pytest.approx(known, abs=allowed)
         assert np.array_equal(lines.forces, over_window)
-
-
-def test_a_still_line_hangs_as_a_catenary_to_second_order():
-    across, up = 2.0, 3.0  # N: the line weighs ten times as much
-    cable = CABLE._replace(diameter=5e-3, stiffness=1e12)
-    weight = cable.mass * cable.gravity / 150.0
-
-    def end(s):
-        low, high = up / across, (up + weight * s) / across
-        level = np.arcsinh(high) - np.arcsinh(low)
-        return across / weight * np.array([level, 0.0, np.hypot(1, high) - np.hypot(1, low)])
-
-    errors = []
-    for nodes in (10, 20, 40):
-        lines = bowed_lines(
-            resting([across, 0.0, up]), resting(STILL), STILL, WINDOW, cable=cable, nodes=nodes
-        )
-        errors.append(np.linalg.norm(lines.ends[0, 0] - end(150.0)))
-    assert errors[-1] < 0.04
-    for coarse, fine in itertools.pairwise(errors):
-        assert coarse / fine == pytest.approx(4.0, rel=0.1)
-    assert lines.forces[0, 0] == pytest.approx(
-        [across, 0.0, up + weight * 150.0], rel=1e-4, abs=1e-4
-    )
-
-
-def test_a_taut_line_that_is_carried_round_is_shorter_by_the_closed_form():
-    speed, tension = 15.3, 400.0
-    cable = CABLE._replace(density=0.0, friction=0.0, stiffness=1e12)
-    forces = turned(np.array([[tension, 0.0, 0.0]]), speed / 150.0)
-    lines = bowed_lines(forces, 0 * forces, STILL, WINDOW, cable=cable, nodes=40)
-    pressure = cable.air_density * cable.drag * cable.diameter * speed**2
-    shorter = 9 / 14 * 150.0 * (pressure * 150.0 / (24 * tension)) ** 2
-    assert 150.0 - chord(lines) == pytest.approx(shorter, rel=0.01)
 
 
 def test_lines_that_turn_with_their_load_are_in_equilibrium_as_nodes_of_the_plant(monkeypatch):

@@ -1,8 +1,7 @@
 import numpy as np
-from helpers import SHAPES, difference, over_shapes
+from helpers import difference, over_shapes
 from numpy.polynomial import Polynomial
 
-from drake_nonstop.mechanics.grasp import grasp_matrix
 from drake_nonstop.mechanics.internal_force import (
     hamiltonian_cycle,
     harmonics,
@@ -10,20 +9,6 @@ from drake_nonstop.mechanics.internal_force import (
     orbit_axes,
 )
 from drake_nonstop.mechanics.signals import PlannedParameters
-
-
-@over_shapes
-def test_cycle_forces_have_no_net_wrench(attachments, rng):
-    wrenches = grasp_matrix(attachments) @ hamiltonian_cycle(attachments)
-    np.testing.assert_allclose(wrenches, 0, rtol=0, atol=1e-15)
-
-
-def test_cycle_of_three_spans_the_whole_null_space():
-    for name in ("regular-3", "irregular-3", "spatial-3"):
-        basis = hamiltonian_cycle(SHAPES[name])
-        null_space = np.linalg.svd(grasp_matrix(SHAPES[name]))[2][6:]
-        rest = null_space.T - basis @ np.linalg.lstsq(basis, null_space.T, rcond=None)[0]
-        np.testing.assert_allclose(rest, 0, rtol=0, atol=1e-14)
 
 
 @over_shapes

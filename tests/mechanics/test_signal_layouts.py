@@ -24,24 +24,10 @@ def test_entries_are_named_by_the_part_that_shows_them(view):
         assert {entries[k].name.split(".")[1] for k in np.ravel(numbers)} == {name}
 
 
-def test_every_vector_of_the_figure_has_frames_where_it_has_axes():
-    for name, layout in signals.SIGNALS.items():
-        for entry in layout.entries(name, layout.count(N, M)) if layout else ():
-            assert entry.name.startswith(name)
-            assert bool(entry.frame) == (entry.name.rpartition(".")[2] in set("wxyz")), entry
-
-
-def test_names_of_entries():
-    tensions = Layout(Part("", "n", "N")).entries("tensions", 2)
-    assert [entry.label for entry in tensions] == ["tensions.1 [N]", "tensions.2 [N]"]
+def test_entries_are_numbered_and_sizes_that_do_not_fit_have_none():
     last = signals.CarrierStates.layout.entries("carrier_state", 12)[-1]
     assert last == ("carrier_state.velocities.2.z", "m/s", "W")
-    assert Layout(Part("", "1", "s")).entries("solve_time", 1)[0].label == "solve_time [s]"
-    assert [entry.name for entry in numbered_entries("own", 2)] == ["own.1", "own.2"]
-    assert numbered_entries("own", 1)[0].label == "own"
-
-
-def test_sizes_that_do_not_fit_have_no_entries():
+    assert [entry.label for entry in numbered_entries("own", 2)] == ["own.1", "own.2"]
     assert signals.LoadState.layout.entries("load_state", 12) is None
     assert signals.CarrierStates.layout.entries("carrier_state", 13) is None
     mixed = Layout(Part("clock", "1", "s"), Part("positions", "3n", "m", "W"))
