@@ -81,14 +81,6 @@ def test_covariances_settle_at_the_solution_of_the_riccati_equation(noises):
     np.testing.assert_allclose(error, 0, atol=1e-9)
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_an_error_and_its_reference_make_the_state_again(seed):
-    state, reference = (Motion(seed + k).state(0.3) for k in (0, 9))
-    again = state_with_error(error_of(state, reference), reference)
-    again[:4] *= np.sign(again[:4] @ state[:4])
-    np.testing.assert_allclose(again, state, rtol=0, atol=1e-12)
-
-
 def filtered(config, states, references):
     """Signals of the filter at its samples, of these states and references at each of them."""
     block = FilteredFeedback(model(4, 0.01), config)

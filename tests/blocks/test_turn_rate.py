@@ -64,15 +64,6 @@ def test_the_rate_is_the_least_at_which_the_slowest_phase_has_the_bound(wind):
     assert solved(24.0, rate, wind=(wind, 0, 0))[1].kept == 1
 
 
-def test_the_bank_limits_the_rate_by_its_closed_form():
-    """tan φ = [V²/gR − μ tan ϑ]/(1 + μ), with μ the load's mass over that of all aircraft."""
-    ratio, most = 10.0 / 24.0, 0.3
-    square = 9.81 / RADIUS * ((1 + ratio) * math.tan(most) + ratio * SPREAD / SHARE)
-    rate, told, _ = solved(10.0, 0.9, max_bank=most)
-    assert told.solved == 1
-    assert rate == pytest.approx(math.sqrt(square), rel=1e-6)
-
-
 def least_margins(bound, rates, wind, most):
     """The least of all margins at each rate, of four aircraft on their circle, at 8 phases."""
     aircraft, margins = turning_model().aircraft, []
