@@ -1,11 +1,10 @@
 """The carrier trajectories, on the desired and on the measured pose."""
 
 import itertools
-import math
 
 import numpy as np
 import pytest
-from helpers import INERTIA, Motion, difference, fix, model, output, regular
+from helpers import INERTIA, Motion, difference, fix, model, output
 from pydrake.polynomial import Polynomial
 from pydrake.trajectories import PiecewisePolynomial
 from scipy.spatial.transform import Rotation
@@ -28,7 +27,6 @@ from drake_nonstop.blocks.load_trajectory import (
     SteadyTurnConfig,
 )
 from drake_nonstop.model.pattern import (
-    CarouselConfig,
     ConstantSpreadConfig,
     EllipticCarouselConfig,
 )
@@ -141,21 +139,6 @@ def test_derivatives_are_differences_of_those_below(boxes, count, times):
     for time in times:
         expected = difference(lambda t: at(t)[:count], time)
         np.testing.assert_allclose(at(time)[1 : count + 1], expected, rtol=0, atol=1e-8)
-
-
-@pytest.mark.parametrize("n", [3, 5])
-def test_carousel_over_a_resting_load_in_closed_form(n):
-    attachments = regular(n)
-    system = SystemParameters(attachments=attachments.tolist())
-    at = loop_on_its_reference(pattern=CarouselConfig(), system=system)
-    share = system.load_mass * system.gravity / n
-    tension = math.hypot(share, 1.2)
-    height = (system.cable_length + tension / system.cable_stiffness) * share / tension
-    for time in (0.0, 1.7):
-        positions, velocities, acceleration, jerk = at(time)
-        from_centre = positions - (attachments + np.array([0, 0, height])).ravel()
-        np.testing.assert_allclose(acceleration, -(2.0**2) * from_centre, rtol=0, atol=1e-12)
-        np.testing.assert_allclose(jerk, -(2.0**2) * velocities, rtol=0, atol=1e-12)
 
 
 def test_between_samples_accelerations_are_the_rates_of_velocities():

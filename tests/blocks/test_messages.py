@@ -139,12 +139,7 @@ REFUSED = [
     (AIRCRAFT, [TURNING, PLANNED, SHAPED], "the pattern has orbits", "pattern: !ConstantSpread"),
     (CO_ROTATING, [TURNING, PLANNED, "phase=PaperPhase"], "phase = PaperPhase", "!ShapedPhase"),
     (CO_ROTATING, [TURNING, SHAPED], "load_trajectory = SteadyTurn", "!PlannedTurn, and phase"),
-    (
-        "quintic",
-        ["carrier_trajectory.correction_rates=[0, 0, -1, 0]"],
-        "rates[2] = -1",
-        NOT_NEGATIVE,
-    ),
+    ("quintic", ["carrier_trajectory.correction_rates=[0,0,-1,0]"], "rates[2] = -1", NOT_NEGATIVE),
     (CO_ROTATING, [CONSTANT, "load_trajectory=RestToRest"], "pattern = ConstantSpread", "SteadyT"),
     (CO_ROTATING, ["optimization_layer.amplitude=1.2"], "amplitude = 1.2", "give 0"),
     (CO_ROTATING, [ORBITAL], "PaperLayer", "no orbits"),

@@ -212,35 +212,10 @@ REFUSED = [
     ("Own.makes = disturbance_wrench", "give a tuple of names", {"makes": "disturbance_wrench"}),
     ("Own reads or makes = load_stat", "it is no vector", {"reads": ("load_stat",)}),
     (
-        "Own.equations = arrays of [3] numbers",
-        "each of disturbance_wrench (6)",
-        equations(lambda load, *, gain: np.zeros(3)),
-    ),
-    (
         "Own.equations = arrays of [6] numbers",
         "the next state (2), dist",
         equations(lambda state, load, *, gain: np.zeros(6))
         | {"state": lambda self, model: np.zeros(2)},
-    ),
-    (
-        "unexpected keyword argument 'gain'",
-        "take what is declared",
-        equations(lambda load: np.zeros(6)),
-    ),
-    (
-        "of test_block.py = ",
-        "arithmetic of arrays, without branches",
-        equations(lambda load, *, gain: np.ones(6) if load[4] > 0 else np.zeros(6)),
-    ),
-    (
-        "of test_block.py = ",
-        "such as x[:1] and not x[0]",
-        equations(lambda load, *, gain: np.stack([load[0], load[1], *np.zeros(4)])),
-    ),
-    (
-        "Own.equations = not a pure function",
-        "evaluated twice, it differs",
-        equations(lambda load, *, gain: np.random.default_rng().random() * gain * np.ones(6)),
     ),
     ("Own.system = mass", "give fields of the scenario's system", {"system": ("mass",)}),
     ("Own.state = 3.0", "give n finite numbers", {"state": lambda self, model: 3.0}),

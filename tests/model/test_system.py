@@ -135,17 +135,6 @@ def test_the_table_of_aircraft_flies():
     assert speeds == pytest.approx({RASCAL: 8.4, "ultrastick_25e": 9.6}, abs=0.05)
 
 
-@pytest.mark.parametrize("path", FIGURES, ids=lambda path: path.stem)
-def test_each_figure_of_the_table_has_a_unit_and_a_source(path):
-    lines = [line for line in path.read_text().splitlines() if line[0] not in "# "]
-    keys = [f.name for f in dataclasses.fields(AircraftParameters)][1:]
-    assert [line.partition(":")[0] for line in lines] == keys[: len(lines)]
-    for line in lines:
-        unit, _, source = line.partition("# ")[2].partition("; ")
-        assert unit, line
-        assert source.startswith(("[", "assumed")), line
-
-
 def test_an_aircraft_of_ones_own_has_all_fields():
     own = yaml.safe_load(next(p for p in FIGURES if p.stem == RASCAL).read_text())
     made = make(aircraft=own | {"model": AircraftParameters().model})
@@ -153,8 +142,3 @@ def test_an_aircraft_of_ones_own_has_all_fields():
     del own["wing_area"]
     with pytest.raises(ScenarioError, match=r"system.aircraft.wing_area = not given: give it"):
         make(aircraft=own | {"model": AircraftParameters().model})
-
-
-def test_the_docstring_of_a_model_names_all_that_it_has():
-    known = set(re.findall(r"\w+", Model.__doc__))
-    assert {name for name in vars(make()) if not name.startswith("_")} <= known

@@ -12,9 +12,8 @@ from drake_nonstop.systems.tracing import NotFiniteError, TracedFunction, for_ea
 
 def equations(a, b):
     """A matrix, a vector with a constant entry, and one number, of (3,) and (2,)."""
-    matrix = a[:, None] * b[None, :]
     return (
-        matrix,
+        a[:, None] * b[None, :],
         np.concatenate([np.sin(a), 0 * a[:1] + 7.0]),
         (a * a).sum(keepdims=True) / b[:1],
     )

@@ -4,12 +4,7 @@ from helpers import Ports
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 
 from drake_nonstop.systems import wiring
-from drake_nonstop.systems.wiring import (
-    connect_by_name,
-    connections,
-    loop_in,
-    optional_inputs,
-)
+from drake_nonstop.systems.wiring import connect_by_name, connections, loop_in, optional_inputs
 from drake_nonstop.validation import ScenarioError
 
 
