@@ -26,10 +26,7 @@ from drake_nonstop.blocks.load_trajectory import (
     RestToRestConfig,
     SteadyTurnConfig,
 )
-from drake_nonstop.model.pattern import (
-    ConstantSpreadConfig,
-    EllipticCarouselConfig,
-)
+from drake_nonstop.model.pattern import ConstantSpreadConfig, EllipticCarouselConfig
 
 RATES = np.array([0.1, 0.3, 0.2, 0.4])  # of level position, height, tilt and yaw
 

@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 from helpers import fix, model, output
 
-from drake_nonstop import (
-    AircraftParameters,
-)
+from drake_nonstop import AircraftParameters
 from drake_nonstop.blocks.carrier_dynamics import FixedWingDynamics, FixedWingDynamicsConfig
 from drake_nonstop.mechanics.aircraft import air_force
 from drake_nonstop.mechanics.signals import AircraftState

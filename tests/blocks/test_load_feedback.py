@@ -151,11 +151,8 @@ def test_a_late_measurement_of_a_load_beside_its_moving_reference_is_exact():
     [(NoisyFeedback, NoisyFeedbackConfig), (FilteredFeedback, FilteredFeedbackConfig)],
 )
 def test_an_attitude_that_is_not_measured_is_the_reference_s(kind, config):
-    inputs, shown = (
-        {"load_state": Motion(50).state(0.1), "reference": Motion(51).reference(0.1)},
-        [],
-    )
-    noises = {"position_noise": 0.1, "orientation_noise": 0.1}
+    inputs = {"load_state": Motion(50).state(0.1), "reference": Motion(51).reference(0.1)}
+    shown, noises = [], {"position_noise": 0.1, "orientation_noise": 0.1}
     for measures_attitude in (True, False):
         block = kind(model(), config(measures_attitude=measures_attitude, **noises))
         given = {name: value for name, value in inputs.items() if block.HasInputPort(name)}

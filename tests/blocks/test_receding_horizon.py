@@ -7,13 +7,7 @@ import pytest
 from helpers import fix, model, output
 from pydrake.systems.analysis import Simulator
 
-from drake_nonstop import (
-    Diagnostics,
-    Model,
-    ReferencePreview,
-    carrier_speeds,
-    load_scenario,
-)
+from drake_nonstop import Diagnostics, Model, ReferencePreview, carrier_speeds, load_scenario
 from drake_nonstop.blocks.load_trajectory import RestToRest, RestToRestConfig
 from drake_nonstop.blocks.receding_horizon import (
     RecedingHorizonOptimizer,

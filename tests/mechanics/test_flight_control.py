@@ -4,12 +4,7 @@ import numpy as np
 import pytest
 from mechanics.test_aircraft import RASCAL
 
-from drake_nonstop.mechanics.aircraft import (
-    air_force,
-    air_frame,
-    flight_needs,
-    thrust_limits,
-)
+from drake_nonstop.mechanics.aircraft import air_force, air_frame, flight_needs, thrust_limits
 from drake_nonstop.mechanics.flight_control import (
     FlightSignals,
     flight_command,

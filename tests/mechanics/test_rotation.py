@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from helpers import Motion, difference, rotation
+from helpers import difference, rotation
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RollPitchYaw
 from scipy.spatial.transform import Rotation
@@ -11,7 +11,6 @@ from drake_nonstop.mechanics.rotation import (
     angular_velocity_of,
     cross,
     quaternion_product,
-    quaternion_rate,
     roll_pitch_yaw_to_quaternion,
     rotation_matrix,
     rotation_vector,
@@ -48,14 +47,6 @@ def test_rotation_vector_is_scipys_whatever_norm_and_sign(rng):
     np.testing.assert_array_equal(rotation_vector(np.array([-1.0, 0, 0, 0])), 0)
     small = rotation_vector(np.array([1.0, 1e-9, -2e-9, 0]))
     np.testing.assert_allclose(small, [2e-9, -4e-9, 0], rtol=1e-15)
-
-
-def test_quaternion_rate_follows_a_motion_that_turns_about_changing_axes():
-    motion = Motion(1)
-    for time in np.linspace(0, 5, 7):
-        rate = quaternion_rate(motion.reference(time)[:4], motion.reference(time)[7:10])
-        expected = difference(lambda t: motion.reference(t)[:4], time)
-        np.testing.assert_allclose(rate, expected, rtol=0, atol=1e-10)
 
 
 def test_roll_pitch_yaw_to_quaternion_is_drakes_and_does_not_flip_over_a_full_turn(rng):

@@ -204,11 +204,7 @@ def equations(function):
 
 # What is told, the remedy, and members of the class, with equations of zeros where it says nothing.
 REFUSED = [
-    (
-        "Own.equations = a method",
-        "make it a @staticmethod",
-        {"equations": lambda self, load, *, gain: np.zeros(6)},
-    ),
+    ("Own.equations = a method", "make it a @staticmethod", {"equations": lambda self, load: load}),
     ("Own.makes = disturbance_wrench", "give a tuple of names", {"makes": "disturbance_wrench"}),
     ("Own reads or makes = load_stat", "it is no vector", {"reads": ("load_stat",)}),
     (

@@ -9,13 +9,7 @@ from pydrake.autodiffutils import AutoDiffXd
 from pydrake.symbolic import Expression, Variable
 from pydrake.systems.framework import BasicVector, Diagram, LeafSystem, LeafSystem_
 
-from drake_nonstop import (
-    ConstantParametersConfig,
-    LeafBlock,
-    load_scenario,
-    make_nonstop,
-    simulate,
-)
+from drake_nonstop import ConstantParametersConfig, LeafBlock, load_scenario, make_nonstop, simulate
 from drake_nonstop.systems.block import number, of_scalar, release
 
 CONSTANT = "optimization_layer=ConstantParameters"

@@ -89,23 +89,6 @@ def test_input_of_a_diagram_is_optional_where_it_leads_to_optional_ones_only():
     assert optional_inputs(Box(["wind"], ["pull"])) == set()
 
 
-def test_makers_of_replaced_signals_read_nothing_that_is_replaced():
-    # `feedback` makes a replaced signal of another one: behind the hold it would lag.
-    blocks = {
-        "source": Box([], ["force"]),
-        "feedback": Box(["force"], ["pose"]),
-        "hold": Box(["force", "pose"], ["held_force", "held_pose"]),
-        "controller": Box(["force", "pose"], ["command"]),
-    }
-    assert wires(blocks) == [
-        "source.force -> feedback.force",
-        "source.force -> hold.force",
-        "feedback.pose -> hold.pose",
-        "hold.held_force -> controller.force",
-        "hold.held_pose -> controller.pose",
-    ]
-
-
 def test_a_diagram_whose_signals_are_made_elsewhere_too_is_not_the_one_that_counts():
     for is_exported in (False, True):
         builder = DiagramBuilder()
