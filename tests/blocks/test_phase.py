@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from helpers import fix, model, output, outputs
+from helpers import fix, model, output
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 
-from drake_nonstop.blocks.phase import AccumulatedPhase, PaperPhase, ShapedPhase, ShapedPhaseConfig
+from drake_nonstop.blocks.phase import AccumulatedPhase, ShapedPhase, ShapedPhaseConfig
 
 PERIOD = 0.01
 
@@ -51,12 +51,6 @@ def test_phase_is_the_integral_of_a_changing_frequency(period):
     values = [[2.0**k, 1.0] for k in range(6)]
     found = planned(AccumulatedPhase(model(4, period)), values, [0.04])
     np.testing.assert_allclose(found[0, 0], 0.01 * (1 + 2 + 4 + 8), atol=1e-7)
-
-
-def test_phase_of_the_paper_jumps_with_the_frequency():
-    for frequency in (1.7, 2.7):
-        found = outputs(PaperPhase(model()), time=3.0, parameters=np.array([frequency, 1.0]))
-        np.testing.assert_allclose(found["phase"], [3 * frequency, 3], rtol=1e-15)
 
 
 def step_response(time, bandwidth=40.0):

@@ -9,21 +9,12 @@ from scipy.spatial.transform import Rotation
 
 from drake_nonstop.mechanics.rotation import (
     angular_velocity_of,
-    cross,
     quaternion_product,
     roll_pitch_yaw_to_quaternion,
     rotation_matrix,
     rotation_vector,
 )
 from drake_nonstop.mechanics.taylor import Taylor
-
-
-@pytest.mark.parametrize(
-    "shapes", [((3,), (3,)), ((5, 3), (5, 3)), ((3,), (5, 3)), ((4, 1, 3), (2, 3))]
-)
-def test_cross_is_numpys_and_broadcasts(rng, shapes):
-    a, b = (rng.normal(size=shape) for shape in shapes)
-    np.testing.assert_allclose(cross(a, b), np.cross(a, b), rtol=0, atol=1e-15)
 
 
 def test_rotation_matrix_and_quaternion_product_are_drakes_row_by_row(rng):

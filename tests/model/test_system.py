@@ -54,12 +54,6 @@ def test_each_field_of_the_system_may_differ_in_what_is_simulated():
     assert {field.name for field in own} == {field.name for field in simulated}
 
 
-def test_carriers_have_the_figures_of_their_aircraft():
-    model = make(aircraft={"max_lift": 1.2})
-    assert model.carrier_mass == model.system.carrier_mass == model.number("carrier_mass") == 6.0
-    assert (model.aircraft.max_lift, model.aircraft.wing_area) == (1.2, 0.98)
-
-
 POSITIVE = ["load_mass", "cable_length", "carrier_mass", "gravity", "cable_stiffness"]
 NON_NEGATIVE = ["load_drag", "cable_damping"]
 ON_A_LINE = [[1.0, 2, 3], [2.0, 4, 6], [-1.0, -2, -3]]
