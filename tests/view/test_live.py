@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from drake_nonstop import ConstantParameters, run_live, simulate, start_meshcat
-from drake_nonstop.run.run_quantities import carrier_speeds
 from drake_nonstop.scenario.loading import load_scenario
 
 PAUSE, STOP, BOUND = "pause / resume", "stop", "bound, m/s"  # the labels of the controls
@@ -63,18 +62,6 @@ def test_a_run_that_is_not_changed_equals_one_without_a_page_until_it_is_stopped
         np.testing.assert_array_equal(values[: len(run.time)], run.signals[name], err_msg=name)
 
 
-@pytest.mark.nightly("flights")
-def test_a_raised_bound_is_kept_with_the_next_plans():
-    run, now = live_run(short(4.5), 0.5, lambda page: page.SetSliderValue(BOUND, 0.88))
-    assert run.is_steered
-    bound = run.signal("speed_bound")[:, 0]
-    np.testing.assert_allclose(bound[run.time < now - 0.01], 0.55)
-    np.testing.assert_allclose(bound[run.time > now + 0.02], 0.88)
-    slowest = carrier_speeds(run.signal("carrier_state")).min(axis=1)
-    assert slowest[run.time < now].min() < 0.88
-    assert slowest[run.time > now + 2.01].min() >= 0.88
-
-
 def test_pause_holds_the_time_and_the_pace_is_kept_afterwards():
     held = 0.5  # s
 
@@ -91,11 +78,8 @@ def test_pause_holds_the_time_and_the_pace_is_kept_afterwards():
 
 
 def test_the_bound_of_constant_parameters_has_a_slider():
-    def act(page):
-        page.SetSliderValue(BOUND, 0.11)
-
-    layer = {"optimization_layer": ConstantParameters}
-    run, *_ = live_run(short(0.8), 0.1, act, realtime_rate=1.0, **layer)
+    given = {"realtime_rate": 1.0, "optimization_layer": ConstantParameters}
+    run, *_ = live_run(short(0.8), 0.1, lambda page: page.SetSliderValue(BOUND, 0.11), **given)
     assert run.signal("speed_bound")[-1] == pytest.approx(0.11)
 
 

@@ -16,6 +16,7 @@ from PIL import Image
 from scenes import Recording, Screen, instant, watch
 
 from drake_nonstop import Run, make_nonstop, record_replay
+from drake_nonstop.run.run_quantities import carrier_speeds
 from drake_nonstop.scenario.loading import load_scenario
 
 STRIDE, RATE = 8, 12.5  # samples of a frame, frames per s
@@ -33,11 +34,6 @@ def shortened(run, samples):
     return Run(**{**vars(run), "time": run.time[:samples], "signals": signals})
 
 
-def bodies(page):
-    """The scene's bodies that have an object in the page."""
-    return {match[1] for path in Recording(page).objects() if (match := re.match(BODIES, path))}
-
-
 def expected_bodies(n):
     return {"load", "reference"} | {f"{k}/{i}" for k in ("carriers", "cables") for i in range(n)}
 
@@ -45,11 +41,6 @@ def expected_bodies(n):
 def polyline(page, index):
     points = re.findall(r'points="([^"]*)"', page)[index]
     return np.array([pair.split(",") for pair in points.split()], dtype=float)
-
-
-def slowest_speeds(run):
-    velocities = run.signal("carrier_state")[:, 12:].reshape(-1, 4, 3)
-    return np.linalg.norm(velocities, axis=2).min(axis=1)
 
 
 def linear(colour):
@@ -174,7 +165,7 @@ def test_a_long_replay_has_fewer_frames_and_stays_below_twenty_megabytes():
 def test_the_page_compares_the_slowest_carrier_with_the_bound(quintic):
     page = record_replay(quintic)
     bound, slowest = polyline(page, 0), polyline(page, 1)
-    speeds = slowest_speeds(quintic)[:49]  # to the last frame
+    speeds = carrier_speeds(quintic.signal("carrier_state")).min(axis=1)[:49]  # to the last frame
     np.testing.assert_allclose(bound[:, 1], 0.55)
     np.testing.assert_allclose(slowest[:, 0], quintic.time[:49], atol=1e-6)
     np.testing.assert_allclose(slowest[:, 1], speeds, rtol=1e-3)
@@ -215,7 +206,8 @@ def test_samples_from_the_first_that_cannot_be_shown_are_left_out(quintic, sampl
     run.signal("carrier_state")[broken : broken + 1, 2] = np.nan
     run.signal("load_state")[45:, :4] = 0.0
     page = record_replay(run)
-    assert bodies(page) == (expected_bodies(4) if shown else set())
+    bodies = {match[1] for path in Recording(page).objects() if (match := re.match(BODIES, path))}
+    assert bodies == (expected_bodies(4) if shown else set())
     assert not shown or len(polyline(page, 1)) == shown
 
 
@@ -282,15 +274,14 @@ def test_it_plays_offline_and_all_of_it_moves_in_its_colours(watched, flown):
     seek(page, 0.2)
     looks = page.evaluate(LOOK)
     seek(page, 1.0)
-    for before, after in zip(
-        looks, page.evaluate(LOOK), strict=True
-    ):  # also the trail's, that fades
+    for before, after in zip(looks, page.evaluate(LOOK), strict=True):  # also a fading trail's
         assert np.ptp([before, after], axis=0).max() > 0.05
     before = page.evaluate(POSES)
     assert before.keys() == expected_bodies(4)
     page.evaluate(PLAY_SLOWLY, 1.0)
     page.wait_for_function("Math.min(...viewer.animator.actions.map((a) => a.time)) > 1.02")
-    page.evaluate("viewer.animator.pause()")
+    page.get_by_label("play or pause").click()
+    assert page.evaluate("viewer.animator.playing") is False
     for name, matrix in page.evaluate(POSES).items():
         assert not np.allclose(before[name], matrix, rtol=0, atol=1e-6), name
     picture = np.asarray(Image.open(io.BytesIO(page.screenshot())).convert("RGB")).astype(int)
@@ -299,16 +290,6 @@ def test_it_plays_offline_and_all_of_it_moves_in_its_colours(watched, flown):
     for colour in ("30343b", "0072b2", "d55e00"):  # the load, two of the carriers
         close = np.abs(picture - [*bytes.fromhex(colour)]).max(axis=2) < 60
         assert close.sum() > 30, colour
-    assert watched.errors == []
-    assert all(url.startswith(("file:", "data:", "blob:")) for url in watched.requests)
-
-
-@browsers
-def test_the_play_bar_pauses_seeks_and_plays(watched, flown):
-    page = opened(watched, flown)
-    page.evaluate(PLAY_SLOWLY, 0.0)
-    page.get_by_label("play or pause").click()
-    assert page.evaluate("viewer.animator.playing") is False
     page.get_by_label("time").fill("1.25")
     page.wait_for_function("document.getElementById('clock').textContent === '1.25 s'")
     times = page.evaluate("viewer.animator.actions.map((a) => a.time)")
@@ -316,6 +297,7 @@ def test_the_play_bar_pauses_seeks_and_plays(watched, flown):
     page.get_by_label("play or pause").click()
     page.wait_for_function("document.getElementById('clock').textContent > '1.25 s'")
     assert watched.errors == []
+    assert all(url.startswith(("file:", "data:", "blob:")) for url in watched.requests)
 
 
 @browsers

@@ -47,11 +47,8 @@ def test_a_gif_has_all_pictures_and_their_time_to_the_rounding_of_a_frame(rate):
     [
         ({"start": 0.4, "stop": 0.4}, "stop", "0.4", "0 s to 0.5 s"),
         ({"stop": 9.0}, "stop", "9.0", "0 s to 0.5 s"),
-        ({"start": -1.0}, "start", "-1.0", "0 s to 0.5 s"),
         ({"frame_rate": 60.0}, "frame_rate", "60.0", "1 to 50"),
-        ({"frame_rate": 1e-9}, "frame_rate", "1e-09", "1 to 50"),
         ({"speed": 1e-7}, "speed", "1e-07", "at least 0.001"),
-        ({"speed": 0.0}, "speed", "0.0", "greater than zero"),
         ({"size": (640, 20)}, "height", "20", "64 to 4096"),
     ],
 )
