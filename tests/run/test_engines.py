@@ -1,6 +1,5 @@
 """Both engines fly the same: the fleet, drawn blocks, ends of samples, refusals and endings."""
 
-import json
 import os
 import signal
 import warnings
@@ -11,7 +10,6 @@ import pytest
 from drawn_own_blocks import compare
 from fleet import BY_BOTH_ENGINES, FLEET
 from helpers import assert_same_run, nightly_beyond
-from registries import LIVELY, LOOPS, VARIANTS
 
 from drake_nonstop import (
     Block,
@@ -69,41 +67,19 @@ def test_drawn_blocks_fly_the_same_or_are_named(seed):
     assert (told == "") == (seed in (6, 14)) or seed not in SHOWN_BY_DAY
 
 
-@pytest.mark.parametrize(
-    "overrides",
-    nightly_beyond(
-        3,
-        "engines",
-        [
-            # The rest of a sample is the Simulator's.
-            [PROGRAM, "simulation_duration=0.104"],
-            [CONSTANT, "simulation_duration=0.004"],
-            [CONSTANT, "simulation_duration=0.06", "simulator_config.max_step_size=0.003"],
-            ["simulation_duration=0.9", "control_period=0.03"],
-        ],
-    ),
-)
+OTHER_LENGTHS = [  # the rest of a sample is the Simulator's
+    [PROGRAM, "simulation_duration=0.104"],
+    [CONSTANT, "simulation_duration=0.004"],
+    [CONSTANT, "simulation_duration=0.06", "simulator_config.max_step_size=0.003"],
+    ["simulation_duration=0.9", "control_period=0.03"],
+]
+
+
+@pytest.mark.parametrize("overrides", nightly_beyond(3, "engines", OTHER_LENGTHS))
 def test_steps_and_samples_of_other_lengths_are_the_diagrams(overrides):
     run, told = flown("quintic", overrides, COMPILED)
     assert not told
     assert_same_run(run, flown("quintic", overrides, DIAGRAM)[0], 1e-9)
-
-
-BY_DAY = ["phase-PaperPhase", "carrier_dynamics-LimitedCarriers"]
-
-
-@pytest.mark.parametrize("name", nightly_beyond(2, "engines", dict.fromkeys([*BY_DAY, *VARIANTS])))
-def test_each_variant_flies_the_same_or_is_named(name):
-    box, kind = VARIANTS[name]
-    scenario, others = LOOPS.get(kind.__name__, ("quintic", []))
-    layer = [] if box == "optimization_layer" or others else [CONSTANT]
-    fields = json.dumps(LIVELY.get(kind.__name__, {}))
-    overrides = [*layer, *others, f"{box}=!{kind.__name__} {fields}", "simulation_duration=0.24"]
-    run, told = flown(scenario, overrides, COMPILED)
-    if told:
-        assert f"{box} = {kind.__name__}: it has no equations" in told[0]
-    else:
-        assert_same_run(run, flown(scenario, overrides, DIAGRAM)[0], 1e-9)
 
 
 STEERED = {"after_step": lambda *_: StepAction.CONTINUE}

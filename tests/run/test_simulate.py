@@ -18,7 +18,6 @@ from drake_nonstop import (
     compute_metrics,
     load_scenario,
     make_nonstop,
-    set_equilibrium,
     simulate,
     simulate_many,
     verify_step,
@@ -59,31 +58,6 @@ def test_a_number_below_the_smallest_ends_no_flight(setting):
             compute_metrics(run)
 
 
-# Starts
-
-
-@pytest.mark.parametrize(
-    ("name", "overrides", "sag"),
-    nightly_beyond(
-        3,
-        "flights",
-        [
-            ("quintic", ["control_period=0"], 0),
-            ("paper_quintic", [], 0.006),
-            ("quintic", ["load_trajectory=!RestToRest {start_roll_pitch_yaw: [0.3, -0.2, 1]}"], 0),
-            ("three_carriers", [], 0),
-        ],
-    ),
-)
-def test_the_load_starts_at_rest_on_its_equilibrium(name, overrides, sag):
-    run = simulate(short(*overrides, name=name))
-    state = LoadState.view(run.signal("load_state"))
-    assert abs(np.linalg.norm(state.position[0]) - sag) < 5e-4
-    assert np.max(np.linalg.norm(state.velocity, axis=1)) < 5e-3
-    # What is left is the lag of the carriers behind their turning references.
-    assert sag or np.max(np.abs(run.signal("tracking_error")[:, :6])) < 5e-4
-
-
 @pytest.mark.parametrize("points", nightly_beyond(2, "studies", POINTS))
 def test_a_load_starts_with_the_acceleration_of_its_reference(points):
     """Splines through drawn points accelerate from their start on."""
@@ -99,15 +73,6 @@ def test_a_load_starts_with_the_acceleration_of_its_reference(points):
     np.testing.assert_allclose(start.position, reference.position, atol=1e-4)
     change, desired = after.velocity - start.velocity, soon.velocity - reference.velocity
     np.testing.assert_allclose(change, desired, atol=0.05 * 0.01 * size)
-
-
-@pytest.mark.parametrize("scenario", ["paper_quintic", "aircraft_rest"])
-def test_a_load_at_its_equilibrium_stays_there_to_the_bit(scenario):
-    nonstop = make_nonstop(load_scenario(scenario))
-    context = nonstop.CreateDefaultContext()
-    before = context.get_continuous_state_vector().CopyToVector()
-    set_equilibrium(nonstop, context)
-    np.testing.assert_array_equal(context.get_continuous_state_vector().CopyToVector(), before)
 
 
 @pytest.mark.parametrize("share", [-0.12, 0.1, 0.15])
@@ -134,12 +99,7 @@ CANNOT_START = [
         "load_trajectory=!RestToRest {displacement: [1e9, 0, 0], move_time: 0.01}",
         "start = load_trajectory: it makes a value",
     ),
-    (
-        "optimization_layer=!ConstantParameters {amplitude: 4.0e+8}",
-        "start = internal_force: it makes a value",
-    ),
     ("system.gravity=1e9", "start = wrench_controller: it makes a value"),
-    (LIFTING.format(0, 0).replace("[0", "[1e9"), "start = load_disturbance: it makes a value"),
     ("system.cable_damping=2e4", "fastest mode"),
 ]
 
@@ -151,11 +111,6 @@ def test_what_cannot_start_is_told_with_what_is_at_fault(override, said, engine)
         simulate(short(override, f"engine={engine}"))
 
 
-def test_a_disturbance_that_lifts_the_load_later_starts():
-    simulate(short(LIFTING.format(40, 0.05), duration=0.05))
-    simulate(short(LIFTING.format(6, 0), duration=0.05))
-
-
 def test_a_reference_of_no_rotation_is_refused():
     def twice_as_long(model):
         builder = DiagramBuilder()
@@ -165,17 +120,6 @@ def test_a_reference_of_no_rotation_is_refused():
 
     with pytest.raises(ScenarioError, match=r"load_trajectory.reference = \[2. .* of length 1"):
         simulate(short(), load_trajectory=twice_as_long)
-
-
-# Steps and samples
-
-
-def test_signals_are_sampled_at_100_hz_and_hold_no_wall_time():
-    run = simulate(short("simulator_config.max_step_size=0.003"))
-    np.testing.assert_allclose(run.time, np.arange(21) / 100, atol=1e-12)
-    assert not any("solve_time" in name for name in run.signals)
-    assert len(run.steps["time"]) > len(run.time)
-    assert run.steps["time"][0] == 0
 
 
 @pytest.mark.parametrize("damping", nightly_beyond(2, "studies", [1.3, 7.9, 18.0, 44.0, 95.0]))
