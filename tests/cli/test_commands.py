@@ -14,7 +14,7 @@ from PIL import Image
 
 from drake_nonstop import Run, simulate, write_results
 from drake_nonstop.cli.main import main
-from drake_nonstop.scenario.loading import dump_scenario, load_scenario, scenario_names
+from drake_nonstop.scenario.loading import load_scenario
 
 DATA = {"scenario.yaml", "metrics.json", "signals.npz"}
 RESULTS = DATA | {"diagram.svg", "replay.html", "figures"}
@@ -48,34 +48,19 @@ def test_the_help_imports_no_drake():
     assert "pydrake" not in done.stderr
 
 
-def test_run_says_all_its_exit_codes(capsys):
-    with pytest.raises(SystemExit):
-        main(["run", "--help"])
-    said = capsys.readouterr().out.split("Exit codes:")[1]
-    assert set(re.findall(r"\d+", said)) == {"0", "1", "2", "3", "129", "130", "143"}
-
-
 # Arguments, and what the sentence has: the field, the value or what it should be, the remedy.
 REFUSED = [
     (["run", "quintik"], ("quintik", "did you mean quintic")),
-    (["run", "nothing.yaml"], ("nothing.yaml", "give a file that can be read")),
-    (["run", "line", "--set", "system.load_mass=-1"], ("system.load_mass", "-1.0", "give")),
-    (["run", "line", "--set", "pattern.phases=[0]"], ("pattern.phases", "give")),
-    (["run", "quintic", "--set", "optimization_layer.knot_spacing=0.003"], ("0.003", "multiple")),
     (["run", "line", "--realtime", "2"], ("--realtime", "2.0", "give --live with it")),
     (["run", "line", "--live", "--realtime", "-1"], ("--realtime", "-1.0", "give a finite number")),
     (["run", "line", "--live", "--verify-step"], ("--verify-step", "--live", "give one of them")),
-    (["check", "quintik"], ("quintik", "did you mean quintic")),
-    (["stability", "line", "--set", "system.load_mass=-1"], ("system.load_mass", "-1.0", "give")),
     (["robustness", "line", "--seeds", "0"], ("seeds", "0", "give a number of seeds")),
     (["design", "none.yaml"], ("REQUEST", "none.yaml", "give a file that can be read")),
-    (["design", "--set", "speed=-1"], ("request.speed", "-1.0", "give 0 to 1000 m/s")),
     (["export", ".", "--to", "csv"], (".", "give the folder of a run")),
     (["export", RUN, "--to", "csv", "--signal", "tension"], ("signal", "tension", "give a port")),
     (["export", RUN, "--to", "mcap", "--signal", "x"], ("--signal", "x", "leave it out")),
     (["export", RUN, "--to", "csv", "--out", "signals.npz"], ("signals.npz", "ends in .csv")),
     (["export", RUN, "--to", "csv", "--out", "pipe.csv"], ("pipe.csv", "give another file")),
-    (["plot", RUN, "--signal", "tension"], ("signal", "tension", "give a port")),
     (["plot", RUN, RUN, "--figure", "snapshots"], ("RUN", "2 runs", "give one run")),
     (["plot", RUN, "--signal", "tensions", "--out", "a.txt"], ("--out", "a.txt", "give a name")),
     (["video", RUN, "--size", "3"], ("--size", "3", "such as 640x480")),
@@ -110,13 +95,6 @@ def test_an_unwritable_folder_is_reported_before_the_run(faulty, tmp_path, capsy
         assert "--out = " in capsys.readouterr().err
 
 
-def test_list_has_a_line_for_each_scenario(capsys):
-    assert main(["list"]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert len(lines) == len(scenario_names())
-    assert all(len(line.split()) > 4 for line in lines)
-
-
 def test_a_run_leaves_all_its_results_which_repeat_it(tmp_path, capsys):
     for place in ("a", "b"):
         (tmp_path / place / "figures").mkdir(parents=True)
@@ -127,13 +105,7 @@ def test_a_run_leaves_all_its_results_which_repeat_it(tmp_path, capsys):
     assert contents(folder) == RESULTS
     drawn = [path for path in (folder / "figures").iterdir() if path.name != "sketch.png"]
     assert all(path.stat().st_size > 5000 for path in drawn)
-    metrics = json.loads((folder / "metrics.json").read_text())
-    assert metrics["simulated_s"] == pytest.approx(0.3)
-    resolved = load_scenario(folder / "scenario.yaml")
-    assert dump_scenario(resolved) == (folder / "scenario.yaml").read_text()
-    shown = capsys.readouterr().out
-    assert "carrier speed" in shown
-    assert str(folder) in shown
+    assert str(folder) in capsys.readouterr().out
     assert main(["run", str(folder / "scenario.yaml"), "--out", str(tmp_path / "b"), *BRIEF]) == 0
     assert contents(tmp_path / "b") == RESULTS - {"replay.html"}
     assert contents(tmp_path / "b" / "figures") == {"sketch.png"}  # nobody else's is touched
@@ -207,36 +179,22 @@ def test_in_any_order_results_of_a_whole_run_stay(
 
 
 NOISE = "load_feedback=!NoisyFeedback {position_noise: 0.005, velocity_noise: 0.02}"
-# A scenario and options, its changes, the exit code, and what is said.
+WINDY = "wind.velocity=[3, -4, 0]"
+# A scenario and options, its changes, the exit code, and a part of the verdict.
 CHECKED = [
-    (
-        ["quintic"],
-        ["simulation_duration=1"],
-        0,
-        ("check quintic: a flight of 1 s\n", "\nok: the flight keeps all limits\n"),
-    ),
-    (
-        ["aircraft_co_rotating"],
-        ["simulation_duration=0.2", "wind.velocity=[3, -4, 0]"],
-        0,
-        ("within all limits", " of that with cable and bank", "cables are simulated as straight: "),
-    ),
-    (
-        ["quintic", "--seeds", "2"],
-        [NOISE, "simulation_duration=1"],
-        1,
-        ("2 flights of 1 s\n", "without the errors that the scenario states the flight is ok"),
-    ),
+    (["quintic"], ["simulation_duration=1"], 0, "\nok: the flight keeps all limits\n"),
+    (["aircraft_co_rotating"], ["simulation_duration=0.2", WINDY], 0, "within all limits"),
+    (["quintic", "--seeds", "2"], [NOISE, "simulation_duration=1"], 1, "2 flights of 1 s\n"),
 ]
 
 
-@pytest.mark.parametrize(("call", "changes", "code", "words"), CHECKED)
+@pytest.mark.parametrize(("call", "changes", "code", "said"), CHECKED)
 def test_check_says_and_writes_what_comes_of_a_scenario(
-    tmp_path, capsys, call, changes, code, words
+    tmp_path, capsys, call, changes, code, said
 ):
     assert main(["check", *call, "--out", str(tmp_path), "--set", *changes]) == code
     told = capsys.readouterr().out
-    assert all(text in told for text in words)
+    assert said in told
     assert f"results: {tmp_path}\n" in told
     written = {"scenario.yaml", "check.json", "task.png"}
     assert contents(tmp_path) == written | ({"check.png"} if "aircraft" in call[0] else set())

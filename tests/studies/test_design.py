@@ -92,12 +92,7 @@ def test_a_formation_flies_its_way_within_what_is_printed(unflown):
 
 @pytest.mark.nightly("flights")
 @pytest.mark.parametrize(
-    "changes",
-    [
-        [*ON_A_WAY, *SLOW],
-        [*ON_A_WAY, *SLOW, "gust=0.5"],
-        [*RESTING, *LUMPED],
-    ],
+    "changes", [[*ON_A_WAY, *SLOW], [*ON_A_WAY, *SLOW, "gust=0.5"], [*RESTING, *LUMPED]]
 )
 def test_what_is_returned_has_been_flown(changes):
     """In seeds that the search has not seen."""
@@ -152,7 +147,6 @@ def test_a_formation_is_flown_in_stronger_gusts(monkeypatch):
 # A change, and the field, the value and the remedy of the sentence.
 REFUSED = [
     ("carriers=[2]", "request.carriers = [2]: give numbers from 3 to 12"),
-    ("carriers=[4, 4]", "request.carriers = [4, 4]: give numbers from 3 to 12, each once"),
     ("kinds=[flat]", "request.kinds = ['flat']: give some of leaning, co_rotating"),
     ("speed=1e-7", "request.speed = 1e-07: give 0.0014 to 50"),
     ("separation=1e3", "request.separation = 1000.0: give at most 403"),
@@ -160,15 +154,10 @@ REFUSED = [
     ("load_inertia=[[1, 0, 0], [0, 1, 0], [0, 0, -1]]", "positive definite"),
     ("load_mass=-1", "request.load_mass = -1.0: give 0.001 to 100000 kg"),
     ("wind=[0, 1e3, 0]", "request.wind = [0.0, 1000.0, 0.0]: give 0 to 100 m/s"),
-    ("load_drag=.nan", "request.load_drag = .nan: give a finite number"),
-    ("load_mass=heavy", "request.load_mass = heavy: give a number"),
     ("lift_share=0.95", "request.lift_share = 0.95: give a number above 0 and below 0.9"),
-    ("first=speed", "request.first = speed: give margin or power"),
     ("weight=3", "request.weight = 3: there is no"),
-    ("aircraft.wings=3", "request.aircraft.wings = 3: there is no"),
     ("aircraft.model=jumbo", "request.aircraft.model = jumbo: there is no jumbo"),
     ("name=a/b", "scenario = a/b: name it with letters"),
-    ("wind", "--set = wind: give path=value"),
 ]
 
 

@@ -75,17 +75,6 @@ def processes():
                 yield int(stat.parent.name), int(parent), int(session)
 
 
-def session(leader):
-    """The processes that a program has started and left."""
-    return [process for process, _, number in processes() if number == leader]
-
-
-def workers():
-    """The processes that were forked for this one and have begun."""
-    server = forkserver._forkserver._forkserver_pid
-    return [process for process, parent, _ in processes() if parent == server]
-
-
 def wait_until(condition, seconds=5.0):
     end = time.monotonic() + seconds
     while not condition() and time.monotonic() < end:
@@ -116,7 +105,7 @@ def ended(process):
     start = time.monotonic()
     _, error = process.communicate(timeout=60)
     assert time.monotonic() - start < ENDS_WITHIN * load_factor()
-    wait_until(lambda: not session(process.pid))
+    wait_until(lambda: process.pid not in [session for *_, session in processes()])
     return process.returncode, error
 
 
@@ -198,9 +187,9 @@ def test_killed_workers_cost_no_run(tmp_path, scenario):
     draw, kills = random.Random(SEED), []
 
     def kill(what, share):
-        victims = workers()
+        server = forkserver._forkserver._forkserver_pid
+        victims = [process for process, parent, _ in processes() if parent == server]
         if len(victims) > 1 and len(kills) < 4:  # else a call is repeated
-            server = forkserver._forkserver._forkserver_pid
             kills.append(server if len(kills) == 1 else draw.choice(victims))
             with contextlib.suppress(ProcessLookupError):
                 os.kill(kills[-1], signal.SIGKILL)
@@ -240,25 +229,23 @@ def test_nothing_is_lost_by_a_kill_of_the_command(tmp_path):
     assert len(journalled(tmp_path / "out")) == 301
 
 
-def run_script(folder, *call, **given):
+def run_script(folder, script, environment=os.environ):
     """What a script prints, in a process that can import the block."""
-    environment = given.pop("env", os.environ) | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    environment = environment | {"PYTHONPATH": os.pathsep.join(sys.path)}
     about = {"capture_output": True, "text": True, "timeout": 120, "cwd": folder}
-    return subprocess.run([sys.executable, *call], env=environment, **about, **given)
+    return subprocess.run([sys.executable, script], env=environment, **about)
 
 
-@pytest.mark.parametrize("is_file", [True, False])
 @pytest.mark.nightly("processes")
-def test_a_script_that_processes_cannot_import_is_told_so(tmp_path, is_file):
+def test_a_script_that_processes_cannot_import_is_told_so(tmp_path):
     """They would run it again, and end as they start; nothing is kept of that."""
     script = tmp_path / "study.py"
     script.write_text(SCRIPT)
-    call = [script] if is_file else ["-"]
-    done = run_script(tmp_path, *call, input=None if is_file else SCRIPT)
+    done = run_script(tmp_path, script)
     assert done.returncode == 1
     assert done.stderr.count("Traceback") == 1
     last = done.stderr.strip().splitlines()[-1]
-    assert f"__main__ = {script if is_file else '<stdin>'}" in last
+    assert f"__main__ = {script}" in last
     assert '`if __name__ == "__main__":`' in last
     assert not (tmp_path / "out").exists()
 
@@ -278,5 +265,5 @@ def test_workers_have_one_thread_for_linear_algebra_unless_asked(tmp_path, asked
     (tmp_path / "script.py").write_text(f"if __name__ == '__main__':\n{body}")
     given = {name: value for name, value in os.environ.items() if "_NUM_THREADS" not in name}
     given |= {"OPENBLAS_NUM_THREADS": asked} if asked else {}
-    done = run_script(tmp_path, "script.py", env=given)
+    done = run_script(tmp_path, "script.py", given)
     assert f"threads: {asked or 1}\n" in done.stdout, done.stderr

@@ -213,7 +213,6 @@ CLOSED = ThreadPoolExecutor(1)
 CLOSED.shutdown()
 TAKEN = {"a": [{"load_disturbance": Push}, "load_disturbance=!DisturbanceForce {}"]}
 REFUSED = [
-    ([MASS], {}, ("factors", "give a mapping")),
     ({MASS: []}, {}, ("factors", MASS, "give a list of values")),
     ({MASS: [1, 1]}, {}, ("factors", MASS, "give each value once")),
     ({MASS: ["1.0"]}, {}, ("factors", MASS, "without quotes")),
@@ -222,10 +221,7 @@ REFUSED = [
     ({"a": TAKEN}, {}, ("load_disturbance", "is made by", "leave it out")),
     ({"phase": [lambda model: None]}, {}, ("phase", "processes cannot import it")),
     ({"system.load_mas": [1.0, 2.0]}, {}, ("system.load_mas", "did you mean load_mass")),
-    ({MASS: [1.0]}, {"seeds": 0}, ("seeds", "0", "give")),
     ({MASS: [1.0]}, {"seeds": 10**6}, ("study", "1000000 runs", "give 1 to")),
-    ({MASS: [1.0]}, {"folder": 3}, ("folder", "3", "give a path")),
-    ({MASS: [1.0]}, {"progress": 3}, ("progress", "3", "give a function")),
     *(
         ({MASS: [1.0, 1.1]}, {"executor": executor}, ("executor", "give "))
         for executor in ("x", ThreadPoolExecutor, CLOSED, Broken())
@@ -253,21 +249,27 @@ def test_statistics_over_seeds_and_paired_differences_are_those_of_scipy():
         assert found == pytest.approx([np.mean(of), low, high])
 
 
-def test_what_did_not_complete_is_left_out_and_told():
+def test_what_did_not_complete_is_told_and_changes_are_marked_where_there_is_no_doubt():
     done = made([[1.0, 1.0, np.nan]], {MASS: [1.0]})
     assert done.summary()[ERROR, "mean"].tolist() == [1.0]
     assert "2 ok, 1 failed" in str(done)
     assert "load_mass=1.0: the wind broke" in str(done)
-
-
-def test_changes_are_marked_where_their_interval_leaves_no_doubt():
     page = made([[1, 2], [2, 3.1], [2, 1]], named("xyz"))._repr_html_()
     assert (page.count("class=worse"), page.count("class=better")) == (1, 0)
 
 
-def test_no_name_is_cut_in_tables():
+def test_no_name_is_cut_in_tables_and_each_has_a_row_in_a_figure():
     names = [f"variant & number {k} with quite a long name{'x' * k}" for k in range(40)]
     done = made(np.random.default_rng(0).random((40, 3)), named(names))
+    figure = done.figure()
+    figure.draw_without_rendering()
+    (axes,) = figure.axes
+    labels = [label.get_window_extent() for label in axes.get_yticklabels()]
+    assert len(labels) == 40
+    assert min(label.x0 for label in labels) >= 0
+    assert all(a.y0 >= b.y1 - 1 for a, b in itertools.pairwise(labels))
+    with pytest.raises(ScenarioError, match="path = no: give the path of a metric"):
+        done.figure("no")
     assert all(name in str(done) for name in names)
     assert all(name.replace("&", "&amp;") in done._repr_html_() for name in names)
     assert all(name.replace("&", r"\&") in done.latex() for name in names)
@@ -298,19 +300,6 @@ def test_lines_with_bands_over_a_factor_of_numbers():
     assert axes.lines[0].get_xdata().tolist() == [1.0, 2.0, 3.0]
     np.testing.assert_allclose(axes.lines[0].get_ydata()[1:], 1e3 * values[[2, 0]].mean(axis=1))
     assert len(axes.collections) == 3
-
-
-def test_a_row_for_each_of_many_names_in_a_figure():
-    names = [f"variant number {k} with a long name" for k in range(46)]
-    figure = made(np.random.default_rng(0).random((46, 2)), named(names)).figure()
-    (axes,) = figure.axes
-    figure.draw_without_rendering()
-    labels = [label.get_window_extent() for label in axes.get_yticklabels()]
-    assert len(labels) == 46
-    assert min(label.x0 for label in labels) >= 0
-    assert all(a.y0 >= b.y1 - 1 for a, b in itertools.pairwise(labels))
-    with pytest.raises(ScenarioError, match="path = no: give the path of a metric"):
-        made([[1.0]], named("a")).figure("no")
 
 
 SPEC = """
@@ -351,20 +340,15 @@ def test_a_file_states_variants_or_values(written):
 
 BAD_GRIDS = [
     ("", ("mine.yaml", "give variants or grid")),
-    ("description: nothing more", ("mine.yaml", "give variants or grid")),
     ("variants: {a: [b=1]}\ngrid: {b: [1]}", ("mine.yaml", "variants and grid")),
     ("variant: {a: [b=1]}", ("mine.yaml.variant",)),
     ("variants: [a=1]", ("mine.yaml.variants", "give a mapping from names to lists")),
-    ("variants: !Odd {a: [b=1]}", ("mine.yaml.variants", "give a mapping")),
     ("variants: {a: b=1}", ("mine.yaml.variants.a", "b=1", "give a list")),
     ("variants: {a: [b]}", ("mine.yaml.variants.a", "b", "give path=value")),
-    ("variants: {a: [b=1], a: [b=2]}", ("mine.yaml", "given twice")),
     ("grid: [1]", ("mine.yaml.grid", "give a mapping from names to lists")),
     ("grid: {a: []}", ("mine.yaml.grid.a", "give a list")),
-    ("grid: {a: [1", ("mine.yaml", "valid YAML")),
     ("overrides: a=1\nseeds: 2", ("mine.yaml.overrides", "a=1", "give a list")),
     ("papers", ("papers", ", ".join(path.stem for path in GRIDS))),
-    (Path("no.yaml"), ("no.yaml", "can be read")),
 ]
 
 
@@ -393,10 +377,6 @@ def test_an_ablation_begins_with_the_scenario_as_it_is(scenario, tmp_path):
     assert table["variant"].tolist() == 2 * ["as it is"] + 2 * ["a"] + 2 * ["b"]
     assert table["ending"].tolist() == 4 * ["completed"] + 2 * ["unbuildable"]
     assert "system.load_mass = -1.0: give" in table["message"][4]
-    wrong = ({"a": "phase=PaperPhase"}, {"a": [3]}, {1: ["a=1"]}, ["phase=PaperPhase"], 3)
-    for each in wrong:
-        with pytest.raises(ScenarioError, match=r"variant.* = .*: give "):
-            ablate(scenario, each, tmp_path)
 
 
 FILTERED = ["load_feedback=!FilteredFeedback {position_noise: 0.001}"]
@@ -426,9 +406,7 @@ def test_the_commands(written, tmp_path, capsys):
     assert "system.load_mass = -1.0: give" in out
     swap = ["--swap", "phase=PaperPhase", f"{MASS}=1.1", "--no-replay", "--restart"]
     assert main(["ablate", *call, "--grid", "paper", *swap]) == 0
-    out = capsys.readouterr().out
-    assert "without optimization" in out
-    assert f"phase=PaperPhase, {MASS}=1.1" in out
+    assert f"phase=PaperPhase, {MASS}=1.1" in capsys.readouterr().out
     spec = ["sweep", "line", str(written(SPEC)), *call[1:]]
     assert main([*spec, "--restart"]) == 0
     table = pandas.read_csv(tmp_path / "out" / "runs.csv")
@@ -441,11 +419,6 @@ def test_the_commands(written, tmp_path, capsys):
     assert main([*one, "5"]) in (0, 3)
     drawn = re.search(r"load_mass: (.*)", (tmp_path / "one" / "scenario.yaml").read_text())
     assert drawn
-    capsys.readouterr()
-    swap = ["ablate", *call, "--swap", "phase"]
-    for bad in (["study", *call], ["ablate", *call], swap, [*one, "6"]):
-        assert main(bad) == 2
-        assert re.match(r"drake-nonstop: --.* = .*: give ", capsys.readouterr().err)
 
 
 @pytest.mark.nightly("browsers")
