@@ -23,9 +23,9 @@ from drake_nonstop.scenario.choices import CHOICES  # noqa: E402
 TESTS, PACKAGE = ROOT / "tests", ROOT / "drake_nonstop"
 OPEN = ("mechanics", "systems")  # rooms whose tests may import private names
 LIMITS = {
-    "lines of tests": 25_600,
-    "lines of tests per line of the package": 0.75,
-    "private names that tests import": 240,
+    "lines of tests": 20_000,
+    "lines of tests per line of the package": 0.6,
+    "private names that tests import": 60,
 }
 
 
