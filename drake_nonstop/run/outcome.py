@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 from functools import partial
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -94,6 +95,20 @@ class RunLimit:
         return stated * self.share_of(run) if is_number(stated) or stated == math.inf else None
 
 
+def _turn_limit(name: str, turned: str) -> RunLimit:
+    """The limit of the load's tilt or yaw beside its reference."""
+    of = attrgetter(f"{name}_error")
+    return RunLimit(
+        path=f"limits.{name}_error",
+        outcome=RunOutcome.LOAD_LOST,
+        sentence=f"the load was {turned} by {{}} from its reference",
+        unit="rad",
+        measure=lambda run: float(np.max(of(run))),
+        default=0.8,
+        aircraft_default=math.radians(15.0),
+    )
+
+
 LIMITS = (
     RunLimit(
         path="limits.position_error",
@@ -105,24 +120,8 @@ LIMITS = (
         default=0.2,
         aircraft_default=1.0,
     ),
-    RunLimit(
-        path="limits.tilt_error",
-        outcome=RunOutcome.LOAD_LOST,
-        sentence="the load was tilted by {} from its reference",
-        unit="rad",
-        measure=lambda run: float(np.max(run.tilt_error)),
-        default=0.8,
-        aircraft_default=math.radians(15.0),
-    ),
-    RunLimit(
-        path="limits.yaw_error",
-        outcome=RunOutcome.LOAD_LOST,
-        sentence="the load was turned by {} from its reference",
-        unit="rad",
-        measure=lambda run: float(np.max(run.yaw_error)),
-        default=0.8,
-        aircraft_default=math.radians(15.0),
-    ),
+    _turn_limit("tilt", "tilted"),
+    _turn_limit("yaw", "turned"),
     RunLimit(
         path="limits.carrier_distance",
         outcome=RunOutcome.COLLISION,

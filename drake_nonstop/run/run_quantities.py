@@ -72,24 +72,32 @@ class RunQuantities:
         return Pose.view(self.run.steps["load_state"]).position
 
     @cached_property
+    def _errors(self) -> tuple[NDArray, NDArray]:
+        return load_errors(self.run)
+
+    @cached_property
+    def _tilt_and_yaw(self) -> tuple[NDArray, NDArray]:
+        return tilt_and_yaw(self._errors[1])
+
+    @cached_property
     def position_error(self) -> NDArray:
         """The load's distance (samples,) from its reference at 100 Hz, m."""
-        return _norms(load_errors(self.run)[0])
+        return _norms(self._errors[0])
 
     @cached_property
     def orientation_error(self) -> NDArray:
         """The load's angle (samples,) to its reference at 100 Hz, rad."""
-        return _norms(load_errors(self.run)[1])
+        return _norms(self._errors[1])
 
-    @cached_property
+    @property
     def tilt_error(self) -> NDArray:
         """The angle (samples,) of the load's z axis to its reference's at 100 Hz, rad."""
-        return tilt_and_yaw(load_errors(self.run)[1])[0]
+        return self._tilt_and_yaw[0]
 
     @cached_property
     def yaw_error(self) -> NDArray:
         """The load's turn (samples,) about its z axis from its reference at 100 Hz, rad."""
-        return np.abs(tilt_and_yaw(load_errors(self.run)[1])[1])
+        return np.abs(self._tilt_and_yaw[1])
 
     @property
     def reference_delay(self) -> float | None:
