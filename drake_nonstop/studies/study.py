@@ -415,7 +415,7 @@ def _write(made: Study, folder: Path, scenario: Scenario, places: Mapping[int, s
         for path, name in names.items():
             figure = made.figure(path)
             for kind in ("png", "pdf"):
-                figure.savefig(new / f"{name}.{kind}", dpi=150)
+                figure.savefig(new / f"{name}.{kind}", dpi=200)
         replays = {k: p for k, p in places.items() if (folder / p / METRICS_FILE).exists()}
         page = make_page(made.title, scenario, made._summary, SHOWN, [*names.values()], replays)
         (new / PAGE).write_text(page, encoding="utf-8")

@@ -12,15 +12,17 @@ from drake_nonstop.view.figure_style import (
     LIMIT,
     LINE_STYLES,
     MOST_NAMED,
+    PAGE,
     in_paper_style,
     legend_above,
-    new_figure,
+    single,
 )
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_ROW, _EDGES = 0.24, 1.0  # inch, of a figure with a row per setting
+_ROW, _EDGES = 0.24, 0.5  # inch, of a figure with a row per setting
+_LONGEST = 38  # characters of a name for which a column's width has room
 
 
 @in_paper_style
@@ -41,8 +43,7 @@ def make_study_figure(summary: Summary, metric: Metric) -> Figure:
 
 def _lines(summary: Summary, metric: Metric, across: str) -> Figure:
     """A line for each combination of the other factors, with a band."""
-    figure = new_figure((5.2, 3.6))
-    axes = figure.subplots()
+    figure, axes = single(across, metric.heading)
     mean, _, half = _shown(summary, metric)
     lines: dict[str, list[int]] = {}
     for k, setting in enumerate(summary.settings):
@@ -57,15 +58,16 @@ def _lines(summary: Summary, metric: Metric, across: str) -> Figure:
         low, high = mean[chosen] - half[chosen], mean[chosen] + half[chosen]
         axes.fill_between(x, low, high, color=colour, alpha=0.2, linewidth=0)
     axes.margins(x=0.05)
-    axes.set(xlabel=across, ylabel=metric.heading)
     return legend_above(figure) if len(lines) > 1 else figure
 
 
 def _rows(summary: Summary, metric: Metric) -> Figure:
     """A row for each setting: the runs as dots, the mean with its interval."""
     names = [setting.name for setting in summary.settings]
-    figure = new_figure((3.6 + 0.075 * max(map(len, names)), _EDGES + _ROW * len(names)))
-    axes = figure.subplots()
+    figure, axes = single(metric.heading, "")
+    if max(map(len, names)) > _LONGEST:
+        figure.set_figwidth(PAGE)
+    figure.set_figheight(_EDGES + _ROW * len(names))
     mean, values, half = _shown(summary, metric)
     places = np.arange(len(names))
     if summary.seeds > 1:
@@ -85,7 +87,6 @@ def _rows(summary: Summary, metric: Metric) -> Figure:
     axes.set_yticks(places, names)
     axes.set_ylim(len(names) - 0.4, -0.6)
     axes.margins(x=0.05)
-    axes.set_xlabel(metric.heading)
     return figure
 
 

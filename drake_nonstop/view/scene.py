@@ -49,6 +49,7 @@ MARK_RANGE = 1.5  # ε, up to which marks change their colour
 COLOURED_FROM = 0.5  # of the stall, where wings begin to change their colour
 TENSION_RANGE = 2.0  # of a cable's share of the load's weight, up to which it darkens
 _REFERENCE_OPACITY, _MARK_OPACITY, _OBSTACLE_OPACITY, _GRID_OPACITY = 0.2, 0.25, 0.6, 0.2
+_GROUND_OPACITY = 0.2  # obstacles stand out from it
 _REFERENCE_BAR_RATIO = 1.7  # to the load's bars, which the reference's enclose: both are seen
 _GOAL_BAR_RATIO = 0.4  # to the load's bars, which hide the goal's once the load is there
 _TRAIL_RADIUS = 0.0025  # reaches
@@ -126,8 +127,10 @@ class Scene:
             ("reference", _REFERENCE_BAR_RATIO * sizes.bar, REFERENCE_COLOUR, _REFERENCE_OPACITY),
         ):
             _draw(meshcat, name, load_parts(self._attachments, radius), colour, opacity)
-        parts = [obstacle_part(each, _GROUND_WIDTH * sizes.reach) for each in self._obstacles]
-        _draw(meshcat, "obstacles", parts, OBSTACLE_COLOUR, _OBSTACLE_OPACITY)
+        for each in self._obstacles:
+            part = obstacle_part(each, _GROUND_WIDTH * sizes.reach)
+            opacity = _GROUND_OPACITY if isinstance(each, GroundConfig) else _OBSTACLE_OPACITY
+            _draw(meshcat, "obstacles", [part], OBSTACLE_COLOUR, opacity)
         for i in range(self._n):
             _draw(meshcat, f"carriers/{i}", carrier_parts(sizes.wing_span), carrier_colour(i))
             # Marks and trails start translucent: Meshcat prepares a material for that only here.

@@ -1,4 +1,4 @@
-"""The pages' pictures: the line task with and without optimization, patterns, aircraft."""
+"""The pages' pictures: the line task with and without optimization, patterns, obstacles, aircraft."""
 
 import io
 import tempfile
@@ -25,7 +25,8 @@ def make_pictures(folder: Path) -> list[Path]:
         ScenarioError: there is no browser to take them with.
     """
     made = []
-    for name, frames in {**_line(), "real_scale.png": _patterns(), **_aircraft()}.items():
+    pictures = {"real_scale.png": _patterns(), "obstacles.png": _obstacles()}
+    for name, frames in (_line() | pictures | _aircraft()).items():
         duration = {"duration": 1000 // FRAME_RATE, "loop": 0} if name.endswith(".gif") else {}
         frames[0].save(
             folder / name, save_all=len(frames) > 1, append_images=frames[1:], **duration
@@ -59,6 +60,11 @@ def _patterns() -> list[Image.Image]:
     return [_beside(*(_drawn(run.plot("carrier_paths_from_above")) for run in runs))]
 
 
+def _obstacles() -> list[Image.Image]:
+    """A load over a tower, beside a balloon."""
+    return _frames(simulate(load_scenario("quintic_over_tower")), 5.5, 5.51, (960, 540))
+
+
 def _aircraft() -> dict[str, list[Image.Image]]:
     """The aircraft when one is closest to its largest lift, their flight, and its margins."""
     scenario = load_scenario("aircraft_transfer", [f"simulation_duration={FLIGHT[1]}"])
@@ -66,17 +72,19 @@ def _aircraft() -> dict[str, list[Image.Image]]:
     quantities = RunQuantities(run)
     lift = np.where(quantities.time < FLIGHT[0], 0.0, quantities.aircraft_state.lift.max(axis=1))
     hardest = min(quantities.time[lift.argmax()], FLIGHT[1] - 0.1)
-    scene = _frames(run, hardest, hardest + 0.01)[0]
+    drawn = _drawn(run.plot("aircraft"))
+    scene = _frames(run, hardest, hardest + 0.01, (drawn.width, drawn.height))[0]
     with tempfile.TemporaryDirectory() as folder:
         command(["check", "aircraft_transfer", "--out", folder])
         margins = Image.open(Path(folder) / "check.png").copy()
-    flight = _beside(scene, _drawn(run.plot("aircraft")))
-    return {"aircraft.png": [flight], "aircraft_check.png": [margins]}
+    return {"aircraft.png": [_beside(scene, drawn)], "aircraft_check.png": [margins]}
 
 
-def _frames(run: Run, start: float, stop: float) -> list[Image.Image]:
-    """A run's replay between two times in s."""
-    content = record_video(run, start=start, stop=stop, frame_rate=FRAME_RATE, size=(440, 440))
+def _frames(
+    run: Run, start: float, stop: float, size: tuple[int, int] = (440, 440)
+) -> list[Image.Image]:
+    """A run's replay between two times in s, with that width and height in pixels."""
+    content = record_video(run, start=start, stop=stop, frame_rate=FRAME_RATE, size=size)
     video: Any = Image.open(io.BytesIO(content))
     frames = []
     for k in range(video.n_frames):
