@@ -1,4 +1,4 @@
-"""The pages' pictures: the line task with and without optimization, patterns, obstacles, aircraft."""
+"""The pictures of the pages: the line task, patterns of orbits, obstacles, aircraft."""
 
 import io
 import tempfile
