@@ -33,8 +33,7 @@ class Cables(Block):
 
     reads = ("load_state", "carrier_state")
     makes = ("cable_forces", "carrier_cable_forces", "tensions")
-    system = ("cable_length", "cable_stiffness", "cable_damping")
-    of_model = ("attachments",)
+    system = ("attachments", "cable_length", "cable_stiffness", "cable_damping")
     tell_start = tell_of_equilibrium
 
     @staticmethod

@@ -39,8 +39,7 @@ class LoadPlant(Block):
     reads = ("cable_forces", "disturbance_wrench", "load_wind")
     makes = ("load_state",)
     state_ports = ("load_state",)
-    system = LOAD
-    of_model = ("attachments",)
+    system = ("attachments", *LOAD)
 
     @staticmethod
     def equations(

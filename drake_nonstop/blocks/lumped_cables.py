@@ -111,8 +111,7 @@ class LumpedCables(Block):
     reads = ("load_state", "carrier_state", "wind", "load_wind")
     makes = ("cable_state", "cable_forces", "carrier_cable_forces", "tensions")
     state_ports = ("cable_state",)
-    system = (*CABLE_MATERIAL, "gravity")
-    of_model = ("attachments",)
+    system = ("attachments", *CABLE_MATERIAL, "gravity")
 
     tell_start = tell_of_equilibrium
     bears_drag = True  # of its cables, which aircraft then do not

@@ -50,13 +50,14 @@ def test_times_and_signals_that_do_not_fit_are_named_with_the_remedy():
 
 OTHER_NUMBERS = [
     *("simulated.load_mass=1.07", "simulated.load_drag=0.2", "random_seed=3"),
+    "simulated.attachments=[[0.4, 0, 0], [0, 0.5, 0], [-0.5, 0, 0], [0, -0.5, 0]]",
     *("load_trajectory.start_time=0.05", "wind.gust=1", "wind.seed=4", "load_feedback.seed=2"),
     *("optimization_layer.frequency=2.2", "carrier_controller.velocity_gain=9"),
     "load_disturbance=!DisturbanceForce {gust_force: 1}",
 ]
 OTHER_EQUATIONS = [
     "wind=!SteadyWind {velocity: [1, 0, 0]}",
-    "simulated.attachments=[[0.4, 0, 0], [0, 0.5, 0], [-0.5, 0, 0], [0, -0.5, 0]]",
+    "system.attachments=[[0.4, 0, 0], [0, 0.5, 0], [-0.5, 0, 0], [0, -0.5, 0]]",
     "carrier_trajectory.hold=velocity",
     "pattern=Carousel",
     PROGRAM,

@@ -60,7 +60,7 @@ CASES = {
     "other loops": (
         [CONSTANT, "simulation_duration=0.06"],
         [
-            ["simulated.attachments=[[0.8, 0.8, 0], [-0.8, 0.8, 0], [-0.8, -0.8, 0], [0.8, -0.8, "
+            ["system.attachments=[[0.8, 0.8, 0], [-0.8, 0.8, 0], [-0.8, -0.8, 0], [0.8, -0.8, "
              "0]]"],
             ["load_trajectory.move_time=8"],
             ["control_period=0"],  # is not compiled
