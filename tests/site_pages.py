@@ -1,6 +1,7 @@
 """Checks the built documentation: `python -m site_pages ../site` in this folder.
 
 Links lead somewhere, pictures have texts, nothing is loaded from elsewhere, and no page is large.
+With Chromium, no page is wider than its window.
 `--replays FOLDER` takes the pictures by which the first page shows its replays.
 """
 
@@ -11,7 +12,11 @@ from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote
 
+from drake_nonstop.validation import ScenarioError
+
 LARGEST_PAGE = 1_500_000  # bytes, with the pictures, styles and scripts that it loads
+
+WIDTHS = 390, 1360  # pixels, of a phone's window and of a laptop's
 
 
 class Page(HTMLParser):
@@ -69,6 +74,21 @@ def broken_links(path: Path, pages: dict[Path, Page]) -> list[str]:
     return broken
 
 
+def wide_pages(site: Path) -> list[str]:
+    """The pages that scroll to the side at one of the widths, "page: fault"."""
+    from drake_nonstop.view.browser import open_browser
+
+    found = []
+    with open_browser(*WIDTHS) as page:
+        for width in WIDTHS:
+            page.set_viewport_size({"width": width, "height": 800})
+            for path in sorted({*site.rglob("*.html")} - {*site.glob("replays/*")}):
+                page.goto(path.as_uri())
+                if page.evaluate("document.documentElement.scrollWidth") > width:
+                    found.append(f"{path.relative_to(site)}: wider than {width} pixels")
+    return found
+
+
 def picture_replays(site: Path, folder: Path, share: float = 0.55) -> None:
     """A picture of each replay, at a share of its time."""
     from drake_nonstop.view.browser import open_browser
@@ -92,7 +112,12 @@ def main() -> int:
     options = parser.parse_args()
     if options.replays:
         picture_replays(options.site, options.replays)
-    found = faults(options.site.resolve())
+    site = options.site.resolve()
+    found = faults(site)
+    try:
+        found += wide_pages(site)
+    except ScenarioError as error:
+        print(f"widths are not measured: {error}")
     print("\n".join(found) or "nothing is wrong with the pages")
     return bool(found)
 

@@ -9,7 +9,7 @@ from pydrake.systems.framework import Context, DiagramBuilder
 
 from drake_nonstop.mechanics.signal_layouts import Layout
 from drake_nonstop.mechanics.signals import HELD, SAMPLE_TIME, SIGNALS
-from drake_nonstop.model.block import signal_sizes
+from drake_nonstop.model.block import Block, signal_sizes
 from drake_nonstop.model.system import Model
 from drake_nonstop.systems.equation_block import EquationBlock
 from drake_nonstop.systems.equations import Equations
@@ -82,15 +82,24 @@ class SampleAndHold(EquationBlock):
         self.replaces = (*sizes,)[: len(sizes) - len(others)]
 
     def tell_start(self, context: Context) -> None:
-        """Warns of an attitude whose quaternion is given as x, y, z, w."""
-        given, desired = (self.GetInputPort(name).Eval(context)[:4] for name in _POSES)
-        # |cos(angle / 2)| of what is between the load and its reference.
-        turned, as_told = (abs(desired @ np.roll(given, shift)) for shift in (0, 1))
-        if turned < 0.5 * _ALIKE and as_told > _ALIKE:
-            warn_user(
-                f"measured_load_state = {np.round(given, 3).tolist()}, ...: begin it with the "
-                "quaternion w, x, y, z; this is the attitude of the reference as x, y, z, w"
-            )
+        tell_of_scalar_last(self, context)
+
+
+def tell_of_scalar_last(reader: Block | SampleAndHold, context: Context) -> None:
+    """Warns of attitudes that a block reads whose quaternions are given as x, y, z, w."""
+    given, desired = (reader.GetInputPort(name).Eval(context)[:4] for name in _POSES)
+    # |cos(angle / 2)| of what is between the load and its reference.
+    turned, as_told = (abs(desired @ np.roll(given, shift)) for shift in (0, 1))
+    if turned < 0.5 * _ALIKE and as_told > _ALIKE:
+        warn_user(
+            f"measured_load_state = {np.round(given, 3).tolist()}, ...: begin it with the "
+            "quaternion w, x, y, z; this is the attitude of the reference as x, y, z, w"
+        )
+    if np.array_equal(desired, [0, 0, 0, 1]):  # a yaw of π has a w of 6e-17
+        warn_user(
+            "reference = [0, 0, 0, 1], ...: a load turned by half a turn; begin the reference with "
+            "the quaternion w, x, y, z, if no rotation is meant"
+        )
 
 
 def _sampled(held: NDArray, *signals_and_time: NDArray) -> NDArray:

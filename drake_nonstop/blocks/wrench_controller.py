@@ -7,7 +7,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
+from pydrake.systems.framework import Context
 
+from drake_nonstop.blocks.sample_and_hold import tell_of_scalar_last
 from drake_nonstop.mechanics import wrench
 from drake_nonstop.mechanics.rigid_load import RigidLoad
 from drake_nonstop.mechanics.signals import SAMPLE_TIME, WRENCH_SIZE, TrackingError
@@ -103,6 +105,10 @@ class _WrenchPid(Block):
             return super().block_parameters(model, config)
         numbers, system = _numbers(model, config), (*LOAD, "cable_length")
         return BlockParameters(model, system, config=SimpleNamespace(**numbers), own=numbers)
+
+    def tell_start(self, context: Context) -> None:
+        if self.model.control_period == 0:  # without the hold, which warns
+            tell_of_scalar_last(self, context)
 
     @property
     def gains(self) -> dict[str, Any]:

@@ -104,6 +104,11 @@ def _draw_paths(run: Run, instants: NDArray, view: NDArray) -> Figure:
     times = ", ".join(f"{time:.3g}" for time in run.time[instants])
     label = f"load, at {times} s"
     axes.plot(*load[extreme_samples(load)].T, color="black", label=label, zorder=3)
+    for path in (load, *carriers.swapaxes(0, 1)):
+        is_shown = np.isfinite(path).all(axis=1)
+        left = path[:-1][is_shown[:-1] & ~is_shown[1:]]
+        label = "path goes on" if len(left) else None
+        axes.plot(*left.T, "x", color="black", label=label, zorder=5)
     shades = np.linspace(_DARKEST, _LIGHTEST, len(corners))[::-1]
     for outline, alpha in zip(corners, shades, strict=True):
         axes.fill(*_hull(outline).T, facecolor="0.2", edgecolor="black", alpha=alpha)

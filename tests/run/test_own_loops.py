@@ -124,6 +124,17 @@ class ScalarLast(Block):
         return np.concatenate([load_state[1:4], load_state[:1], load_state[4:]])
 
 
+class ScalarLastRest(ScalarLast):
+    """A reference at rest without a rotation, in the same order."""
+
+    reads = ()
+    makes = ("reference",)
+
+    @staticmethod
+    def equations():
+        return np.eye(22)[3]
+
+
 def started(diagram, turns=False):
     """A Simulator of a hand-made context; it may have a state in the order x, y, z, w."""
     simulator = Simulator(diagram)
@@ -149,8 +160,13 @@ def test_a_start_from_which_no_flight_begins_is_told_at_the_first_evaluation():
         ) as told:
             simulate(scenario, load_feedback=ScalarLast, engine=engine)
         assert told[0].filename == __file__
-    with pytest.warns(match=r"^measured_load_state = \[0.0.*, 1.0\]"):
-        started(diagram, turns=True)
+    continuous = by_hand(by_diagram("line", "control_period=0"))
+    set_default_equilibrium(continuous)
+    for loop in (diagram, continuous):
+        with pytest.warns(match=r"^measured_load_state = \[0.0.*, 1.0\]"):
+            started(loop, turns=True)
+    with pytest.warns(match=r"^reference = \[0, 0, 0, 1\], .*: .* w, x, y, z"):
+        simulate(scenario, load_trajectory=ScalarLastRest)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         started(diagram)
