@@ -29,6 +29,8 @@ from drake_nonstop.validation import ScenarioError, require, warn_user
 
 SHORTEST_STEP = 5e-5  # s; with a shorter one a run of 15 s would take minutes
 _STABLE_TURN = 1.6  # rad, of the fastest mode in a step; third-order Runge-Kutta: 1.73
+# Numbers of steps in a signals' period; a compiled loop is one of its step, too.
+_COUNTS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 25, 32, 40, 50, 64, 80, 100, 125, 160, 200)
 _DIFFERENCE = 1e-7  # SI units; so close to a state, tensions that are damped strongly do not end
 
 
@@ -58,7 +60,8 @@ def with_largest_step(
     """The configuration of a loop's integrator, with a step of at most `largest_step`.
 
     A shorter step than the configuration's is a whole part of 10 ms, the signals' period, and a
-    ScenarioWarning tells of it. Steps of any scheme but the third-order Runge-Kutta one without
+    ScenarioWarning tells of it. There are few such steps, so that loops whose numbers differ little
+    have the same. Steps of any scheme but the third-order Runge-Kutta one without
     error control are the user's, and stay.
 
     Args:
@@ -82,7 +85,7 @@ def with_largest_step(
     if config.max_step_size <= longest:
         return config
     # A whole part of the signals' period, so that no step is cut short by it.
-    step = SIGNAL_PERIOD / math.ceil(SIGNAL_PERIOD / longest)
+    step = SIGNAL_PERIOD / next(n for n in _COUNTS if n * longest >= SIGNAL_PERIOD)
     warn_user(
         f"simulator_config.max_step_size = {config.max_step_size:g}: steps of {step:.3g} s are "
         "taken instead, for the sake of the fastest mode of the loop"
