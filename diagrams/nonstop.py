@@ -300,10 +300,10 @@ def make_nonstop(
     Args:
         scenario: the system, the pattern and one config per box; where fields hold distributions,
             numbers are drawn with its `random_seed`.
-        at_equilibrium: whether the equilibrium is looked for. If not, as where a load is to start
-            from the ground, load and carriers are at the origin in new contexts.
-        extra: blocks beyond the figure's by names of their own, each as a replacement. They read
-            and make signals by the names of their ports.
+        at_equilibrium: whether new contexts start at the equilibrium. If not, as for a load that
+            starts from the ground, load and carriers are at the origin.
+        extra: blocks beyond the figure's, by name, each given as a replacement is. They read and
+            make signals by the names of their ports.
         inputs: signals that no block makes, which become input ports of the diagram.
         replacements: by the name of a box, what to put in its place: a block's config; a block
             class with the dataclass of its parameters beside it, to which parameters go as in a
@@ -347,7 +347,7 @@ def make_blocks(
     `set_equilibrium` sets a context of their diagram.
 
     Args:
-        scenario: as of `make_nonstop`, and so are the others.
+        scenario: as of `make_nonstop`, as are the other arguments.
         extra: blocks beyond the figure's.
         replacements: what to put in the places of boxes.
 

@@ -28,7 +28,7 @@ _Config = typing.TypeVar("_Config")
 
 
 class ScenarioWarning(UserWarning):
-    """A scenario is run in another way than it asks for; the message tells why."""
+    """The scenario is run in another way than it states; the message gives the reason."""
 
 
 def warn_user(message: str) -> None:

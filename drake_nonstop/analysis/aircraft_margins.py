@@ -123,15 +123,14 @@ class AircraftMargins:
 
 
 def aircraft_margins(scenario: Scenario, **replacements: Any) -> AircraftMargins:
-    """Returns the needs of a scenario's aircraft on the exact orbit above its resting load.
+    """The needs of a scenario's aircraft on the exact orbit above its resting load.
 
-    The orbit is that of the start: of the first ξ and A, above the load in its first pose, which
-    turns about the vertical at its first rate and rests otherwise, in the steady wind, without
-    gusts and disturbances. The carriers fly the orbit of the load that the controllers believe in;
-    the aircraft and the load that they hold are those of the simulated plant.
+    The orbit has the initial ξ and A. The load has its first pose, and turns about the vertical at
+    its first rate, if at all. There are steady wind, no gusts and no disturbances. The orbit is
+    that of the controllers' model; aircraft and load are those of the simulated plant.
 
     Args:
-        scenario: with aircraft in its `system`.
+        scenario: its `system` has aircraft.
         replacements: blocks in place of the scenario's, as of `make_nonstop`.
 
     Raises:

@@ -105,8 +105,8 @@ def linearize(
 ) -> Stability:
     """The Floquet multipliers of a scenario's loop around the motion of a resting load.
 
-    They are what `drake-nonstop stability` prints: `largest`, `is_stable`, and the growth `rate` in
-    1/s of the least stable mode.
+    They have the attributes that `drake-nonstop stability` prints: `largest`, `is_stable`, and the
+    growth `rate` in 1/s of the least stable mode.
 
     The compiled loop is differentiated, with its sampled controllers, delays and integrator. The
     map from one sample to the next is found at some phases of a turn and interpolated between
@@ -115,7 +115,7 @@ def linearize(
 
     Args:
         scenario: of the loop.
-        progress: called with a description and the share that is done.
+        progress: called with a description of the task and the share of it that is done.
 
     Raises:
         ScenarioError: the scenario cannot be built, or its loop cannot be compiled.

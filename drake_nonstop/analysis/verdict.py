@@ -221,16 +221,16 @@ def check_scenario(
     tries_remedies: bool = True,
     progress: Progress = lambda what, share: None,
 ) -> ScenarioCheck:
-    """Flies a scenario as it states, and explains what becomes of it: `drake-nonstop check`.
+    """Flies a scenario as stated, and explains the outcome: `drake-nonstop check`.
 
-    Where it has random numbers it is flown in several seeds, its own first; where it states errors
-    at all, also without them. All flights go side by side.
+    A scenario with random numbers is flown in several seeds, its own first, and one with errors
+    also without them. All flights go side by side.
 
     Args:
         scenario: to be checked.
         seeds: in which a scenario with random numbers is flown.
-        tries_remedies: whether what would help is looked for where a flight is not ok.
-        progress: called with a description and the share that is done of it.
+        tries_remedies: whether to look for changes with which a flight that is not ok is ok.
+        progress: called with a description of the task and the share of it that is done.
 
     Raises:
         ScenarioError: the scenario cannot be built, or no number of seeds is given.

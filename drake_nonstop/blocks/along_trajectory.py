@@ -89,10 +89,10 @@ class LoadTrajectory(AlongTrajectory):
             differentiable where the load has to follow closely, such as a PiecewisePolynomial or a
             BsplineTrajectory. Before its start and after its end the load rests at its first and
             last pose.
-        yaw_rate: rad/s, at which the load turns about the vertical besides, at all times.
+        yaw_rate: rad/s, of a further turn about the vertical, at all times.
 
     Raises:
-        ScenarioError: it is no Trajectory, or has no derivatives, or not these six rows.
+        ScenarioError: it is no Trajectory, has no derivatives, or has other rows.
     """
 
     makes = ("reference", "reference_higher_rates", "reference_preview")

@@ -149,27 +149,26 @@ class CarrierTrajectory(CarrierReferenceBlock):
 
     The cables stretch by the system's stiffness (.inf: L_i = L₀, as in the paper). Only
     accelerations and jerks need `internal_force_higher_rates`, `wind_estimate` and
-    `reference_higher_rates`: they are those while the load is on its reference, whose rates beyond
-    these are taken as zero, see `mechanics.grasp`.
+    `reference_higher_rates`. They hold for a load on its reference, whose further rates are taken
+    as zero, see `mechanics.grasp`.
 
     A time τ after a sample the `carrier_reference` is p + τ v + τ² a/2 + τ³ j/6 and
     v + τ a + τ² j/2, and its acceleration a + τ j. With the `hold` "velocity" they are p + τ v, v
-    and a. Jerks stand still.
+    and a. Jerks are constant.
 
-    What else holds the load off its reference, such as cables of another length, a wind or a centre
-    of mass beside the model's, dies out by corrections. The measured error [r, e_p], a rotation in
-    L and a shift in W, passes a low-pass of the time `correction_time`, and what is left is
-    integrated at the `correction_rates`: the load's reference is moved, and turned about the
-    vertical with the whole formation, and the ends of its cables are tilted. The integral of a
-    wrench controller cannot do that on long cables: a force moves the load only by the cables'
-    stretch, 2.3 mm/N in `aircraft_rest`, and its predicted rate is that of a free load. The
-    low-pass keeps the load's own turning on its cables, which little damps, from being amplified.
-    An attitude that controllers take as desired is `measured_attitude`; not connected, that of the
-    measured state. Rates that are "auto" follow from the cables by
-    `mechanics.tuning.correction_rate`, but for the tilt of a load below aircraft, 0: ends of long
-    cables that are tilted share the load otherwise, and pull it sideways, by 0.5 m in
-    `aircraft_rest` with its centre of mass 3 % of the width off. `stability` tells whether given
-    rates are stable.
+    Corrections remove the load's errors that a wrong model causes, such as a wrong length of
+    cables, wind or centre of mass. The measured error [r, e_p], a rotation in L and a shift in W,
+    passes a low-pass with the time constant `correction_time`, and is integrated at the
+    `correction_rates`. This moves the load's reference, turns it about the vertical with the whole
+    formation, and tilts the ends of its cables. The integral of a wrench controller cannot do that
+    on long cables: a force moves the load only by the cables' stretch, 2.3 mm/N in `aircraft_rest`,
+    and its predicted rate is that of a free load. The low-pass keeps corrections from amplifying
+    the load's rotation on its cables, which is weakly damped. The attitude is `measured_attitude`,
+    or that of the measured state where this is not connected. Rates that are "auto" follow from the
+    cables by `mechanics.tuning.correction_rate`. For the tilt of a load below aircraft the rate is
+    0: tilted ends of long cables share the load differently, and pull it sideways, by 0.5 m in
+    `aircraft_rest` with its centre of mass 3 % of the width off. The command `stability` shows
+    whether given rates are stable.
 
     Raises:
         ScenarioError: `hold` is another text, a rate is negative, or the low-pass is faster than

@@ -17,10 +17,9 @@ class PlannedInternalForceConfig(StrictFields):
 
 
 class PlannedInternalForce(Block):
-    """λ_k = A cos(θ + φ_k) with its exact rates (eq. 23), of ξ and A that may change.
+    """λ_k = A cos(θ + φ_k) with its exact rates (eq. 23), for ξ and A that may change.
 
-    Where `planned` tells no rates they are those of constant ξ and A. See
-    `mechanics.internal_force.harmonics`.
+    With rates of zero in `planned`, ξ and A are constant. See `mechanics.internal_force.harmonics`.
     """
 
     reads = ("planned",)

@@ -139,7 +139,7 @@ class MeasurementConfig(StrictFields):
 
 @dataclass(kw_only=True)
 class NoisyFeedbackConfig(MeasurementConfig):
-    """Values of the measurement."""
+    """Noise and delay of the measurement."""
 
 
 class NoisyFeedback(Block):
@@ -150,9 +150,9 @@ class NoisyFeedback(Block):
     rotated by a random rotation vector in W. With a delay of N periods, a controller that
     samples every period gets the state of N periods before; in the first N periods the state at
     the start. Without `measures_attitude` the attitude loop is open, as in
-    `DesiredAttitudeFeedback`: quaternion and angular velocity are the reference's, of now.
+    `DesiredAttitudeFeedback`: quaternion and angular velocity are those of the reference now.
 
-    The state is a line of the last N samples, the newest first, and 1 where it has begun, else 0.
+    The state has the last N samples, the newest first, and a 1 once it has begun, else a 0.
 
     Raises:
         ScenarioError: a field is out of range, or the delay no multiple of the period.
@@ -165,7 +165,7 @@ class NoisyFeedback(Block):
 
     @staticmethod
     def equations(line: NDArray, load_state: NDArray, *others: NDArray) -> tuple[NDArray, ...]:
-        """Behind the load's state: the reference, if it is read, and the noise."""
+        """After the load's state come the reference, if it is read, and the noise."""
         *reference, noise = others
         measured = _measured(line, load_state, noise)
         return _shifted(line, load_state), _with_attitude(measured, *reference), measured[:4]

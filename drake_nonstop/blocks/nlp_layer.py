@@ -83,18 +83,18 @@ class NlpLayerConfig(ProgramConfig):
 
 
 class NlpLayer(CommandedBound, PeriodicLayer):
-    """Changes ξ and A to the least of a cost within constraints, by one of Drake's solvers.
+    """Minimizes a cost of ξ and A within constraints, by one of Drake's solvers.
 
     At each update, with x = [ξ, A],
 
         min cost(x, now)  such that  constraints(x, now) ≥ 0  and x is within its bounds,
 
-    as it is the paper's problem (eqs. 24-26) at even phases of the whole orbit. A class below has a
-    `cost` or `constraints` of its own, and beside it a dataclass below `NlpLayerConfig`; both find
-    `self.model` and `self.config`. `now` has each signal of `reads` by its name, of which the class
-    may have more, ε as `speed_bound` (1,), m/s, and the last x⁻ as `previous` (2,). They are plain
-    arithmetic of arrays without branches on values, such as that of `carrier_speeds`, which is
-    traced once and differentiated exactly.
+    by default the paper's problem (eqs. 24-26) at equidistant phases of the whole orbit. A subclass
+    has a `cost` or `constraints` of its own, and beside it a dataclass that inherits from
+    `NlpLayerConfig`; both methods find `self.model` and `self.config`. `now` has the signals of
+    `reads`, which a subclass may extend, by their names, ε as `speed_bound` (1,), m/s, and the last
+    x⁻ as `previous` (2,). Both methods are plain arithmetic of arrays without branches on values,
+    such as that of `carrier_speeds`, and are traced once and differentiated exactly.
 
     The solver starts from x⁻, which is kept where it keeps the constraints and has no gradient of
     the cost, or where nothing better is found. Where the solver fails, or its answer misses a
@@ -129,7 +129,7 @@ class NlpLayer(CommandedBound, PeriodicLayer):
         return {"parameters": [config.frequency, config.amplitude]}
 
     def cost(self, x: NDArray, now: Any) -> Any:
-        """What is to be small, a number: that of the change (eq. 26)."""
+        """The cost, a number: here that of the change (eq. 26)."""
         return change_cost(
             *(x, now.previous, now.phase),
             phases=self.model.pattern.phases,

@@ -47,8 +47,8 @@ class ConstantParametersConfig(StrictFields):
 class ConstantParameters(CommandedBound):
     """Constant ξ and A: the loop without optimization.
 
-    Nothing enforces the `speed_bound`: the `speed_bound_command`, or else what `set_speed_bound`
-    changes during a run.
+    Nothing enforces the `speed_bound`, which is the `speed_bound_command`, or else a number that
+    `set_speed_bound` changes during a run.
 
     Raises:
         ScenarioError: frequency or amplitude is not positive, an amplitude is given for a pattern

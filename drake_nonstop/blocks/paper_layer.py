@@ -28,10 +28,10 @@ class PaperLayer(NlpLayer):
         min ‖x − x⁻‖² + w_pos ‖λ(x) − λ(x⁻)‖² + w_vel ‖λ̇(x) − λ̇(x⁻)‖²
         such that  ‖v_i(x)‖ ≥ (1 + tightening) ε,  i = 1 … n,
 
-    and x is within its bounds, by SNOPT from x⁻ on. v_i is the velocity of carrier i (eq. 22) over
-    the load where it is measured, which the wrench accelerates; of aircraft through the air. The
-    constraint holds at the instant of the update alone: for the orbit ahead see `NlpLayer`, and for
-    plans `RecedingHorizonOptimizer`. Where the solver finds no such x, x⁻ stays, and the update
+    and x is within its bounds, by SNOPT from x⁻ on. v_i is the velocity of carrier i (eq. 22), for
+    aircraft through the air. The load has its measured motion, and the acceleration by the wrench.
+    The constraint holds at the instant of the update alone: for the orbit ahead see `NlpLayer`, and
+    for plans `RecedingHorizonOptimizer`. Where the solver finds no such x, x⁻ stays, and the update
     counts as `held`.
 
     Raises:

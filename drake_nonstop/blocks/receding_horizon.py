@@ -97,11 +97,11 @@ class RecedingHorizonOptimizer(CommandedBound, PeriodicLayer):
     Every `knot_spacing` a plan of smooth ξ and A over some `intervals` is made: splines of fourth
     degree that go on from the last plan with three continuous rates, see
     `planning.horizon_problem`. The carriers' speeds along it follow from the load's reference,
-    which `reference_preview` tells ahead, and the wrench that moves the load along it in still air.
-    Where no preview is connected, or `preview` is false, the motion goes on as it does. The plan is
-    written to the signal `plan`, which the box `phase` reads: use `ShapedPhase`. The first plan
-    starts with the initial ξ and A where these keep the constraints, from the start itself on, and
-    else with others; until it is made, `parameters` and `plan` show the initial ones.
+    which `reference_preview` has for later times, and the wrench that moves the load along it in
+    still air. Without a preview, or with `preview` false, the present motion is taken to go on. The
+    plan is written to the signal `plan`, which the box `phase` reads: use `ShapedPhase`. The first
+    plan starts with the initial ξ and A if these keep the constraints from the start on, and else
+    with others. Until it is made, `parameters` and `plan` show the initial values.
 
     Where the references' cables bow, speeds, limits of aircraft and distances are those of carriers
     at the ends of bowed cables, see `planning.carrier_margins`.
@@ -109,25 +109,24 @@ class RecedingHorizonOptimizer(CommandedBound, PeriodicLayer):
     With `tightening: measured` the margin above ε follows the carriers' deviations from their
     planned velocities, as `carrier_state` shows them at each sample, see
     `planning.measured_margin`; a margin that has risen is reached within three plans. Without
-    that signal, or without a control period, it stays 2 %. `measured_margin` tells it, in m/s.
+    that signal, or without a control period, it stays 2 %. `measured_margin` is the margin in m/s.
 
-    The speeds of aircraft are those through the air, in the wind that `wind_estimate` tells at the
-    time of a plan, taken as steady; not connected, or `wind` is false: in still air. What they need
-    of lift, bank, climb and thrust is limited along the plan and, at its end, on the whole orbits
-    of ξ and A.
+    The speeds of aircraft are airspeeds, in the `wind_estimate` at the time of a plan, taken as
+    steady. Where it is not connected, or `wind` is false, the air is still. Lift, bank, climb and
+    thrust are limited along the plan and, at its end, on the whole orbits of ξ and A.
 
     An update ends as kept where the last plan, shifted, cannot be improved; as solved where a plan
     fulfils all constraints; and as relaxed where it is the least infeasible one that was found.
 
-    `set_speed_bound` changes ε in the context during a run, which also holds the initial ξ and A,
-    their bounds and what is believed of load, cables and pattern. Where `speed_bound_command` is
-    connected it is ε, read at each plan. A bound of 0 leads ξ and A back to their initial values.
+    The context holds ε, which `set_speed_bound` changes during a run, the initial ξ and A, their
+    bounds, and the parameters of load, cables and pattern. If `speed_bound_command` is connected,
+    each plan reads ε from it. A bound of 0 leads ξ and A back to their initial values.
 
     Converted to AutoDiffXd or Expression the layer goes on with its plan, and an update raises
     ScenarioError: it solves with floating-point numbers only.
 
-    `diagnostics` are the fields of `Diagnostics`, whose speed margin is the smallest of the whole
-    horizon; `missed_limits` tells how many plans do not keep each limit that is asked for, of
+    `diagnostics` has the fields of `Diagnostics`, with the smallest speed margin of the whole
+    horizon. `missed_limits` counts the plans that do not keep each of the stated limits, and of
     aircraft also the bound.
 
     Raises:

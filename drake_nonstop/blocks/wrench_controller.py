@@ -166,9 +166,10 @@ class WrenchController(_WrenchPid):
     """PID with feedforward: equations 14-15 with the sign of e_ω that damps.
 
     Gains that are "auto" follow from the model's mass, inertia, cables and gravity, by
-    `mechanics.tuning.load_gains`: for its load the paper's (Table I), but for more damping of the
-    position and a quarter of the torques. The integrals of e_R and e_p (6) are the state, where one
-    of their gains is not zero. The load's drag follows from `wind_estimate`.
+    `mechanics.tuning.load_gains`: for the paper's load they are the paper's gains (Table I), with
+    more damping of the position and a quarter of the torques. The integrals of e_R and e_p (6) are
+    the state if one of their gains is not zero. The load's drag is that in the wind of
+    `wind_estimate`.
 
     Raises:
         ScenarioError: a gain is negative or not finite, or another word than "auto".

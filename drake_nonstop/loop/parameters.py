@@ -14,7 +14,7 @@ from drake_nonstop.validation import require, require_array, require_known
 
 
 def get_parameter(diagram: Diagram, context: Context, name: str) -> float | NDArray:
-    """A number, or an array, of the first block that takes it, as of `set_parameter`."""
+    """A number, or an array, of the first block that takes it; names as in `set_parameter`."""
     _, group, place, shape = _places(diagram, context, name)[0]
     values = context.get_numeric_parameter(group).CopyToVector()[place]
     return values.reshape(shape) if shape else values[0]
@@ -23,14 +23,14 @@ def get_parameter(diagram: Diagram, context: Context, name: str) -> float | NDAr
 def set_parameter(diagram: Diagram, context: Context, name: str, value: Any) -> None:
     """Sets a number, or an array, in the contexts of all blocks that take it.
 
-    "wrench_controller.position_gain" is that of one block, "system.load_mass" what all controllers
-    believe, and "simulated.load_mass" what the plant has. Gains that are "auto" keep the numbers
-    that they were built with, and the state stays: `set_equilibrium` finds the start anew.
+    "wrench_controller.position_gain" is of one block, "system.load_mass" of all controllers, and
+    "simulated.load_mass" of the plant. Gains that are "auto" keep the numbers that they were built
+    with, and the state stays: `set_equilibrium` finds the start anew.
 
     Args:
         diagram: the loop, or one around it, before a conversion.
         context: the diagram's own, or that of the diagram converted to AutoDiffXd.
-        name: of a block, or a role, and of the number.
+        name: of a block, "system" or "simulated", and of the number.
         value: in SI units; its shape and finiteness alone are checked.
 
     Raises:

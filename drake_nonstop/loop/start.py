@@ -86,20 +86,17 @@ def set_equilibrium(nonstop: Diagram, context: Context) -> None:
     """Sets load and carriers in `context` to the equilibrium of the loop as configured.
 
     The carriers start on their references, with their velocities, and the load on its own. Where
-    the controllers do not know the plant, such as its cables or its mass, what corrects references
-    in flight does so from the start, see `CarrierTrajectory`; where nothing does, the load starts
-    where the cables hold it at rest. Newton's method on the built diagram, with its
-    initialization events, finds correction or pose, whatever the blocks are; the controllers know
-    the load's true state there, without noise. Inputs of the loop, where a box was left out, are
-    held at their values at the start. A load whose reference moves at the start has that velocity
-    and that acceleration. Further states keep their values, but for those that a block trims: what
-    a block of one's own may offer is in `loop/start.py`.
+    the controllers' model differs from the plant, such as in cables or mass, the corrections of the
+    references, see `CarrierTrajectory`, start such that they hold the load. Without corrections the
+    load starts where the cables hold it at rest. Newton's method on the built diagram, with its
+    initialization events, finds correction or pose for any blocks. The controllers know the load's
+    true state there, without noise. Inputs of the loop, where a box was left out, have their values
+    at the start. A load whose reference moves at the start has its velocity and acceleration.
+    Further states keep their values, except those that a block trims, see `loop/start.py`.
 
-    The blocks with these states are those that make the signals `load_state` and `carrier_state`,
-    found by the names of their output ports, whatever the blocks are called, however deep in
-    `nonstop` they are, and whether it exports the ports or not; where several blocks have a port of
-    that name, the one that it exports counts. A load that is at its equilibrium already stays where
-    it is.
+    The output ports `load_state` and `carrier_state` name the blocks with these states, at any
+    depth of `nonstop`. Of several ports with one of these names the exported one counts. A load
+    that is at its equilibrium already stays there.
 
     Raises:
         ScenarioError: the cables cannot hold the load, a block does not show the state that is

@@ -35,11 +35,11 @@ _DIFFERENCE = 1e-7  # SI units; so close to a state, tensions that are damped st
 
 
 def largest_step(diagram: Diagram, context: Context) -> float:
-    """The longest step, in s, with which third-order Runge-Kutta steps of a loop are stable.
+    """The longest step, in s, with which the third-order Runge-Kutta scheme of a loop is stable.
 
-    An explicit scheme diverges, at first in silence, where the fastest mode turns too far in a
-    step. The modes are the eigenvalues of the Jacobian of the continuous states' rates, with
-    sampled states and the layer's answers held. Infinite where nothing moves.
+    An explicit scheme diverges, at first unnoticed, where the fastest mode turns too far in a step.
+    The modes are the eigenvalues of the Jacobian of the continuous states' rates, with sampled
+    states and the layer's answers held. Infinite where nothing moves.
 
     Args:
         diagram: the loop, or a diagram around it.

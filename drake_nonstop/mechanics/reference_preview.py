@@ -17,7 +17,7 @@ FADE_TIME = 0.5  # s, in which the accelerations of `continued_reference` fade
 
 @dataclass(frozen=True, eq=False)
 class ReferencePreview:
-    """Reference to come of a trajectory, the value of `reference_preview`.
+    """The reference at later times, the value of the signal `reference_preview`.
 
     It holds no state and is not copied with a context: any thread may call it at any time.
 
@@ -25,8 +25,7 @@ class ReferencePreview:
         reference: returns the reference (22,) at an absolute time in s, as the signal
             `reference` has it then.
         end_time: s, until which the reference is known; inf: for ever.
-        references: returns the references (k, 22) at times (k,), where that is faster than one
-            after the other.
+        references: returns the references (k, 22) at times (k,), if this is faster than k calls.
         higher_rates: returns the signal `reference_higher_rates` (6,) at a time, where it is known.
     """
 

@@ -38,8 +38,8 @@ def by_name(sizes: Mapping[str, int], rows: NDArray) -> dict[str, NDArray]:
 class Part(NamedTuple):
     """Entries of a signal that belong together.
 
-    Of size "1", "3" (x, y, z) or "4" (w, x, y, z), or as many for each of n carriers, "n" and "3n",
-    or of m coordinates of the internal force, "m".
+    The size is "1", "3" (x, y, z) or "4" (w, x, y, z); "n" or "3n" for n carriers; or "m" for the m
+    coordinates of the internal force.
     """
 
     name: str  # "" where the signal has no other part
@@ -56,12 +56,12 @@ class Part(NamedTuple):
 
     @property
     def base(self) -> int:
-        """The number of its entries, for each carrier or coordinate where it is of these."""
+        """The number of its entries, of one carrier or coordinate."""
         return int(self.size.rstrip("nm") or 1)
 
     @property
     def per(self) -> str:
-        """Of what it has entries: "n", "m", or "" for neither."""
+        """Owner of the entries: "n", each carrier, "m", each coordinate, or "", the signal."""
         return self.size.lstrip("134")
 
 
@@ -83,8 +83,8 @@ class Layout:
     """The parts of a signal, in their order.
 
     Raises:
-        ScenarioError: there is no part, two have one name, a size is none of those that a `Part`
-            may have, or some parts are those of n carriers and others of m coordinates.
+        ScenarioError: there is no part, two parts have the same name, a size is none of a `Part`,
+            or there are parts of n carriers and of m coordinates.
     """
 
     parts: tuple[Part, ...]

@@ -40,8 +40,8 @@ def _lag() -> Any:
 class AircraftParameters(StrictFields):
     """Fixed-wing carriers, all alike: one of the table, single fields changed, or a user's own.
 
-    A field that is None is the `model`'s, or where there is no model has to be given; the last
-    four have defaults. Coefficients are those of the wing area.
+    A field that is None is that of the `model`. Without a model all fields but the last four, which
+    have defaults, must be given. Coefficients refer to the wing area.
     """
 
     model: str | None = None  # of the table: rascal_110, ultrastick_25e

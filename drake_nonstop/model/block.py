@@ -125,11 +125,11 @@ class _NoConfig(StrictFields):
 
 
 class Block(EquationBlock):
-    """A block that is made by `X(model, config)` of what its class X declares.
+    """A block of the loop: `X(model, config)` makes it from the declarations of its class X.
 
-    The dataclass of its parameters is XConfig, in the same module; those that are numbers are
-    parameters of the context. Units, sizes and frames of its signals are those of
-    `mechanics.signals`, or of its own `signal_layouts`:
+    XConfig, in the same module, is the dataclass of its parameters. Numbers are parameters of the
+    context. `mechanics.signals`, or the class's own `signal_layouts`, has the units, sizes and
+    frames of its signals:
 
         @dataclass(kw_only=True)
         class SpringConfig(StrictFields):
@@ -145,35 +145,35 @@ class Block(EquationBlock):
                 return np.concatenate([np.zeros(3), force])
 
     `equations` takes the state, if there is one, an array (size,) for each signal of `reads`, then
-    for each of its `quantities`, and the time (1,) in s if `reads_time`. By name it takes what is
-    `of_model`, and the parameters of `system` and of the config, as arrays, numbers as (1,). It
-    returns the state's rate, if there is a state, and an array for each signal of `makes` that does
-    not show the state. It is plain arithmetic that runs on arrays of floats, AutoDiffXd,
+    for each of its `quantities`, and the time (1,) in s if `reads_time`. By name it takes the
+    attributes `of_model`, and the parameters of `system` and of the config, as arrays, numbers as
+    (1,). It returns the state's rate, if there is a state, and an array for each signal of `makes`
+    that does not show the state. It is plain arithmetic that runs on arrays of floats, AutoDiffXd,
     Expressions and symbols of CasADi alike: no branches on values, no `np.linalg.norm`, no writing
-    into arrays. From it follow what feeds through to what, the derivatives, and the block's part of
-    a compiled loop.
+    into arrays. Direct feedthrough, derivatives and the block's part of a compiled loop follow from
+    it.
 
-    The states of all sampled blocks step at each sample at once, from what was held since the last
-    one. A class may have a static method `start`, which takes what `equations` takes, and returns
-    the state at the start of a run.
+    At each sample the states of all sampled blocks step at once, from the values held since the
+    last sample. A class may have a static method `start`, which takes what `equations` takes, and
+    returns the state at the start of a run.
 
     Attributes:
         reads, makes: names of signals.
-        optional_inputs: of those that it reads: they may be left unconnected, and then are zero.
-        unconnected: other values of these, by name.
+        optional_inputs: signals of `reads` that may be left unconnected, and then are zero.
+        unconnected: their values by name, if not zero.
         system: names of fields of the system that `equations` takes, and a context can change.
-        of_model: attributes of the `Model` that it takes, and nothing can change, such as
-            "attachments" or "pattern.basis", which it takes by the name basis.
+        of_model: attributes of the `Model` that it takes as constants, such as "attachments", or
+            "pattern.basis" by the name basis.
         state_ports: signals that show the state, one part after the other.
         is_sampled: with a control period the state changes at the samples alone.
         reads_time: `equations` takes the time.
-        makes_next_state: of a sampled state `equations` returns the next one, and not its rate.
-        is_joint: all that `equations` returns is made together.
-        model, config: what it was made of, a copy of the config; all hooks find them there.
+        makes_next_state: `equations` returns the next value of a sampled state, not its rate.
+        is_joint: all outputs are computed together.
+        model, config: the model, and a copy of the config, for all methods.
 
     Raises:
-        ScenarioError: `check` refuses the config, or a declaration, or what `equations` returns,
-            cannot be used.
+        ScenarioError: `check` refuses the config; a declaration, or a result of `equations`, cannot
+            be used.
     """
 
     system: ClassVar[tuple[str, ...]] = ()
@@ -285,7 +285,7 @@ class Block(EquationBlock):
             self.DeclareAbstractOutputPort(name, allocate, ValueProducer.NoopCalc, known)
 
     def starting_at(self, state: NDArray) -> "Block":
-        """The block anew, with another first state."""
+        """A new block with another first state."""
         arguments, named = self._arguments
         made: Block = type(self).__new__(type(self), *arguments, **named)
         made._first_state = state
@@ -322,7 +322,7 @@ class Block(EquationBlock):
         """Raises ScenarioError for a config that cannot be used with the model."""
 
     def constants(self, model: Model, config: Any) -> dict[str, Any]:
-        """Arguments of `equations` by name besides parameters: numbers, arrays or functions."""
+        """Further arguments of `equations` by name: numbers, arrays or functions."""
         try:
             return {name.rpartition(".")[2]: attrgetter(name)(model) for name in self.of_model}
         except AttributeError as error:
@@ -331,7 +331,7 @@ class Block(EquationBlock):
             raise ScenarioError(f"{field} = {one_line(error)}: {remedy}") from error
 
     def inputs(self, model: Model) -> tuple[str, ...]:
-        """The signals that it reads; a `sample_time` of `where` only if there are samples."""
+        """The signals that it reads; `sample_time` only if there are samples."""
         left_out = SAMPLE_TIME if SAMPLE_TIME in self.where and model.control_period == 0 else None
         return tuple(name for name in self.reads if name != left_out)
 
@@ -340,9 +340,9 @@ class Block(EquationBlock):
         return self.makes
 
     def fixed_outputs(self) -> Mapping[str, Any]:
-        """Those that are no vectors but objects, which never change; `equations` make the others.
+        """Outputs that are objects and never change; `equations` makes the others.
 
-        They may not refer to the block, which would never be freed.
+        An object must not refer to the block, which would never be freed.
         """
         return {}
 
@@ -364,7 +364,7 @@ class Block(EquationBlock):
 
     @classmethod
     def has_state(cls, model: Model, config: Any) -> bool:
-        """Whether the state moves; if not, `equations` always gets that of a new context."""
+        """Whether the state moves; if not, `equations` always gets the first state."""
         return True
 
     def between_samples(self, model: Model, config: Any) -> BetweenSamples | None:
@@ -376,7 +376,7 @@ class Block(EquationBlock):
         return model.control_period if self.is_sampled else 0.0
 
     def block_parameters(self, model: Model, config: Any) -> BlockParameters:
-        """Fields of system and config that `equations` takes: those that are numbers."""
+        """Fields of system and config that are numbers, for `equations`."""
         own = [name for name, value in asdict(config).items() if _is_numeric(value)]
         return BlockParameters(model, self.system, config=config, own=own)
 

@@ -55,7 +55,7 @@ _positive, _non_negative = map(number_or_list, (require_positive, require_non_ne
 class SystemParameters(StrictFields):
     """Load, cables and carriers; the defaults are the paper's (Table I, figures).
 
-    Each number of the cables is one for all, or a list of one for each.
+    Each property of the cables is a number, or a list with a number for each cable.
     """
 
     load_mass: float = positive(1.0)  # kg
@@ -139,10 +139,10 @@ def require_few(field: str, points: int) -> None:
 class Model:
     """The system as arrays, checked, with the constants that follow from it.
 
-    Blocks take one: the controllers that of the scenario's `system`, the plant that of
-    `simulated`. All arrays are in the load frame, but for the states that the plant's blocks
-    declare: `initial_load_state` (13,) and `initial_carrier_state` (6n,), SI, in W, of the load at
-    rest at the origin and of carriers there: the equilibrium is not known yet.
+    Each block takes a model: a controller that of the scenario's `system`, the plant that of
+    `simulated`. All arrays are in the load frame, except for the states that the plant's blocks
+    declare: `initial_load_state` (13,) and `initial_carrier_state` (6n,), SI, in W. These are of a
+    load at rest at the origin with all carriers there, as the equilibrium is not known yet.
 
     Args:
         pattern: for instance HamiltonianCycleConfig().
@@ -151,7 +151,7 @@ class Model:
         overridden: the fields that `simulated` replaces.
 
     Attributes:
-        system, pattern_config, control_period, field, overridden: as given.
+        system, pattern_config, control_period, field, overridden: the arguments.
         n, m: the numbers of carriers and of coordinates of internal forces.
         load: its `mass`, `inertia`, `drag`, `angular_drag` and `gravity`, a `RigidLoad`.
         attachments: (n, 3), m.
@@ -159,9 +159,9 @@ class Model:
         pattern: its `basis` N₀ (3n, m), `phases` (m,) in rad and `offset` (3n,) in N.
         carrier_mass, gravity: kg, of each carrier, and m/s².
         aircraft: the carriers, where they are fixed-wing aircraft, whose mass is `carrier_mass`.
-        bears_cable_drag: whether these have a share of their cable's drag; cables may have their
-            own.
-        cable_shape: of the references' cables, for what plans; None: they are straight.
+        bears_cable_drag: whether an aircraft has a share of its cable's drag; not where the cables
+            have drag themselves.
+        cable_shape: the shape of the references' cables, for plans; None: straight.
         cable_length, cable_stiffness, cable_compliance, cable_damping, cable_mass,
             cable_breaking_load: m, N/m, m/N (0 without stretch), N s/m, kg and N, each a number, or
             (n,) of cables that differ.
@@ -248,7 +248,7 @@ class Model:
 
     @property
     def load_mass(self) -> float:
-        """The load's mass in kg, that of `load`."""
+        """Mass of the load, kg."""
         return self.system.load_mass
 
     @property

@@ -71,7 +71,7 @@ def carrier_motion(
 ) -> OrbitMotion:
     """The cables' forces and the carriers' motion through the air, in W, at constant ξ and A.
 
-    `wind` (3,) is that of the air, m/s, in W; it and the wrench's rate are taken as constant.
+    The wind (3,), m/s, in W, and the wrench's rate are taken as constant.
     """
     angle = as_vector(theta) + 0 * as_vector(xi)  # of the scalar type of ξ
     distribution = {"pseudo_inverse": model.pseudo_inverse, "offset": model.pattern.offset}
@@ -102,10 +102,10 @@ def carrier_distances(model: Model, *arguments: Any, **named: Any) -> NDArray:
 def flight_margins(
     model: Model, limits: Any, reference: NDArray, *arguments: Any, **named: Any
 ) -> NDArray:
-    """Margins of the limits of aircraft that are asked for, not negative where they are kept.
+    """Margins to the stated limits of aircraft; a limit is kept where they are not negative.
 
-    `limits` has the fields of `AircraftLimits`. The last axis has a margin per limit, and two of
-    `max_thrust_share`: at least 0 where C_L, bank, climb and thrust stay within them.
+    `limits` has the fields of `AircraftLimits`. The last axis has a margin for each of the limits
+    of C_L, bank and climb, and two for `max_thrust_share`.
     """
     aircraft = required_aircraft(model, "optimization_layer", "flight_margins")
     motion = carrier_motion(model, reference, *arguments, **named)

@@ -52,7 +52,7 @@ above_zero = number_with(lambda x: x > 0, "give a number greater than 0, or .inf
 
 @dataclass(kw_only=True)
 class AircraftLimits(StrictFields):
-    """Limits of the flight of aircraft: their rows of `planning.limits`."""
+    """Limits of lift, bank, climb and thrust of aircraft, see `planning.limits`."""
 
     max_lift_share: float = checked(math.inf, above_zero)  # of C_Lmax, what aircraft need at most
     max_bank: float = checked(math.inf, above_zero)  # rad, of aircraft, to either side

@@ -35,13 +35,13 @@ def make_gym_env(
     it cannot be compiled.
 
     Args:
-        scenario: what is flown; where fields hold distributions, each episode draws numbers anew.
+        scenario: has the loop; each episode draws the numbers of its distributions anew.
         action: "parameters": ξ (rad/s) and A (N) in place of the optimization layer, within its
             bounds; "wrench": torque (N m) and force (N) on the load in place of the wrench
             controller, held for a step.
         time_step: s, of an action, at least the scenario's `control_period`; each step ends at the
-            controllers' last sample at or before its end, so that one that is no multiple of
-            `control_period` takes a sample more at times.
+            controllers' last sample at or before its end. One that is no multiple of
+            `control_period` has sometimes a sample more.
         reward: of the observation after a step and the action; None: minus the load's position
             error by the cable's length, and minus the share that the slowest carrier lacks of ε.
 
@@ -63,15 +63,15 @@ def make_gym_vec_env(
     time_step: float = 0.1,
     reward: "Reward | None" = None,
 ) -> "NonstopVecEnv":
-    """As many environments as of `make_gym_env` side by side, by Gymnasium's vector API.
+    """Several environments of `make_gym_env` side by side, by Gymnasium's vector API.
 
-    Their episodes are flights of a compiled loop, and equal those of single environments; a loop
+    Their episodes are flights of a compiled loop, equal to those of single environments. A loop
     that cannot be compiled flies by diagrams, one after the other, with a warning. An episode that
-    is over begins anew in the same step, with `final_obs` and `final_info` in the infos. `reset`
-    takes a seed, which those of further environments exceed by 1, or one for each.
+    ends begins anew in the same step, with `final_obs` and `final_info` in the infos. `reset` takes
+    a list of seeds, or the first seed, to which each further environment adds 1.
 
     Args:
-        scenario: what is flown. The loop's C is compiled, in seconds, unless the cache has it.
+        scenario: has the loop, whose C is compiled in some seconds unless the cache has it.
         n: the number of environments.
         action: as of `make_gym_env`.
         time_step: as of `make_gym_env`.

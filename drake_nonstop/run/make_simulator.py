@@ -26,10 +26,10 @@ def make_simulator(
     """A Simulator of a scenario's loop, which flies as `simulate` does, without its records.
 
     `functools.partial(make_simulator, scenario)` is what `MonteCarloSimulation` and
-    `RandomSimulation` of pydrake.systems.analysis take as `make_simulator`. What is drawn for the
-    scenario's distributions, and the equilibrium that follows, are the declared defaults of the
-    loop: both functions reset the context to them. Its k-th call with a generator of seed s flies
-    what run k of a sweep with `seed: s` does, with `engine: diagram` to the bit.
+    `RandomSimulation` of pydrake.systems.analysis take as `make_simulator`. The numbers that are
+    drawn for the scenario's distributions, and the equilibrium with them, are the declared defaults
+    of the loop, to which both functions reset the context. The k-th call with a generator of the
+    seed s flies run k of a sweep with `seed: s`, with `engine: diagram` to the bit.
 
     The root diagram has each signal of the loop as an output port of its name.
 
@@ -40,7 +40,7 @@ def make_simulator(
         replacements: as of `make_nonstop`.
 
     Raises:
-        ScenarioError: the scenario cannot be built, or what was drawn for it.
+        ScenarioError: the scenario cannot be built, or not with the drawn numbers.
     """
     for name, block in replacements.items():
         require(block is not None, f"replacement {name}", None, "give a block; see make_nonstop")

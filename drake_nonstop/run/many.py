@@ -24,11 +24,11 @@ def simulate_many(
     engine: str | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> list[Run | BaseException]:
-    """Simulates scenarios, and returns what `simulate` makes of each, in their order, to the bit.
+    """Simulates scenarios; the runs in their order, each as `simulate` returns it, to the bit.
 
     Several fly at a time, those that differ in numbers alone side by side in one compiled loop.
-    Where `simulate` raises an exception, such as a ScenarioError or a RunStopped, that is in the
-    place of the run; the others are what they are without it.
+    An exception of `simulate`, such as a ScenarioError or a RunStopped, stands in the place of its
+    run, and does not change the others.
 
     Args:
         scenarios: what to run.

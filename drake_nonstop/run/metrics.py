@@ -30,15 +30,14 @@ def compute_metrics(run: Run) -> dict[str, Any]:
     Keys end in their units. Speeds, separations, tensions and loads on the aircraft are those
     of the simulated carriers and cables at every step from t = 0 on; errors are those of the
     load's true pose at 100 Hz. The slowest speed and the least distances are also looked for
-    between two steps. A time "below" or "slack" weighs each step's state with half of the two
-    intervals beside it. Accelerations are measured over 0.1 s of the path: over less a carrier
-    follows the ripple of its sampled reference. What was not measured, such as the solve times of a
-    layer that solves nothing or the delay of a reference without a governor, is None, and so is
-    what is not finite, as of a run that a block's NaN ended. The group `aircraft` is that of the
-    simulated aircraft, see `RunQuantities`, and is missing where there are none, as is the group
-    `obstacles`, and `bowed_cables` where cables have no nodes; other tensions are those at the
-    load. `outcome` is a `RunOutcome`, `reasons` are sentences. A run that stopped before its first
-    sample has these, and no values.
+    between two steps. For a time "below" or "slack" each step counts half of the two intervals
+    beside it. Accelerations are measured over 0.1 s of the path: over less a carrier follows the
+    ripple of its sampled reference. A metric is None if it was not measured, such as the solve
+    times of a layer that solves nothing or the delay of a reference without a governor, or if it is
+    not finite. The groups `aircraft`, of the simulated aircraft, `obstacles` and `bowed_cables`, of
+    cables with nodes, are there if the run has these; other tensions are those at the load.
+    `outcome` is a `RunOutcome`, `reasons` are sentences. A run that stopped before its first sample
+    has these two only.
     """
     quantities = RunQuantities(run)
     values: dict[str, Any] = {"scenario": run.scenario.name, "is_steered": run.is_steered}

@@ -236,7 +236,7 @@ class _Log(LeafBlock):
 
 
 class LogSignals:
-    """The logs of a loop's signals: all at 100 Hz, and a few at every step.
+    """The logs of a loop's signals: all at 100 Hz, and a few at every step of the integrator.
 
     Each context has logs of its own, as with Drake's `LogVectorOutput`: `Run.from_logs` makes a run
     of those of a context. The integrator's steps end at the instants of the samples. All signals
@@ -246,7 +246,7 @@ class LogSignals:
 
     Attributes:
         nonstop: the diagram whose signals they are.
-        entries: what the columns of the signals are, by their names "block.port".
+        entries: names, units and frames of the signals' columns, by "block.port".
         sampled: the names of the diagram's ports that are recorded at 100 Hz.
         stepped: the names of those that are recorded at every step.
         sizes: of the signals, by "block.port", and of the steps, by their ports.

@@ -32,22 +32,21 @@ class Run(SignalTable):
     `signals` maps "block.port" to the samples (samples, size) of that signal at the instants `time`
     (samples,), s, at 100 Hz. Wall times are not in it, nor are accelerations and jerks of carriers
     where no block reads them. `steps` maps the names of a few ports to their values (steps, size)
-    at every step of the integrator, and "time" to the steps' times (steps,), s, from t = 0 on. A
-    value at an instant is that before the controllers' update at that instant. `solve_times`
-    (updates,), s, are the wall times of the optimization layer's updates, `wall_time`, s, is that
-    of the whole simulation but for pauses; NaN: unknown.
-    Beyond 32 MB, some 100 s of flight, `signals` and `steps` are in temporary files, which are
-    removed with the run: the arrays are mapped to memory, and cannot be written to.
-    `engine` is what flew it: "compiled: C", "compiled: virtual machine", that is CasADi's, or
-    "diagram", with the reason where it is not the scenario's.
-    `is_steered` tells whether a user changed the loop while the run went on. `stopped` says why a
-    run ended before its time, and is empty where it did not. `step` is the longest step of the
-    integrator, s; `half_step` is what `verify_step` found, and `unresolved` has a sentence for each
-    metric that this step does not resolve by that. `replacements` are the arguments of `simulate`
-    that made the loop or its blocks in place of the scenario's; None: `simulate` did not make it.
+    at every step of the integrator, and "time" to the steps' times (steps,), s, from t = 0 on.
+    Values are taken before the controllers' update at the same instant. `solve_times` (updates,),
+    s, are the wall times of the optimization layer's updates. `wall_time`, s, is the time of the
+    whole simulation without pauses; NaN: unknown. Beyond 32 MB, some 100 s of flight, `signals` and
+    `steps` are in temporary files, which are removed with the run: the arrays are mapped to memory,
+    and cannot be written to. `engine` is "compiled: C", "compiled: virtual machine" (CasADi's) or
+    "diagram", with the reason where the scenario does not state it. `is_steered` is whether a user
+    changed the loop during the run. `stopped` is the reason why a run ended before its time, else
+    empty. `step` is the longest step of the integrator, s. `half_step` and `unresolved` are results
+    of `verify_step`: `unresolved` has a sentence for each metric that the step does not resolve.
+    `replacements` are the arguments of `simulate` that made the loop or its blocks in place of the
+    scenario's; None: another function made the run.
 
-    A run can be pickled, and so comes back from another process, where its `replacements` can be.
-    Its diagram is left out, and is built again when it is first asked for.
+    A run whose `replacements` can be pickled can be pickled, too, and so be sent between processes.
+    Its diagram is left out, and is built again with its first use.
     """
 
     scenario: Scenario
@@ -113,10 +112,10 @@ class Run(SignalTable):
         Args:
             logs: what `LogSignals.AddToBuilder` returned for the loop.
             context: that of the whole diagram, such as a Simulator's, after the flight.
-            scenario: what the run is judged by: its system, limits and speed bound.
+            scenario: has the system, limits and speed bound by which the run is judged.
             wall_time: that of the simulation, s; NaN: unknown.
             step: the longest step of the integrator, s; None: the longest that was logged.
-            engine: what flew it, as in `Run`.
+            engine: as in `Run`.
             stopped: why the run ended before its time, if it did.
             replacements: as in `Run`.
 
@@ -224,7 +223,7 @@ class RunInterrupted(KeyboardInterrupt):
 
 
 class RunsInterrupted(KeyboardInterrupt):
-    """Runs were interrupted; `runs` are as of `simulate_many`, None for those that were missing."""
+    """Runs were interrupted; `runs` are as of `simulate_many`, None for missing ones."""
 
     def __init__(self, runs: list[Run | BaseException | None]):
         ended = sum(run is not None for run in runs)

@@ -29,24 +29,25 @@ def simulate(
     """Simulates a scenario from its equilibrium and returns all signals.
 
     The step is the scenario's, or a shorter one where the loop's fastest mode needs it, see
-    `with_largest_step`; a ScenarioWarning says so. `verify_step` tells whether it resolves the
+    `with_largest_step`, with a ScenarioWarning. `verify_step` finds whether it resolves the
     metrics.
 
     Args:
-        scenario: what to run; where fields hold distributions, numbers are drawn with its
-            `random_seed`, and are in the run's scenario.
+        scenario: its distributions are drawn with its `random_seed`; the run's scenario has the
+            numbers.
         progress: called with the simulated time now and then.
         viewers: functions that show the run while it goes on, such as `show_in(meshcat)`. Each
             adds a system to the builder, connected to the loop's diagram, and returns it. A
             forced publish of the system shows the end of the run.
         after_step: called with the simulator and the loop's diagram after every step. It may
-            change parameters of the context, such as the optimization layer's ε, or the
-            simulator's real-time rate, and have the run wait or end.
+            change parameters of the context, such as the optimization layer's ε, or the simulator's
+            real-time rate, and pause or end the run.
         make_loop: makes the loop's diagram of a scenario and of the replacements without a config;
             None: `make_nonstop` does. One of the user's own exports its signals by their names,
             as `connect_by_name` does; the loop may be inside of it.
-        engine: "auto", "diagram" or "compiled", in place of the scenario's; None: that. By "auto"
-            the compiled engine flies what it can, and the run's `engine` says what flew it.
+        engine: "auto", "diagram" or "compiled", in place of the scenario's; None: the scenario's.
+            With "auto" the compiled engine flies if it can; the run's `engine` is the one that
+            flew.
         replacements: blocks in place of the scenario's, and `extra` ones, see `make_nonstop`.
             Those with a config are in the run's scenario.
 

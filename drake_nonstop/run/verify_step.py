@@ -35,14 +35,14 @@ _STEP = "simulator.step_s"
 
 
 def verify_step(run: Run, *, progress: Callable[[float], None] | None = None) -> Run:
-    """Flies a run's scenario again with half its steps; the run with what that shows.
+    """Flies a run's scenario again with half the step; the run with the differences.
 
     `unresolved` has a sentence for each metric that moves: a length by more than 1 mm, others by
-    more than 2 % and a grain of their unit. `half_step` has the shorter step in s and both values
-    of each of these metrics by its path.
+    more than 2 % and a small amount of their unit. `half_step` has the shorter step in s and both
+    values of each of these metrics by its path.
 
     Args:
-        run: what is verified; one that was not steered.
+        run: one that nobody steered.
         progress: as of `simulate`.
 
     Raises:

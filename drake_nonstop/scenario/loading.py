@@ -47,10 +47,10 @@ def load_scenario(
         overrides: changes "path=value", such as "system.load_mass=1.2". A value is YAML, and
             means the same as in a file: a mapping changes the fields that it has, and a tagged
             one ("phase=!PaperPhase {}") begins with its block's defaults. The name of another
-            block ("phase=PaperPhase") takes over the parameters that both have (a trajectory:
-            those not default).
-        trust: whether blocks of the user's own may be imported, which runs their code; they
-            are looked for in the current folder and the scenario's, too.
+            block ("phase=PaperPhase") takes over the parameters that both blocks have (of a
+            trajectory: those that differ from the defaults).
+        trust: whether blocks of the user's own may be imported, which runs their code. Python also
+            looks for them in the current folder and in the scenario's.
 
     Raises:
         ScenarioError: there is no such scenario or file, or its content cannot be used;
@@ -78,9 +78,9 @@ def _shipped(path: Path) -> Scenario:
 
 
 def parse_scenario(text: str, source: str = "scenario", *, trust: bool = False) -> Scenario:
-    """The scenario in YAML text; `source` is what error messages call the text.
+    """The scenario in YAML text; error messages call the text `source`.
 
-    A file that it is based on is looked for in the current folder; `trust` as in `load_scenario`.
+    The current folder has the file that it is based on; `trust` is as in `load_scenario`.
 
     Raises:
         ScenarioError: see `load_scenario`.

@@ -17,10 +17,9 @@ class RunLimits(StrictFields):
     """The limits that decide a run's outcome.
 
     The reach is the distance of the load's farthest attachment from its centre of mass plus the
-    length of a cable, both as simulated; shares of it suit cables of 0.8 m and of 60 m alike. There
-    is no limit where a distance is 0, or another .inf.
-    Where the carriers are aircraft the load's errors have other default limits: a fifth of a reach
-    of 150 m is no transport.
+    length of a cable, both as simulated: shares of it suit cables of 0.8 m and of 60 m alike. A
+    distance of 0, or another limit of .inf, limits nothing. With aircraft the load's errors have
+    other default limits, since a fifth of a reach of 150 m is too much.
     """
 
     # Beyond one of these the outcome is not ok. The reach is the distance of the load's farthest

@@ -117,10 +117,10 @@ else:  # a field for each box of the figure, of the configs of the blocks that i
 class Scenario(_Boxes):
     """The system, a config per box of the figure, and how to simulate them.
 
-    It can be copied and pickled, and equals another one whose fields are all equal. Drake's
-    `yaml_dump_typed` writes it, where its blocks are the package's, its numbers are drawn and its
-    cables alike, and `yaml_load_typed` with `schema=Scenario` reads that back; what it reads is
-    checked where it is used, or by `check`. Its numbers and lists of numbers may be distributions;
+    A scenario can be copied and pickled. Two are equal if all their fields are. Drake's
+    `yaml_dump_typed` and `yaml_load_typed` with `schema=Scenario` write and read a scenario whose
+    blocks are the package's, whose cables are alike and which has no distributions. Fields are
+    checked where they are used, or by `check`. Numbers and lists of numbers may be distributions;
     see `sampled`.
     """
 
@@ -141,8 +141,8 @@ class Scenario(_Boxes):
         """The ε (m/s) that the optimization layer's config states; 0 where it states none.
 
         Raises:
-            ScenarioError: it is stated as a text that is no multiple of the stall speed, or there
-                are no aircraft.
+            ScenarioError: the bound is a text that is no multiple of the stall speed, or there are
+                no aircraft.
         """
         stated = getattr(self.optimization_layer, "speed_bound", 0.0)
         aircraft = aircraft_in(self.system) if isinstance(stated, str) else None
@@ -155,19 +155,17 @@ class Scenario(_Boxes):
     def sampled(self, generator: RandomGenerator | None = None) -> "Scenario":
         """The scenario with a number drawn for each distribution, and its speed bound in m/s.
 
-        The numbers are drawn by a generator of their own, whose seed is `random_seed`, in the
-        order of the fields in `dump_scenario`, and in that of a list's entries. A whole number is
-        the whole part of what is drawn.
+        A generator of the seed `random_seed` draws the numbers, in the order of the fields in
+        `dump_scenario` and of the entries of lists. Fields of whole numbers take the whole part.
 
         Args:
-            generator: what the result's `random_seed` is taken from, one number of it; None:
-                that is the scenario's own.
+            generator: draws the result's `random_seed`; None: it is the scenario's.
 
         Returns:
             A copy; this scenario itself where it holds no distributions and no generator is given.
 
         Raises:
-            ScenarioError: a field cannot be used, or what is drawn for it.
+            ScenarioError: a field, or a number that is drawn for it, cannot be used.
         """
         return sample(self, generator)[0]
 

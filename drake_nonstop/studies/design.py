@@ -105,10 +105,10 @@ class Design:
 def design(
     request: DesignRequest, progress: Progress = no_progress, executor: Executor | None = None
 ) -> Design:
-    """The formations for a request, found in a process per core, or by an executor as of `study`.
+    """Finds formations for a request, in a process per core or by an executor as of `study`.
 
-    Of each number of carriers and kind they are those of the least power at rising margins. Each
-    has been flown.
+    For each number of carriers and each kind of pattern they have the least power at rising
+    margins. Each formation has been flown.
 
     Raises:
         ScenarioError: the request or the executor cannot be used, or a process died.

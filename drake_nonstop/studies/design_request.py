@@ -101,13 +101,13 @@ class _Asked(StrictFields):
 
 @dataclass(kw_only=True)
 class DesignRequest(AircraftLimits, _Asked):
-    """Aircraft, load, wind and margins: what `design` finds formations for.
+    """Aircraft, load, wind and margins for which `design` finds formations.
 
     The attachments are a regular polygon about the load's centre of mass. The margins, and the
-    limits of aircraft, hold at rest and on the way of the load, from rest to rest along
-    `displacement`; the separation at rest in still air. In gusts, which may take three of their
-    standard deviations from an airspeed, lift and airspeed stay within the aircraft's own limits,
-    and each formation is flown in gusts 1.25 times as strong before it is returned.
+    limits of aircraft, hold at rest and while the load moves from rest to rest along
+    `displacement`; the separation holds at rest in still air. Where gusts reduce an airspeed by
+    three standard deviations, lift and airspeed stay within the aircraft's own limits. Each
+    formation is flown in gusts 1.25 times as strong before it is returned.
     """
 
     def check(self) -> Aircraft:
@@ -150,7 +150,7 @@ class DesignRequest(AircraftLimits, _Asked):
 
     @property
     def inertia(self) -> list[list[float]]:
-        """The load's, as given or that of a disc."""
+        """Inertia of the load, as given or that of a disc."""
         if self.load_inertia is not None:
             return self.load_inertia
         flat = self.load_mass * self.load_radius**2 / 4
@@ -160,8 +160,8 @@ class DesignRequest(AircraftLimits, _Asked):
 def read_request(file: str | Path | None = None, overrides: Sequence[str] = ()) -> DesignRequest:
     """The request in a YAML file, or the default one, with changes "path=value".
 
-    The file's keys are the fields of `DesignRequest`; the name is the file's by default. Changes
-    are such as "load_mass=5" or "aircraft.mass=7".
+    The file's keys are the fields of `DesignRequest`; the default name is that of the file.
+    "load_mass=5" and "aircraft.mass=7" are changes.
 
     Raises:
         ScenarioError: the file cannot be read, or a field cannot be used.

@@ -122,7 +122,7 @@ def sweep(
     trust: bool = False,
     **options: Any,
 ) -> Study:
-    """Flies all that a file of a study asks for; see `read_grid`, and `study` for the options."""
+    """Flies the study of a file; see `read_grid`, and `study` for the options."""
     grid = grid if isinstance(grid, Grid) else read_grid(grid, "SPEC")
     base = changed(scenario, grid.overrides, trust=trust)
     title = grid.description or grid.name
@@ -130,7 +130,7 @@ def sweep(
 
 
 def robustness(scenario: Scenario, folder: str | Path | None = None, **options: Any) -> Study:
-    """Flies a scenario without error, and with each of some that its controllers do not know of.
+    """Flies a scenario without errors, and with single errors unknown to its controllers.
 
     The simulated mass, inertia, attachment points and cable length differ from the controllers'
     model; the load's state is measured with noise or delay; a constant or a gusty force pushes

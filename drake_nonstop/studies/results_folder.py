@@ -43,15 +43,14 @@ def write_results(
 ) -> dict[str, Any]:
     """Writes a run's results to the folder and returns its metrics.
 
-    scenario.yaml (resolved), metrics.json and signals.npz replace all of the earlier results once
-    they are written; diagram.svg, replay.html and figures/ follow, one by one. `Run.load` reads
-    the run back.
+    scenario.yaml (resolved), metrics.json and signals.npz replace all earlier results at once;
+    diagram.svg, replay.html and figures/ follow, one by one. `Run.load` reads the run back.
 
     `figures` may also be their format: "png", "pdf" or "svg".
 
     Raises:
-        ScenarioError: the folder cannot be written, or one of the others is no such value; then
-            all but the pictures is written.
+        ScenarioError: the folder cannot be written, or another argument is wrong; then all but the
+            pictures is written.
     """
     metrics = write_data(run, folder)
     require_flags(replay=replay)  # only now: the flight is written

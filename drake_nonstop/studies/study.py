@@ -91,12 +91,12 @@ class Study:
 
     Attributes:
         title: of its page and figures.
-        table: a row per run: factors, `seed`, what was drawn for the scenario's distributions,
+        table: a row per run: factors, `seed`, the numbers drawn for the scenario's distributions,
             `ending` ("completed", "diverged", "failed" or "unbuildable") with its `message`, and
             every metric by its path in metrics.json.
         settings: combinations of the factors, each with the same number of runs one after the
             other in the table.
-        folder: of its files; None: there are none.
+        folder: has its files; None: there are none.
     """
 
     title: str
@@ -118,7 +118,7 @@ class Study:
         return self._summary.frame()
 
     def figure(self, path: str = "load.position_error_mean_m") -> Figure:
-        """A metric over a factor of numbers, with bands of 95 %, or else in a row per combination.
+        """Draws a metric over a factor of numbers, with 95 % bands, or in a row per combination.
 
         Raises:
             ScenarioError: there is no such metric of one number.
@@ -162,15 +162,15 @@ def study(
             value", and mappings from boxes to what makes their blocks, as of `make_nonstop`. A
             box's values may be classes, configs and functions that processes can import.
         seeds: a number of seeds, from 0 on, or a list. Each is added to the scenario's
-            `random_seed`, of its distributions, and to the `seed` of its blocks; all combinations
-            have the same. None: the scenario's own.
+            `random_seed`, of its distributions, and to the `seed` of its blocks. All combinations
+            have the same seeds. None: the scenario's own.
         folder: gets journal.jsonl, a row for each run as it ends; then runs.csv, summary.csv,
             summary.tex, figures as PNG and PDF, and index.html. The same call, or one with other
             factors or seeds, takes the rows that are there. None: nothing is written.
         title: of page and figures.
         replay: whether the first run of each combination leaves all its results in a folder of its
             own, and index.html has the replays side by side.
-        executor: one of concurrent.futures' kind in place of processes; it is not shut down.
+        executor: an executor as in concurrent.futures, in place of processes; it is not shut down.
         restart: whether to drop the rows that the folder has.
         trust: whether changes may import blocks of the user's own, which runs their code.
         make_loop: as of `simulate`; processes can import it.
@@ -179,7 +179,7 @@ def study(
     Raises:
         ScenarioError: no combination can be built, processes end as they start, or the folder
             cannot be written, or has rows of another scenario.
-        StudyInterrupted: Ctrl-C; the rows that there are stay.
+        StudyInterrupted: Ctrl-C; the rows of complete runs stay.
     """
     settings = settings_of_factors(factors)
     folder = None if folder is None else as_path(folder)

@@ -127,16 +127,16 @@ class DiagramBlock(_Declaring, Diagram, metaclass=BlockType):
 
 
 class LeafBlock(_Declaring, LeafSystem, metaclass=BlockType):
-    """A LeafSystem whose methods may be given to its Declare functions, and that is freed.
+    """A LeafSystem whose Declare functions take its methods, and that Python frees.
 
-    It converts to the other scalar types: its methods run with contexts of each of them, where
-    ports give, and take, object arrays.
+    It converts to AutoDiffXd and Expression: its methods then run with contexts of these types,
+    whose ports give and take object arrays.
 
     Attributes:
         reads, makes and so on: as of `DiagramBlock`.
         scalar: the type of its numbers: float, AutoDiffXd or Expression.
 
-    A loop with one that has no equations is flown by its diagram; `Block` has some.
+    A loop with such a block is flown by its diagram; a `Block` has equations.
     """
 
     scalar: ClassVar[type] = float

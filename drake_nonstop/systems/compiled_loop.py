@@ -84,7 +84,7 @@ def schedule_of(period: float, shown: int, longest: float) -> list[Step]:
 
 
 class CompiledLoop(EquationLoop):
-    """A loop that is stepped from sample to sample.
+    """A loop as a compiled function, which is stepped from sample to sample.
 
     Args:
         diagram: the loop; all its blocks have equations, or are layers.
@@ -101,7 +101,7 @@ class CompiledLoop(EquationLoop):
     Attributes:
         signals, step_signals: the names of the signals with their sizes, in order.
         step_ends: (steps,), s, where the integrator's steps end after a sample.
-        shown_per_sample: the number of the signals' instants in a sample.
+        shown_per_sample: the number of instants of the signals in a sample.
 
     Raises:
         ScenarioError: a block has no equations, see `reason_against`, or the signals' period is no
@@ -156,7 +156,7 @@ class CompiledLoop(EquationLoop):
         return (tuple(schedule), period, *(tuple(self._makers[n] for n in own) for own in names))
 
     def evaluator(self, *, builds: bool | None = None) -> Native:
-        """What flies samples of one flight: C, as of `LoopFunctions.native`, or its substitute."""
+        """Evaluator of one flight: C, as of `LoopFunctions.native`, or its substitute."""
         if self._compiles is not False:
             found = self.functions.native(self._key, 1, builds=builds)
             if found is not None:
@@ -178,7 +178,7 @@ class CompiledLoop(EquationLoop):
         return not isinstance(self.evaluator(), Interpreted)
 
     def prepare(self, samples: int, flights: int = 1) -> None:
-        """Takes C for flights of so many samples where it is worth it, compiled if it has to be.
+        """Uses C, compiled if necessary, where it saves time for that number of samples.
 
         That takes some seconds, which a line of the log tells.
         """
@@ -195,12 +195,12 @@ class CompiledLoop(EquationLoop):
             self.prepare_lanes()
 
     def prepare_lanes(self) -> None:
-        """Compiles what flies several flights side by side, which takes some seconds."""
+        """Compiles the C for several flights side by side, which takes some seconds."""
         if self._compiles is not False:
             self.functions.native(self._key, LANES, builds=True)
 
     def lanes(self) -> Native | None:
-        """What flies several flights side by side; None: it is not compiled."""
+        """Evaluator of several flights side by side; None: it is not compiled."""
         if self._compiles is False:
             return None
         return self.functions.native(self._key, LANES, builds=False)
@@ -234,7 +234,7 @@ class CompiledLoop(EquationLoop):
         return self._rows[key]
 
     def fly(self, context: Context, largest: float = LARGEST) -> CompiledFlight:
-        """A flight from a context of the diagram, at t = 0, which stays as it is.
+        """A flight from a context of the diagram at t = 0; the context does not change.
 
         In flight a value beyond `largest`, in SI units, raises NotFiniteError.
 
@@ -248,8 +248,8 @@ class CompiledLoop(EquationLoop):
     def run(self, context: Context, duration: float) -> tuple[NDArray, dict[str, NDArray]]:
         """The times (instants,), s, and the signals (instants, size) by their names.
 
-        From a context as of `fly`, for a duration in s, a multiple of the control period. A stall,
-        which ends a run of `simulate`, does not end it.
+        The context is as of `fly`, the duration, in s, a multiple of the control period. A stall
+        does not end it, other than a run of `simulate`.
 
         Raises:
             ScenarioError: the duration is no such multiple, or the context is at another time, or
@@ -276,7 +276,7 @@ class CompiledLoop(EquationLoop):
         return [block.get_name() for block in self.layers.values()]
 
     def sensitivities(self, context: Context, duration: float) -> Sensitivities:
-        """How the end of a `run` depends on the state of its context, and on parameters.
+        """Derivatives of the end of a `run` by the state of its context and by parameters.
 
         CasADi differentiates the function of a sample; from sample to sample the chain rule does.
 

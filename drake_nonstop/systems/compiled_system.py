@@ -19,11 +19,11 @@ if TYPE_CHECKING:
 class CompiledSystem(LeafBlock):
     """A discrete system that flies a `CompiledLoop` from sample to sample of its controllers.
 
-    It stands for the loop in a bigger diagram, and a Simulator runs it like any other. Each signal
-    of the loop is an output port of its name. From one sample to the next it shows what the
-    loop's diagram does at the first of the two, before the controllers' update. It starts from the
-    default context of the loop's diagram, with its parameters, at t = 0, and goes on from any of
-    its states: contexts may be copied, and set back.
+    It replaces the loop in a bigger diagram, and a Simulator runs it like any other system. Each
+    signal of the loop is an output port of its name. From one sample to the next it shows the
+    values of the loop's diagram at the first of the two, before the controllers' update. It starts
+    from the default context of the loop's diagram, with its parameters, at t = 0, and goes on from
+    any of its states: contexts may be copied, and set back.
 
     .. pydrake_system::
 

@@ -177,13 +177,12 @@ def _signals_read(blocks: Mapping[str, System], made: Collection[str]) -> dict[s
 
 
 def connect_remaining(builder: DiagramBuilder, *, of: System | None = None) -> None:
-    """Connects inputs that are open yet to the signals of their names, as `connect_by_name` does.
+    """Connects the open inputs to the signals of their names, as `connect_by_name` does.
 
-    For a builder whose blocks are there, named or not, and some of them connected by hand. An
-    input stays open where no block of the builder makes its signal: it can be exported, or
-    connected, before or after. Unless the builder has exports, each signal that one block alone
-    makes is exported by its name, as `simulate` and logs need it; outputs of Drake's own leaf
-    systems are no signals.
+    The builder has all blocks, named or not, some of them connected by hand. An input stays open
+    where no block of the builder makes its signal: it can be exported, or connected, before or
+    after. Unless the builder has exports, each signal that one block alone makes is exported by its
+    name, as `simulate` and logs need it; outputs of Drake's own leaf systems are no signals.
 
     With `of`, one of its systems, only what leads to it or comes from it is connected, and nothing
     is exported.
@@ -245,7 +244,7 @@ def connect_by_name(
     outside. Where a block makes `held_x`
     of an input x, as `SampleAndHold` does, readers of x get `held_x` in its place; blocks that make
     x, or anything that is held, do not: what is upstream of a hold must not read from it.
-    `make_nonstop` puts its figure together in this way.
+    `make_nonstop` wires the figure in this way.
 
     The blocks are added by the names that they get in the diagram. `inputs` are signals that no
     block makes: they become input ports of the diagram, each of the size of the port that reads it.

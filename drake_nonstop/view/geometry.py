@@ -153,9 +153,9 @@ def AddGeometry(  # noqa: N802
             `load_state` (13) and `carrier_state` (6n); of aircraft also `aircraft_state` (4n) and
             `wind` (3n). Its name is that of the geometry's source.
         scene_graph: the SceneGraph.
-        scenario: has the system, with what is simulated otherwise.
-        load_file: an SDF or URDF file with the load's shapes, such as the one that
-            `system.load_file` named; without one the load is drawn as bars.
+        scenario: has the system, and the fields that are simulated otherwise.
+        load_file: an SDF or URDF file with the load's shapes, such as `system.load_file`; without
+            it the load is drawn as bars.
         collides: whether the bodies have the role proximity. A MultibodyPlant in the SceneGraph
             refuses contact with bodies that are not its own.
 

@@ -35,7 +35,7 @@ def run_live(
     progress: Callable[[float], None] | None = None,
     **replacements: Any,
 ) -> Run:
-    """Runs a scenario in view, with controls in the page, and returns the run.
+    """Runs a scenario that is shown live, with controls in the page, and returns the run.
 
     It ends with the scenario's `simulation_duration`, or when "stop" is pressed.
 

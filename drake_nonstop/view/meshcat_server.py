@@ -16,10 +16,10 @@ _PROXY = Path(__file__).with_name("reverse_proxy.py")  # not imported: asyncio t
 
 
 def start_meshcat() -> Meshcat:
-    """Starts a Meshcat that only this machine can reach, and only by a page of its own.
+    """Starts a Meshcat that only this machine can reach, and only through its own page.
 
-    Meshcat itself lets any web page that the user has open connect and press buttons. So it is
-    served by a `reverse_proxy`, and listens where no page can find it.
+    Any web page that is open in a browser could connect to Meshcat itself, and press its buttons.
+    Therefore a `reverse_proxy` serves it.
     """
     with socket.create_server(("127.0.0.1", 0)) as listening:
         meshcat, host = start_hidden_meshcat(f"http://localhost:{listening.getsockname()[1]}")

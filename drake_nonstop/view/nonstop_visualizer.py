@@ -22,14 +22,15 @@ class NonstopVisualizer(LeafBlock):
 
     A step of the simulator is shown if the next frame is due in wall time. So the visualizer adds
     no steps and does not fall behind them at any real-time rate, and the signals are the same to
-    the bit with any number of visualizers. A forced publish shows the context's instant at once.
-    The camera follows the reference. An instant with a value that is not finite is not shown, and
-    a diagram converted to AutoDiffXd or Expression shows nothing. See `Scene` for what is drawn.
+    the bit with any number of visualizers. A forced publish shows the instant of the context at
+    once. The camera follows the reference. An instant with a value that is not finite is not shown,
+    and a diagram converted to AutoDiffXd or Expression shows nothing. See `Scene` for what is
+    drawn.
 
     Args:
-        scenario: what is shown. Its ε is that of the marks where that port is not connected.
+        scenario: of the loop. The marks have its ε where the port is not connected.
         meshcat: the Meshcat to show it in, in place of that of another visualizer.
-        nodes: of each cable, which have a `cable_state`; 0: cables are straight.
+        nodes: number of nodes in each cable, for a `cable_state`; 0: cables are straight.
 
     Raises:
         ScenarioError: a field of the scenario's `scene` is out of range.

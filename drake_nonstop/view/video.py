@@ -56,13 +56,13 @@ def record_video(
     """The content of a GIF of the run's replay.
 
     Args:
-        run: what is shown.
-        start: s, the first instant shown (the run's).
-        stop: s, the last (the run's).
+        run: the run.
+        start: s, the first instant shown (default: of the run).
+        stop: s, the last instant shown (default: of the run).
         speed: simulated s per s of the video.
         frame_rate: pictures per s of the video.
         size: width and height in pixels.
-        progress: called with what is being done and the share of it that is done.
+        progress: called with a description of the task and the share of it that is done.
 
     Raises:
         ScenarioError: an argument is out of range, or Chromium or Playwright is missing.
