@@ -175,11 +175,11 @@ DRAWN: dict[str, tuple[str, list[str]]] = {
     ),
 }
 BY_BOTH_ENGINES = (
-    *("static_hold_open_loop", "three_on_a_circle", "six_noisy"),
-    *("seven_gusty", "that_stalls", "that_diverges"),
+    *("static_hold_open_loop", "three_on_a_circle", "that_stalls"),
+    *("that_diverges", "six_noisy", "seven_gusty"),
 )
 FLEET = (*scenario_names(), *DRAWN)
-LONG = tuple(name for name in scenario_names() if "_cables" in name)
+LONG = tuple(n for n in scenario_names() if "_cables" in n or n.endswith("co_rotating_rising_wind"))
 
 
 def long_ones_nightly(names: Iterable[str]) -> list:

@@ -13,6 +13,7 @@ from typing import get_args, get_type_hints
 import numpy as np
 import pytest
 import yaml
+from helpers import nightly_beyond
 from registries import BOXES, CHOICES, METRICS
 from site_pages import LARGEST_PAGE, faults
 
@@ -76,7 +77,7 @@ def test_a_box_leads_to_its_equations_and_each_of_its_blocks_to_its_parameters(b
                 assert f"| `{field}` |" in own, f"{block.__name__}.{field}"
 
 
-@pytest.mark.parametrize("name", BOXES)
+@pytest.mark.parametrize("name", nightly_beyond(3, "examples", reversed(BOXES)))
 def test_the_block_to_start_from_flies_as_the_default(name, box_pages, tmp_path, monkeypatch):
     code = re.search(r"```python\n(.*?)```", box_pages[f"boxes/{name}.md"], re.DOTALL)[1]
     assert len(re.findall(r"(?m)^ *[^ #\n]", code)) <= 10

@@ -17,6 +17,7 @@ Where a port does not show what was set, an error names the block: no run starts
 
 import contextlib
 import contextvars
+import functools
 import inspect
 import itertools
 from collections.abc import Callable, Iterator, Mapping
@@ -301,6 +302,7 @@ class PlantStates:
         self._owners: dict[str, Any] = {s: port.get_system() for s, port in self._ports.items()}
         above: Any = ports_of(nonstop, "carrier_reference")[0].get_system()
         self._references: Any = above if getattr(above, "corrects", False) else None
+        self._ports_of = functools.cache(functools.partial(ports_of, nonstop))
 
     @property
     def _blocks(self) -> list[Any]:
@@ -313,7 +315,7 @@ class PlantStates:
 
     def signals(self, context: Context, *names: str) -> dict[str, NDArray]:
         """Values, by their names, of those signals that the loop makes by one port."""
-        ports = {name: ports_of(self._nonstop, name) for name in names}
+        ports = {name: self._ports_of(name) for name in names}
         return {
             name: found[0].Eval(self._context(found[0].get_system(), context)).copy()
             for name, found in ports.items()

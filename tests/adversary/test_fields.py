@@ -4,9 +4,10 @@ import contextlib
 import re
 
 import pytest
-from hypothesis import example, given
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from adversary.conftest import COUNT
 from adversary.drawn import FIELDS, OTHERS, SHORT, SPELLINGS, VALUES, as_yaml, changes
 from adversary.judging import ACCEPTED, REFUSED, ending_of, read_back_and_flown
 from drake_nonstop import (
@@ -87,6 +88,7 @@ def test_a_change_is_one_sentence_or_flies_and_reads_back(change):
         read_back_and_flown(scenario)
 
 
+@settings(max_examples=int(COUNT or 4))
 @given(st.sampled_from([name for name in scenario_names() if "_cables" not in name]), changes())
 def test_a_change_of_any_scenario_in_a_file_is_one_sentence_or_flies(name, change):
     path, _, value = change[1].partition("=")

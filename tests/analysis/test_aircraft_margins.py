@@ -227,7 +227,10 @@ CABLES = {
 }
 
 
-@pytest.mark.parametrize("reference", ["CarrierTrajectory", "!BowedCarrierTrajectory {nodes: 3}"])
+@pytest.mark.parametrize(
+    "reference",
+    nightly_beyond(1, "engines", ["!BowedCarrierTrajectory {nodes: 3}", "CarrierTrajectory"]),
+)
 def test_the_needs_of_each_aircraft_are_those_of_many_cables_like_its_own(reference):
     def needs_with(values):
         changes = [f"system.{name}={value}" for name, value in values.items()]

@@ -62,6 +62,7 @@ def test_the_map_of_a_turn_is_the_product_of_the_interpolated_ones():
     np.testing.assert_allclose(map_of_turn(maps[::4], 60), whole, rtol=1e-12)
 
 
+@pytest.mark.nightly("studies")
 def test_the_height_of_aircraft_decays_as_its_correction_says():
     """A load that follows its carriers: the slow root of s^2 + s + 0.05, of low-pass and rate."""
     found = linearize(load_scenario("aircraft_rest"))

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from helpers import Motion, fix, model, output, outputs
+from helpers import Motion, fix, model, nightly_beyond, output, outputs
 from pydrake.systems.analysis import Simulator
 from scipy.linalg import solve_discrete_are
 from scipy.spatial.transform import Rotation
@@ -111,7 +111,7 @@ def wandering(count, config):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("delay", [0.0, 0.05])
+@pytest.mark.parametrize("delay", nightly_beyond(1, "studies", [0.05, 0.0]))
 def test_errors_of_a_long_record_have_the_covariance_that_is_told(delay):
     """Beside a reference that moves, with measurements that are late, and rates that are noisy."""
     noises = {"position": 0.01, "orientation": 0.002, "velocity": 0.05, "angular_velocity": 0.02}

@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-from helpers import fix, model, output
+from helpers import fix, model, nightly_beyond, output
 from pydrake.systems.analysis import Simulator
 
 from drake_nonstop.blocks.load_plant import LoadPlant, MultibodyLoadPlant
 
 
-@pytest.mark.parametrize("plant", [LoadPlant, MultibodyLoadPlant])
+@pytest.mark.parametrize("plant", nightly_beyond(1, "engines", [LoadPlant, MultibodyLoadPlant]))
 def test_a_spinning_load_falls_as_both_drags_and_a_constant_wrench_let_it(plant):
     inertia = np.diag([0.01] * 3).tolist()
     block = plant(model(load_drag=0.7, load_angular_drag=0.02, load_inertia=inertia))

@@ -143,7 +143,7 @@ def test_results_do_not_depend_on_what_is_printed(tmp_path, redirection, code, w
 @pytest.mark.parametrize(
     ("options", "seed"),
     nightly_beyond(
-        3,
+        1,
         "studies",
         [(place, k) for k in range(2) for place in ([], ["--out", "mine"], ["--out", "."])],
     ),
@@ -184,11 +184,11 @@ WINDY = "wind.velocity=[3, -4, 0]"
 CHECKED = [
     (["quintic"], ["simulation_duration=1"], 0, "\nok: the flight keeps all limits\n"),
     (["aircraft_co_rotating"], ["simulation_duration=0.2", WINDY], 0, "within all limits"),
-    (["quintic", "--seeds", "2"], [NOISE, "simulation_duration=1"], 1, "2 flights of 1 s\n"),
+    (["quintic", "--seeds", "2"], [NOISE, "simulation_duration=0.3"], 1, "2 flights of 0.3 s\n"),
 ]
 
 
-@pytest.mark.parametrize(("call", "changes", "code", "said"), CHECKED)
+@pytest.mark.parametrize(("call", "changes", "code", "said"), nightly_beyond(2, "studies", CHECKED))
 def test_check_says_and_writes_what_comes_of_a_scenario(
     tmp_path, capsys, call, changes, code, said
 ):

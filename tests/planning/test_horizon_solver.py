@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers import nightly_beyond
 from plan_checks import (
     AT_REST,
     NO_LIMITS,
@@ -68,7 +69,9 @@ def with_limit(field, value):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("field", [*KEPT_BY_POINTS, *KEPT_BY_AIRCRAFT])
+@pytest.mark.parametrize(
+    "field", nightly_beyond(1, "flights", [*KEPT_BY_AIRCRAFT, *KEPT_BY_POINTS])
+)
 def test_a_plan_keeps_a_limit_that_the_plan_without_it_exceeds(field):
     """Also between instants, but for the tightening."""
     name, value = (KEPT_BY_POINTS | KEPT_BY_AIRCRAFT)[field]
@@ -102,7 +105,7 @@ def test_limits_that_exclude_each_other_give_a_finite_plan_that_prefers_the_spee
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["cycle-3", "aircraft"])
+@pytest.mark.parametrize("name", nightly_beyond(1, "engines", ["cycle-3", "aircraft"]))
 def test_all_solvers_find_the_same_steps(name, monkeypatch):
     """Of recorded programs cost and constraints are equal."""
     programs, solved = [], StepProgram.solved

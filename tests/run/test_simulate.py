@@ -104,8 +104,8 @@ CANNOT_START = [
 ]
 
 
-@pytest.mark.parametrize("engine", ["auto", "diagram"])
 @pytest.mark.parametrize(("override", "said"), CANNOT_START)
+@pytest.mark.parametrize("engine", nightly_beyond(1, "engines", ["auto", "diagram"]))
 def test_what_cannot_start_is_told_with_what_is_at_fault(override, said, engine):
     with pytest.raises(ScenarioError, match=said):
         simulate(short(override, f"engine={engine}"))
@@ -181,6 +181,7 @@ def test_the_block_that_made_a_value_that_is_not_finite_is_named(box, signals, n
     assert 0.05 < caught.value.run.time[-1] < 0.13
 
 
+@pytest.mark.nightly("flights")
 def test_cables_of_many_nodes_start_although_carriers_are_at_the_origin_at_first():
     """Nodes of the default state would be drawn there by more than a number can hold."""
     loop = make_nonstop(load_scenario("aircraft_transfer_cables", ["cables.nodes=24"]))

@@ -1,5 +1,6 @@
 """Threads that fly one loop, each with a context of its own, do not disturb each other."""
 
+import itertools
 import sys
 from concurrent.futures import ThreadPoolExecutor
 
@@ -78,10 +79,13 @@ def signals_of(fly, context):
     }
 
 
+CASES = itertools.product([1, 100], [by_compiled_loop, by_diagram], FLIGHTS)
+
+
 @pytest.mark.usefixtures("impatient")
-@pytest.mark.parametrize("tries", nightly_beyond(1, "engines", [1, 100]))
-@pytest.mark.parametrize("engine", [by_compiled_loop, by_diagram])
-@pytest.mark.parametrize("flight", FLIGHTS)
+@pytest.mark.parametrize(
+    ("tries", "engine", "flight"), nightly_beyond(len(FLIGHTS), "engines", CASES)
+)
 def test_flights_in_threads_are_those_one_after_the_other_to_the_bit(flight, engine, tries):
     name, overrides, duration, (path, values) = FLIGHTS[flight]
     scenario = load_scenario(name, overrides)

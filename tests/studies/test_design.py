@@ -82,6 +82,7 @@ def test_scenarios_read_back_and_need_at_rest_what_was_found(changes):
     assert 3 * found.drawn_power == pytest.approx(formation.power, rel=bow * 1e-3)
 
 
+@pytest.mark.nightly("flights")
 def test_a_formation_flies_its_way_within_what_is_printed(unflown):
     """The load's largest acceleration on it is a fiftieth of gravity."""
     formation = found_for([*ON_A_WAY, *RISING, "wind=[0, 0, 0]", "load_mass=5"]).formations[0]

@@ -203,7 +203,7 @@ def test_killed_workers_cost_no_run(tmp_path, scenario):
     assert table[errors].tolist() == whole[errors].tolist()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly("processes")
 def test_a_block_that_ends_its_process_spoils_nothing(faulty):
     """Nor the runs that its process was given together with it."""
     faults = {9: "flown dies", 20: "flown exits"}
@@ -258,7 +258,7 @@ def test_a_main_module_without_its_file_is_refused(scenario, monkeypatch):
         study(scenario, {MASS: [1.0]})
 
 
-@pytest.mark.slow
+@pytest.mark.nightly("processes")
 @pytest.mark.parametrize("asked", [None, "2"])
 def test_workers_have_one_thread_for_linear_algebra_unless_asked(tmp_path, asked):
     body = "".join(f"    {line}\n" for line in SCRIPT.splitlines())

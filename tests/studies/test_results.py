@@ -14,7 +14,7 @@ import time
 import numpy as np
 import pandas
 import pytest
-from helpers import rotation
+from helpers import nightly_beyond, rotation
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
@@ -58,7 +58,7 @@ def contents(folder):
 
 
 @pytest.mark.usefixtures("undrawn")
-@pytest.mark.parametrize("kind", ["png", "pdf", "svg", False])
+@pytest.mark.parametrize("kind", nightly_beyond(2, "studies", ["png", False, "pdf", "svg"]))
 def test_pictures_are_of_one_kind_and_files_of_others_stay(run, tmp_path, kind):
     (tmp_path / "figures").mkdir()
     (tmp_path / "figures" / "tensions.png").write_text("of an earlier run")

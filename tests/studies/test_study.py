@@ -259,13 +259,13 @@ def test_what_did_not_complete_is_told_and_changes_are_marked_where_there_is_no_
 
 
 def test_no_name_is_cut_in_tables_and_each_has_a_row_in_a_figure():
-    names = [f"variant & number {k} with quite a long name{'x' * k}" for k in range(40)]
-    done = made(np.random.default_rng(0).random((40, 3)), named(names))
+    names = [f"variant & number {k} with quite a long name{'x' * k}" for k in range(12)]
+    done = made(np.random.default_rng(0).random((12, 3)), named(names))
     figure = done.figure()
     figure.draw_without_rendering()
     (axes,) = figure.axes
     labels = [label.get_window_extent() for label in axes.get_yticklabels()]
-    assert len(labels) == 40
+    assert len(labels) == 12
     assert min(label.x0 for label in labels) >= 0
     assert all(a.y0 >= b.y1 - 1 for a, b in itertools.pairwise(labels))
     with pytest.raises(ScenarioError, match="path = no: give the path of a metric"):
@@ -273,7 +273,7 @@ def test_no_name_is_cut_in_tables_and_each_has_a_row_in_a_figure():
     assert all(name in str(done) for name in names)
     assert all(name.replace("&", "&amp;") in done._repr_html_() for name in names)
     assert all(name.replace("&", r"\&") in done.latex() for name in names)
-    assert done.latex().count(r"\\") == 41
+    assert done.latex().count(r"\\") == 13
 
 
 @pytest.mark.parametrize(
@@ -395,7 +395,7 @@ def test_each_error_of_robustness_makes_a_scenario_that_is_another(name, changes
     assert ("FilteredFeedbackConfig" in feedback) == bool(changes)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly("processes")
 @pytest.mark.usefixtures("undrawn")
 def test_the_commands(written, tmp_path, capsys):
     call = ["line", "--set", *SHORT, "--out", str(tmp_path / "out")]

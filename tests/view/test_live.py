@@ -62,6 +62,7 @@ def test_a_run_that_is_not_changed_equals_one_without_a_page_until_it_is_stopped
         np.testing.assert_array_equal(values[: len(run.time)], run.signals[name], err_msg=name)
 
 
+@pytest.mark.nightly("processes")
 def test_pause_holds_the_time_and_the_pace_is_kept_afterwards():
     held = 0.5  # s
 
