@@ -12,7 +12,7 @@ import hashlib
 import os
 import pickle
 import warnings
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from pathlib import Path
 
 import numpy as np
@@ -175,17 +175,22 @@ DRAWN: dict[str, tuple[str, list[str]]] = {
     ),
 }
 BY_BOTH_ENGINES = (
-    *("static_hold_open_loop", "three_on_a_circle", "that_stalls"),
-    *("that_diverges", "six_noisy", "seven_gusty"),
+    *("three_on_a_circle", "that_stalls", "that_diverges"),
+    *("static_hold_open_loop", "six_noisy", "seven_gusty"),
 )
 FLEET = (*scenario_names(), *DRAWN)
-LONG = tuple(n for n in scenario_names() if "_cables" in n or n.endswith("co_rotating_rising_wind"))
+# Flights that take a second or more, of which there is a shorter one of the same kind.
+LONG = (
+    *(name for name in scenario_names() if "_cables" in name),
+    *("aircraft_co_rotating_rising_wind", "aircraft_six", "paper_line", "quintic_nlp"),
+    *("real_scale_carousel", "real_scale_spread"),
+)
 
 
-def long_ones_nightly(names: Iterable[str]) -> list:
-    """Flights, as cases of a test, of which the long ones are for `make nightly`."""
+def long_ones_nightly(names: Iterable[str], others: Collection[str] = ()) -> list:
+    """Flights, as cases of a test, of which the long ones and others are for `make nightly`."""
     marks = {True: pytest.mark.nightly("flights"), False: ()}
-    return [pytest.param(name, marks=marks[name in LONG]) for name in names]
+    return [pytest.param(name, marks=marks[name in LONG or name in others]) for name in names]
 
 
 def scenario_of(name: str) -> Scenario:

@@ -17,7 +17,7 @@ from drake_nonstop import (
     simulate,
 )
 
-SHORT = "simulation_duration=3"
+SHORT, BRIEF = "simulation_duration=3", "simulation_duration=1"
 WIND = "wind=!SteadyWind {velocity: [0.5, 0, 0]}"
 OFF = "[[0.77,0.75,0],[-0.75,0.77,0],[-0.75,-0.75,0],[0.75,-0.75,0]]"
 FEEDBACK = (
@@ -95,7 +95,10 @@ def test_noise_is_flown_in_seeds_and_margins_are_the_worst_of_all_flights():
         1,
         "flights",
         [
-            ("line_without_optimization", [SHORT, "optimization_layer.speed_bound=1.2"]),
+            (
+                "line_without_optimization",
+                ["simulation_duration=1", "optimization_layer.speed_bound=1.2"],
+            ),
             ("quintic", [f"simulated.attachments={OFF}"]),
             ("aircraft_rest_cables", [WIND, "wind_estimator=NoWind"]),
         ],
@@ -112,6 +115,7 @@ def test_with_what_is_told_to_help_the_flights_are_ok(name, overrides):
         assert remedy.text in found.verdicts[-1]
 
 
+@pytest.mark.nightly("studies")
 def test_a_lost_load_is_explained_by_the_growth_about_it():
     unstable = load_scenario("paper_quintic", ["system.carrier_mass=0.3", "simulation_duration=6"])
     found = check_scenario(unstable, tries_remedies=False)

@@ -3,6 +3,7 @@
 from collections import defaultdict
 
 import pytest
+from fleet import long_ones_nightly
 
 from benchmarks.claims import Claim, documentation, measure, read_claims, values_of
 from benchmarks.measures import MEASURES, RUN
@@ -26,7 +27,7 @@ def test_the_claims_were_found():
     assert len(ALL) >= len(in_table) + 50
 
 
-@pytest.mark.parametrize("name", SHIPPED)
+@pytest.mark.parametrize("name", long_ones_nightly(SHIPPED))
 def test_claims_on_a_shipped_scenario(fleet, name):
     """In tables and paragraphs."""
     found = fleet.evaluated(name)

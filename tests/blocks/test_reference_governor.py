@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from helpers import (
     difference,
-    nightly_beyond,
     output,
     rates_by_differences,
     rotation,
@@ -110,7 +109,8 @@ def slowest_on_best_orbit(model, preview, times, amplitudes=AMPLITUDES):
     return np.array([max(slowest(time, A) for A in amplitudes) for time in times])
 
 
-@pytest.mark.parametrize("way", nightly_beyond(1, "flights", WAYS))
+@pytest.mark.nightly("flights")
+@pytest.mark.parametrize("way", WAYS)
 def test_an_infeasible_motion_is_slowed_just_as_far_as_its_orbits_need(way):
     changes = [*ANY_ORBIT, f"load_trajectory={way}", f"load_trajectory.start_time={START}"]
     _, preview, model = trajectory_of("quintic", *changes)

@@ -26,7 +26,7 @@ def example():
             del sys.modules[name]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly("flights")
 def test_rigid_aircraft_begin_as_the_point_masses_do_and_repeat_to_the_bit(example, fleet):
     """Over the first 2 s of the same hold."""
     scenario = load_scenario("aircraft_rest", ["simulation_duration=2"])

@@ -3,7 +3,6 @@
 import queue
 
 import pytest
-from helpers import nightly_beyond
 
 pytest.importorskip("cosmic_ray")  # it is not where the lowest versions are tried
 
@@ -58,9 +57,8 @@ def test_the_tests_of_the_file_come_first_then_its_room_then_whole_loops():
     assert {"blocks", "loop", "run"} <= {*order[3:]}
 
 
-@pytest.mark.parametrize(
-    ("stated", "is_caught"), nightly_beyond(1, "processes", [("1", True), ("2", False)])
-)
+@pytest.mark.nightly("processes")
+@pytest.mark.parametrize(("stated", "is_caught"), [("1", True), ("2", False)])
 def test_a_fault_is_caught_where_a_test_fails(tmp_path, stated, is_caught):
     (tmp_path / "drake_nonstop" / "some").mkdir(parents=True)
     (tmp_path / "tests" / "some").mkdir(parents=True)

@@ -5,7 +5,7 @@ import signal
 import warnings
 
 import pytest
-from helpers import assert_same_run
+from helpers import assert_same_run, nightly_beyond
 
 from drake_nonstop import (
     Run,
@@ -69,7 +69,7 @@ CASES = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize(("common", "numbers"), CASES.values(), ids=CASES)
+@pytest.mark.parametrize(("common", "numbers"), nightly_beyond(2, "engines", CASES.values()))
 def test_runs_are_those_of_simulate(common, numbers):
     for run, alone in zip(
         *flown([load_scenario("quintic", [*common, *own]) for own in numbers]), strict=True

@@ -43,11 +43,15 @@ def short(*overrides, name="quintic", duration=0.2):
 
 @pytest.mark.parametrize(
     "setting",
-    [
-        "wind=!GustyWind {gust: 1e-310}",
-        "load_disturbance=!DisturbanceForce {gust_force: 1e-310}",
-        "load_trajectory=!RestToRest {displacement: [1e-170, 0, 0]}",
-    ],
+    nightly_beyond(
+        1,
+        "flights",
+        [
+            "wind=!GustyWind {gust: 1e-310}",
+            "load_disturbance=!DisturbanceForce {gust_force: 1e-310}",
+            "load_trajectory=!RestToRest {displacement: [1e-170, 0, 0]}",
+        ],
+    ),
 )
 def test_a_number_below_the_smallest_ends_no_flight(setting):
     scenario = short(setting)

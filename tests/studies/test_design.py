@@ -65,7 +65,7 @@ def test_formations_keep_the_margins_of_the_request_and_are_told():
     assert told["formations"][0]["cables"] == aircraft_margins(first.scenario).cables.dictionary
 
 
-@pytest.mark.parametrize("changes", [[WINDY], LUMPED], ids=["straight", "lumped"])
+@pytest.mark.parametrize("changes", nightly_beyond(1, "studies", [[WINDY], LUMPED]))
 @pytest.mark.usefixtures("unflown")
 def test_scenarios_read_back_and_need_at_rest_what_was_found(changes):
     """By `aircraft_margins`, which knows nothing of the program."""
@@ -110,6 +110,7 @@ def test_what_is_returned_has_been_flown(changes):
             assert max(drawn_designs.beyond(formation, metrics).values()) < 0.02
 
 
+@pytest.mark.nightly("studies")
 def test_formations_that_do_not_fly_are_told_with_the_reason(monkeypatch):
     tried = []
 
@@ -180,7 +181,7 @@ def test_a_request_is_read_from_a_file(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "changes", nightly_beyond(2, "studies", [*map(drawn_designs.draw_odd, range(60))])
+    "changes", nightly_beyond(1, "studies", [*map(drawn_designs.draw_odd, range(60))])
 )
 @pytest.mark.usefixtures("unflown")
 def test_odd_requests_have_formations_or_a_reason_for_none(changes):

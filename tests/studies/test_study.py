@@ -11,6 +11,7 @@ import numpy as np
 import pandas
 import pytest
 import scipy.stats
+from helpers import nightly_beyond
 from pydrake.systems.framework import LeafSystem
 
 from drake_nonstop import (
@@ -361,7 +362,7 @@ def test_a_file_that_cannot_be_used_is_one_sentence(written, given, words):
     assert all(word in str(raised.value) for word in words)
 
 
-@pytest.mark.parametrize("name", [path.stem for path in GRIDS])
+@pytest.mark.parametrize("name", nightly_beyond(2, "studies", [path.stem for path in GRIDS]))
 def test_grids_of_the_package_apply_to_their_scenarios(name):
     grid = read_grid(name)
     assert grid.description
@@ -383,7 +384,8 @@ FILTERED = ["load_feedback=!FilteredFeedback {position_noise: 0.001}"]
 
 
 @pytest.mark.parametrize(
-    ("name", "changes"), [("quintic", []), ("aircraft_rest", []), ("quintic", FILTERED)]
+    ("name", "changes"),
+    nightly_beyond(1, "studies", [("quintic", FILTERED), ("aircraft_rest", []), ("quintic", [])]),
 )
 def test_each_error_of_robustness_makes_a_scenario_that_is_another(name, changes):
     base = load_scenario(name, changes)

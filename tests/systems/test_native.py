@@ -11,6 +11,7 @@ from unittest.mock import Mock
 import casadi
 import numpy as np
 import pytest
+from helpers import nightly_beyond
 
 from drake_nonstop.systems import native as module
 from drake_nonstop.systems.native import LANES, Interpreted, asking, compiler, native
@@ -148,7 +149,9 @@ def test_all_operations_give_the_bits_of_the_virtual_machine_in_lanes_too(make, 
 
 @pytest.mark.slow
 @needs_compiler
-@pytest.mark.parametrize("place", ["shown", "steps", "state", "times"])
+@pytest.mark.parametrize(
+    "place", nightly_beyond(2, "engines", ["state", "times", "shown", "steps"])
+)
 def test_a_flight_ends_before_what_is_not_finite_and_other_lanes_go_on(place):
     x, t, p, row = (
         casadi.SX.sym(name, size) for name, size in zip("xtpr", (2, 2, 0, 1), strict=True)
@@ -173,7 +176,7 @@ def test_a_flight_ends_before_what_is_not_finite_and_other_lanes_go_on(place):
 
 
 @needs_compiler
-@pytest.mark.parametrize("sizes", [(0, 0, 0), (2, 1, 0)])
+@pytest.mark.parametrize("sizes", nightly_beyond(1, "engines", [[2, 1, 0], [0, 0, 0]]))
 def test_sizes_may_be_zero(sizes):
     f = function(sizes=sizes)
     for samples in (0, 1, 3):
@@ -281,7 +284,7 @@ def test_a_compiler_that_fails_is_told_once(use_compiler, folder, monkeypatch, s
 
 IN_A_PROCESS = """
 import sys
-sys.path[:0] = {folder!r},
+sys.path[:0] = {folders!r}
 import test_native as t
 values = t.arrays(t.function(), 3)
 print(t.native(t.function()).fly(*values, 1e3), values[1].tolist())
@@ -289,7 +292,8 @@ print(t.native(t.function()).fly(*values, 1e3), values[1].tolist())
 
 
 def start(**options):
-    text = IN_A_PROCESS.format(folder=os.path.dirname(__file__))
+    folders = [str(folder) for folder in Path(__file__).parents[:2]]
+    text = IN_A_PROCESS.format(folders=folders)
     return subprocess.Popen([sys.executable, "-c", text], stdout=subprocess.PIPE, **options)
 
 
@@ -312,6 +316,7 @@ def test_the_first_interrupt_ends_the_compiler(use_compiler, folder, tmp_path):
     )
     process = start(stderr=subprocess.PIPE)
     while not (tmp_path / "id").exists():
+        assert process.poll() is None
         time.sleep(0.02)
     process.send_signal(signal.SIGINT)
     begin = time.monotonic()

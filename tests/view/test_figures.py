@@ -37,7 +37,7 @@ def assert_legends_cover_no_data(figure):
         assert not any(box.overlaps(axes.bbox) for axes in figure.axes)
 
 
-@pytest.mark.parametrize("kind", nightly_beyond(3, "studies", reversed(KINDS)))
+@pytest.mark.parametrize("kind", nightly_beyond(2, "studies", reversed(KINDS)))
 def test_every_figure_of_every_kind_of_run(kind, fleet):
     limit = ["simulation_duration=1", "optimization_layer.max_tension=9"]
     run = fleet.run(load_scenario(kind, limit) if "limits" in KINDS[kind] else kind)
