@@ -7,6 +7,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 
 from drake_nonstop.blocks.phase import AccumulatedPhase, ShapedPhase, ShapedPhaseConfig
+from drake_nonstop.systems.block import state_values
 
 PERIOD = 0.01
 
@@ -43,6 +44,7 @@ def planned(phase, values, times):
         context = simulator.get_context()
         found.append(output(diagram, context, "planned"))
         np.testing.assert_array_equal(output(diagram, context, "phase"), [found[-1][0], 0.0])
+        assert np.all(state_values(phase.GetMyContextFromRoot(context))[7:] == 1)  # it has started
     return np.array(found)
 
 
@@ -81,6 +83,8 @@ def test_a_plan_takes_the_place_of_the_parameters(period):
     simulator, plan = Simulator(block), np.arange(8.0)
     fix(block, simulator.get_context(), parameters=np.array([1.7, 0.9]), plan=plan)
     simulator.AdvanceTo(0.05)
+    stands = [0.0] * 8 if period else [0.0, *[1.7] * 3, *[0.9] * 3, 1.0]
+    np.testing.assert_array_equal(state_values(simulator.get_context()), stands)
     for name, expected in (("planned", plan), ("phase", [plan[0], 0.0])):
         found = output(block, simulator.get_context(), name)
         np.testing.assert_array_equal(found, expected)
