@@ -301,8 +301,8 @@ def metrics_page() -> str:
         "`metrics.json` of a run, `compute_metrics(run)` and the tables of studies have these",
         "numbers. A metric is named by its path, whose end is the unit of the stored value; tables",
         "show it in the unit below. Beside the metrics stand `scenario`, `versions`, `is_steered`,",
-        "which tells whether a user changed the run while it flew, and `half_step`, which is what",
-        "`--verify-step` found.",
+        "whether a user changed the run during the flight, and `half_step`, the result of",
+        "`--verify-step`.",
         "",
         " ".join(about.split()),
     ]

@@ -23,7 +23,7 @@ def add_to(commands: Commands) -> None:
     parser = commands.add_parser(
         "ablate",
         description="Flies the scenario as it is and each variant. Exit code 1 where a variant "
-        "cannot be built or one of its blocks fails; one that diverges is a result like others.",
+        "cannot be built or one of its blocks fails; one that diverges is a result like any other.",
     )
     parser.set_defaults(action=_ablate)
     add_study(parser, "out/ablate/NAME[_GRID]")

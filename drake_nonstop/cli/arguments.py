@@ -43,7 +43,7 @@ def add_scenario(parser: argparse.ArgumentParser, folder: str | None = "out/NAME
 def add_study(parser: argparse.ArgumentParser, folder: str) -> None:
     """Adds the arguments of `add_scenario`, and --restart."""
     add_scenario(parser, folder)
-    about = "drop what the folder has of a call that was interrupted"
+    about = "begin again, without the results of an interrupted call"
     parser.add_argument("--restart", action="store_true", help=about)
 
 

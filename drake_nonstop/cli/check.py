@@ -1,4 +1,4 @@
-"""`drake-nonstop check`: fly what a scenario states, and tell what comes of it."""
+"""`drake-nonstop check`: fly a scenario as it states, and explain the outcome."""
 
 import argparse
 

@@ -17,7 +17,7 @@ def add_to(commands: Commands) -> None:
         "design",
         description="Looks for formations of aircraft that hold a load, at rest and on a way, in a "
         "wind, with margins to stall, bank and thrust: for each number of carriers and kind of "
-        "orbit those of the least power at rising margins. Writes a scenario for "
+        "orbit the ones of the least power at rising margins. Writes a scenario for "
         "each. Takes about a minute, or several on a busy machine.",
         epilog=f"Exit codes: 0 where there is a formation, {FAILED} where there is none, "
         f"{BAD_INPUT} for bad input.",

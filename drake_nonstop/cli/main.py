@@ -94,6 +94,9 @@ def make_parser(command: str) -> argparse.ArgumentParser:
             subparsers.add_parser(name, help=about)
     if own:
         importlib.import_module(f"drake_nonstop.cli.{own}").add_to(subparsers)
+    for name, chosen in subparsers.choices.items():
+        about = every[name][1]
+        chosen.description = chosen.description or f"{about[0].upper()}{about[1:]}."
     return parser
 
 

@@ -1,4 +1,4 @@
-"""`drake-nonstop robustness`: errors that the controllers do not know of, one by one."""
+"""`drake-nonstop robustness`: fly a scenario with errors unknown to its controllers, one by one."""
 
 import argparse
 

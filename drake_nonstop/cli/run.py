@@ -67,7 +67,7 @@ def add_to(commands: Commands) -> None:
         "--realtime",
         type=float,
         metavar="RATE",
-        help="simulated s per s of a live run (1; 0: free)",
+        help="simulated s per s of a live run (1; 0: as fast as it can)",
     )
     parser.add_argument(
         "--verify-step",

@@ -38,7 +38,7 @@ def add_to(commands: Commands) -> None:
         "blocks", help="what each box of the figure can be: blocks, parameters, ports"
     )
     parser.set_defaults(action=_blocks)
-    parser.add_argument("box", nargs="?", metavar="BOX", help="this one only, such as phase")
+    parser.add_argument("box", nargs="?", metavar="BOX", help="only this box, such as phase")
     parser = commands.add_parser(
         "new", help="write a scenario file to start from, with every field, unit and meaning"
     )
@@ -62,7 +62,7 @@ def add_to(commands: Commands) -> None:
         "to be the list under that key of the schema.",
     )
     parser.set_defaults(action=_schema)
-    parser.add_argument("--out", type=Path, metavar="FILE", help="(the terminal)")
+    parser.add_argument("--out", type=Path, metavar="FILE", help="default: it is printed")
 
 
 def _list(options: argparse.Namespace) -> int:

@@ -1,4 +1,4 @@
-"""`drake-nonstop stability`: Floquet multipliers of the loop around a resting load."""
+"""`drake-nonstop stability`: print Floquet multipliers of the loop around a resting load."""
 
 import argparse
 

@@ -1,4 +1,4 @@
-"""`drake-nonstop study`: every combination of some values, over seeds: a table, figures, bands."""
+"""`drake-nonstop study`: fly all combinations of values, over seeds: a table, figures, bands."""
 
 import argparse
 

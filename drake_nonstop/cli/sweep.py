@@ -1,4 +1,4 @@
-"""`drake-nonstop sweep`: a study that a file asks for."""
+"""`drake-nonstop sweep`: fly the study that a file describes."""
 
 import argparse
 from pathlib import Path

@@ -11,6 +11,7 @@ from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 from drake_nonstop.diagrams.nonstop import BOXES
+from drake_nonstop.diagrams.nonstop import SIGNALS as OF_FIGURE
 from drake_nonstop.loop.box import config_class
 from drake_nonstop.mechanics.signals import HELD, SIGNALS
 from drake_nonstop.scenario.choices import CHOICES, PATTERN, block_name, tag_of
@@ -93,7 +94,7 @@ def parameters(config: type) -> tuple[Parameter, ...]:
 
 def size_of(signal: str) -> str:
     """The size of a signal of the figure, such as "3n"."""
-    layout = SIGNALS.get(signal)
+    layout = OF_FIGURE.get(signal)
     return "abstract" if layout is None else layout.size
 
 
