@@ -292,7 +292,8 @@ def make_nonstop(
 
     Every signal is exported under its name: `diagram.GetOutputPort("load_state")`.
 
-    New contexts of the diagram start at its equilibrium, see `set_equilibrium`; a ScenarioWarning
+    New contexts of the diagram start at its equilibrium, see `set_equilibrium`, or beside it by the
+    scenario's `start_error`; a ScenarioWarning
     names a block whose default state cannot be set, see `loop/start.py`. Where the diagram
     has inputs that have to be connected there may be no equilibrium before they are: load and
     carriers then are at the origin.
@@ -324,14 +325,16 @@ def make_nonstop(
     is_whole = set(wiring.input_names(diagram)) <= wiring.optional_inputs(diagram)
     if not (at_equilibrium and is_whole):
         return diagram
-    beside = {block.get_name(): state for block, state in starts_beside_defaults(diagram).items()}
+    start_error = getattr(scenario.sampled(), "start_error", None)
+    defaults = starts_beside_defaults(diagram, start_error)
+    beside = {block.get_name(): state for block, state in defaults.items()}
     if beside:  # a sampled state has no other default than the one that its block is made with
         parts = make_parts(BOXES, scenario, replacements, extra)
         for name, state in beside.items():
             if isinstance(block := parts.blocks.get(name), Block):
                 parts.blocks[name] = block.starting_at(state)
         diagram = connected(BOXES, parts, inputs)
-        set_default_equilibrium(diagram)
+        set_default_equilibrium(diagram, start_error=start_error)
     return diagram
 
 

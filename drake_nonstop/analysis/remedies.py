@@ -5,13 +5,14 @@ import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from drake_nonstop.analysis.flights import CheckedFlight, fly, spread_margins
 from drake_nonstop.blocks.wind_estimator import KnownWindConfig
-from drake_nonstop.model.system import given_fields
+from drake_nonstop.model.system import AIRCRAFT, given_fields
 from drake_nonstop.run.outcome import RunOutcome
 from drake_nonstop.scenario.overrides import as_override, changed
 from drake_nonstop.scenario.schema import Scenario
@@ -62,9 +63,9 @@ _Proposals = Iterator[list[str]]  # from the mildest change on
 def _modelled(failed: _Failed) -> _Proposals:
     """A model of the plant as it is; not of one that differs with the seed."""
     plant = failed.stated.simulated
-    names = [name for name in given_fields(plant) if "." not in name]
-    if names and failed.scenario.simulated == plant:
-        yield [as_override(f"system.{name}", getattr(plant, name)) for name in names]
+    given = {n: attrgetter(n)(plant) for n in given_fields(plant) if n != AIRCRAFT[:-1]}
+    if given and failed.scenario.simulated == plant:
+        yield [as_override(f"system.{n}", v) for n, v in given.items() if v is not None]
 
 
 def _known_wind(failed: _Failed) -> _Proposals:

@@ -13,6 +13,7 @@ from pydrake.systems.framework import Context, Diagram
 from drake_nonstop.analysis.stated_errors import without_noise
 from drake_nonstop.blocks.load_disturbance import NoDisturbanceConfig
 from drake_nonstop.blocks.load_trajectory import RestToRestConfig
+from drake_nonstop.blocks.observed_carrier_trajectory import ObservedCarrierTrajectoryConfig
 from drake_nonstop.blocks.optimization_layer import ConstantParametersConfig
 from drake_nonstop.blocks.phase import AccumulatedPhaseConfig
 from drake_nonstop.diagrams.nonstop import BOXES, SAMPLE_AND_HOLD, box_of, make_nonstop
@@ -20,7 +21,11 @@ from drake_nonstop.loop.start import set_equilibrium
 from drake_nonstop.loop.step import with_largest_step
 from drake_nonstop.mechanics.rotation import quaternion_rate
 from drake_nonstop.mechanics.signals import LoadState
+from drake_nonstop.mechanics.tuning import correction_rate
+from drake_nonstop.model.block import AUTO
+from drake_nonstop.scenario.overrides import as_override, changed
 from drake_nonstop.scenario.schema import Scenario, check
+from drake_nonstop.scenario.yaml_text import dump_plain
 from drake_nonstop.systems.block import set_state_values, state_values
 from drake_nonstop.systems.compiled_loop import CompiledLoop, reason_against
 from drake_nonstop.validation import ScenarioError, require
@@ -30,6 +35,16 @@ _AT_ONCE = 64  # maps that are interpolated, so few that they stay in a core's c
 NEUTRAL = 1 + 1e-4  # above the multipliers of slow integrators, with rounding
 _CHANGES_OF_WIND = ("start_time", "rise_time")  # fields of its blocks
 _LOAD = box_of("load_state")
+# Rates with which loops of the shipped scenarios are stable: of corrections over those that are
+# "auto", of observers in 1/s.
+_KNOWN_SHARE, _KNOWN_RATE = 3.0, 2.0
+# Usual values of what may make a loop unstable.
+_USUAL: dict[str, Any] = {
+    "carrier_trajectory.correction_rates": AUTO,
+    "carrier_trajectory.length_rate": ObservedCarrierTrajectoryConfig.length_rate,
+    "carrier_trajectory.share_rate": ObservedCarrierTrajectoryConfig.share_rate,
+    "load_feedback.measures_attitude": True,
+}
 # Whose states are not perturbed.
 _EXOGENOUS = [name for name, box in BOXES.items() if not box.is_linearized]
 
@@ -46,6 +61,7 @@ class Stability:
     multipliers: NDArray  # (k,), complex, the largest magnitude first
     frequency: float  # rad/s, of the least stable mode at the start of the period
     shares: dict[str, float]  # of each block's states in that mode; their sum is 1
+    cause: str = ""  # a sentence on the field that makes the loop unstable, if one is known
 
     @property
     def largest(self) -> float:
@@ -61,6 +77,42 @@ class Stability:
     def rate(self) -> float:
         """The rate at which a deviation grows, in 1/s; negative where it decays."""
         return math.log(max(self.largest, 1e-300)) / self.period
+
+
+def explained_stability(
+    scenario: Scenario, is_lost: bool, progress: Callable[[str, float], None]
+) -> Stability | None:
+    """Returns `linearize` of drawn numbers with the field to blame as its `cause`, or None.
+
+    It is None unless the load was lost, or references are corrected, or cables observed, faster
+    than is known to be stable. Cables have two nodes at most, whose derivatives take seconds.
+    """
+    config, system = scenario.carrier_trajectory, scenario.system
+    known = _KNOWN_SHARE * correction_rate(system.cable_length, system.gravity)
+    rates: Any = getattr(config, "correction_rates", AUTO)
+    observers = [getattr(config, name, 0.0) for name in ("length_rate", "share_rate")]
+    is_fast = max(observers) > _KNOWN_RATE or (rates != AUTO and max(rates) > known)
+    if not is_fast and (hasattr(scenario.cables, "nodes") or not is_lost):
+        return None
+    for name in ("cables", "carrier_trajectory"):
+        if hasattr(config := getattr(scenario, name), "nodes"):
+            few = dataclasses.replace(config, nodes=min(config.nodes, 2))
+            scenario = dataclasses.replace(scenario, **{name: few})
+    found = linearize(scenario, progress)
+    for path, usual in _USUAL.items():
+        box, _, name = path.partition(".")
+        stated = getattr(getattr(scenario, box), name, usual)
+        if found.is_stable or stated == usual:
+            continue
+        other = linearize(changed(scenario, [as_override(path, usual)]))
+        if other.is_stable:
+            found.cause = (
+                f"{as_override(path, stated).replace('=', ' = ')}: about the load at rest a small "
+                f"deviation grows, {found.rate:+.2g} 1/s; give {dump_plain(usual, path)}, with "
+                f"which it decays, {other.rate:+.2g} 1/s"
+            )
+            break
+    return found
 
 
 def at_rest(scenario: Scenario) -> Scenario:

@@ -39,8 +39,8 @@ def without_noise(scenario: Scenario) -> Scenario:
 def without_errors(scenario: Scenario) -> Scenario:
     """The scenario as its controllers believe it to be.
 
-    Besides noise and gusts it has no `errors`, no disturbance, no delay of the feedback and no
-    `simulated` fields, and the wind is known.
+    Besides noise and gusts it has no `errors`, no disturbance, no delay of the feedback, no
+    `simulated` fields and no `start_error`, and the wind is known.
     """
     quiet = without_noise(scenario)
     feedback, has_wind = quiet.load_feedback, quiet.wind != StillAirConfig()
@@ -50,6 +50,7 @@ def without_errors(scenario: Scenario) -> Scenario:
         quiet,
         errors=NONE,
         simulated=SystemOverrides(),
+        start_error=[0.0] * 6,
         load_feedback=feedback,
         load_disturbance=NoDisturbanceConfig(),
         wind_estimator=KnownWindConfig() if has_wind else quiet.wind_estimator,

@@ -18,7 +18,7 @@ from drake_nonstop.analysis.feasible_parameters import (
 )
 from drake_nonstop.analysis.flights import CheckedFlight, SpreadMargin, fly, spread_margins
 from drake_nonstop.analysis.remedies import Remedy, find_remedies
-from drake_nonstop.analysis.stability import Stability, linearize
+from drake_nonstop.analysis.stability import Stability, explained_stability
 from drake_nonstop.analysis.stated_errors import is_random, with_seed, without_errors
 from drake_nonstop.analysis.task import Task, task_of
 from drake_nonstop.run.outcome import RunOutcome
@@ -46,7 +46,8 @@ class ScenarioCheck:
         tried: the number of changes that were tried for that.
         task: what is flown; None: the trajectory does not tell its motion beforehand.
         feasible: constant ξ and A that keep the speed bound; None: there is no bound or no orbit.
-        stability: of the load at rest, where it is lost; None: elsewhere, or it is not known.
+        stability: of the load at rest, where it is lost, or rates of references are beyond those
+            known to be stable; None: elsewhere, or it is not known.
         aircraft: the margins of aircraft on the resting orbit; None: there are none.
     """
 
@@ -74,13 +75,13 @@ class ScenarioCheck:
 
     @property
     def is_ok(self) -> bool:
-        """Whether all flights are ok."""
-        return self.outcome is RunOutcome.OK
+        """Whether all flights are ok, and no field makes the loop unstable."""
+        return not self._failed and not (self.stability is not None and self.stability.cause)
 
     @property
     def narrow(self) -> tuple[SpreadMargin, ...]:
         """The margins by which a flight of another seed may end otherwise."""
-        if self.is_ok:
+        if not self._failed:
             return tuple(each for each in self.margins if each.is_narrow)
         missed = [each for each in self.margins if not each.worst.is_kept]
         are_narrow = bool(missed) and all(each.is_narrow for each in missed)
@@ -96,7 +97,7 @@ class ScenarioCheck:
         said = [self._of_flights()]
         if self.narrow:
             said.append(self._of_narrow())
-        if self.nominal is not None and not self.is_ok:
+        if self.nominal is not None and self._failed:
             said.append(
                 "without the errors that the scenario states the flight is ok"
                 if self.nominal.is_ok
@@ -108,21 +109,19 @@ class ScenarioCheck:
         if self.stability is not None:
             found = self.stability
             what = "decays" if found.is_stable else "grows: the loop is unstable"
-            said.append(f"about the load at rest a small deviation {what}, {found.rate:+.2g} 1/s")
+            sentence = f"about the load at rest a small deviation {what}, {found.rate:+.2g} 1/s"
+            said.append(found.cause or sentence)
         if self.aircraft is not None:
             said.append(self.aircraft.verdict)
-        if not self.is_ok:
+        if self._failed:
             said.append(self._of_remedies())
         return tuple(said)
 
     def _of_flights(self) -> str:
         count = len(self.flights)
-        if self.is_ok:
-            return (
-                "ok: "
-                + ("the flight keeps" if count == 1 else f"all {count} flights keep")
-                + (" all limits")
-            )
+        if not self._failed:
+            who = "the flight keeps" if count == 1 else f"all {count} flights keep"
+            return f"ok: {who} all limits"
         share = "" if count == 1 else f" in {self._failed} of {count} flights"
         return f"{self.outcome.value}{share}: {'; '.join(self.worst.reasons)}"
 
@@ -266,7 +265,7 @@ def check_scenario(
         tried=tried,
         task=task,
         feasible=feasible_parameters(task) if task is not None and has_set(task) else None,
-        stability=_stability(scenarios[0], progress) if is_lost else None,
+        stability=_stability(scenarios[0].sampled(), is_lost, progress),
         aircraft=None if scenario.system.aircraft is None else _aircraft(scenarios[0]),
     )
     progress("looking at the orbits", 1.0)
@@ -287,11 +286,9 @@ def _task(scenario: Scenario) -> Task | None:
         return None
 
 
-def _stability(scenario: Scenario, progress: Progress) -> Stability | None:
-    if hasattr(scenario.cables, "nodes"):  # hundreds of states, whose derivatives take minutes
-        return None
+def _stability(scenario: Scenario, is_lost: bool, progress: Progress) -> Stability | None:
     try:
-        return linearize(scenario, progress)
+        return explained_stability(scenario, is_lost, progress)
     except (ScenarioError, NotFiniteError):  # of what turns all the time, or is not compiled
         return None
 

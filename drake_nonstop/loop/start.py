@@ -29,7 +29,11 @@ from pydrake.systems.analysis import InitializeParams, Simulator
 from pydrake.systems.framework import Context, Diagram, OutputPort, System
 from pydrake.systems.primitives import AffineSystem
 
-from drake_nonstop.mechanics.rotation import rotate_quaternion
+from drake_nonstop.mechanics.rotation import (
+    quaternion_product,
+    roll_pitch_yaw_to_quaternion,
+    rotate_quaternion,
+)
 from drake_nonstop.mechanics.signals import (
     LOAD_REFERENCE_SIZE,
     LOAD_STATE_SIZE,
@@ -83,7 +87,7 @@ _PORT_STEP = 2.0**-16  # of differences of a port: most states are exact with a 
 _SMALLEST = 1e-9  # of the largest singular value: what a port does not show
 
 
-def set_equilibrium(nonstop: Diagram, context: Context) -> None:
+def set_equilibrium(nonstop: Diagram, context: Context, *, start_error: Any = None) -> None:
     """Sets load and carriers in `context` to the equilibrium of the loop as configured.
 
     The carriers start on their references, with their velocities, and the load on its own. Where
@@ -99,6 +103,9 @@ def set_equilibrium(nonstop: Diagram, context: Context) -> None:
     depth of `nonstop`. Of several ports with one of these names the exported one counts. A load
     that is at its equilibrium already stays there.
 
+    A `start_error` [x, y, z, roll, pitch, yaw] (6,), m and rad, in W, then moves and turns the load
+    beside its equilibrium, while the carriers stay.
+
     Raises:
         ScenarioError: the cables cannot hold the load, a block does not show the state that is
             set, or makes a value that is not finite, or is far too large; no block makes a signal,
@@ -111,10 +118,12 @@ def set_equilibrium(nonstop: Diagram, context: Context) -> None:
     trial = copied_context(nonstop, context)
     with block_named(nonstop, trial):
         contextvars.copy_context().run(_settle, nonstop, trial)
+        if start_error is not None and np.any(start_error):
+            PlantStates(nonstop).displace(trial, np.array(start_error))
     PlantStates(nonstop).take_over(context, trial)
 
 
-def set_default_equilibrium(nonstop: Diagram) -> None:
+def set_default_equilibrium(nonstop: Diagram, *, start_error: Any = None) -> None:
     """Makes the equilibrium that `set_equilibrium` finds the start of a diagram's new contexts.
 
     For a loop that was wired by hand, once it is built; `make_nonstop` does it by itself. A
@@ -123,7 +132,7 @@ def set_default_equilibrium(nonstop: Diagram) -> None:
     Raises:
         ScenarioError: as of `set_equilibrium`.
     """
-    for block in starts_beside_defaults(nonstop):
+    for block in starts_beside_defaults(nonstop, start_error):
         warn_user(
             f"{title(block)} = {type(block).__name__}: new contexts of the diagram do "
             "not start at its equilibrium, since the block's default state cannot be set; "
@@ -131,11 +140,11 @@ def set_default_equilibrium(nonstop: Diagram) -> None:
         )
 
 
-def starts_beside_defaults(nonstop: Diagram) -> dict[System, NDArray]:
+def starts_beside_defaults(nonstop: Diagram, start_error: Any = None) -> dict[System, NDArray]:
     """What `set_default_equilibrium` does; returns blocks that cannot follow, and their states."""
     require(isinstance(nonstop, Diagram), "diagram", nonstop, "give a built Diagram of floats")
     context = nonstop.CreateDefaultContext()
-    set_equilibrium(nonstop, context)
+    set_equilibrium(nonstop, context, start_error=start_error)
     loop = loop_in(nonstop, LOOP_SIGNALS)
     return PlantStates(loop).declare_defaults(context_in(nonstop, loop, context))
 
@@ -408,6 +417,15 @@ class PlantStates:
         self.set_states(context, **states)
         self.trim(context)
         self._require_shown(context, states)
+
+    def displace(self, context: Context, error: NDArray) -> None:
+        """Moves and turns the load by [x, y, z, roll, pitch, yaw] (6,), in W; cables follow."""
+        load = LoadState.view(self.signals(context, LOAD)[LOAD])
+        turned = quaternion_product(roll_pitch_yaw_to_quaternion(error[3:]), load.quaternion)
+        moved = turned, load.position + error[:3], load.angular_velocity, load.velocity
+        self._trimmed = [b for b in self._trimmed if b not in self._owners.values()]
+        self.set_states(context, load_state=np.concatenate(moved))
+        self.trim(context)
 
     def trim(self, context: Context, *, knows: bool = True) -> None:
         """Has blocks set their further states; where it knows no signals those that need none."""

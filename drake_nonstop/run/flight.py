@@ -150,7 +150,7 @@ class Flight:
         """
         scenario, nonstop = self.scenario, self.nonstop
         self._interruption.check()  # and again after what takes long
-        set_equilibrium(nonstop, self._loop_context)
+        set_equilibrium(nonstop, self._loop_context, start_error=scenario.start_error)
         self._interruption.check()
         PlantStates(nonstop).declare_defaults(self._loop_context)
         warn_of_angles(scenario)

@@ -126,7 +126,7 @@ class _Start:
         ends = self._ending.signals
         shown = (*dict.fromkeys([*_OBSERVED, *ends]),)
         signals, steps = ((), shown) if ends else (shown, ())  # any step may be the last one
-        set_equilibrium(nonstop, context)
+        set_equilibrium(nonstop, context, start_error=scenario.start_error)
         self._config = with_largest_step(scenario.simulator_config, nonstop, context)
         self.loop: CompiledLoop | None = None
         self.reason = ""

@@ -113,7 +113,7 @@ LIMITS = (
     RunLimit(
         path="limits.position_error",
         outcome=RunOutcome.LOAD_LOST,
-        sentence="the load was {} from its reference",
+        sentence="the load was {} from its reference{run.untold_wind}",
         unit="m",
         measure=lambda run: float(np.max(run.position_error)),
         share_of=lambda run: run.reach,
@@ -149,7 +149,7 @@ LIMITS = (
     RunLimit(
         path="limits.slack_time",
         outcome=RunOutcome.CABLES_SLACK,
-        sentence="a cable was slack for {}",
+        sentence="a cable was slack for {}{run.misfit}",
         unit="s",
         measure=lambda run: run.slack_time,
     ),
@@ -163,7 +163,7 @@ LIMITS = (
     RunLimit(
         path="limits.saturated_share",
         outcome=RunOutcome.LIMIT_MISSED,
-        sentence="commands of aircraft were at their limits for {} of the time",
+        sentence="commands of aircraft were at their limits for {} of the time{run.most_saturated}",
         measure=lambda run: run.saturated_share,
     ),
     # What blocks are asked for. They command it; what is simulated follows with an error.
@@ -231,9 +231,10 @@ def find_margins(run: RunQuantities) -> list[Margin]:
         and math.isfinite(margin.limit)
         and (margin.limit > 0 or limit.path == "limits.clearance")
     ]
-    for errors, name in ((run.position_error, "position"), (run.orientation_error, "orientation")):
-        when = float(run.run.time[np.argmax(errors)])
-        margins = [m._replace(when=when) if m.name == f"{name} error" else m for m in margins]
+    for k, margin in enumerate(margins):
+        if margin.name in ("position error", "tilt error", "yaw error"):
+            errors = getattr(run, margin.name.replace(" ", "_"))
+            margins[k] = margin._replace(when=float(run.run.time[np.argmax(errors)]))
     time = run.time
     if np.any(run.speed_bounds > 0) and run.scenario.limits.time_below_bound == 0:
         speeds, bounds = run.bounded_speeds, run.speed_bounds[:, None]

@@ -36,6 +36,7 @@ _UPDATE_COUNTS = ("updates", "kept", "solved", "relaxed", "held")
 _CHUNK = 10_000  # rows that are computed at a time: their temporary arrays are small
 _SMALL_TURN = math.cos(0.2)  # cosine of the angle, 0.2 rad, that a velocity turns by in a step
 _TURN = 0.1  # s, over which turn radii and accelerations are measured
+_UNTOLD = 0.1  # m/s, of a wind that is missed on average
 _MOVING = 1e-6  # m/s; slower, the load's reference rests; the least airspeed to divide by
 _J_PER_KG_M = 1 / 3.6  # 1 J/(kg m) in Wh/(kg km)
 
@@ -331,6 +332,49 @@ class RunQuantities:
     def slack_time(self) -> float:
         """The time for which any cable was slack, s."""
         return self.duration_of(np.any(self.tensions <= 0, axis=1))
+
+    @property
+    def misfit(self) -> str:
+        """What errors of lengths and attachments, which no height and tilt undo, take from a cable.
+
+        Empty where that is less than a cable carries.
+        """
+        believed, plant = self.scenario.system, self.system
+        cables, places = self.carrier_positions - self.attachment_positions, believed.attachments
+        axes = rotation_matrix(Pose.view(self.run.steps["load_state"]).quaternion)
+        shifts = np.subtract(plant.attachments, places) @ axes.swapaxes(1, 2)
+        errors = (shifts * cables).sum(axis=-1) / _norms(cables)
+        errors += np.subtract(plant.cable_length, believed.cable_length)
+        level = np.insert(places, 2, 1.0, axis=1)[:, :3]
+        misfits = errors - errors @ (level @ np.linalg.pinv(level))
+        taken, carried = np.max(misfits * plant.cable_stiffness), np.mean(self.tensions)
+        told = (
+            f", as lengths and attachments up to {1e3 * np.max(np.abs(misfits)):.2g} mm beside the "
+            f"model's take up to {taken:.2g} N from a cable, of {carried:.2g} N on average"
+        )
+        return told if taken > carried else ""
+
+    @property
+    def untold_wind(self) -> str:
+        """The mean wind at the load that the controllers miss, if there is any to speak of."""
+        if not (self.run.has("mean_wind") and self.run.has("wind_estimate")):
+            return ""
+        mean = _norms(self.run.signal("mean_wind") - self.run.signal("wind_estimate")).mean()
+        told = f", where the controllers missed {mean:.2g} m/s of the wind (see wind_estimator)"
+        return told if mean > _UNTOLD else ""
+
+    @property
+    def most_saturated(self) -> str:
+        """The aircraft's command that is at its limits for the longest time, and its mean then."""
+        if not self.run.has("aircraft_command"):
+            return ""
+        held = self.run.signal("command_saturation") > 0.5
+        k = int(np.argmax(held.sum(axis=0)))
+        channel, carrier = divmod(k, len(self.system.attachments))
+        part = AircraftState.layout.parts[channel]
+        value = self.run.signal("aircraft_command")[held[:, k], k].mean()
+        shown = f"{value:.3g} {part.unit}".strip()
+        return f", most of all the {part.name} of carrier {carrier + 1}, at {shown} on average"
 
     @cached_property
     def attachment_positions(self) -> NDArray:

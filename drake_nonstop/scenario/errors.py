@@ -1,7 +1,7 @@
 """Errors that a scenario states: of the plant, of the measurements, and an untold wind.
 
 `errors` is the name of a set, such as `light`, or a mapping of fields of `simulated`,
-`load_feedback` and `wind` to their values, which may be distributions:
+`load_feedback`, `wind` and `start_error` to their values, which may be distributions:
 
     errors: {simulated.load_mass: !Uniform {min: 0.9, max: 1.1}, wind: !SteadyWind {...}}
 
@@ -30,6 +30,8 @@ from drake_nonstop.blocks.wind_estimator import (
     NoWindConfig,
     WindObserverConfig,
 )
+from drake_nonstop.diagrams.nonstop import BOXES
+from drake_nonstop.loop.box import block_of
 from drake_nonstop.model.system import overridden
 from drake_nonstop.validation import require, require_known
 
@@ -37,8 +39,10 @@ if TYPE_CHECKING:
     from drake_nonstop.scenario.schema import Scenario
 
 NONE = "none"
-OWNERS = ("simulated", "load_feedback", "wind")  # whose fields a mapping may have
+# Whose fields a mapping may have.
+OWNERS = ("simulated", "load_feedback", "wind", "start_error")
 _AXES = ("x", "y")
+_JUDGED = ("cable_diameter", "cable_breaking_load")  # that a run is held against
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,10 +93,26 @@ def with_fields(
     scenario = copy.deepcopy(scenario)
     scenario.errors = NONE
     for path, value in errors.items():
+        tree = value
         for key in reversed(path.split(".")):
-            value = {key: value}
-        read(value, scenario)
+            tree = {key: tree}
+        read(tree, scenario)
+        if isinstance(tree.get("simulated"), dict):
+            _require_used(tree["simulated"], scenario)
     return scenario
+
+
+def _require_used(fields: dict[str, Any], scenario: "Scenario") -> None:
+    """Raises ScenarioError for fields of `simulated` that no block of the plant goes by."""
+    configs = [getattr(scenario, name) for name, box in BOXES.items() if box.is_simulated]
+    blocks: list[Any] = [block_of(type(config)) for config in configs]
+    if all(hasattr(block, "of_model") for block in blocks):  # none goes by the whole model
+        names = [name for block in blocks for name in (*block.system, *block.of_model)]
+        used = {name.partition(".")[0] for name in (*names, *_JUDGED)}
+        plant = ", ".join(block.__name__ for block in blocks)
+        for name, value in fields.items():
+            remedy = f"none of {plant} goes by it; leave it out, or give a block that does"
+            require(name in used, f"errors.simulated.{name}", value, remedy)
 
 
 def with_set(

@@ -33,8 +33,10 @@ from drake_nonstop.validation import (
     one_of,
     positive,
     require,
+    require_array,
     require_non_negative,
     require_positive,
+    require_ranges,
     require_whole,
 )
 
@@ -90,6 +92,8 @@ class _Common(StrictFields):
     system: SystemParameters = field(default_factory=SystemParameters)
     # Fields of system that differ in the simulated plant.
     simulated: SystemOverrides = field(default_factory=SystemOverrides)
+    # m and rad, in W: [x, y, z, roll, pitch, yaw] of the load's start beside the equilibrium
+    start_error: list[float] = checked([0.0] * 6, lambda f, v: require_array(f, v, [6], "m, rad"))
     pattern: functools.reduce(operator.or_, PATTERNS) = field(  # type: ignore[valid-type]
         default_factory=HamiltonianCycleConfig
     )
@@ -214,7 +218,9 @@ def _checked(scenario: Scenario) -> Scenario:
     least, most = (Walk(change=functools.partial(end, side), reads_trees=False) for side in (0, 1))
     found = least.read("", Scenario, scenario)
     if are_drawn:
-        most.read("", Scenario, scenario)
+        for drawn_ends in (found, most.read("", Scenario, scenario)):
+            for name in BOXES:  # whose blocks check what is drawn for them, and not its ends
+                require_ranges(name, getattr(drawn_ends, name))
     return found
 
 

@@ -16,6 +16,7 @@ from drake_nonstop import (
     load_scenario,
     simulate,
 )
+from drake_nonstop.blocks.load_disturbance import NoDisturbanceConfig
 
 SHORT, BRIEF = "simulation_duration=3", "simulation_duration=1"
 WIND = "wind=!SteadyWind {velocity: [0.5, 0, 0]}"
@@ -115,14 +116,24 @@ def test_with_what_is_told_to_help_the_flights_are_ok(name, overrides):
         assert remedy.text in found.verdicts[-1]
 
 
-@pytest.mark.nightly("studies")
-def test_a_lost_load_is_explained_by_the_growth_about_it():
-    unstable = load_scenario("paper_quintic", ["system.carrier_mass=0.3", "simulation_duration=6"])
-    found = check_scenario(unstable, tries_remedies=False)
-    assert found.outcome in (RunOutcome.STOPPED, RunOutcome.LOAD_LOST)
-    assert found.stability is not None
-    assert found.stability.rate > 1
-    assert any("the loop is unstable" in said for said in found.verdicts)
+GROWS = "about the load at rest a small deviation grows"
+RATES, ATTITUDE = "correction_rates=[6.0, 6.0, 6.0, 6.0]", "load_feedback.measures_attitude=false"
+RATES, SHARE = (f"carrier_trajectory.{rate}" for rate in (RATES, "share_rate=20.0"))
+UNSTABLE = [
+    ("quintic", [BRIEF, RATES], RATES),
+    ("paper_quintic", ["system.carrier_mass=0.3", "simulation_duration=6"], ""),
+    ("real_scale_cycle", ["load_feedback=FilteredFeedback"], ATTITUDE),
+    ("aircraft_rest_cables", [BRIEF, SHARE], SHARE),
+]
+
+
+@pytest.mark.parametrize(("name", "overrides", "field"), nightly_beyond(1, "studies", UNSTABLE))
+def test_growth_about_a_load_at_rest_is_told_with_the_field_to_blame(name, overrides, field):
+    found = check_scenario(load_scenario(name, overrides), tries_remedies=False)
+    start = f"{field.replace('=', ' = ')}: {GROWS}, +" if field else GROWS
+    assert sum(each.startswith(start) for each in found.verdicts) == 1
+    assert found.stability.rate > 0
+    assert not found.is_ok
 
 
 def test_an_infeasible_bound_is_explained_by_the_xi_and_a_that_would_do():
@@ -165,6 +176,10 @@ def test_narrow_margins_are_those_within_three_deviations_and_what_some_seeds_mi
 def test_errors_are_taken_away_and_seeds_are_changed():
     short = ["simulation_duration=0.2", "optimization_layer=ConstantParameters"]
     delayed = ["load_feedback=!NoisyFeedback {delay: 0.02}", "simulated.load_mass=1.1"]
+    delayed += [
+        "load_disturbance=!DisturbanceForce {force: [0.1, 0, 0]}",
+        "start_error=[0,0,0,0,0,1]",
+    ]
     drawn = ["system.load_mass=!Uniform {min: 0.9, max: 1.1}"]
     gusty = load_scenario("aircraft_transfer_gusty", short)
     for scenario, seeds in (
@@ -179,6 +194,7 @@ def test_errors_are_taken_away_and_seeds_are_changed():
         nominal = found.nominal.scenario
         assert getattr(nominal.wind, "gust", 0) == getattr(nominal.load_feedback, "delay", 0) == 0
         assert nominal.simulated.load_mass is None
+        assert (nominal.load_disturbance, nominal.start_error) == (NoDisturbanceConfig(), [0.0] * 6)
 
 
 @pytest.mark.parametrize("seeds", [0, -1, 1.5, 10**6])

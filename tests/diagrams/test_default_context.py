@@ -7,8 +7,10 @@ from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 
 from drake_nonstop import (
     ScenarioError,
+    dump_scenario,
     load_scenario,
     make_nonstop,
+    parse_scenario,
     scenario_names,
     set_equilibrium,
     simulate,
@@ -45,7 +47,13 @@ def test_every_signal_is_finite_and_load_and_carriers_are_where_they_start(name,
     np.testing.assert_allclose(load.position, reference.position, rtol=0, atol=0.05)
 
 
-FLOWN = [["engine=compiled", CONSTANT], ["control_period=0", CONSTANT], [], ["engine=compiled"]]
+BESIDE = "start_error=[0.02, 0.01, 0, 0, 0, 0.1]"
+FLOWN = [
+    ["engine=compiled", CONSTANT, BESIDE],
+    ["control_period=0", CONSTANT],
+    [],
+    ["engine=compiled"],
+]
 
 
 @pytest.mark.parametrize("overrides", nightly_beyond(2, "engines", FLOWN))
@@ -64,6 +72,16 @@ def test_a_plain_simulator_flies_as_simulate_does_and_again_after_a_reset(overri
                 expected = run.signal(signal)[-1]
                 np.testing.assert_allclose(shown, expected, 0, 1e-10, err_msg=signal)
             simulator.reset_context(flown.CreateDefaultContext())
+
+
+@pytest.mark.parametrize("name", nightly_beyond(1, "engines", ["quintic", "aircraft_rest_cables"]))
+def test_a_start_error_moves_and_turns_the_load_alone(name):
+    scenarios = [load_scenario(name, overrides) for overrides in ([CONSTANT], [CONSTANT, BESIDE])]
+    assert parse_scenario(dump_scenario(scenarios[1])) == scenarios[1] != scenarios[0]
+    made = [(diagram := make_nonstop(s), diagram.CreateDefaultContext()) for s in scenarios]
+    change = np.diff([output(*loop, "load_state")[:7] for loop in made], axis=0)[0]
+    np.testing.assert_allclose(change[1:], [0, 0, np.sin(0.05), 0.02, 0.01, 0], 0, 1e-6)
+    np.testing.assert_array_equal(*(output(*loop, "carrier_state") for loop in made))
 
 
 def test_a_loop_without_an_equilibrium_is_refused_unless_none_is_asked_for():

@@ -19,6 +19,7 @@ from drake_nonstop import (
 from drake_nonstop.cli.main import main
 
 FIVE = "[1, 0, 0], [0.3, 1, 0], [-0.8, 0.6, 0], [-0.8, -0.6, 0], [0.3, -1, 0]"
+NEGATIVE = "!NoisyFeedback {position_noise: !Uniform {min: -1, max: 9}}"
 FORCE = "load_disturbance=!DisturbanceForce"
 
 # Changes of `quintic`, and the words of field, value and remedy.
@@ -68,6 +69,12 @@ CHANGES = (
     ("errors={simulated.load_mass: [1, 2]}", "simulated.load_mass", "[1, 2]", "a number"),
     ("errors={simulated.load_mass: !Uniform {min: -1, max: 3}}", "load_mass", "-1", "greater"),
     ("errors={load_feedback.position_noise: 0.1}", "load_feedback", "0.1", "NoisyFeedback"),
+    (f"errors={{load_feedback: {NEGATIVE}}}", "load_feedback.position_noise", "-1", "not negative"),
+    ("errors={load_feedback: !FilteredFeedback {delay: 20}}", "delay", "20", "at most 1000"),
+    ("errors={simulated.load_weight: 1}", "simulated.load_weight", "1", "did you mean"),
+    ("errors={simulated.cable_drag: 2}", "simulated.cable_drag", "2", "leave it out"),
+    ("load_feedback=!FilteredFeedback {believed_velocity_noise: -1}", "velocity", "-1", "negative"),
+    ("start_error=[0, 0, 1]", "start_error", "[0", "6 finite numbers"),
     ("errors={1: 2}", "errors.1", "2", "simulated"),
     ("errors=!Foo {}", "errors", "_tag", "simulated.load_mass"),
     ("random_seed=!Uniform {min: 0, max: 1}", "random_seed", "distribution", "whole number"),
