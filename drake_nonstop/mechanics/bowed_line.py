@@ -34,6 +34,7 @@ from drake_nonstop.mechanics.signals import PlannedParameters
 
 _UP = np.array([0.0, 0.0, 1.0])
 _FORCE_STEP = 1e-5  # N and N/s, of differences
+_MOST = 0.25  # of a pull, by which it changes at once: bow grows faster the less it is
 _CLOSE = 1e-9  # m and m/s, of an end that is reached
 _ITERATIONS = 15
 _PASSES = 1  # of a segment's direction: leaves 2 mm on 12 nodes, a second one 0.02 mm
@@ -176,7 +177,10 @@ def lines_between(
             positions, velocities = zip(*found, strict=True)
             return np.stack(positions), np.stack(velocities)
         slopes = (reached[..., 1:] - reached[..., :1]) / _FORCE_STEP
-        added = added + (np.linalg.pinv(slopes) @ missing[..., None])[..., 0]
+        step = (np.linalg.pinv(slopes) @ missing[..., None])[..., 0]
+        present = forces[len(forces) // 2] + added[:, :3]
+        share = np.linalg.norm(step[:, :3], axis=1) / np.linalg.norm(present, axis=1)
+        added = added + step / np.maximum(1.0, share / _MOST)[:, None]
     return None
 
 

@@ -80,8 +80,9 @@ def test_lines_between_given_ends_are_those_that_end_there_and_pull_so():
     lines = bowed_lines(forces, attachments, wind, WINDOW, **of_all)
     ends = np.stack(WINDOW.at_present(lines.ends)[:2])
     off = np.array([0.3, -0.2, 0.5]) + WINDOW.times[:, None, None] * np.array([0.1, 0.2, -0.1])
-    found = lines_between(forces + off, attachments, ends, wind, WINDOW, **of_all)
-    expected = zip(*(WINDOW.at_present(node)[:2] for node in lines.nodes), strict=True)
-    for nodes, known in zip(found, expected, strict=True):
-        np.testing.assert_allclose(nodes, known, atol=1e-7)
+    expected = [*zip(*(WINDOW.at_present(node)[:2] for node in lines.nodes), strict=True)]
+    for guess in (forces + off, forces + np.array([0, 0, 8])):
+        found = lines_between(guess, attachments, ends, wind, WINDOW, **of_all)
+        for nodes, known in zip(found, expected, strict=True):
+            np.testing.assert_allclose(nodes, known, atol=1e-7)
     assert lines_between(forces, attachments, np.inf * ends, wind, WINDOW, **of_all) is None
