@@ -335,9 +335,9 @@ class RunQuantities:
 
     @property
     def misfit(self) -> str:
-        """What errors of lengths and attachments, which no height and tilt undo, take from a cable.
+        """What unlike lengths and attachments can take from a cable, if it is all that it carries.
 
-        Empty where that is less than a cable carries.
+        Height and tilt of the load take up their part.
         """
         believed, plant = self.scenario.system, self.system
         cables, places = self.carrier_positions - self.attachment_positions, believed.attachments
@@ -350,7 +350,7 @@ class RunQuantities:
         taken, carried = np.max(misfits * plant.cable_stiffness), np.mean(self.tensions)
         told = (
             f", as lengths and attachments up to {1e3 * np.max(np.abs(misfits)):.2g} mm beside the "
-            f"model's take up to {taken:.2g} N from a cable, of {carried:.2g} N on average"
+            f"model's can take {taken:.2g} N from a cable, of {carried:.2g} N on average"
         )
         return told if taken > carried else ""
 

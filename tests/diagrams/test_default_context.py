@@ -47,13 +47,8 @@ def test_every_signal_is_finite_and_load_and_carriers_are_where_they_start(name,
     np.testing.assert_allclose(load.position, reference.position, rtol=0, atol=0.05)
 
 
-BESIDE = "start_error=[0.02, 0.01, 0, 0, 0, 0.1]"
-FLOWN = [
-    ["engine=compiled", CONSTANT, BESIDE],
-    ["control_period=0", CONSTANT],
-    [],
-    ["engine=compiled"],
-]
+COMPILED, BESIDE = "engine=compiled", "start_error=[0.02, 0.01, 0, 0, 0, 0.1]"
+FLOWN = [[COMPILED, CONSTANT, BESIDE], ["control_period=0", CONSTANT], [], [COMPILED]]
 
 
 @pytest.mark.parametrize("overrides", nightly_beyond(2, "engines", FLOWN))

@@ -262,6 +262,17 @@ def test_loads_of_aircraft_are_lost_where_a_transport_fails(moved, reason):
     assert compute_metrics(run)["outcome"] == "ok"
 
 
+def test_reasons_have_the_numbers_behind_them():
+    wind = "limits.position_error=1e-4 wind=SteadyWind wind.velocity=[2,0,0] wind_estimator=NoWind"
+    for text, said in (
+        ("quintic simulated.cable_length=[0.815,0.8,0.815,0.8]", "up to 7.5 mm beside the model"),
+        (f"quintic {wind}", "the controllers missed 2 m/s of the wind"),
+        ("aircraft_rest system.aircraft.max_thrust=[30,-1,0]", "most of all the thrust of"),
+    ):
+        name, *overrides = f"{text} simulation_duration=2 {CONSTANT}".split()
+        assert said in str(compute_metrics(simulate(load_scenario(name, overrides)))["reasons"])
+
+
 @pytest.mark.parametrize("after", [0.0, 0.1, 0.2])
 def test_a_run_that_is_ended_before_its_time_has_stopped(after):
     def end(simulator, nonstop):

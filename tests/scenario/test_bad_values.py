@@ -73,7 +73,6 @@ CHANGES = (
     ("errors={load_feedback: !FilteredFeedback {delay: 20}}", "delay", "20", "at most 1000"),
     ("errors={simulated.load_weight: 1}", "simulated.load_weight", "1", "did you mean"),
     ("errors={simulated.cable_drag: 2}", "simulated.cable_drag", "2", "leave it out"),
-    ("load_feedback=!FilteredFeedback {believed_velocity_noise: -1}", "velocity", "-1", "negative"),
     ("start_error=[0, 0, 1]", "start_error", "[0", "6 finite numbers"),
     ("errors={1: 2}", "errors.1", "2", "simulated"),
     ("errors=!Foo {}", "errors", "_tag", "simulated.load_mass"),
