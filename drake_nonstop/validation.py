@@ -330,7 +330,8 @@ def read_text(path: str | Path, field: str, remedy: str = "give a file that can 
         text = file.read_text(encoding="utf-8-sig") if is_usable else None
     except (OSError, ValueError) as error:
         raise _refusal(field, path, f"{remedy} ({_shown(error)})") from None
-    require(text is not None, field, path, f"{remedy}, no folder or device, of 16 MB at most")
+    why = "no folder or device, of 16 MB at most" if file.exists() else "there is none of this name"
+    require(text is not None, field, path, f"{remedy}: {why}")
     return typing.cast(str, text)
 
 

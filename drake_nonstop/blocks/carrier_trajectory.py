@@ -136,7 +136,7 @@ class _MovingReferencesConfig(StrictFields):
     # rad/s, at which the references move against the load's measured errors of its level position,
     # its height, its tilt and its yaw; auto: all by the cables
     correction_rates: list[float] | str = checked(AUTO, _check_rates)
-    correction_time: float = positive(0.5)  # s, of the low-pass of the error before
+    correction_time: float = positive(0.5)  # s, time constant of the low-pass of the error
 
 
 @dataclass(kw_only=True)

@@ -82,12 +82,12 @@ _NOWHERE = 1e5  # in the place of a state of carriers that is not measured
 
 @dataclass(kw_only=True)
 class RecedingHorizonOptimizerConfig(HorizonConfig, LimitsConfig):
-    """The bound, the horizon, and what its plans count."""
+    """The bound, the horizon, and options of the plans."""
 
-    # plans aim at (1 + tightening) ε; "measured": by what carriers fly slower than planned
+    # plans aim at (1 + tightening) ε; "measured": by how much slower than planned carriers fly
     tightening: float | str = MEASURED
-    preview: bool = True  # read the motion ahead; without it the motion goes on as it does
-    wind: bool = True  # count the wind that aircraft fly in; without it their ground speed counts
+    preview: bool = True  # plan for the motion ahead; false: as if the present motion went on
+    wind: bool = True  # plan airspeeds of aircraft in the wind; false: their ground speeds
     max_iterations: int = points(2, _MOST_ITERATIONS)  # quadratic programs of a plan
 
 

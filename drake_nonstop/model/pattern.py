@@ -115,7 +115,9 @@ class HamiltonianCycleConfig(_Pattern):
         require(np.all(lengths > 1e-9 * np.max(lengths)), "system.attachments", shown, remedy)
         phases = even_phases(n)
         if self.phases:
-            phases = require_array("pattern.phases", self.phases, [n], "one phase per cable")
+            phases = require_array(
+                "pattern.phases", self.phases, [n], "a phase for each cable; [] for equal steps"
+            )
         return InternalForcePattern(hamiltonian_cycle(attachments), phases, np.zeros(3 * n))
 
 

@@ -36,8 +36,8 @@ class HorizonConfig:
     With `fixed_coefficients` 0 the problem is one of a plan that has no predecessor.
     """
 
-    intervals: int = 0  # between knots, in a plan; 0: nearly two turns, 15 at least
-    knot_spacing: float = non_negative(0.0)  # s, and between two plans; 0: an eighth of a turn
+    intervals: int = 0  # of a plan, between knots; 0: nearly two turns, 15 at least
+    knot_spacing: float = non_negative(0.0)  # s, also between plans; 0: an eighth of a turn
     instants: int = 20  # between two knots, at which the carriers' flight is constrained
     smoothing: float = positive(  # τ, in intervals between knots
         0.4,
@@ -49,7 +49,7 @@ class HorizonConfig:
     solver: str = checked(  # of the quadratic programs: "daqp", "clarabel", "snopt" or "ipopt"
         DAQP, one_of(SOLVERS, f"give one of {', '.join(SOLVERS)}")
     )
-    fixed_coefficients: int = 4  # the first of ξ and A: 4 for three continuous rates
+    fixed_coefficients: int = 4  # first ones of ξ and A; 4: three rates are continuous
 
 
 def timed(config: _Horizon, frequency: float, control_period: float) -> _Horizon:

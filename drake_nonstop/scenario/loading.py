@@ -110,7 +110,9 @@ def _path(name_or_file: str | Path, field: str, folder: Path | None = None) -> P
     path = Path(name_or_file)
     if path.suffix in (".yaml", ".yml"):
         return path if folder is None else folder / path
-    known = [*scenario_names(), "a .yaml file"]
+    known, own = [*scenario_names(), "a .yaml file"], f"{name_or_file}.yaml"
+    is_own = str(name_or_file) not in known and ((folder or Path()) / own).is_file()
+    require(not is_own, field, name_or_file, f"give the whole name of the file, {own}")
     require_known(str(name_or_file), known, field, name_or_file)
     return SCENARIOS / f"{name_or_file}.yaml"
 

@@ -36,7 +36,7 @@ class RunLimits(StrictFields):
     clearance: float = non_negative(0.0)  # m, of load, cables and carriers from obstacles
     slack_time: float = _limit(0.0)  # s, for which a cable may be slack
     time_below_bound: float = _limit(0.0)  # s, for which a carrier may be below ε
-    saturated_share: float = _limit(0.1)  # of the time with a command of an aircraft at its limit
+    saturated_share: float = _limit(0.1)  # of the time, with an aircraft's command at its limit
     position_error: float | None = _limit(None)  # of the reach; default 0.2, with aircraft 1 m
     tilt_error: float | None = _limit(None)  # rad; default 0.8, with aircraft 0.26 (15 deg)
-    yaw_error: float | None = _limit(None)  # rad, likewise
+    yaw_error: float | None = _limit(None)  # rad; default 0.8, with aircraft 0.26 (15 deg)

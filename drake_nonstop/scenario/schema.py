@@ -62,10 +62,10 @@ class _Common(StrictFields):
 
     name: str = checked("unnamed", lambda _, name: check_name(name))  # of the results' folder, too
     description: str = ""  # one line, which `drake-nonstop list` prints
-    # of the numbers that are drawn where fields hold distributions
+    # seed of the numbers that are drawn for distributions
     random_seed: int = checked(0, lambda f, seed: require_whole(f, seed, 0, _LARGEST_SEED))
     # The name of a set, light or rough, or a mapping of fields of simulated, load_feedback and wind
-    # to values that may be distributions: what nobody tells the controllers.
+    # to values that may be distributions. The controllers do not know of these errors.
     errors: str | dict[str, Any] = checked(NONE, check_errors)
     simulation_duration: float = positive(15.0)  # s
     control_period: float = fulfilling(  # s, sample time of the controllers; 0: continuous
@@ -75,12 +75,12 @@ class _Common(StrictFields):
     )
     engine: str = checked(
         AUTO, one_of(ENGINES, f"give one of {', '.join(ENGINES)}")
-    )  # auto: compiled what can be
+    )  # auto: compiled if possible
     # Slows the load's trajectory down where no ξ and A keep the speed bound with it; none: never.
     reference_governor: ReferenceGovernorConfig | None = None
-    # What the run is held against: beyond which figures it is not ok.
+    # Limits beyond which the outcome of the run is not ok.
     limits: RunLimits = field(default_factory=RunLimits)
-    # What load, cables and carriers keep clear of: a list of !Sphere, !Box and !Ground.
+    # Obstacles for load, cables and carriers: a list of !Sphere, !Box and !Ground.
     obstacles: list[Obstacle] = field(default_factory=list)
     # Of Drake's Simulator: max_step_size in s, and the rest as in SimulatorConfig.
     simulator_config: SimulatorConfig = field(
@@ -88,7 +88,7 @@ class _Common(StrictFields):
             integration_scheme="runge_kutta3", max_step_size=0.005, use_error_control=False
         )
     )
-    # What the controllers believe of load, cables and carriers.
+    # Load, cables and carriers in the controllers' model.
     system: SystemParameters = field(default_factory=SystemParameters)
     # Fields of system that differ in the simulated plant.
     simulated: SystemOverrides = field(default_factory=SystemOverrides)

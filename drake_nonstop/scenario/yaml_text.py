@@ -29,7 +29,8 @@ def parse_plain(text: str, source: str, path: str | None = None) -> Any:
     except yaml.YAMLError as error:
         mark, problem = (getattr(error, name, None) for name in ("problem_mark", "problem"))
         line = f"line {mark.line + 1}, " if mark else ""
-        require(False, source, f"{line}{problem or 'unreadable'}", "give valid YAML")
+        remedy = "give valid YAML" + (", with spaces in place of tabs" if "\t" in text else "")
+        require(False, source, f"{line}{problem or 'unreadable'}", remedy)
     except UnicodeEncodeError:
         require(False, source, text, "give a text that is valid Unicode")
 
