@@ -33,7 +33,7 @@ class FeasibleParameters(NamedTuple):
         """Where the bound is hardest to keep, and with which ξ and A."""
         tight = self.tight_times
         if len(tight) == 0:
-            return "constant xi and A can keep the bound at all phases, all the way"
+            return "constant xi and A can keep the bound at all phases and at all times"
         k = int(np.argmin(self.ratios))
         ratio, time, (xi, amplitude) = self.ratios[k], self.times[k], self.best[k]
         return (

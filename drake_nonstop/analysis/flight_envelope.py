@@ -100,16 +100,16 @@ class BowedCables(NamedTuple):
 
     @property
     def name(self) -> str:
-        """Of its line in a table."""
+        """Name of its line in a table."""
         return "cables" if self.are_flown else "real cables"
 
     @property
     def text(self) -> str:
-        """All of it in a line."""
+        """Its numbers in a line."""
         (least, most), (low, high) = self.shortening, self.tension
         said = (
             f"bow by up to {self.bow:.2g} m and are {least:.2g} to {most:.2g} m shorter, "
-            f"two of them by up to {self.difference:.2g} m differently; {self.mass:.2g} kg each"
+            f"by up to {self.difference:.2g} m more than others; {self.mass:.2g} kg each"
         )
         if self.are_flown:
             below, above = self.carrier_tension
@@ -128,11 +128,11 @@ class BowedCables(NamedTuple):
         if self.are_flown or self.difference <= allowed:
             return ""
         return (
-            f"cables are simulated as straight: drag would shorten two of them by up to "
-            f"{self.difference:.2g} m differently, more than a hundredth of the load's width "
+            f"cables are simulated as straight: drag would shorten one by up to "
+            f"{self.difference:.2g} m more than another, above a hundredth of the load's width "
             f"({allowed:.2g} m), which turns and moves the load; give thinner cables "
-            "(cable_diameter) or more tension, carrier_trajectory=BowedCarrierTrajectory with "
-            "cables=LumpedCables, or expect a flight that differs"
+            "(cable_diameter), more tension, or carrier_trajectory=BowedCarrierTrajectory with "
+            "cables=LumpedCables; a real flight would differ"
         )
 
     @property

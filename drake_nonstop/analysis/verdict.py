@@ -132,7 +132,7 @@ class ScenarioCheck:
             for each in self.narrow
         )
         others = "another seed" if len(self.flights) > 1 else "a slight change"
-        return f"narrow: {told}: {others} may end otherwise"
+        return f"narrow: {told}: {others} may change the outcome"
 
     def _of_remedies(self) -> str:
         if not self.remedies:

@@ -193,7 +193,7 @@ def test_what_straight_cables_leave_out_is_told():
     assert cables.shortening[0] < 0.6 < cables.shortening[1]
     assert cables.load_width == pytest.approx(3.0)
     assert cables.mass == pytest.approx(0.11, abs=0.005)
-    assert "differently, more than a hundredth of the load's width (0.03 m)" in cables.warning
+    assert "m more than another, above a hundredth of the load's width (0.03 m)" in cables.warning
     assert not margins(F150, 150.0, 0.595, "system.cable_diameter=1e-4").cables.warning
 
 
