@@ -38,11 +38,11 @@ _LOAD = box_of("load_state")
 # Rates with which loops of the shipped scenarios are stable: of corrections over those that are
 # "auto", of observers in 1/s.
 _KNOWN_SHARE, _KNOWN_RATE = 3.0, 2.0
-# Usual values of what may make a loop unstable.
+# Usual values of what may make a loop unstable, in the order in which they are tried.
 _USUAL: dict[str, Any] = {
-    "carrier_trajectory.correction_rates": AUTO,
     "carrier_trajectory.length_rate": ObservedCarrierTrajectoryConfig.length_rate,
     "carrier_trajectory.share_rate": ObservedCarrierTrajectoryConfig.share_rate,
+    "carrier_trajectory.correction_rates": AUTO,
     "load_feedback.measures_attitude": True,
 }
 # Whose states are not perturbed.
