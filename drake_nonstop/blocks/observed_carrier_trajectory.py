@@ -35,7 +35,6 @@ from drake_nonstop.validation import positive, require
 _BOX = "carrier_trajectory"
 _CORRECTION = 2 * CORRECTION_SIZE
 _TURN_AND_LEVEL = np.array([0.0, 0.0, 1.0, 1.0, 1.0, 0.0])  # of a correction
-_CAUTION = 0.5  # of a step at the start: bow of a cable in motion gives up to three times less
 _RATES = ("length_rate", "share_rate")
 
 
@@ -166,8 +165,8 @@ class ObservedCarrierTrajectory(BowedCarrierTrajectory):
         set_state_values(context, np.concatenate([correction_state, share, longer]))
         return rest
 
-    def ObserveLengths(self, context: Context) -> NDArray:
-        """Sets the cables' lengths to what the inputs in a context of the block tell.
+    def ObserveLengths(self, context: Context, share: float) -> NDArray:
+        """Changes the cables' lengths by a share of what the inputs in a context of the block tell.
 
         Returns by how much (n,), m, they change.
         """
@@ -182,7 +181,7 @@ class ObservedCarrierTrajectory(BowedCarrierTrajectory):
         equations: Any = self.equations
         rate, *_ = equations(state, *values, **self.constants(self.model, self.config), **numbers)
         *others, longer = self.parts(state)
-        change = _CAUTION * self.parts(rate)[-1]
+        change = share * self.parts(rate)[-1]
         set_state_values(context, np.concatenate([*others, longer + change]))
         return change
 

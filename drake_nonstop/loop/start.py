@@ -20,6 +20,7 @@ import contextvars
 import functools
 import inspect
 import itertools
+import math
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
@@ -82,6 +83,7 @@ _REACH = 0.5  # m and rad, of the linear model
 _SHARES = (1.0, 0.5, 0.25, 0.1, 0.03)  # of a step of Newton's method, the first that comes nearer
 _NEAR = np.repeat([_REACH, 0.0], [7, 6])  # of a load that may be at its equilibrium: as fast
 _DROPS = (0.0, 0.001, 0.003, 0.01, 0.03, 0.1)  # m, below the reference, to start looking from
+_CAUTION = 0.5  # of new lengths at first: bow of a cable in motion gives up to three times less
 _OBSERVATIONS, _SEEN = 20, 3e-3  # of lengths: as often at most, and until as close, m
 _PORT_STEP = 2.0**-16  # of differences of a port: most states are exact with a power of two
 _SMALLEST = 1e-9  # of the largest singular value: what a port does not show
@@ -214,9 +216,13 @@ def _settle(nonstop: Diagram, trial: Context) -> None:
         off = np.concatenate([turned, position + offset[3:], *twist])
         return residual_at(off, correction if corrects else None)
 
+    caution, last = _CAUTION, math.inf
+
     def observe() -> float:
         """Has references start from what cables show; returns how much of it is new, m."""
-        new = plant.observe(trial)
+        nonlocal caution, last
+        new = plant.observe(trial, caution)
+        caution, last = caution / 2 if new > last else caution, new  # lengths swing: less at once
         plant.take_over_references(start, trial)
         return new
 
@@ -235,6 +241,7 @@ def _settle(nonstop: Diagram, trial: Context) -> None:
                 break
     for corrects, plant.trims_for_all, drop in itertools.product(ways, (True, False), _DROPS):
         residual = _newton(residual_of, np.array([0, 0, 0, 0, 0, drop if corrects else -drop]))
+        caution, last = _CAUTION, math.inf
         for _ in range(_OBSERVATIONS):
             if not corrects or np.max(np.abs(residual)) > _REST:
                 break
@@ -362,12 +369,15 @@ class PlantStates:
         )
         return rest
 
-    def observe(self, context: Context) -> float:
-        """Has carriers' references take the lengths that cables show; returns the change, m."""
+    def observe(self, context: Context, share: float) -> float:
+        """Has carriers' references take the lengths that cables show; returns the change, m.
+
+        They change by a share of what is new.
+        """
         if not hasattr(self._references, "ObserveLengths"):
             return 0.0
         own = self._context(self._references, context)
-        return float(np.max(np.abs(self._references.ObserveLengths(own))))
+        return float(np.max(np.abs(self._references.ObserveLengths(own, share))))
 
     def take_over_references(self, context: Context, settled: Context) -> None:
         """Sets the states of the carriers' references to those in another context of the loop."""
