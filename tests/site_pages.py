@@ -1,7 +1,7 @@
 """Checks the built documentation: `python -m site_pages ../site` in this folder.
 
-Links lead somewhere, pictures have texts, nothing is loaded from elsewhere, and no page is large.
-With Chromium, no page is wider than its window.
+Links lead somewhere, pictures have texts, nothing is loaded from elsewhere, and no page is large
+or, where Chromium is installed, wider than its window.
 `--replays FOLDER` takes the pictures by which the first page shows its replays.
 """
 
@@ -13,6 +13,7 @@ from pathlib import Path
 from urllib.parse import unquote
 
 from drake_nonstop.validation import ScenarioError
+from drake_nonstop.view.browser import open_browser
 
 LARGEST_PAGE = 1_500_000  # bytes, with the pictures, styles and scripts that it loads
 
@@ -76,8 +77,6 @@ def broken_links(path: Path, pages: dict[Path, Page]) -> list[str]:
 
 def wide_pages(site: Path) -> list[str]:
     """The pages that scroll to the side at one of the widths, "page: fault"."""
-    from drake_nonstop.view.browser import open_browser
-
     found = []
     with open_browser(*WIDTHS) as page:
         for width in WIDTHS:
@@ -91,8 +90,6 @@ def wide_pages(site: Path) -> list[str]:
 
 def picture_replays(site: Path, folder: Path, share: float = 0.55) -> None:
     """A picture of each replay, at a share of its time."""
-    from drake_nonstop.view.browser import open_browser
-
     with open_browser(600, 512) as page:
         for path in sorted((site / "replays").glob("*.html")):
             page.goto(f"{path.resolve().as_uri()}#embedded")
@@ -112,10 +109,9 @@ def main() -> int:
     options = parser.parse_args()
     if options.replays:
         picture_replays(options.site, options.replays)
-    site = options.site.resolve()
-    found = faults(site)
+    found = faults(options.site.resolve())
     try:
-        found += wide_pages(site)
+        found += wide_pages(options.site.resolve())
     except ScenarioError as error:
         print(f"widths are not measured: {error}")
     print("\n".join(found) or "nothing is wrong with the pages")
