@@ -13,6 +13,7 @@ from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.stats import t as student
 
 from drake_nonstop import Run, RunStopped, compute_metrics, load_scenario, simulate_many
 from drake_nonstop.run.run_quantities import RunQuantities
@@ -26,7 +27,6 @@ FLIGHTS = {
 }
 SETS = ("none", "light", "rough")
 FIRST = 10.0  # s
-STUDENT = 2.093  # of 19 degrees of freedom, for 95 %
 
 
 def row(name: str, errors: str, runs: Sequence[Run | BaseException]) -> str:
@@ -48,7 +48,9 @@ def row(name: str, errors: str, runs: Sequence[Run | BaseException]) -> str:
         below.append(quantities.time_below_bound)
     if not flown:
         return f"| `{name}` | {errors} | | | | | | {others} |"
-    interval = STUDENT * np.std(means, ddof=1) / math.sqrt(len(means)) if len(means) > 1 else 0.0
+    interval = 0.0
+    if len(means) > 1:
+        interval = student.ppf(0.975, len(means) - 1) * np.std(means, ddof=1) / len(means) ** 0.5
     cells = [
         f"{np.mean(means):.2g} ± {interval:.2g}",
         *(f"{np.max(values):.2g}" for values in (largest, tilts, yaws, below)),
