@@ -50,7 +50,8 @@ IMPORTS = (
 # Of Drake's stubs: the type of elements in place of an array's shape, and an object
 # in place of the value of a port.
 WRONG_IN_DRAKE = re.compile(
-    r"ndarray\[float64, dtype\[Any\]\]|DeclareDiscreteState|num_state_vari|attribute \"round\""
+    r"ndarray\[float64, dtype\[Any\]\]|DeclareDiscreteState|num_state_vari|attribute \"round\"|"
+    r"CubicWithContinuousSecondDerivatives"
 )
 
 

@@ -90,14 +90,14 @@ class MappedCarriers(Mapped):
 
 @pytest.mark.parametrize("seed", nightly_beyond(1, "engines", range(3)))
 def test_drawn_maps_of_the_state_fly_as_our_blocks(seed):
-    # Far away, where maps round more.
+    # Far away, where positions round to 4e-12 m and slopes by differences of 2^-16 to some 1e-7.
     start = f"{{start_position: [2e4, 0, 0], start_roll_pitch_yaw: [0.1, 0.2, {seed}]}}"
     scenario = short(0.05, f"load_trajectory={start}")
     own = {
         "load_plant": lambda model: MappedLoad(model, seed),
         "carrier_dynamics": lambda model: MappedCarriers(model, 10 + seed),
     }
-    assert max(distance(simulate(scenario, **own), simulate(scenario)).values()) < 1e-7
+    assert max(distance(simulate(scenario, **own), simulate(scenario)).values()) < 1e-6
 
 
 class ClippedLoad(MappedLoad):

@@ -325,7 +325,7 @@ def test_the_first_interrupt_ends_the_compiler(use_compiler, folder, tmp_path):
     assert process.returncode != 0
     status = Path(f"/proc/{int((tmp_path / 'id').read_text())}/stat")
     while status.exists() and status.read_text().split()[2] != "Z":
-        assert time.monotonic() - begin < 5
+        assert time.monotonic() - begin < 30  # of the 60 s that it would take
     assert not [*folder.glob("*")]
 
 
