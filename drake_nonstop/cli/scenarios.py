@@ -133,6 +133,7 @@ def _print_wrapped(text: str, start: str) -> None:
 
 def _new(options: argparse.Namespace) -> int:
     path: Path = options.file
+    require(path.name, "NAME", path, "give the name of a file")
     if not path.suffix:
         path = path.with_name(f"{path.name}.yaml")
     require(path.suffix in (".yaml", ".yml"), "NAME", path, "give a name that ends in .yaml")

@@ -57,7 +57,8 @@ Viewer = Callable[[DiagramBuilder, Diagram, Scenario], LeafSystem]
 def require_engine(engine: str | None) -> None:
     """Raises ScenarioError where this argument of `simulate` is none."""
     remedy = f"give {', '.join(ENGINES)}, or None"
-    require(engine in (None, *ENGINES), "engine", engine, remedy)
+    is_one = engine is None or (isinstance(engine, str) and engine in ENGINES)
+    require(is_one, "engine", engine, remedy)
 
 
 class Flight:
@@ -104,6 +105,8 @@ class Flight:
         require(isinstance(viewers, (list, tuple)), "viewers", viewers, remedy)
         for viewer in viewers:
             require(callable(viewer), "viewers", viewer, remedy)
+        remedy = "give a function of the Simulator and its diagram that returns a StepAction"
+        require(after_step is None or callable(after_step), "after_step", after_step, remedy)
         self._interruption, self._flights = interruption, flights
         own, _ = drawn(scenario)
         self._replacements = dict[str, Any]()

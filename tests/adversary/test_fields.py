@@ -146,7 +146,10 @@ def test_what_is_assigned_in_python_is_checked_where_it_is_used(field, value, us
     *parts, name = path.split(".")
     for part in parts:
         owner = getattr(owner, part)
-    setattr(owner, name, value)
+    try:
+        setattr(owner, name, value)
+    except TypeError:  # of a parameter of Drake's own
+        return
     ending, _ = ending_of(lambda: use(scenario), shows_python=True)
     is_senseless = value != value or isinstance(value, complex) or value is print
     assert ending == REFUSED or not is_senseless

@@ -66,6 +66,7 @@ REFUSED = [
     (["video", RUN, "--size", "3"], ("--size", "3", "such as 640x480")),
     (["video", RUN, "--out", "a.txt"], ("--out", "a.txt", "give a name in .gif")),
     (["blocks", "phases"], ("phases", "phase")),
+    (["new", ""], ("NAME", "give the name of a file")),
     (["new", "a.txt"], ("NAME", "a.txt", "give a name that ends in .yaml")),
     (["new", "mine.yaml"], ("NAME", "mine.yaml", "give another name")),
     (["schema", "--out", "pipe.csv"], ("--out", "pipe.csv", "give another file")),
