@@ -47,13 +47,8 @@ def test_a_run_starts_with_what_tensions_tell_and_the_load_on_its_reference():
     diagram = make_nonstop(scenario, at_equilibrium=False)
     context = diagram.CreateDefaultContext()
     set_equilibrium(diagram, context)
-    mass, lengths, centre, load = (
-        diagram.GetOutputPort(name).Eval(context)
-        for name in (
-            *("load_mass_estimate", "cable_length_estimate"),
-            *("centre_of_mass_estimate", "load_state"),
-        )
-    )
+    names = ("load_mass_estimate", "cable_length_estimate", "centre_of_mass_estimate", "load_state")
+    mass, lengths, centre, load = (diagram.GetOutputPort(name).Eval(context) for name in names)
     np.testing.assert_allclose(mass, [11.0], atol=0.05)
     np.testing.assert_allclose(lengths, [151.5] * 4, atol=0.05)
     np.testing.assert_allclose(centre, [0.09, 0.0, 0.0], atol=0.01)
