@@ -39,6 +39,7 @@ def test_tensions_tell_the_mass_and_the_centre_of_mass(rng):
     np.testing.assert_allclose(centre, CENTRE, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_run_starts_with_what_tensions_tell_and_the_load_on_its_reference():
     attachments = [[1.41, 0, 0], [-0.09, 1.5, 0], [-1.59, 0, 0], [-0.09, -1.5, 0]]
     errors = {"load_mass": 11, "cable_length": 151.5, "attachments": attachments}

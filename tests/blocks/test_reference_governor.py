@@ -54,6 +54,7 @@ def trajectory_of(name, *changes):
     return block, port.Eval(block.CreateDefaultContext()), model
 
 
+@pytest.mark.slow
 def test_its_signals_are_those_of_the_delayed_motion_with_its_rates():
     _, preview, model = trajectory_of("line_without_optimization", *FAST_LINE)
     block, ahead, _ = trajectory_of("line_without_optimization", *FAST_LINE, GOVERNED)

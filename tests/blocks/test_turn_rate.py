@@ -82,6 +82,7 @@ def least_margins(bound, rates, wind, most):
     return np.array(margins)
 
 
+@pytest.mark.slow
 def test_what_is_found_is_the_nearest_of_a_dense_scan_of_first_principles(rng):
     most, rates, outcomes = (0.8, 0.7, 0.9), np.geomspace(0.1, 2.0, 800), set()
     fields = {"orbit_points": 8} | dict(zip(LIMITS, most, strict=True))

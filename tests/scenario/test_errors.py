@@ -86,6 +86,7 @@ def test_a_mapping_changes_the_fields_that_it_has():
     assert scenario.simulated.load_mass is None
 
 
+@pytest.mark.slow
 def test_check_flies_them_in_seeds_and_once_without_them():
     short = ["simulation_duration=1", "optimization_layer=ConstantParameters"]
     scenario = load_scenario("quintic", [*short, "errors=light"])

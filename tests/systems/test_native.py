@@ -292,8 +292,7 @@ print(t.native(t.function()).fly(*values, 1e3), values[1].tolist())
 
 
 def start(**options):
-    folders = [str(folder) for folder in Path(__file__).parents[:2]]
-    text = IN_A_PROCESS.format(folders=folders)
+    text = IN_A_PROCESS.format(folders=[str(folder) for folder in Path(__file__).parents[:2]])
     return subprocess.Popen([sys.executable, "-c", text], stdout=subprocess.PIPE, **options)
 
 
