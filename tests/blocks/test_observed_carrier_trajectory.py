@@ -1,6 +1,7 @@
 """Carriers that measure their tension: the load and the cables that they find."""
 
 import numpy as np
+import pytest
 from helpers import spatial
 from scipy.spatial.transform import Rotation
 
