@@ -97,7 +97,8 @@ REMEDIED = [
 ]
 
 
-@pytest.mark.parametrize(("name", "overrides"), nightly_beyond(1, "flights", REMEDIED))
+@pytest.mark.nightly("flights")
+@pytest.mark.parametrize(("name", "overrides"), REMEDIED)
 def test_with_what_is_told_to_help_the_flights_are_ok(name, overrides):
     scenario = load_scenario(name, overrides)
     found = check_scenario(scenario)

@@ -39,8 +39,8 @@ def flown(loop, context, samples, change):
 
 GUSTY = [CONSTANT, "wind=!GustyWind {gust: 0.3}", "system.load_drag=0.1"]
 CASES = [
+    ("quintic", [CONSTANT, "control_period=0.02", "simulated.load_mass=1.2"], SHOWN, 0.4),
     ("quintic", [*GUSTY, "simulated.load_mass=1.05"], SHOWN, 0.4),
-    ("quintic", [CONSTANT, "control_period=0.02", "simulated.load_mass=1.2"], SHOWN, 1.0),
     ("paper_line", [CONSTANT, "carrier_controller.integral_gain=1"], (), 1.0),
     ("aircraft_six", [CONSTANT], (), 1.0),
 ]

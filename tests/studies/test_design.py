@@ -129,6 +129,7 @@ def test_formations_that_do_not_fly_are_told_with_the_reason(monkeypatch):
     assert "3 co_rotating, at " in str(found)
 
 
+@pytest.mark.nightly("flights")
 def test_a_formation_is_flown_in_stronger_gusts(monkeypatch):
     flown = []
 
@@ -181,7 +182,7 @@ def test_a_request_is_read_from_a_file(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "changes", nightly_beyond(1, "studies", [*map(drawn_designs.draw_odd, range(60))])
+    "changes", nightly_beyond(0, "studies", [*map(drawn_designs.draw_odd, range(60))])
 )
 @pytest.mark.usefixtures("unflown")
 def test_odd_requests_have_formations_or_a_reason_for_none(changes):

@@ -144,6 +144,7 @@ def flown(tmp_path, monkeypatch):
     return go_on
 
 
+@pytest.mark.nightly("studies")
 def test_rows_stay_until_a_restart_and_a_last_line_that_was_cut_short_is_flown_again(
     flown, tmp_path
 ):
