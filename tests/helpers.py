@@ -1,8 +1,11 @@
 """Attachments, smooth motions, difference quotients and ports, for several test files."""
 
 import signal
+import subprocess
+import sys
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -252,8 +255,25 @@ def circling_run(n=4, duration=0.5, cable_length=0.8):
     )
 
 
-def handle_signals_as_a_shell_does() -> None:
-    """For `preexec_fn`: a parent such as nohup may ignore signals, which children inherit."""
+def begun(call: list[Any], folder: Path, environment: dict | None = None) -> subprocess.Popen:
+    """A Python program in a session of its own, once it has printed "begins"."""
+    process = subprocess.Popen(
+        [sys.executable, *call],
+        cwd=folder,
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        preexec_fn=_handle_signals_as_a_shell_does,
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == "begins\n"
+    return process
+
+
+def _handle_signals_as_a_shell_does() -> None:
+    """A parent such as nohup may ignore signals, which children inherit."""
     signal.signal(signal.SIGINT, signal.default_int_handler)
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_DFL)

@@ -4,14 +4,12 @@ import json
 import os
 import shutil
 import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers import handle_signals_as_a_shell_does
+from helpers import begun
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -24,23 +22,6 @@ RUN = ["run", "line", "--no-figures", "--no-replay", "--trust", "--out", "out", 
 ENVIRONMENT = {**os.environ, "PYTHONPATH": f"{Path(__file__).parents[2]}"}
 FEW = settings(max_examples=max(2, int(os.environ.get("ADVERSARY_COUNT", "40")) // 20))
 BEGUN = "import sys; print('begins', flush=True); from drake_nonstop.cli.main import main; main()"
-
-
-def begun(folder: Path, *changes: str) -> subprocess.Popen:
-    """A run in a session of its own, once its process has begun."""
-    process = subprocess.Popen(
-        [sys.executable, "-c", BEGUN, *RUN, *changes],
-        cwd=folder,
-        env=ENVIRONMENT,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-        preexec_fn=handle_signals_as_a_shell_does,
-    )
-    assert process.stdout is not None
-    assert process.stdout.readline() == "begins\n"
-    return process
 
 
 def kept(folder: Path) -> list[bytes]:
@@ -80,7 +61,7 @@ def test_a_signal_at_any_time_keeps_what_was_flown(
     folder = tmp_path_factory.mktemp("signals")
     if has_earlier:
         shutil.copytree(earlier, folder / "out")
-    process = begun(folder, "simulation_duration=1000")
+    process = begun(["-c", BEGUN, *RUN, "simulation_duration=1000"], folder, ENVIRONMENT)
     time.sleep(after)
     for _ in range(times):
         (os.killpg if is_group else os.kill)(process.pid, number)

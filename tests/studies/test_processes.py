@@ -15,8 +15,8 @@ import types
 from multiprocessing import forkserver
 from pathlib import Path
 
+import helpers
 import pytest
-from helpers import handle_signals_as_a_shell_does
 
 from drake_nonstop import Run, ScenarioError, SerialExecutor, study
 from drake_nonstop.scenario.loading import load_scenario
@@ -83,21 +83,10 @@ def wait_until(condition, seconds=5.0):
 
 
 def begun(folder, arguments):
-    """A command in a session of its own, once it has begun."""
+    """A command, once it has begun."""
     (folder / "spec.yaml").write_text(SPEC)
-    program = folder / "program.py"
-    program.write_text(PROGRAM)
-    process = subprocess.Popen(
-        [sys.executable, program, *arguments],
-        cwd=folder,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-        preexec_fn=handle_signals_as_a_shell_does,
-    )
-    assert process.stdout.readline() == "begins\n"
-    return process
+    (folder / "program.py").write_text(PROGRAM)
+    return helpers.begun(["program.py", *arguments], folder)
 
 
 def ended(process):
