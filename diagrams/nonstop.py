@@ -61,7 +61,12 @@ _BESIDE_THE_REFERENCE = (
 )
 
 # What it may observe of load and cables.
-_OBSERVED = ("load_mass_estimate", "centre_of_mass_estimate", "cable_length_estimate")
+_OBSERVED = (
+    "load_mass_estimate",
+    "centre_of_mass_estimate",
+    "cable_length_estimate",
+    "cable_drag_estimate",
+)
 
 # What an optimization_layer may make, too.
 _OF_LAYERS = (

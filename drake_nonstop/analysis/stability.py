@@ -13,7 +13,10 @@ from pydrake.systems.framework import Context, Diagram
 from drake_nonstop.analysis.stated_errors import without_noise
 from drake_nonstop.blocks.load_disturbance import NoDisturbanceConfig
 from drake_nonstop.blocks.load_trajectory import RestToRestConfig
-from drake_nonstop.blocks.observed_carrier_trajectory import ObservedCarrierTrajectoryConfig
+from drake_nonstop.blocks.observed_carrier_trajectory import (
+    OBSERVER_RATES,
+    ObservedCarrierTrajectoryConfig,
+)
 from drake_nonstop.blocks.optimization_layer import ConstantParametersConfig
 from drake_nonstop.blocks.phase import AccumulatedPhaseConfig
 from drake_nonstop.diagrams.nonstop import BOXES, SAMPLE_AND_HOLD, box_of, make_nonstop
@@ -40,8 +43,10 @@ _LOAD = box_of("load_state")
 _KNOWN_SHARE, _KNOWN_RATE = 3.0, 2.0
 # Usual values of what may make a loop unstable, in the order in which they are tried.
 _USUAL: dict[str, Any] = {
-    "carrier_trajectory.length_rate": ObservedCarrierTrajectoryConfig.length_rate,
-    "carrier_trajectory.share_rate": ObservedCarrierTrajectoryConfig.share_rate,
+    **{
+        f"carrier_trajectory.{name}": getattr(ObservedCarrierTrajectoryConfig, name)
+        for name in OBSERVER_RATES
+    },
     "carrier_trajectory.correction_rates": AUTO,
     "load_feedback.measures_attitude": True,
 }
@@ -90,7 +95,7 @@ def explained_stability(
     config, system = scenario.carrier_trajectory, scenario.system
     known = _KNOWN_SHARE * correction_rate(system.cable_length, system.gravity)
     rates: Any = getattr(config, "correction_rates", AUTO)
-    observers = [getattr(config, name, 0.0) for name in ("length_rate", "share_rate")]
+    observers = [getattr(config, name, 0.0) for name in OBSERVER_RATES]
     is_fast = max(observers) > _KNOWN_RATE or (rates != AUTO and max(rates) > known)
     if not is_fast and (hasattr(scenario.cables, "nodes") or not is_lost):
         return None

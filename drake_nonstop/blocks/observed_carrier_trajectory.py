@@ -17,6 +17,7 @@ from drake_nonstop.blocks.carrier_trajectory import (
 )
 from drake_nonstop.mechanics.load_share import (
     SHARE_SIZE,
+    observed_drag,
     observed_lengths,
     observed_share,
     share_of_mass,
@@ -30,37 +31,42 @@ from drake_nonstop.model.system import Model
 from drake_nonstop.systems.block import set_state_values, state_values
 from drake_nonstop.systems.parameters import parameters_in
 from drake_nonstop.systems.tracing import where
-from drake_nonstop.validation import positive, require
+from drake_nonstop.validation import non_negative, require
 
 _BOX = "carrier_trajectory"
 _CORRECTION = 2 * CORRECTION_SIZE
 _TURN_AND_LEVEL = np.array([0.0, 0.0, 1.0, 1.0, 1.0, 0.0])  # of a correction
-_RATES = ("length_rate", "share_rate")
+OBSERVER_RATES = ("length_rate", "share_rate", "drag_rate")
 
 
 @dataclass(kw_only=True)
 class ObservedCarrierTrajectoryConfig(BowedReferencesConfig):
-    """As of `BowedCarrierTrajectory`, and how fast what is observed answers what is measured."""
+    """As of `BowedCarrierTrajectory`, and how fast what is observed answers what is measured.
 
-    length_rate: float = positive(0.2)  # 1/s, of the cables' lengths
-    share_rate: float = positive(0.15)  # 1/s, of the load's mass and its centre
+    With a rate of 0 it stays as at the start.
+    """
+
+    length_rate: float = non_negative(0.2)  # 1/s, of the cables' lengths
+    share_rate: float = non_negative(0.15)  # 1/s, of the load's mass and its centre
+    drag_rate: float = non_negative(0.3)  # 1/s, of the cables' drag
 
 
 class ObservedCarrierTrajectory(BowedCarrierTrajectory):
     """References of `BowedCarrierTrajectory` for the cables and the load that tensions tell of.
 
-    Two observers, for carriers whose cables have load cells. A cable's length: where its measured
+    Three observers, for carriers whose cables have load cells. A cable's length: where its measured
     chord is longer than the model's by more than its tension explains, it is longer. The share s of
     the load that each cable has to carry: tensions beyond the desired forces, by least squares
     over [1, x, y] of the attachments, scale the forces, spread included, without the net wrench
-    that unlike cables would have. s is the load's mass and its centre of mass. See
-    `mechanics.load_share`.
+    that unlike cables would have. s is the load's mass and its centre of mass. The drag of the
+    cables: what lengths explain ill, since it changes as the bows do. See `mechanics.load_share`.
 
-    The state has that of the corrections, then s and what each cable is longer. A run starts with
-    what the plant's cables show, and with s in the place of corrections of height and tilt.
+    The state has that of the corrections, then s, what each cable is longer, and the logarithm of
+    the cables' drag over the model's. A run starts with the lengths that the plant's cables show,
+    and with s in the place of corrections of height and tilt.
 
     Raises:
-        ScenarioError: as of `BowedCarrierTrajectory`; a rate is not positive, or faster than the
+        ScenarioError: as of `BowedCarrierTrajectory`; a rate is negative, or faster than the
             samples.
     """
 
@@ -71,9 +77,10 @@ class ObservedCarrierTrajectory(BowedCarrierTrajectory):
     )
     makes = (
         *BowedCarrierTrajectory.makes,
-        *("load_mass_estimate", "centre_of_mass_estimate", "cable_length_estimate"),
+        *("load_mass_estimate", "centre_of_mass_estimate"),
+        *("cable_length_estimate", "cable_drag_estimate"),
     )
-    own = _RATES
+    own = OBSERVER_RATES
     where: ClassVar = CarrierReferenceBlock.where
 
     @classmethod
@@ -81,13 +88,13 @@ class ObservedCarrierTrajectory(BowedCarrierTrajectory):
         return True
 
     def state(self, model: Model) -> NDArray:
-        return np.zeros(_CORRECTION + SHARE_SIZE + model.n)
+        return np.zeros(_CORRECTION + SHARE_SIZE + model.n + 1)
 
     @classmethod
     def check(cls, model: Model, config: Any) -> None:
         super().check(model, config)
         if model.control_period > 0:
-            for name in _RATES:
+            for name in OBSERVER_RATES:
                 value, most = getattr(config, name), 1 / model.control_period
                 remedy = f"give less than one per control period, {most:g} 1/s"
                 require(value < most, f"{_BOX}.{name}", value, remedy)
@@ -109,13 +116,17 @@ class ObservedCarrierTrajectory(BowedCarrierTrajectory):
         control_period: float,
         length_rate: NDArray,
         share_rate: NDArray,
+        drag_rate: NDArray,
         correction_rates: NDArray,
         correction_time: NDArray,
         **numbers: Any,
     ) -> tuple[NDArray, ...]:
         attachments, pseudo_inverse = numbers["attachments"], numbers["pseudo_inverse"]
-        correction, share, longer = ObservedCarrierTrajectory.parts(state)
+        correction, share, longer, log_drag = ObservedCarrierTrajectory.parts(state)
         lengths = numbers["cable_length"] + longer
+        drag = np.exp(log_drag)
+        cables: dict[str, Any] = {"cable_length": lengths}
+        cables |= {name: drag * numbers[name] for name in ("cable_drag", "cable_friction")}
         desired = forces.reshape(-1, 3)
         correction, given = corrected(
             correction,
@@ -130,7 +141,7 @@ class ObservedCarrierTrajectory(BowedCarrierTrajectory):
             carried=partial(
                 shared_forces, share=share, attachments=attachments, pseudo_inverse=pseudo_inverse
             ),
-            **(numbers | {"cable_length": lengths}),
+            **(numbers | cables),
         )
         load_state, attitude, *sample_time = measured
         load = LoadState.view(load_state)
@@ -138,7 +149,7 @@ class ObservedCarrierTrajectory(BowedCarrierTrajectory):
         axes = rotation_matrix(where(is_told, attitude, load.quaternion)).T
         ends = load.position + attachments @ axes
         missing = observed_share(tensions, found.carried, desired, attachments)
-        longer_still = observed_lengths(
+        longer_still, bow = observed_lengths(
             tensions,
             norm(CarrierStates.view(carrier_state).positions - ends)[:, 0],
             found.carried,
@@ -146,7 +157,13 @@ class ObservedCarrierTrajectory(BowedCarrierTrajectory):
             lengths,
             numbers["cable_stiffness"],
         )
-        observed = np.concatenate([share_rate * missing, length_rate * longer_still])
+        observed = np.concatenate(
+            [
+                share_rate * missing,
+                length_rate * longer_still,
+                drag_rate * observed_drag(longer_still, bow, lengths),
+            ]
+        )
         observed, _ = with_this_sample(state[_CORRECTION:], observed, sample_time, control_period)
         heavier, centre = share_of_mass(share, pseudo_inverse, attachments)
         return (
@@ -155,14 +172,15 @@ class ObservedCarrierTrajectory(BowedCarrierTrajectory):
             heavier * numbers["load_mass"],
             centre,
             lengths,
+            drag,
         )
 
     def SetCorrection(self, context: Context, correction: NDArray) -> NDArray:
         """As of `CarrierTrajectory`, with the share in the place of height and tilt."""
         rest = super().SetCorrection(context, correction * _TURN_AND_LEVEL)
-        correction_state, _, longer = self.parts(state_values(context))
+        correction_state, _, *observed = self.parts(state_values(context))
         share = correction[[5, 1, 0]]
-        set_state_values(context, np.concatenate([correction_state, share, longer]))
+        set_state_values(context, np.concatenate([correction_state, share, *observed]))
         return rest
 
     def ObserveLengths(self, context: Context, share: float) -> NDArray:
@@ -175,17 +193,17 @@ class ObservedCarrierTrajectory(BowedCarrierTrajectory):
         if self.model.control_period > 0:
             values[-1] = np.ones(1)  # of samples the first does not step
         numbers: dict[str, Any] = {**parameters_in(self, context)}
-        numbers |= dict.fromkeys(_RATES, 1.0)
+        numbers |= dict.fromkeys(OBSERVER_RATES, 1.0)
         numbers = {name: np.atleast_1d(number) for name, number in numbers.items()}
         state = state_values(context)
         equations: Any = self.equations
         rate, *_ = equations(state, *values, **self.constants(self.model, self.config), **numbers)
-        *others, longer = self.parts(state)
-        change = share * self.parts(rate)[-1]
-        set_state_values(context, np.concatenate([*others, longer + change]))
+        *others, longer, log_drag = self.parts(state)
+        change = share * self.parts(rate)[-2]
+        set_state_values(context, np.concatenate([*others, longer + change, log_drag]))
         return change
 
     @staticmethod
     def parts(state: NDArray) -> list[NDArray]:
-        """Corrections, share and lengths in the state."""
-        return np.split(state, [_CORRECTION, _CORRECTION + SHARE_SIZE])
+        """Corrections, share, lengths and drag in the state."""
+        return np.split(state, [_CORRECTION, _CORRECTION + SHARE_SIZE, len(state) - 1])

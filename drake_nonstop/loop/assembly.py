@@ -58,8 +58,6 @@ def make_parts(
     Raises:
         ScenarioError: one of them cannot be made, or does not fit the others.
     """
-    is_scenario = callable(getattr(scenario, "sampled", None))
-    require(is_scenario, "scenario", scenario, 'give one, such as load_scenario("line")')
     stated, others = replaced(boxes, scenario, replacements)
     drawn = stated.sampled()
     entries = {name: others.get(name, getattr(drawn, name)) for name in boxes}
@@ -211,8 +209,10 @@ def replaced(
     others are as in `make_nonstop`, with `extra` among them.
 
     Raises:
-        ScenarioError: there is no box of a name.
+        ScenarioError: there is no box of a name, or the scenario is none.
     """
+    is_scenario = callable(getattr(scenario, "sampled", None))
+    require(is_scenario, "scenario", scenario, 'give one, such as load_scenario("line")')
     configs: dict[str, Any] = {}
     others: dict[str, Any] = {}
     for name, entry in replacements.items():

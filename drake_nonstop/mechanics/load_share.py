@@ -1,4 +1,6 @@
-"""What tensions and chords of cables tell of their lengths, and of the load's mass and its centre.
+"""What tensions and chords of cables tell of cables and load.
+
+The lengths of the cables and their drag, the load's mass and its centre of mass.
 
 Own derivation.
 """
@@ -76,12 +78,12 @@ def observed_lengths(
     believed_chords: NDArray,
     lengths: NDArray,
     stiffness: NDArray,
-) -> NDArray:
-    """What cables (n,) are longer than believed, m, by their measured tensions and chords.
+) -> tuple[NDArray, NDArray]:
+    """What cables are longer than believed by their measured tensions and chords, and their bow.
 
-    A tension T beyond the believed one lengthens a chord c by the stretch 1/K, and by taking out
-    bow: a parabola of the length l = L + T/K has l − c in proportion to 1/T², so that
-    dc/dT = 1/K + 2 (l − c)/T.
+    Both are (n,), m. A tension T beyond the believed one lengthens a chord c by the stretch 1/K,
+    and by taking out bow: a parabola of the length l = L + T/K has a bow l − c in proportion to
+    1/T², so that dc/dT = 1/K + 2 (l − c)/T.
 
     Args:
         tensions: (n,), N, measured at the load.
@@ -94,7 +96,23 @@ def observed_lengths(
     pull = norm(carried)[:, 0]
     bow = lengths + pull / stiffness - believed_chords
     compliance = 1 / stiffness + 2 * bow / pull
-    found: NDArray = chords - believed_chords - compliance * (tensions - pull)
+    return chords - believed_chords - compliance * (tensions - pull), bow
+
+
+def observed_drag(longer: NDArray, bow: NDArray, lengths: NDArray) -> NDArray:
+    """What is missing in the logarithm of the drag of all cables (1,), by least squares.
+
+    A bow is in proportion to the square of the drag: where the drag is larger than believed by a
+    small share d, a cable seems shorter by 2 d times its bow. Lengths and drag are told apart by
+    bows that change along an orbit. A bow below a thousandth of the length tells nothing.
+
+    Args:
+        longer: (n,), m, what cables are longer than believed.
+        bow: (n,), m.
+        lengths: (n,), m.
+    """
+    told = 2 * (bow**2).sum(keepdims=True) + ((1e-3 * lengths) ** 2).sum(keepdims=True)
+    found: NDArray = -(longer * bow).sum(keepdims=True) / told
     return found
 
 

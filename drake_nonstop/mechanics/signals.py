@@ -226,6 +226,7 @@ SIGNALS: dict[str, Layout | None] = {
         Part("", "3", "m", "L", "beside the model's; its height is not observed")
     ),
     "cable_length_estimate": Layout(Part("", "n", "m", "", "L₀, by tensions and chords")),
+    "cable_drag_estimate": Layout(Part("", "1", "", "", "over the model's, by chords")),
     "carrier_forces": Layout(Part("", "3n", "N", "W")),
     "aircraft_command": AircraftCommand.layout,
     "command_saturation": Layout(

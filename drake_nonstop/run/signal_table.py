@@ -36,7 +36,7 @@ class SignalTable:
 
     def has(self, port: str) -> bool:
         """Whether there is a signal of that port name."""
-        return any(name.partition(".")[2] == port for name in self.signals)
+        return any(name.partition(".")[2] == str(port) for name in self.signals)
 
     def name_of(self, port: str) -> str:
         """The name "block.port" of the signal of that port name, or of that name itself.
@@ -45,7 +45,7 @@ class SignalTable:
             UnknownSignalError: there is none.
         """
         for name in self.signals:
-            if port in (name, name.partition(".")[2]):
+            if str(port) in (name, name.partition(".")[2]):
                 return name
         raise UnknownSignalError(port, list(self.signals))
 

@@ -9,6 +9,7 @@ out are those of another scenario, also those of a box without a tag.
 
 import copy
 import functools
+import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -111,7 +112,7 @@ def _path(name_or_file: str | Path, field: str, folder: Path | None = None) -> P
     if path.suffix in (".yaml", ".yml"):
         return path if folder is None else folder / path
     known, own = [*scenario_names(), "a .yaml file"], f"{name_or_file}.yaml"
-    is_own = str(name_or_file) not in known and ((folder or Path()) / own).is_file()
+    is_own = str(name_or_file) not in known and os.path.isfile((folder or Path()) / own)
     require(not is_own, field, name_or_file, f"give the whole name of the file, {own}")
     require_known(str(name_or_file), known, field, name_or_file)
     return SCENARIOS / f"{name_or_file}.yaml"

@@ -24,11 +24,14 @@ from drake_nonstop.validation import ScenarioError, one_line
 
 def raising_block(error: BaseException) -> str:
     """Which block raised the error, where one did, and in which line."""
-    blamed = ""
+    blamed, unmade = "", None
     for frame, line in traceback.walk_tb(error.__traceback__):
         block = frame.f_locals.get("self")
         if isinstance(block, LeafSystem):
-            blamed = f"{box_of(block)} ({Path(frame.f_code.co_filename).name}:{line}): "
+            if frame.f_code.co_name == "__init__":
+                unmade = block  # Drake ends the process where one that is not made yet is asked
+            name = type(block).__name__ if block is unmade else box_of(block)
+            blamed = f"{name} ({Path(frame.f_code.co_filename).name}:{line}): "
     return blamed
 
 

@@ -291,16 +291,16 @@ def test_the_needs_of_another_plant_are_those_that_are_flown(name, overrides):
     nightly_beyond(1, "flights", ["aircraft_rest_cables", "aircraft_co_rotating_cables"]),
 )
 def test_what_is_told_of_bowed_cables_is_what_is_flown(name):
-    """Of flights of `LumpedCables`, whose load is up to 10 mm off its place."""
+    """Of flights of `LumpedCables`, up to 10 mm off, whose references answer what is observed."""
     result, flown = aircraft_margins(load_scenario(name)), read_table()[name]
     value = {margin.name: margin.value for margin in result.margins}
     for told, quantity, tolerance in (
         (value["bank"], "aircraft.bank_max_rad", 0.002),
         (value["C_L / C_Lmax"], "aircraft.lift_share_max", 0.004),
         (value["carriers apart"], "carriers.separation_min_m", 0.02),
-        (result.ranges.airspeed[0], "aircraft.airspeed_min_m_s", 0.01),
-        (result.ranges.thrust[1], "aircraft.thrust_max_N", 0.1),
-        (result.ranges.thrust[0], "aircraft.thrust_min_N", 0.3),  # observers move references
+        (result.ranges.airspeed[0], "aircraft.airspeed_min_m_s", 0.02),
+        (result.ranges.thrust[1], "aircraft.thrust_max_N", 0.3),
+        (result.ranges.thrust[0], "aircraft.thrust_min_N", 0.5),
         (result.propulsive_power, "aircraft.power_mean_W", 0.5),
         (result.cables.tension[0], "cables.tension_min_N", 0.3),
     ):

@@ -39,7 +39,7 @@ FIELDS = {
     ("TunedWrenchController", "position_frequency"): ([0.0], POSITIVE),
     ("ShapedPhase", "bandwidth"): ([0.0, np.inf], POSITIVE),
     ("CarrierTrajectory", "hold"): (["second_order"], "third_order or velocity"),
-    ("ObservedCarrierTrajectory", "length_rate"): ([0.0, -1.0], POSITIVE),
+    ("ObservedCarrierTrajectory", "length_rate"): ([-1.0], NOT_NEGATIVE),
     ("ObservedCarrierTrajectory", "share_rate"): ([200.0], "less than one per control period"),
     ("RestToRest", "move_time"): ([0.0, np.nan], POSITIVE),
     ("RestToRest", "start_time"): ([-1.0, np.inf], NOT_NEGATIVE),

@@ -6,8 +6,8 @@ from helpers import spatial
 from scipy.spatial.transform import Rotation
 
 from drake_nonstop import load_scenario, make_nonstop, set_equilibrium
+from drake_nonstop.mechanics import load_share
 from drake_nonstop.mechanics.grasp import grasp_matrix
-from drake_nonstop.mechanics.load_share import observed_share, share_of_mass, shared_forces
 
 MASS, CENTRE = 1.1, np.array([0.03, -0.02, 0.0])  # of the model's mass; m, in L
 
@@ -26,18 +26,31 @@ def test_tensions_tell_the_mass_and_the_centre_of_mass(rng):
     slopes = np.linalg.solve(level.T @ (weights * level), MASS * CENTRE[:2])
     share = np.append(MASS - 1, slopes)
 
-    carried = shared_forces(forces, axes, share, **known)
+    carried = load_share.shared_forces(forces, axes, share, **known)
 
     torque = np.cross(attachments - CENTRE, carried @ axes.T).sum(axis=0)
     np.testing.assert_allclose(torque, 0.0, atol=1e-12)
     np.testing.assert_allclose(carried.sum(axis=0), MASS * forces.sum(axis=0), atol=1e-12)
     tensions, found = np.linalg.norm(carried, axis=1), np.zeros(3)
     for _ in range(300):
-        believed = shared_forces(forces, axes, found, **known)
-        found += 0.1 * observed_share(tensions, believed, forces, attachments)
-    mass, centre = share_of_mass(found, known["pseudo_inverse"], attachments)
+        believed = load_share.shared_forces(forces, axes, found, **known)
+        found += 0.1 * load_share.observed_share(tensions, believed, forces, attachments)
+    mass, centre = load_share.share_of_mass(found, known["pseudo_inverse"], attachments)
     np.testing.assert_allclose(mass, MASS, rtol=1e-6)
     np.testing.assert_allclose(centre, CENTRE, atol=1e-6)
+
+
+def test_bows_that_change_along_an_orbit_tell_the_drag_from_lengths():
+    longer, log_drag, lengths = np.array([0.3, -0.2, 0.1, 0.0]), np.log(1.3), np.full(4, 150.0)
+    found, found_drag = np.zeros(4), np.zeros(1)
+    for time in np.arange(0.0, 800.0, 0.1):
+        bow = 0.6 + 0.3 * np.sin(0.6 * time + np.arange(4) * np.pi / 2)  # with the model's drag
+        believed = np.exp(2 * found_drag) * bow
+        seems = longer - found - (np.exp(2 * log_drag) * bow - believed)
+        found += 0.1 * 0.2 * seems
+        found_drag += 0.1 * 0.3 * load_share.observed_drag(seems, believed, lengths)
+    np.testing.assert_allclose(found, longer, atol=1e-3)
+    np.testing.assert_allclose(found_drag, log_drag, atol=1e-3)
 
 
 @pytest.mark.slow
