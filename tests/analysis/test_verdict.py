@@ -112,12 +112,12 @@ def test_with_what_is_told_to_help_the_flights_are_ok(name, overrides):
 
 GROWS = "about the load at rest a small deviation grows"
 RATES, ATTITUDE = "correction_rates=[6.0, 6.0, 6.0, 6.0]", "load_feedback.measures_attitude=false"
-RATES, SHARE = (f"carrier_trajectory.{rate}" for rate in (RATES, "share_rate=20.0"))
+RATES, DRAG = (f"carrier_trajectory.{rate}" for rate in (RATES, "drag_rate=20.0"))
 UNSTABLE = [
     ("quintic", [BRIEF, RATES], RATES),
     ("paper_quintic", ["system.carrier_mass=0.3", "simulation_duration=6"], ""),
     ("real_scale_cycle", ["load_feedback=FilteredFeedback"], ATTITUDE),
-    ("aircraft_rest_cables", [BRIEF, SHARE], SHARE),
+    ("aircraft_rest_cables", [BRIEF, DRAG], DRAG),
 ]
 
 
