@@ -27,6 +27,7 @@ from multiprocessing import current_process, get_context, parent_process, resour
 from pathlib import Path
 from typing import Any
 
+from drake_nonstop.run.interruption import ALL, current_interruption
 from drake_nonstop.validation import ScenarioError, one_line, require, show_warning
 
 PROCESS_DIED = "its process died: it crashed or ran out of memory"
@@ -161,20 +162,33 @@ def _results(
             future.cancel()
 
 
+class _Pool(ProcessPoolExecutor):
+    """Processes that are all known, and so end with the pool, whenever a signal comes."""
+
+    def submit(self, fn: Callable, /, *args: Any, **kwargs: Any) -> Future:
+        """Starts a process, too, which a signal does not break off."""
+        with current_interruption() as interruption:
+            with interruption.patient(ALL):
+                future = super().submit(fn, *args, **kwargs)
+            interruption.check()
+        return future
+
+
 @contextlib.contextmanager
 def _pool(count: int) -> Iterator[ProcessPoolExecutor]:
     """Processes, each with one thread for linear algebra; killed where the block ends early."""
     context = get_context("forkserver")
     context.set_forkserver_preload(["drake_nonstop.studies.study", "drake_nonstop.public"])
     _ensure_forkserver()
-    pool = ProcessPoolExecutor(count, mp_context=context, initializer=_begin)
+    pool = _Pool(count, mp_context=context, initializer=_begin)
     try:
         yield pool
         pool.shutdown()
     finally:
-        for process in [*(getattr(pool, "_processes", None) or {}).values()]:
-            process.kill()
-        pool.shutdown(wait=False, cancel_futures=True)
+        with current_interruption() as interruption, interruption.patient(ALL):
+            for process in [*(getattr(pool, "_processes", None) or {}).values()]:
+                process.kill()
+            pool.shutdown(wait=False, cancel_futures=True)
 
 
 def _ensure_forkserver() -> None:
