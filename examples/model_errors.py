@@ -3,7 +3,7 @@
 A row per flight and set of errors, of 20 seeds: the mean of the load's error with its 95 %
 interval, the largest error, tilt and yaw after the first 10 s (all of a flight of less than 20 s),
 the longest time below the bound, and how many flights ended otherwise than `ok`. The sets are
-those of `errors` of a scenario. All of them take more than an hour on two cores;
+those of `errors` of a scenario. All of them take an hour or two on two cores;
 `python examples/model_errors.py quintic` flies one.
 """
 
@@ -24,6 +24,8 @@ FLIGHTS = {
     "three_carriers": [],
     "aircraft_rest_cables": ["cables.nodes=24"],
     "aircraft_transfer_cables": ["cables.nodes=24"],
+    "aircraft_rest_cables_gusty": ["cables.nodes=24"],
+    "aircraft_transfer_cables_gusty": ["cables.nodes=24"],
 }
 SETS = ("none", "light", "rough")
 FIRST = 10.0  # s
