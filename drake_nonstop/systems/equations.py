@@ -216,9 +216,11 @@ class Equations:
             )
         results = _stacked(made)
         reads = _dependence(symbols, results)
-        if self._joint or _calls_functions(results):
-            everything = tuple(k for k in symbols if any(k in read for read in reads.values()))
-            reads = {k: everything if k != START else read for k, read in reads.items()}
+        if self._joint or _calls_functions(results):  # which are not called for each output anew
+            apart = (START,) if self._joint else (START, STATE)
+            joint = [read for k, read in reads.items() if k not in apart]
+            everything = tuple(k for k in symbols if any(k in read for read in joint))
+            reads = {k: read if k in apart else everything for k, read in reads.items()}
         together: dict[tuple[str, ...], list[str]] = {}
         for name, read in reads.items():
             together.setdefault(read if name != START else (START, *read), []).append(name)
