@@ -169,7 +169,10 @@ class _Pool(ProcessPoolExecutor):
         """Starts a process, too, which a signal does not break off."""
         with current_interruption() as interruption:
             with interruption.patient(ALL):
-                future = super().submit(fn, *args, **kwargs)
+                try:
+                    future = super().submit(fn, *args, **kwargs)
+                except ConnectionError as error:  # to the process that they are forked from
+                    raise BrokenExecutor("the process that starts others died") from error
             interruption.check()
         return future
 
