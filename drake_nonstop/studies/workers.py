@@ -2,7 +2,7 @@
 
 Workers are those of `concurrent.futures`: a process per core here, or any executor of this kind,
 such as Dask's on a cluster. Where a process dies, the calls that were out are repeated, each by
-itself, so that only a call that ends its process again is lost.
+itself and at most twice, so that only a call that ends its process whenever it is made is lost.
 """
 
 import contextlib
@@ -115,9 +115,10 @@ def results_of(
             ) from None
         return
     require_main()
-    alone, has_any = Batches(), False
-    while waiting or alone:
-        now, most = (waiting, os.cpu_count() or 1) if waiting else (alone, 1)
+    rounds, has_any = [waiting, Batches(), Batches()], False  # those of no, one and two deaths
+    while any(rounds):
+        deaths = next(number for number, batches in enumerate(rounds) if batches)
+        now, most = rounds[deaths], 1 if deaths else os.cpu_count() or 1
         out: list[list[Any]] = []  # the batches that processes have
         try:
             with _pool(min(most, len(now))) as pool:
@@ -125,10 +126,10 @@ def results_of(
                     has_any = True
                     yield answer
         except BrokenExecutor:
-            if now is alone:
+            if now is rounds[-1]:
                 yield out[0], PROCESS_DIED
                 continue
-            alone += [[call] for batch in out for call in batch]
+            rounds[deaths + 1] += [[call] for batch in out for call in batch]
             if not has_any:
                 _require_startable()
 
@@ -171,7 +172,7 @@ class _Pool(ProcessPoolExecutor):
             with interruption.patient(ALL):
                 try:
                     future = super().submit(fn, *args, **kwargs)
-                except ConnectionError as error:  # to the process that they are forked from
+                except (ConnectionError, EOFError) as error:  # of the process that forks them
                     raise BrokenExecutor("the process that starts others died") from error
             interruption.check()
         return future
