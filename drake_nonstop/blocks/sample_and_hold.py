@@ -110,7 +110,7 @@ def _sampled(held: NDArray, *signals_and_time: NDArray) -> NDArray:
 def hold_of(loop: LoopBlocks) -> SampleAndHold:
     """The block that holds the inputs of sampled controllers."""
     wind, _ = loop.origin_of(_WIND)
-    is_wanted = wind is not None or any(loop.reads(name, _WIND) for name in loop.blocks)
+    is_wanted = wind is not None or any(b.HasInputPort(_WIND) for b in loop.blocks.values())
     # A constant estimate needs no hold, which would cost time at each sample.
     holds_wind = is_wanted and not getattr(wind, "is_sampled", False)
     read = {name for own in loop.blocks.values() for name in input_names(own)}

@@ -44,10 +44,6 @@ class LoopBlocks:
         passed = declared_by(maker, "passes_on")
         return (maker, signal) if passed is None else self.origin_of(passed)
 
-    def reads(self, box: str, signal: str) -> bool:
-        """Whether a block is there, and has an input port of that name."""
-        return box in self.blocks and self.blocks[box].HasInputPort(signal)
-
     def needed(self, box: str) -> set[str]:
         """The signals that a block cannot do without."""
         return {*input_names(self.blocks[box])} - optional_inputs(self.blocks[box])

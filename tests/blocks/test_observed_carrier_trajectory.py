@@ -50,6 +50,8 @@ def test_bows_that_change_along_an_orbit_tell_the_drag_from_lengths():
         found += 0.1 * 0.2 * seems
         found_drag += 0.1 * 0.3 * load_share.observed_drag(seems, believed, lengths)
     np.testing.assert_allclose([*found, *found_drag], [*longer, log_drag], atol=1e-3)
+    little = load_share.observed_drag(longer, np.full(4, 0.015), lengths)  # a bow that tells little
+    np.testing.assert_allclose(little, [-0.2 * 0.015 / (8 * 0.015**2 + 4 * 0.15**2)], rtol=1e-12)
 
 
 @pytest.mark.slow

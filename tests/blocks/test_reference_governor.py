@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from helpers import (
     difference,
+    nightly_beyond,
     output,
     rates_by_differences,
     rotation,
@@ -39,8 +40,8 @@ ANY_ORBIT = [
 ]
 
 WAYS = [
-    "!ConstantVelocityMove {velocity: [0.6, 0.2, 0.3], move_time: 3, blend: c4}",
     "!RestToRest {displacement: [0.5, 0, 0], roll_pitch_yaw: [0.6, 0.9, 2], move_time: 3}",
+    "!ConstantVelocityMove {velocity: [0.6, 0.2, 0.3], move_time: 3, blend: c4}",
 ]
 AMPLITUDES = np.linspace(0.9, 1.2, 5)  # N, within the bounds above
 
@@ -56,7 +57,7 @@ def trajectory_of(name, *changes):
 
 @pytest.mark.slow
 def test_its_signals_are_those_of_the_delayed_motion_with_its_rates():
-    _, preview, model = trajectory_of("line_without_optimization", *FAST_LINE)
+    _, preview, _ = trajectory_of("line_without_optimization", *FAST_LINE)
     block, ahead, _ = trajectory_of("line_without_optimization", *FAST_LINE, GOVERNED)
     sizes = {"reference": 22, "reference_higher_rates": 6, "reference_delay": 1}
     assert sizes_of_ports(block) == sizes | {"reference_preview": None}
@@ -73,9 +74,6 @@ def test_its_signals_are_those_of_the_delayed_motion_with_its_rates():
         np.testing.assert_allclose([*reference[7:], *higher], expected, rtol=0, atol=1e-5)
     np.testing.assert_array_equal(ahead.at(times), [ahead(time) for time in times])
     assert delay > 0.5
-    times = np.linspace(0, 6, 61)
-    slowest = [slowest_on_best_orbit(model, p, times, [1.2]).min() for p in (preview, ahead)]
-    assert slowest[0] < 0.9 * 0.25 < 0.25 < slowest[1]
 
 
 @pytest.mark.slow
@@ -91,7 +89,7 @@ def test_a_governed_flight_keeps_the_bound_and_arrives_late():
     assert largest < 4e-5  # without the reference's higher rates 6e-5
 
 
-def slowest_on_best_orbit(model, preview, times, amplitudes=AMPLITUDES):
+def slowest_on_best_orbit(model, preview, times):
     """The speed of the slowest carrier at any phase, at ξ = 2 and the best of A at each time."""
     phases, load = np.linspace(0, 2 * np.pi, 32, endpoint=False), model.load
 
@@ -107,11 +105,11 @@ def slowest_on_best_orbit(model, preview, times, amplitudes=AMPLITUDES):
         motion = preview(time), wrench(time), difference(wrench, time)
         return carrier_speeds(model, *motion, 2.0, A, phases).min()
 
-    return np.array([max(slowest(time, A) for A in amplitudes) for time in times])
+    return np.array([max(slowest(time, A) for A in AMPLITUDES) for time in times])
 
 
-@pytest.mark.nightly("flights")
-@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.slow
+@pytest.mark.parametrize("way", nightly_beyond(1, "flights", WAYS))
 def test_an_infeasible_motion_is_slowed_just_as_far_as_its_orbits_need(way):
     changes = [*ANY_ORBIT, f"load_trajectory={way}", f"load_trajectory.start_time={START}"]
     _, preview, model = trajectory_of("quintic", *changes)

@@ -91,11 +91,8 @@ def test_the_least_power_is_that_of_the_closed_form():
     lift, bank, thrust, speed, apart = closed_form(PLANE, 1.2, 0.4)
     x = np.array([1.2, 0, 0, 0, 0.4, LENGTH, 0.0])
     found = made.extremes(x, 5)
-    for name, value in (
-        ("lift", lift / PLANE.max_lift),
-        ("airspeed_m_s", speed),
-        ("thrust_N", thrust),
-    ):
+    values = {"lift": lift / PLANE.max_lift, "airspeed_m_s": speed, "thrust_N": thrust, "share": 1}
+    for name, value in values.items():
         assert found[name] == pytest.approx([value, value], rel=1e-5)
     assert np.abs(found["bank"]) == pytest.approx([abs(bank)] * 2, rel=1e-5)
     assert made.separation(x) == pytest.approx(apart, rel=1e-5)

@@ -128,7 +128,7 @@ def test_a_reference_of_no_rotation_is_refused():
 
 @pytest.mark.parametrize("damping", nightly_beyond(2, "studies", [1.3, 7.9, 18.0, 44.0, 95.0]))
 def test_half_the_step_of_the_fastest_mode_moves_nothing(damping):
-    push = DisturbanceForceConfig(force=[0.3, 0.0, 0.0])
+    push = DisturbanceForceConfig(force=[2.0, 0.0, 0.0])
     own = {"load_disturbance": lambda model: DisturbanceForce(model, push)}  # flown again, too
     run = simulate(short(f"system.cable_damping={damping}"), **own)
     assert verify_step(run).half_step == {"step_s": run.step / 2, "moved": {}}
