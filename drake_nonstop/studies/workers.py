@@ -115,23 +115,23 @@ def results_of(
             ) from None
         return
     require_main()
-    rounds, has_any = [waiting, Batches(), Batches()], False  # those of no, one and two deaths
-    while any(rounds):
-        deaths = next(number for number, batches in enumerate(rounds) if batches)
-        now, most = rounds[deaths], 1 if deaths else os.cpu_count() or 1
-        out: list[list[Any]] = []  # the batches that processes have
-        try:
-            with _pool(min(most, len(now))) as pool:
-                for answer in _results(pool, function, now, most, out):
-                    has_any = True
-                    yield answer
-        except BrokenExecutor:
-            if now is rounds[-1]:
-                yield out[0], PROCESS_DIED
-                continue
-            rounds[deaths + 1] += [[call] for batch in out for call in batch]
-            if not has_any:
-                _require_startable()
+    once, twice, has_any = Batches(), Batches(), False  # calls whose process died so often
+    for now, again in ((waiting, once), (once, twice), (twice, None)):
+        most = os.cpu_count() or 1 if now is waiting else 1
+        while now:
+            out: list[list[Any]] = []  # the batches that processes have
+            try:
+                with _pool(min(most, len(now))) as pool:
+                    for answer in _results(pool, function, now, most, out):
+                        has_any = True
+                        yield answer
+            except BrokenExecutor:
+                if again is None:
+                    yield out[0], PROCESS_DIED
+                    continue
+                again.extend([call] for batch in out for call in batch)
+                if not has_any:
+                    _require_startable()
 
 
 def _results(

@@ -57,7 +57,7 @@ def trajectory_of(name, *changes):
 
 @pytest.mark.slow
 def test_its_signals_are_those_of_the_delayed_motion_with_its_rates():
-    _, preview, _ = trajectory_of("line_without_optimization", *FAST_LINE)
+    _, preview, model = trajectory_of("line_without_optimization", *FAST_LINE)
     block, ahead, _ = trajectory_of("line_without_optimization", *FAST_LINE, GOVERNED)
     sizes = {"reference": 22, "reference_higher_rates": 6, "reference_delay": 1}
     assert sizes_of_ports(block) == sizes | {"reference_preview": None}
@@ -74,6 +74,9 @@ def test_its_signals_are_those_of_the_delayed_motion_with_its_rates():
         np.testing.assert_allclose([*reference[7:], *higher], expected, rtol=0, atol=1e-5)
     np.testing.assert_array_equal(ahead.at(times), [ahead(time) for time in times])
     assert delay > 0.5
+    times = np.linspace(0, 6, 61)
+    slowest = [slowest_on_best_orbit(model, p, times, [1.2]).min() for p in (preview, ahead)]
+    assert slowest[0] < 0.9 * 0.25 < 0.25 < slowest[1]
 
 
 @pytest.mark.slow
@@ -89,7 +92,7 @@ def test_a_governed_flight_keeps_the_bound_and_arrives_late():
     assert largest < 4e-5  # without the reference's higher rates 6e-5
 
 
-def slowest_on_best_orbit(model, preview, times):
+def slowest_on_best_orbit(model, preview, times, amplitudes=AMPLITUDES):
     """The speed of the slowest carrier at any phase, at ξ = 2 and the best of A at each time."""
     phases, load = np.linspace(0, 2 * np.pi, 32, endpoint=False), model.load
 
@@ -105,7 +108,7 @@ def slowest_on_best_orbit(model, preview, times):
         motion = preview(time), wrench(time), difference(wrench, time)
         return carrier_speeds(model, *motion, 2.0, A, phases).min()
 
-    return np.array([max(slowest(time, A) for A in AMPLITUDES) for time in times])
+    return np.array([max(slowest(time, A) for A in amplitudes) for time in times])
 
 
 @pytest.mark.slow
